@@ -1,0 +1,99 @@
+# `make help` lists what there is. `make run` and `make test` do all of the set-up from a bare Debian 12.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DEFAULT_GOAL := help
+MAKEFLAGS += --no-builtin-rules
+
+BIN := .venv/bin
+NATIVE_BUILD := build/native
+JOBS ?= $(shell nproc)
+RANKS ?= 2
+SCENE ?= examples/ten_bunches.toml
+ARGS ?=
+SYSTEM := build-essential cmake ninja-build python3-venv python3-dev libopenmpi-dev openmpi-bin trilinos-all-dev
+NATIVE := CMakeLists.txt pyproject.toml $(wildcard native/* native/*/*.cpp native/*/*.hpp)
+
+# Ranks compute by themselves, may be root, and may be more than there are cores.
+export OMP_NUM_THREADS := 1
+export OMPI_ALLOW_RUN_AS_ROOT := 1
+export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
+export OMPI_MCA_rmaps_base_oversubscribe := 1
+
+.PHONY: stub help setup build run test verify lint format clean
+
+help:  ## list the targets
+	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
+
+run: setup  ## the main job: SCENE on RANKS ranks
+	mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
+
+test: setup  ## all tests; ARGS go to pytest
+	$(BIN)/python -m pytest $(ARGS)
+
+verify: setup  ## the long forms of tests: ten bunches on 1 to 4 ranks, twenty kills
+	AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_decomposition.py tests/test_kill_restart.py $(ARGS)
+
+setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
+	@:
+
+.venv/.system: Makefile
+	@command -v dpkg-query >/dev/null || { mkdir -p .venv; touch $@; exit 0; }; \
+	missing=$$({ dpkg-query -W -f '$${db:Status-Abbrev} $${Package}\n' $(SYSTEM) 2>/dev/null || true; } | \
+	  sed -n 's/^ii  *//p' | sort | comm -13 - <(printf '%s\n' $(SYSTEM) | sort)); \
+	if [ -n "$$missing" ]; then \
+	  root=; [ "$$(id -u)" = 0 ] || root=sudo; \
+	  echo "installing Debian packages:" $$missing; \
+	  $$root apt-get update -q >/dev/null; \
+	  $$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $$missing >/dev/null; \
+	fi
+	@mkdir -p .venv && touch $@
+
+.venv/.packages: pyproject.toml .venv/.system
+	@echo "installing Python packages into .venv"
+	@[ -x $(BIN)/python ] || /usr/bin/python3 -m venv .venv
+	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \
+	  project = tomllib.load(open("pyproject.toml", "rb"))["project"]; more = project["optional-dependencies"]; \
+	  print(*(p.replace(" ", "") for p in project["dependencies"] + more["test"] + more["dev"] if "[" not in p))')
+	@mkdir -p build; exec 9>build/.lock; flock 9; export CMAKE_BUILD_PARALLEL_LEVEL=$(JOBS); \
+	nice $(BIN)/python -m pip install -q --disable-pip-version-check --no-build-isolation --no-deps -e .
+	@touch $@
+
+.venv/.built: $(NATIVE) .venv/.packages
+	@$(MAKE) --no-print-directory build
+	@touch $@
+
+# The new module is loaded once before it takes the old one's place: undefined symbols show here, and a running
+# process keeps the file it has mapped.
+build:  ## compile what changed; one build at a time
+	@mkdir -p build; exec 9>build/.lock; flock 9; \
+	nice ninja -C $(NATIVE_BUILD) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }; \
+	new=$$(echo $(NATIVE_BUILD)/_native.*.so); old=$$(echo .venv/lib/python3*/site-packages/amrpic)/$$(basename $$new); \
+	if ! cmp -s $$new $$old; then \
+	  $(BIN)/python -c "import ctypes; ctypes.CDLL('$$new')"; \
+	  cp $$new $$old.new; mv -f $$old.new $$old; \
+	fi
+
+# The typed stub of the native module, as its own signatures give it.
+build/_native.pyi: .venv/.built
+	@$(BIN)/python -m nanobind.stubgen -q -m amrpic._native -o $@
+	@sed -Ei 's/Annotated\[(NDArray\[[a-z0-9_.]+\]), dict\(([^()]|\([^)]*\))*\)\]/\1/g; /^from typing import Annotated$$/d' $@
+	@$(BIN)/ruff format -q $@
+
+stub: build/_native.pyi  ## write amrpic/_native.pyi anew
+	@cmp -s $< amrpic/_native.pyi || cp $< amrpic/_native.pyi
+
+lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency graphs
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/clang-format --dry-run -Werror $(wildcard native/*/*.cpp native/*/*.hpp)
+	cmp build/_native.pyi amrpic/_native.pyi || { echo 'the stub is old: make stub'; exit 1; }
+	$(BIN)/python -m pytest -q tests/test_architecture.py
+
+format: .venv/.packages  ## let ruff and clang-format rewrite the sources
+	$(BIN)/ruff check --fix-only --quiet
+	$(BIN)/ruff format
+	$(BIN)/clang-format -i $(wildcard native/*/*.cpp native/*/*.hpp)
+
+clean:  ## remove .venv, build and caches; runs stay
+	rm -rf .venv build .mypy_cache .pytest_cache .ruff_cache

@@ -1,0 +1,262 @@
+"""Native part of amrpic: meshes, operators, solver and particle kernels."""
+
+from collections.abc import Sequence
+import enum
+
+import numpy
+from numpy.typing import NDArray
+
+def initialize() -> None:
+    """Start Kokkos and Tpetra on MPI_COMM_WORLD, once; MPI must be up."""
+
+def finalize() -> None:
+    """
+    Release what solvers hold of Trilinos, then stop it; MPI must still be up.
+    """
+
+def trilinos_version() -> str:
+    """Version of the Trilinos headers, such as '13.2'."""
+
+def kokkos_backend() -> str:
+    """Name of the Kokkos execution space Tpetra runs on."""
+
+def mpi_library() -> str:
+    """Version line of the MPI library this module calls."""
+
+class HierarchyError(Exception):
+    pass
+
+class SolverError(Exception):
+    pass
+
+class Hierarchy:
+    def __init__(
+        self,
+        comm: int,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        cells: Sequence[int],
+        boundary: Sequence[int],
+        levels: Sequence[NDArray[numpy.int32]],
+        max_grid_size: int,
+        blocking_factor: int,
+        weights: Sequence[NDArray[numpy.float64]],
+    ) -> None: ...
+    @property
+    def levels(self) -> int: ...
+    def boxes(self, level: int) -> NDArray[numpy.int32]: ...
+    def owners(self, level: int) -> NDArray[numpy.int32]: ...
+    def local_boxes(self, level: int) -> list[int]: ...
+    def cells(self, level: int) -> int: ...
+    def covered(self, level: int, box: int) -> NDArray[numpy.int8]: ...
+
+class Field:
+    def __init__(self, hierarchy: Hierarchy) -> None: ...
+    def level(self, level: int) -> NDArray[numpy.float64]: ...
+    def average_down(self) -> None: ...
+    def sample(self, points: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+
+def cluster(blocks: NDArray[numpy.int32], efficiency: float) -> NDArray[numpy.int32]: ...
+def refine(
+    hierarchy: Hierarchy,
+    tags: Sequence[NDArray[numpy.uint8]],
+    fixed: Sequence[NDArray[numpy.int32]],
+    max_levels: int,
+    buffer: int,
+    nesting: int,
+    efficiency: float,
+) -> list: ...
+def carry_over(from_: Field, to: Field) -> None: ...
+def lattice_green(spacing: Sequence[float], reach: Sequence[int]) -> NDArray[numpy.float64]:
+    """
+    Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach.
+    """
+
+def multipole_moments(
+    positions: NDArray[numpy.float64], charges: NDArray[numpy.float64], centre: Sequence[float]
+) -> NDArray[numpy.complex128]:
+    """Moments (l, m >= 0), place l (l + 1) / 2 + m, of point charges."""
+
+def translate_moments(moments: NDArray[numpy.complex128], shift: Sequence[float]) -> NDArray[numpy.complex128]:
+    """Moments about a centre that lies `shift` before the old one."""
+
+class FreeSpace:
+    def __init__(
+        self,
+        comm: int,
+        lower: Sequence[float],
+        spacing: Sequence[float],
+        cells: Sequence[int],
+        acceptance: float = 0.5,
+        lattice_limit: float = 10.0,
+        plane_tolerance: float = 2e-05,
+    ) -> None: ...
+    def set_charges(
+        self, positions: NDArray[numpy.float64], charges: NDArray[numpy.float64], levels: NDArray[numpy.int32]
+    ) -> None: ...
+    def set_box(self, level: int, lower: Sequence[int], charges: NDArray[numpy.float64]) -> None:
+        """This rank's charges as one box of cells, x fastest."""
+
+    def wall_planes(self, open: Sequence[bool]) -> list:
+        """
+        Per face an array (upper axis, lower axis), or None for walls that are not open.
+        """
+
+    def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
+
+class LevelOperators:
+    def rows_of(self, name: str, columns: LevelOperators, axis: int = 0) -> tuple: ...
+    def multiply_by_tpetra(
+        self, name: str, columns: LevelOperators, axis: int, comm: int, values: NDArray[numpy.float64]
+    ) -> NDArray[numpy.float64]: ...
+    def uncovered(self) -> NDArray[numpy.int8]: ...
+    @property
+    def first_row(self) -> int: ...
+    @property
+    def rows(self) -> int: ...
+    @property
+    def local_rows(self) -> int: ...
+    @property
+    def bytes(self) -> int: ...
+
+class ParticleMesh:
+    def __init__(self, hierarchy: Hierarchy) -> None: ...
+    @property
+    def slots(self) -> int: ...
+
+class Migration:
+    def __init__(
+        self,
+        mesh: ParticleMesh,
+        position: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64],
+        weight: NDArray[numpy.float64],
+        id: NDArray[numpy.int64],
+    ) -> None: ...
+    @property
+    def lost(self) -> NDArray[numpy.int64]: ...
+    @property
+    def not_finite(self) -> NDArray[numpy.int64]: ...
+    @property
+    def arriving(self) -> int: ...
+    def finish(
+        self,
+        position: NDArray[numpy.float64],
+        momentum: NDArray[numpy.float64],
+        weight: NDArray[numpy.float64],
+        id: NDArray[numpy.int64],
+        starts: NDArray[numpy.int64],
+    ) -> None: ...
+
+def count_per_box(
+    hierarchy: Hierarchy,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+) -> list: ...
+def deposit(
+    mesh: ParticleMesh,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    starts: NDArray[numpy.int64],
+    charge: float,
+    density: Field,
+) -> None: ...
+def gather(
+    mesh: ParticleMesh,
+    x: Field,
+    y: Field,
+    z: Field,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    starts: NDArray[numpy.int64],
+    out: NDArray[numpy.float64],
+) -> None: ...
+def uniforms(seed: int, stream: int, step: int, id: NDArray[numpy.int64], out: NDArray[numpy.float64]) -> None:
+    """
+    Fill out (4, n) with numbers in (0, 1) that depend on the arguments alone.
+    """
+
+vacuum_permittivity: float = 8.8541878188e-12
+
+class Norm(enum.Enum):
+    l1 = 0
+
+    l2 = 1
+
+    max = 2
+
+class Prolongation(enum.Enum):
+    constant = 0
+
+    trilinear = 1
+
+class SolverOptions:
+    def __init__(self) -> None: ...
+    @property
+    def tolerance(self) -> float: ...
+    @tolerance.setter
+    def tolerance(self, arg: float, /) -> None: ...
+    @property
+    def norm(self) -> Norm: ...
+    @norm.setter
+    def norm(self, arg: Norm, /) -> None: ...
+    @property
+    def max_cycles(self) -> int: ...
+    @max_cycles.setter
+    def max_cycles(self, arg: int, /) -> None: ...
+    @property
+    def pre_sweeps(self) -> int: ...
+    @pre_sweeps.setter
+    def pre_sweeps(self, arg: int, /) -> None: ...
+    @property
+    def post_sweeps(self) -> int: ...
+    @post_sweeps.setter
+    def post_sweeps(self, arg: int, /) -> None: ...
+    @property
+    def relaxation(self) -> float: ...
+    @relaxation.setter
+    def relaxation(self, arg: float, /) -> None: ...
+    @property
+    def prolongation(self) -> Prolongation: ...
+    @prolongation.setter
+    def prolongation(self, arg: Prolongation, /) -> None: ...
+    @property
+    def neutralize(self) -> bool: ...
+    @neutralize.setter
+    def neutralize(self, arg: bool, /) -> None: ...
+
+class SolveReport:
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def cycles(self) -> int: ...
+    @property
+    def residuals(self) -> list[float]: ...
+    @property
+    def floor(self) -> float: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def seconds(self) -> dict[str, float]: ...
+
+class PoissonSolver:
+    def __init__(self, hierarchy: Hierarchy, options: SolverOptions) -> None: ...
+    def solve(self, rho: Field, phi: Field) -> SolveReport: ...
+    def electric_field(self, phi: Field, x: Field, y: Field, z: Field) -> None: ...
+    def wall_faces(self, level: int) -> tuple: ...
+    def wall_data(self, level: int) -> NDArray[numpy.float64]: ...
+    def operators(self, level: int) -> LevelOperators: ...
+    @property
+    def assemblies(self) -> int: ...
+    @property
+    def messages(self) -> int: ...
+    @property
+    def message_bytes(self) -> int: ...
+    @property
+    def operator_bytes(self) -> int: ...

@@ -1,0 +1,22 @@
+"""Arithmetic of boxes as rows of numbers: lower x, y, z, upper x, y, z, inclusive."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+def cells_of(boxes: Array) -> Array:
+    """Return the number of cells of each box."""
+    return np.prod(boxes[:, 3:].astype(np.int64) - boxes[:, :3] + 1, axis=1)
+
+
+def equal_shares(boxes: Array, ranks: int) -> Array:
+    """Return owners (n,) that give each rank consecutive boxes with about equally many cells."""
+    cells = cells_of(boxes)
+    middle = np.cumsum(cells) - cells / 2
+    return np.minimum((middle * ranks / max(cells.sum(), 1)).astype(np.int64), ranks - 1)

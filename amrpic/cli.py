@@ -1,0 +1,179 @@
+"""The command line: arguments in, calls out."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+
+    from .scene import Scene
+
+STOPPED = 75  # "try again later": stopped by a signal or the clock after a checkpoint, to be resubmitted
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command that the arguments name and exit with its status. Collective under mpiexec."""
+    from .failure import Meeting
+
+    meeting, show_traceback = Meeting(), False
+    try:
+        chosen = parser().parse_args(arguments)
+        show_traceback = chosen.traceback
+        status = chosen.command(chosen)
+    except (Exception, KeyboardInterrupt) as failure:
+        status = meeting.told(failure, show_traceback)
+    sys.exit(status)
+
+
+class Parser(argparse.ArgumentParser):
+    """One whose complaints are told like all others: once, not by every rank."""
+
+    def error(self, message: str) -> NoReturn:
+        from .errors import InputError
+
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    top = Parser(prog="amrpic", description="Self-fields of charged-particle bunches on adaptive meshes.")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+
+    run = _command(commands, "run", _run, "run a scene; under mpiexec on many ranks")
+    _scene_arguments(run)
+    run.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
+    run.add_argument(
+        "--restart", metavar="auto|PATH", help="go on from a checkpoint; auto: the newest valid one, if any"
+    )
+    run.add_argument(
+        "--walltime", metavar="TIME", help='stop with a checkpoint before so much time has passed: "01:30:00", "90 min"'
+    )
+    check = _command(commands, "check", _check, "tell whether a scene can run, without running it")
+    _scene_arguments(check)
+    check.add_argument("--ranks", type=_count, default=1, metavar="N", help="number of ranks it is meant for")
+    check.add_argument("--resolved", action="store_true", help="print the scene with all defaults filled in, as TOML")
+
+    plot = _command(commands, "plot", _plot, "draw pictures of a run that was written")
+    plot.add_argument("path", metavar="PATH", help="directory of a run, or a fields file")
+    plot.add_argument("--axis", choices=tuple("xyz"), default="z", help="normal of the slices; default z")
+    plot.add_argument(
+        "--position", type=float, metavar="M", help="of the slices along it, m; default through the charge"
+    )
+    plot.add_argument("--output", metavar="DIR", help="where to put the pictures; default beside what they show")
+
+    _command(commands, "doctor", _doctor, "check this machine and tell how to mend what is wrong")
+    return top
+
+
+def _command(commands: argparse._SubParsersAction, name: str, call: object, help: str) -> argparse.ArgumentParser:
+    command: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
+    command.set_defaults(command=call)
+    command.add_argument("--traceback", action="store_true", help="show where in the code an error comes from")
+    return command
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not positive; give at least 1")
+    return number
+
+
+def _scene_arguments(command: argparse.ArgumentParser) -> None:
+    command.add_argument("scene", metavar="SCENE", help="a scene file in TOML")
+    command.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a value, such as solver.tolerance=1e-8",
+    )
+
+
+def _scene(chosen: argparse.Namespace) -> Scene:
+    from .scene import Scene
+
+    scene = Scene.from_toml(chosen.scene, chosen.set)
+    if getattr(chosen, "output", None) is None:
+        return scene
+    return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    from mpi4py import MPI
+
+    from .errors import InputError
+    from .parallel import together
+    from .record import prepare
+    from .simulation import Simulation
+    from .units import to_seconds
+
+    comm = MPI.COMM_WORLD
+    with together(comm, InputError):
+        scene = _scene(chosen)
+        walltime = None if chosen.walltime is None else to_seconds(chosen.walltime)
+    prepare(comm, scene)
+    path = _checkpoint(comm, scene, chosen.restart)
+    simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)
+    return 0 if simulation.run(walltime) is None else STOPPED
+
+
+def _checkpoint(comm: MPI.Comm, scene: Scene, restart: str | None) -> Path | None:
+    """Return the checkpoint to go on from."""
+    from .io.restart import find_latest_valid
+    from .report import RunLog
+
+    if restart == "auto":
+        with RunLog(comm, scene.schedule.last_step):  # tells of broken ones
+            return find_latest_valid(comm, scene.directory)
+    return None if restart is None else Path(restart)
+
+
+def _check(chosen: argparse.Namespace) -> int:
+    from .failure import BAD_INPUT
+    from .limits import check_scene
+    from .scene import RefusedScene
+
+    try:
+        scene = _scene(chosen)
+    except RefusedScene as refused:
+        print("\n".join(refused.problems), file=sys.stderr)
+        return BAD_INPUT
+    check_scene(scene, chosen.ranks)
+    print(scene.to_toml() if chosen.resolved else scene.summary())
+    for remark in scene.remarks():
+        print(f"note: {remark}", file=sys.stderr)
+    return 0
+
+
+def _plot(chosen: argparse.Namespace) -> int:
+    from mpi4py import MPI
+
+    from .errors import OutputError
+    from .parallel import together
+    from .plot import plot
+    from .record import latest_fields
+
+    path = Path(chosen.path)
+    folder = None if chosen.output is None else Path(chosen.output)
+    with together(MPI.COMM_WORLD, OutputError):
+        if MPI.COMM_WORLD.rank == 0:
+            dump = latest_fields(path) if path.is_dir() else path
+            print(*plot(dump, folder, chosen.axis, chosen.position), sep="\n")
+    return 0
+
+
+def _doctor(chosen: argparse.Namespace) -> int:
+    from mpi4py import MPI
+
+    from .doctor import examine
+
+    findings = examine(MPI.COMM_WORLD)
+    if MPI.COMM_WORLD.rank == 0:
+        print("\n".join(map(str, findings)))
+    return 0 if all(finding.well for finding in findings) else 1

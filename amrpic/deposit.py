@@ -1,0 +1,24 @@
+"""Charge of particles onto the mesh."""
+
+from __future__ import annotations
+
+from . import _native
+from .errors import ParticleError
+from .field import Field
+from .hierarchy import Hierarchy
+from .particles import Particles, particle_mesh
+
+
+def deposit(particles: Particles, hierarchy: Hierarchy) -> Field:
+    """Return the charge density of the particles in C/m^3, by clouds of one cell width. Collective.
+
+    Total charge is conserved to rounding, also across coarse-fine faces; what overhangs a wall is folded onto the wall cell.
+    Particles must live on the ranks that own their cells; `migrate` sees to that.
+    """
+    sorting = particles.sorted_on(hierarchy)
+    density = Field(hierarchy, unit="C/m^3")
+    try:
+        _native.deposit(particle_mesh(hierarchy), *particles.arrays, sorting.starts, particles.charge, density.native)
+    except IndexError as moved:
+        raise ParticleError(str(moved)) from None
+    return density

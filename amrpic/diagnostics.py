@@ -1,0 +1,156 @@
+"""What is measured of a state: pure reductions over all ranks."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from .field import Field, VectorField
+from .hierarchy import AXES, Hierarchy
+from .parallel import global_max
+from .particles import Particles
+from .units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+
+STAGES = ("beam", "push", "migrate", "regrid", "deposit", "solve", "gather", "output")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of the time series: its name, its unit, and whether it counts something."""
+
+    name: str
+    unit: str = ""
+    counts: bool = False
+
+
+def quantities(levels: int) -> list[Quantity]:
+    """Return what `measure` gives for hierarchies of up to `levels` levels, in the order of the time series."""
+    return [
+        Quantity("step", counts=True),
+        Quantity("time", "s"),
+        *(Quantity(f"cells_{level}", counts=True) for level in range(levels)),
+        Quantity("boxes", counts=True),
+        Quantity("particles", counts=True),
+        Quantity("lost_particles", counts=True),
+        Quantity("charge", "C"),
+        Quantity("lost_charge", "C"),
+        Quantity("field_energy", "J"),
+        Quantity("potential_energy", "J"),
+        Quantity("kinetic_energy", "J"),
+        *(Quantity(f"mean_{axis}", "m") for axis in AXES),
+        *(Quantity(f"rms_{axis}", "m") for axis in AXES),
+        *(Quantity(f"emittance_{axis}", "m rad") for axis in AXES),
+        Quantity("cycles", counts=True),
+        Quantity("residual"),
+        Quantity("memory", "B", counts=True),
+        Quantity("seconds", "s"),
+        *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
+    ]
+
+
+def measure(
+    particles: Particles,
+    lost: Particles,
+    rho: Field,
+    phi: Field,
+    efield: VectorField,
+    seconds: Mapping[str, float],
+) -> dict[str, float]:
+    """Return what can be measured of particles and fields at one time. Collective.
+
+    `charge` is that of the composite grid. `seconds` per stage are those of the slowest rank; levels that do not exist
+    have no entry.
+    """
+    hierarchy = rho.hierarchy
+    comm = hierarchy.comm
+    beam = moments(comm, particles)
+    return {
+        **{f"cells_{level}": hierarchy.cells(level) for level in range(hierarchy.levels)},
+        "boxes": box_count(hierarchy),
+        "particles": particles.global_count(comm),
+        "lost_particles": lost.global_count(comm),
+        "charge": rho.integral(),
+        "lost_charge": lost.total_charge(comm),
+        "field_energy": field_energy(efield),
+        "potential_energy": potential_energy(rho, phi),
+        "kinetic_energy": kinetic_energy(comm, particles),
+        **{f"mean_{axis}": beam.mean[i] for i, axis in enumerate(AXES)},
+        **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
+        **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
+        "memory": peak_memory(comm),
+        **{f"seconds_{stage}": value for stage, value in slowest(comm, seconds, STAGES).items()},
+    }
+
+
+def box_count(hierarchy: Hierarchy) -> int:
+    """Return the number of boxes of all levels."""
+    return sum(len(hierarchy.boxes(level)) for level in range(hierarchy.levels))
+
+
+def field_energy(efield: VectorField) -> float:
+    """Return ½ ε₀ ∫ E² dV over the domain in J. Collective.
+
+    What the field holds outside an open domain is not in it.
+    """
+    square = Field(efield.hierarchy)
+    for level in range(efield.hierarchy.levels):
+        for component in efield.components:
+            square.array(level)[:] += component.array(level) ** 2
+    return 0.5 * VACUUM_PERMITTIVITY * square.integral()
+
+
+def potential_energy(rho: Field, phi: Field) -> float:
+    """Return ½ ∫ ρ φ dV in J, which in free space is the energy of the field in all of it. Collective."""
+    product = Field(rho.hierarchy)
+    for level in range(rho.hierarchy.levels):
+        np.multiply(rho.array(level), phi.array(level), out=product.array(level))
+    return 0.5 * product.integral()
+
+
+def kinetic_energy(comm: MPI.Comm, particles: Particles) -> float:
+    """Return the kinetic energy of all real particles in J. Collective."""
+    square = np.einsum("ij,ij->i", particles.momentum, particles.momentum)
+    gamma = np.sqrt(1 + square / (particles.mass * SPEED_OF_LIGHT) ** 2)
+    # p² / (m (γ + 1)) equals (γ - 1) m c² and loses no digits when the particles are slow.
+    return float(comm.allreduce(float(np.sum(particles.weight * square / (gamma + 1))))) / particles.mass
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Mean position, rms size about it (m) and normalised rms emittance (m rad) along x, y, z; nan without particles."""
+
+    mean: np.ndarray
+    rms: np.ndarray
+    emittance: np.ndarray
+
+
+def moments(comm: MPI.Comm, particles: Particles) -> Moments:
+    """Return the second moments of all particles, weighted by the real ones that they stand for. Collective."""
+    x, p, weight = particles.position, particles.momentum, particles.weight
+    first = comm.allreduce(np.array([weight.sum(), *(weight @ x), *(weight @ p)]))
+    if not first[0] > 0:
+        nothing = np.full(3, np.nan)
+        return Moments(nothing, nothing, nothing)
+    mean_x, mean_p = first[1:4] / first[0], first[4:7] / first[0]
+    # About the mean, which is known by now: a difference of large squares would lose the size of a far-off bunch.
+    dx, dp = x - mean_x, p - mean_p
+    sums = comm.allreduce(np.array([weight @ dx**2, weight @ dp**2, weight @ (dx * dp)])) / first[0]
+    area = np.sqrt(np.maximum(sums[0] * sums[1] - sums[2] ** 2, 0))
+    return Moments(mean_x, np.sqrt(sums[0]), area / (particles.mass * SPEED_OF_LIGHT))
+
+
+def peak_memory(comm: MPI.Comm) -> int:
+    """Return the most memory in bytes that any rank has used at a time. Collective."""
+    return int(global_max(comm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024))
+
+
+def slowest(comm: MPI.Comm, seconds: Mapping[str, float], stages: Sequence[str]) -> dict[str, float]:
+    """Return for each stage the most seconds that any rank spent; zero for stages that did not run. Collective."""
+    mine = np.array([seconds.get(stage, 0.0) for stage in stages])
+    most = np.empty_like(mine)
+    comm.Allreduce(mine, most, op=MPI.MAX)
+    return dict(zip(stages, most.tolist(), strict=True))

@@ -1,0 +1,146 @@
+"""Cell values on a hierarchy, seen through NumPy without a copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import ArrayLike
+
+from . import _native
+from .hierarchy import Hierarchy
+from .parallel import global_max, global_sum
+
+Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray | float]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The values of one field in one box of this rank."""
+
+    level: int
+    box: int  # its number among the level's boxes
+    lower: tuple[int, int, int]  # inclusive global indices of its level
+    upper: tuple[int, int, int]
+    data: np.ndarray  # (nx, ny, nz), writable, x fastest in memory
+    hierarchy: Hierarchy
+
+    def centres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cell centres in m as three arrays that broadcast to (nx, ny, nz)."""
+        h = self.hierarchy.spacing(self.level)
+        axes = [
+            self.hierarchy.domain.lower[d] + (np.arange(self.lower[d], self.upper[d] + 1) + 0.5) * h[d]
+            for d in range(3)
+        ]
+        return axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None, :]
+
+    @cached_property
+    def covered(self) -> np.ndarray:
+        """Where a finer level covers the cell, bool (nx, ny, nz)."""
+        return self.hierarchy.native.covered(self.level, self.box).astype(bool)
+
+
+class Field:
+    """One number per cell, on every level of a hierarchy; starts at zero.
+
+    Each rank holds the cells of its own boxes. Cells that a finer level covers hold the mean of their children in every
+    field that the package returns.
+    """
+
+    def __init__(self, hierarchy: Hierarchy, unit: str = "") -> None:
+        self.hierarchy = hierarchy
+        self.unit = unit
+        self.native = _native.Field(hierarchy.native)
+
+    @property
+    def comm(self) -> MPI.Comm:
+        return self.hierarchy.comm
+
+    @cached_property
+    def patches(self) -> list[Patch]:
+        """This rank's boxes, coarse to fine, in box order; their data share the field's memory."""
+        out = []
+        for level in range(self.hierarchy.levels):
+            values, start = self.array(level), 0
+            boxes = self.hierarchy.boxes(level)
+            for box in self.hierarchy.local_boxes(level):
+                lower, upper = boxes[box, :3], boxes[box, 3:]
+                shape = tuple(int(n) for n in upper - lower + 1)
+                size = shape[0] * shape[1] * shape[2]
+                data = values[start : start + size].reshape(shape, order="F")
+                corners = tuple(int(i) for i in lower), tuple(int(i) for i in upper)
+                out.append(Patch(level, box, corners[0], corners[1], data, self.hierarchy))  # type: ignore[arg-type]
+                start += size
+        return out
+
+    def array(self, level: int) -> np.ndarray:
+        """This rank's cells of a level, 1-D and writable: its boxes one after the other, x fastest in each."""
+        return self.native.level(self.hierarchy._checked(level))
+
+    def fill(self, function: Function) -> Field:
+        """Set every cell of every level to `function(x, y, z)` at its centre (m, broadcastable arrays); return self."""
+        for patch in self.patches:
+            patch.data[...] = function(*patch.centres())
+        return self
+
+    def copy(self) -> Field:
+        """A field with the same values and memory of its own."""
+        out = Field(self.hierarchy, self.unit)
+        for level in range(self.hierarchy.levels):
+            out.array(level)[:] = self.array(level)
+        return out
+
+    def average_down(self) -> Field:
+        """Set covered cells to the mean of their children, fine to coarse; return self. Collective."""
+        self.native.average_down()
+        return self
+
+    def integral(self) -> float:
+        """Volume integral over uncovered cells. Collective."""
+        total = 0.0
+        for patch in self.patches:
+            volume = float(np.prod(self.hierarchy.spacing(patch.level)))
+            total += volume * float(patch.data.sum(where=~patch.covered))
+        return global_sum(self.comm, total)
+
+    def max_abs(self) -> float:
+        """Largest magnitude over uncovered cells; nan if one of them is. Collective."""
+        here = [np.abs(p.data).max(where=~p.covered, initial=0.0) for p in self.patches]
+        return global_max(self.comm, np.max(here, initial=0.0))
+
+    def sample(self, points: ArrayLike) -> np.ndarray:
+        """Values at points (n, 3) in m, (n,) on every rank: trilinear in the finest cells there. Collective.
+
+        All ranks pass the same points. Beside a coarse-fine face the cells that the finer level lacks take the coarser
+        one's value; beyond a wall that of the wall cell is held. Points outside the domain give nan.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        return self.native.sample(points)
+
+
+@dataclass(frozen=True)
+class VectorField:
+    """Three fields, the components along x, y and z."""
+
+    x: Field
+    y: Field
+    z: Field
+
+    @property
+    def components(self) -> tuple[Field, Field, Field]:
+        return self.x, self.y, self.z
+
+    @property
+    def hierarchy(self) -> Hierarchy:
+        return self.x.hierarchy
+
+    @property
+    def unit(self) -> str:
+        return self.x.unit
+
+    def sample(self, points: ArrayLike) -> np.ndarray:
+        """Values at points (n, 3) in m, (n, 3) on every rank. Collective."""
+        return np.stack([c.sample(points) for c in self.components], axis=1)

@@ -1,0 +1,207 @@
+"""The mesh: a domain and the boxes that refine it."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from . import _native
+from .errors import HierarchyError
+
+BOUNDARIES = ("open", "dirichlet", "neumann", "periodic")
+AXES = "xyz"
+
+Faces = tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
+BoundarySpec = str | Mapping[str, str | Sequence[str]]
+
+
+@dataclass(frozen=True, init=False)
+class Domain:
+    """A cuboid in metres, cut into `cells` base cells, with a boundary condition per face.
+
+    `boundary` is one name for all faces, or a mapping from axis to a name or to a pair of names (lower, upper);
+    kept as ((x lower, x upper), (y lower, y upper), (z lower, z upper)). Axes that a mapping leaves out are open.
+
+    Raises HierarchyError for an unknown name, a box without volume, or fewer than two cells along an axis.
+    """
+
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+    cells: tuple[int, int, int]
+    boundary: Faces
+
+    def __init__(
+        self,
+        lower: Sequence[float],
+        upper: Sequence[float],
+        cells: Sequence[int],
+        boundary: BoundarySpec | Faces = "open",
+    ) -> None:
+        set_ = object.__setattr__
+        set_(self, "lower", _three(lower, float, "domain.lower"))
+        set_(self, "upper", _three(upper, float, "domain.upper"))
+        set_(self, "cells", _three(cells, operator.index, "domain.cells"))
+        set_(self, "boundary", _faces(boundary))
+        for axis in range(3):
+            if not self.lower[axis] < self.upper[axis] < np.inf or not np.isfinite(self.lower[axis]):
+                raise HierarchyError(
+                    f"domain along {AXES[axis]} reaches from {self.lower[axis]} to {self.upper[axis]} m; "
+                    "the upper end must lie above the lower one and both must be finite"
+                )
+            if self.cells[axis] < 2:
+                raise HierarchyError(f"domain.cells along {AXES[axis]} is {self.cells[axis]}; give at least 2")
+
+    @property
+    def spacing(self) -> np.ndarray:
+        """Base cell widths, (3,) in m."""
+        return (np.array(self.upper) - np.array(self.lower)) / np.array(self.cells)
+
+    @property
+    def periodic(self) -> tuple[bool, bool, bool]:
+        return tuple(faces[0] == "periodic" for faces in self.boundary)  # type: ignore[return-value]
+
+    @property
+    def singular(self) -> bool:
+        """Whether the faces fix the potential only up to a constant."""
+        return all(face in ("neumann", "periodic") for faces in self.boundary for face in faces)
+
+
+def _three(values: Sequence[Any], kind: Callable[[Any], Any], what: str) -> tuple:
+    try:
+        x, y, z = (kind(value) for value in values)
+    except (TypeError, ValueError, OverflowError):
+        whole = "whole " if kind is operator.index else ""
+        raise HierarchyError(f"{what} is {values!r}; give three {whole}numbers, for x, y and z") from None
+    return x, y, z
+
+
+def _faces(boundary: BoundarySpec | Faces) -> Faces:
+    if isinstance(boundary, str):
+        per_axis: list[str | Sequence[str]] = [boundary] * 3
+    elif isinstance(boundary, Mapping):
+        if unknown := sorted(set(boundary) - set(AXES)):
+            raise HierarchyError(f"boundary names axis {unknown[0]!r}; use x, y and z")
+        per_axis = [boundary.get(axis, "open") for axis in AXES]
+    else:
+        per_axis = list(boundary)
+        if len(per_axis) != 3:
+            raise HierarchyError(
+                f"boundary names {len(per_axis)} axes; give one name, or one entry for each of x, y, z"
+            )
+    faces = tuple((a, a) if isinstance(a, str) else tuple(a) for a in per_axis)
+    for axis, pair in zip(AXES, faces, strict=True):
+        for name in pair:
+            if name not in BOUNDARIES:
+                raise HierarchyError(f"boundary along {axis} is {name!r}; use one of {', '.join(BOUNDARIES)}")
+        if len(pair) != 2:
+            raise HierarchyError(f"boundary along {axis} names {len(pair)} faces; give one name or (lower, upper)")
+    return faces  # type: ignore[return-value]
+
+
+def _index_boxes(level: int, boxes: Sequence[Sequence[Sequence[int]]] | np.ndarray) -> np.ndarray:
+    """Return boxes as (n, 6) of 32 bits; HierarchyError if they do not fit or are no whole numbers."""
+    try:
+        given = np.asarray(boxes)
+    except ValueError:  # ragged
+        given = np.array([np.nan])
+    if given.size % 6 or (given.size and not np.issubdtype(given.dtype, np.integer)):
+        raise HierarchyError(
+            f"the boxes of level {level} are not pairs of three whole numbers; give ((i, j, k), (i, j, k))"
+        )
+    if given.size and np.abs(given).max() > np.iinfo(np.int32).max:
+        raise HierarchyError(
+            f"a box of level {level} has index {np.abs(given).max()}, beyond 32 bits; use fewer levels"
+        )
+    return given.astype(np.int32).reshape(-1, 6)
+
+
+class Hierarchy:
+    """The levels of a refined mesh, coarse to fine; immutable. Collective to make.
+
+    `levels[k]` lists the boxes of level k + 1 as pairs of inclusive corner indices in that level's own index space, or is
+    an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
+    if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
+
+    Raises HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned to the blocking
+    factor, or do not nest.
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        domain: Domain,
+        levels: Sequence[Sequence[Sequence[Sequence[int]]] | np.ndarray] = (),
+        max_grid_size: int = 24,
+        blocking_factor: int = 8,
+        weights: Sequence[np.ndarray] | None = None,
+    ) -> None:
+        boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
+        codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
+        loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
+        try:
+            self.native = _native.Hierarchy(
+                comm.py2f(),
+                domain.lower,
+                domain.upper,
+                domain.cells,
+                codes,
+                boxes,
+                max_grid_size,
+                blocking_factor,
+                loads,
+            )
+        except _native.HierarchyError as refused:
+            raise HierarchyError(str(refused)) from None
+        self.comm = comm
+        self.domain = domain
+        self.max_grid_size = int(max_grid_size)
+        self.blocking_factor = int(blocking_factor)
+        self.weights = loads  # as given; none: the cells of each box
+
+    @property
+    def levels(self) -> int:
+        """Number of levels, the base included."""
+        return self.native.levels
+
+    def boxes(self, level: int) -> np.ndarray:
+        """Boxes of a level, (n, 6) int: lower x, y, z and upper x, y, z, inclusive, in their order."""
+        return self.native.boxes(self._checked(level))
+
+    def owners(self, level: int) -> np.ndarray:
+        """Rank that owns each box of a level, (n,) int."""
+        return self.native.owners(self._checked(level))
+
+    def spacing(self, level: int) -> np.ndarray:
+        """Cell widths of a level, (3,) in m."""
+        return self.domain.spacing / 2 ** self._checked(level)
+
+    def cells(self, level: int) -> int:
+        """Number of cells of a level, over all ranks."""
+        return self.native.cells(self._checked(level))
+
+    def local_boxes(self, level: int) -> range:
+        """Numbers of this rank's boxes of a level."""
+        first, last = self.native.local_boxes(self._checked(level))
+        return range(first, last)
+
+    def same_mesh(self, other: Hierarchy) -> bool:
+        """Whether both have the same domain and boxes; owners may differ."""
+        return (
+            self.domain == other.domain
+            and self.levels == other.levels
+            and all(np.array_equal(self.boxes(l), other.boxes(l)) for l in range(self.levels))
+        )
+
+    def _checked(self, level: int) -> int:
+        if not 0 <= level < self.levels:
+            raise HierarchyError(f"level {level} does not exist; the hierarchy has levels 0 to {self.levels - 1}")
+        return level
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{len(self.boxes(l))} boxes {self.cells(l)} cells" for l in range(self.levels))
+        return f"Hierarchy({sizes})"

@@ -1,0 +1,1 @@
+"""Files of a run: checkpoints, field dumps and the time series."""

@@ -1,0 +1,22 @@
+"""What every output says about the run that made it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """The resolved scene, the version of the package and the seed: enough to make the output again."""
+
+    scene: Mapping[str, Any] = field(default_factory=dict)
+    version: str = ""
+    seed: int = 0
+
+    @property
+    def scene_text(self) -> str:
+        """The scene as JSON in one line."""
+        return json.dumps(self.scene, sort_keys=True)

@@ -1,0 +1,130 @@
+"""What a run would take, and what the machine has: checked before anything is allocated."""
+
+from __future__ import annotations
+
+import math
+import resource
+from pathlib import Path, PurePath
+
+from mpi4py import MPI
+
+from .errors import SceneError
+from .scene import LARGEST_INDEX, Scene
+
+BYTES_PER_CELL = 650  # fields, sparse operators and multigrid vectors; 600 were measured with CRS operators
+BYTES_PER_PARTICLE = 250  # a particle, its field, and the copies that moving and sorting make
+
+
+def required_memory(cells: int, particles: int) -> int:
+    """Return an estimate of the bytes that a run takes over all ranks."""
+    return cells * BYTES_PER_CELL + particles * BYTES_PER_PARTICLE
+
+
+def available_memory() -> int:
+    """Return the bytes that processes on this machine may still take, as its memory and its control groups allow."""
+    fields = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
+    free = int(fields["MemAvailable"].split()[0]) * 1024
+    return min([free, *_control_group_room()])
+
+
+def machine_memory(comm: MPI.Comm) -> int:
+    """Return the bytes that all ranks together may use, what they hold already included. Collective."""
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    free = available_memory() if node.rank == 0 else 0
+    node.Free()
+    return comm.allreduce(free + _resident())
+
+
+def cells_memory_error(
+    cells: int, particles: int, available: int | None = None, where: str = "the hierarchy"
+) -> str | None:
+    """Return why so many cells and particles do not fit into memory, None if they do."""
+    available = available_memory() if available is None else available
+    need = required_memory(cells, particles)
+    if need <= available:
+        return None
+    return (
+        f"{where}: {cells} cells and {particles} particles take about {need / 2**30:.3g} GiB of memory, and "
+        f"{available / 2**30:.3g} GiB are free; use fewer cells or particles, or more machines"
+    )
+
+
+def rank_cells_error(cells: int, ranks: int, where: str = "domain.cells") -> str | None:
+    """Return why so many cells cannot be counted in 32 bits on each rank, None if they can."""
+    if cells / ranks <= LARGEST_INDEX:
+        return None
+    return (
+        f"{where}: {cells} cells on {ranks} ranks are more per rank than the {LARGEST_INDEX} that 32 bits count; "
+        f"use fewer cells, or at least {math.ceil(cells / LARGEST_INDEX)} ranks"
+    )
+
+
+def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
+    """Raise SceneError if the base level and the particles of a scene cannot be held by so many ranks.
+
+    Refined levels are not known yet; a run looks at them when they are.
+    """
+    _refuse(scene, math.prod(scene.domain.cells), scene.particle_count(), ranks, available, "domain.cells")
+
+
+def require_room(comm: MPI.Comm, scene: Scene, cells: int, particles: int, where: str) -> None:
+    """Raise SceneError on all ranks if the machines cannot hold so many cells and particles. Collective."""
+    _refuse(scene, cells, particles, comm.size, machine_memory(comm), where)
+
+
+def _refuse(scene: Scene, cells: int, particles: int, ranks: int, available: int | None, where: str) -> None:
+    problem = rank_cells_error(cells, ranks, where) or cells_memory_error(cells, particles, available, where)
+    if problem is not None:
+        raise SceneError(f"{scene.name}: {problem}")
+
+
+def _resident() -> int:
+    """Bytes that this process holds."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * resource.getpagesize()
+
+
+def _control_group_room() -> list[int]:
+    """Bytes left below the memory limits of this process's control groups and those around them, versions 1 and 2."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text().splitlines()
+    except OSError:
+        return []
+    room = []
+    for _, controllers, name in (line.split(":", 2) for line in lines):
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = Path("/sys/fs/cgroup", "memory" if controllers else "")
+        group = PurePath(name.lstrip("/"))
+        for folder in (root / inside for inside in (group, *group.parents)):
+            room += _room_in(folder)
+    return room
+
+
+def _room_in(folder: Path) -> list[int]:
+    for limit, usage, cache in (
+        ("memory.max", "memory.current", "inactive_file"),
+        ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ):
+        most, used = _number(folder / limit), _number(folder / usage)
+        if most is not None and used is not None:
+            # Pages of files that nobody uses count as used, but make room when it is needed.
+            return [max(most - used + _counter(folder / "memory.stat", cache), 0)]
+    return []
+
+
+def _counter(path: Path, name: str) -> int:
+    try:
+        return int(dict(line.split() for line in path.read_text().splitlines())[name])
+    except (OSError, ValueError, KeyError):
+        return 0
+
+
+def _number(path: Path) -> int | None:
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,51 @@
+"""Particles to the ranks that own their boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from . import _native
+from .errors import ParticleError
+from .hierarchy import Hierarchy
+from .parallel import raise_together
+from .particles import Particles, Sorting, particle_mesh
+
+
+def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Particles]:
+    """Return this rank's particles, and those that it lost because they lie outside the domain. Collective.
+
+    Each particle goes to the rank that owns the finest box around it, and is sorted there by level, box, cell and id.
+    Periodic axes are wrapped first. Lost particles stay as they are, on the rank that held them. Raises ParticleError on all
+    ranks if a position or momentum is not finite.
+    """
+    plan = _native.Migration(particle_mesh(hierarchy), *particles.arrays)
+    if bad := hierarchy.comm.allreduce(len(plan.not_finite)):
+        raise_together(hierarchy.comm, _complaint(particles, plan.not_finite, bad), ParticleError)
+    here = Particles.allocate(plan.arriving, particles.charge, particles.mass)
+    starts = np.empty(particle_mesh(hierarchy).slots + 1, dtype=np.int64)
+    plan.finish(*here.arrays, starts)
+    arrived = Particles(*here.arrays, here.charge, here.mass, Sorting(hierarchy, starts))
+    return arrived, particles.select(plan.lost)
+
+
+def particles_per_box(particles: Particles, hierarchy: Hierarchy) -> list[np.ndarray]:
+    """Return the number of particles in each box, int64 (boxes,) per level, the same on all ranks. Collective.
+
+    The particles may be sorted on another hierarchy, or not at all; those outside the domain are not counted.
+    """
+    counts = _native.count_per_box(hierarchy.native, *particles.arrays)
+    for level in counts:
+        hierarchy.comm.Allreduce(MPI.IN_PLACE, level)
+    return counts
+
+
+def _complaint(particles: Particles, bad: np.ndarray, count: int) -> str | None:
+    if len(bad) == 0:
+        return None
+    first = bad[0]
+    return (
+        f"{count} particles have a position or momentum that is not finite, among them id {particles.id[first]} at "
+        f"{particles.position[first].tolist()} m with {particles.momentum[first].tolist()} kg m/s; mend the input, or "
+        "shorten the time step"
+    )

@@ -1,0 +1,152 @@
+"""Particles as a structure of arrays, and the hierarchy as particles see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from mpi4py import MPI
+
+from . import _native
+from .errors import ParticleError
+from .hierarchy import Hierarchy
+from .parallel import global_sum
+
+CACHE_LINE = 8  # doubles
+
+
+@dataclass(frozen=True)
+class Sorting:
+    """How particles are sorted: by level, box and cell of a hierarchy, ties by id.
+
+    `starts[s]` is where the particles of this rank's box number s start, boxes counted level by level; one value more.
+    """
+
+    hierarchy: Hierarchy
+    starts: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """Macroparticles of one kind on this rank; a value that stages take and return.
+
+    Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change.
+    Raises ParticleError if the arrays do not fit together.
+    """
+
+    position: np.ndarray  # (n, 3) m; the transpose of an array with one row per component
+    momentum: np.ndarray  # (n, 3) kg m/s, of one real particle
+    weight: np.ndarray  # (n,) real particles per macroparticle
+    id: np.ndarray  # (n,) int64, unique over all ranks
+    charge: float  # C, of one real particle
+    mass: float  # kg, of one real particle
+    sorting: Sorting | None = None
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "position", _columns(self.position, "position"))
+        set_(self, "momentum", _columns(self.momentum, "momentum"))
+        set_(self, "weight", np.ascontiguousarray(self.weight, dtype=np.float64))
+        set_(self, "id", np.ascontiguousarray(self.id, dtype=np.int64))
+        count = len(self.position)
+        for name in ("momentum", "weight", "id"):
+            if len(getattr(self, name)) != count:
+                raise ParticleError(f"particles have {count} positions but {len(getattr(self, name))} values of {name}")
+
+    @staticmethod
+    def allocate(count: int, charge: float, mass: float) -> Particles:
+        """Particles whose values are yet to be set."""
+        return Particles(
+            empty_columns(count), empty_columns(count), np.empty(count), np.empty(count, dtype=np.int64), charge, mass
+        )
+
+    @staticmethod
+    def empty(charge: float, mass: float) -> Particles:
+        """No particles."""
+        return Particles.allocate(0, charge, mass)
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Position, momentum, weight and id, as the native kernels take them."""
+        return self.position, self.momentum, self.weight, self.id
+
+    def select(self, chosen: np.ndarray | slice) -> Particles:
+        """The particles that an index array, a mask or a slice names."""
+        position, momentum, weight, id = (a[chosen] for a in self.arrays)
+        return Particles(position, momentum, weight, id, self.charge, self.mass)
+
+    def replace(self, position: np.ndarray | None = None, momentum: np.ndarray | None = None) -> Particles:
+        """The same particles elsewhere, or with other momenta; what is not given is shared."""
+        return Particles(
+            self.position if position is None else position,
+            self.momentum if momentum is None else momentum,
+            self.weight,
+            self.id,
+            self.charge,
+            self.mass,
+            self.sorting if position is None else None,
+        )
+
+    def sorted_on(self, hierarchy: Hierarchy) -> Sorting:
+        """How the particles are sorted on a hierarchy; raises ParticleError if they are not."""
+        if self.sorting is None or self.sorting.hierarchy is not hierarchy:
+            raise ParticleError(
+                "particles are not sorted on this hierarchy; pass them through migrate(particles, hierarchy) first"
+            )
+        return self.sorting
+
+    def global_count(self, comm: MPI.Comm) -> int:
+        """Number of macroparticles on all ranks. Collective."""
+        return int(comm.allreduce(len(self)))
+
+    def total_charge(self, comm: MPI.Comm) -> float:
+        """Charge on all ranks in C. Collective."""
+        return self.charge * global_sum(comm, float(self.weight.sum()))
+
+
+def concatenate(parts: Sequence[Particles]) -> Particles:
+    """One value with the particles of all parts, in order; the parts must be of one kind."""
+    first = parts[0]
+    for part in parts:
+        if (part.charge, part.mass) != (first.charge, first.mass):
+            raise ParticleError(
+                f"particles of charge {part.charge} C and mass {part.mass} kg cannot join particles of {first.charge} C "
+                f"and {first.mass} kg; keep one kind per simulation"
+            )
+    out = Particles.allocate(sum(map(len, parts)), first.charge, first.mass)
+    for target, *sources in zip(out.arrays, *(part.arrays for part in parts), strict=True):
+        np.concatenate(sources, out=target)
+    return out
+
+
+def empty_columns(count: int) -> np.ndarray:
+    """(count, 3), each column contiguous and starting on a cache line like the first."""
+    capacity = -(-count // CACHE_LINE) * CACHE_LINE
+    return np.empty((3, capacity)).T[:count]
+
+
+def _columns(values: np.ndarray, name: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != 3:
+        raise ParticleError(f"{name} of particles has shape {values.shape}; give (n, 3)")
+    if values.strides[0] == values.itemsize or len(values) == 0:
+        return values
+    out = empty_columns(len(values))
+    out[...] = values
+    return out
+
+
+_meshes: WeakKeyDictionary[Hierarchy, _native.ParticleMesh] = WeakKeyDictionary()
+
+
+def particle_mesh(hierarchy: Hierarchy) -> _native.ParticleMesh:
+    """The native look-ups and exchange plans for particles on a hierarchy, made at the first call. Collective."""
+    mesh = _meshes.get(hierarchy)
+    if mesh is None:
+        mesh = _meshes[hierarchy] = _native.ParticleMesh(hierarchy.native)
+    return mesh

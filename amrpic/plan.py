@@ -1,0 +1,86 @@
+"""What steps need that does not change with them: the scene, the solver of the present mesh, and a clock."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+from mpi4py import MPI
+
+from .errors import SolverError
+from .field import Field
+from .hierarchy import Hierarchy
+from .poisson import PoissonSolver, SolveReport
+from .scene import Leapfrog, Scene, StaticRule
+
+
+class Plan:
+    """The scene, and a solver that lasts as long as its hierarchy."""
+
+    def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
+        self.comm = comm
+        self.scene = scene
+        self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
+        self.clock = Clock()
+        self.remarks: list[str] = []
+        self._solver: PoissonSolver | None = None
+
+    def poisson(self, hierarchy: Hierarchy) -> PoissonSolver:
+        """Return the solver of a hierarchy, set up at the first call. Collective."""
+        if self._solver is None or self._solver.hierarchy is not hierarchy:
+            self._solver = None  # the old operators go before the new ones come
+            options = self.scene.solver
+            self._solver = PoissonSolver(
+                hierarchy,
+                tolerance=options.tolerance,
+                norm=options.norm,
+                backend=options.backend,
+                prolongation=options.prolongation,
+                sweeps=(options.sweeps, options.sweeps),
+                max_cycles=options.max_cycles,
+                background="neutralizing" if self.scene.background == "neutralizing" else None,
+            )
+        return self._solver
+
+    def solve(self, rho: Field, guess: Field | None) -> tuple[Field, SolveReport]:
+        """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge."""
+        phi, report = self.poisson(rho.hierarchy).solve(rho, guess=guess)
+        if not report.converged:
+            reached = report.residuals[-1] if report.residuals else float("nan")
+            raise SolverError(
+                f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance:.1e} "
+                f"({report.reason}); raise solver.tolerance or solver.max_cycles"
+            )
+        return phi, report
+
+    def regrids_at(self, step: int) -> bool:
+        """Whether the mesh follows the particles in this step."""
+        refinement = self.scene.refinement
+        moving = refinement.levels > 0 and not isinstance(refinement.rule, StaticRule)
+        return moving and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
+
+    def remark(self, sentence: str) -> None:
+        """Note something that is legal and yet may not be meant, once."""
+        if sentence not in self.remarks:
+            self.remarks.append(sentence)
+
+
+class Clock:
+    """Adds up the seconds of stages."""
+
+    def __init__(self) -> None:
+        self._seconds: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    def take(self) -> dict[str, float]:
+        """Return the seconds per stage since the last call."""
+        taken, self._seconds = self._seconds, {}
+        return taken

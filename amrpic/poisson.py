@@ -1,0 +1,267 @@
+"""The Poisson solver: charge density in, potential and electric field out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from . import _native
+from .errors import SolverError
+from .field import Field, Function, VectorField
+from .hierarchy import BOUNDARIES, Hierarchy
+from .parallel import together
+
+NORMS = ("l1", "l2", "max")
+PROLONGATIONS = ("constant", "trilinear")
+BACKENDS = ("crs",)
+DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """How a solve went."""
+
+    converged: bool  # the tolerance was met, or lies below the rounding floor and the floor was reached
+    cycles: int
+    residuals: list[float]  # before the first cycle and after each, relative to the right-hand side
+    seconds: dict[str, float]  # per stage, of this rank
+    reason: str  # why the solve stopped
+    floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
+
+
+class PoissonSolver:
+    """Solves Δφ = −ρ/ε₀ over all levels of a hierarchy at once. Collective; set up once, solved many times.
+
+    `tolerance` bounds the residual over the right-hand side (its boundary part included) in `norm`: "max", or "l1" or "l2"
+    weighted by volume, over uncovered cells. `background="neutralizing"` takes the mean charge away where all faces are
+    periodic or Neumann. The cycle is a V-cycle with `sweeps` (before, after) of over-relaxed red-black Gauss-Seidel.
+
+    Raises SolverError for an option out of range.
+    """
+
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        tolerance: float = 1e-10,
+        norm: str = "max",
+        backend: str = "crs",
+        *,
+        prolongation: str = "trilinear",
+        sweeps: Sequence[int] = (2, 2),
+        relaxation: float = 1.25,
+        max_cycles: int = 100,
+        background: str | None = None,
+    ) -> None:
+        _one_of("norm", norm, NORMS)
+        _one_of("backend", backend, BACKENDS)
+        _one_of("prolongation", prolongation, PROLONGATIONS)
+        if background is not None:
+            _one_of("background", background, ("neutralizing",))
+        if not 0 <= tolerance < 1:
+            raise SolverError(f"tolerance is {tolerance}; give a number from 0 up to, not including, 1")
+        if len(sweeps) != 2 or min(sweeps) < 0 or sum(sweeps) == 0:
+            raise SolverError(
+                f"sweeps is {tuple(sweeps)}; give two numbers, before and after, at least one of them positive"
+            )
+        if not 0 < relaxation < 2:
+            raise SolverError(f"relaxation is {relaxation}; give a number between 0 and 2")
+        if max_cycles < 1:
+            raise SolverError(f"max_cycles is {max_cycles}; give at least 1")
+        options = _native.SolverOptions()
+        options.tolerance = tolerance
+        options.norm = getattr(_native.Norm, norm)
+        options.prolongation = getattr(_native.Prolongation, prolongation)
+        options.pre_sweeps, options.post_sweeps = (int(n) for n in sweeps)
+        options.relaxation = relaxation
+        options.max_cycles = int(max_cycles)
+        options.neutralize = background is not None
+        self.hierarchy = hierarchy
+        self._has_wall_data = False
+        try:
+            self.native = _native.PoissonSolver(hierarchy.native, options)
+        except _native.SolverError as refused:
+            raise SolverError(str(refused)) from None
+
+    def solve(
+        self,
+        rho: Field,
+        guess: Field | None = None,
+        boundary_values: Function | None = None,
+        boundary_flux: Function | None = None,
+    ) -> tuple[Field, SolveReport]:
+        """Return the potential in V and how the solve went. Collective.
+
+        `rho` is in C/m³; what it holds in covered cells is ignored. `guess` is a potential to start from.
+        `boundary_values(x, y, z)` gives V on Dirichlet faces, `boundary_flux(x, y, z)` the outward derivative of φ in V/m on
+        Neumann faces; both are called with arrays of face centres in m, and are zero by default.
+
+        Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
+        no potential can balance, for a right-hand side that is not finite, and for fields of another hierarchy.
+        """
+        self._require_home("rho", rho)
+        if guess is not None:
+            self._require_home("guess", guess)
+        self._set_walls(boundary_values, boundary_flux)
+        phi = guess.copy() if guess is not None else Field(self.hierarchy)
+        phi.unit = "V"
+        try:
+            report = self.native.solve(rho.native, phi.native)
+        except _native.SolverError as refused:
+            raise SolverError(str(refused)) from None
+        return phi, SolveReport(
+            report.converged, report.cycles, report.residuals, report.seconds, report.reason, report.floor
+        )
+
+    def electric_field(self, phi: Field) -> VectorField:
+        """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces. Collective.
+
+        Walls count with the data of the latest solve.
+        """
+        self._require_home("phi", phi)
+        field = VectorField(*(Field(self.hierarchy, "V/m") for _ in range(3)))
+        self.native.electric_field(phi.native, *(c.native for c in field.components))
+        return field
+
+    def operators(self, level: int) -> LevelOperators:
+        """The eight operators of a level, to look at. Collective at the first call."""
+        return LevelOperators(self, self.hierarchy._checked(level))
+
+    def _require_home(self, name: str, field: Field) -> None:
+        if field.hierarchy is not self.hierarchy:
+            raise SolverError(
+                f"{name} lives on another hierarchy than the solver; make a solver for it, or carry it over"
+            )
+
+    def _set_walls(self, values: Function | None, flux: Function | None) -> None:
+        had_data, self._has_wall_data = self._has_wall_data, values is not None or flux is not None
+        if not (had_data or self._has_wall_data):
+            return  # all of it is zero already
+        with together(self.hierarchy.comm, SolverError):
+            for level in range(self.hierarchy.levels):
+                kinds, points = self.native.wall_faces(level)
+                data = self.native.wall_data(level)
+                for kind, function in ((DIRICHLET, values), (NEUMANN, flux)):
+                    faces = kinds == kind
+                    data[faces] = 0.0 if function is None else function(*points[faces].T)
+
+
+def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:
+    if value not in allowed:
+        raise SolverError(f"{name} is {value!r}; use one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class Operator:
+    """One sparse operator between the cells of two levels; in the native module, or `entries` of its own."""
+
+    hierarchy: Hierarchy
+    shape: tuple[int, int]
+    entries: tuple[np.ndarray, np.ndarray, np.ndarray]  # this rank's rows: row starts, global columns, values
+    source: tuple[_native.LevelOperators, str, _native.LevelOperators, int] | None = None
+    first_column: int = 0  # of this rank's cells of the column level, where there is no source
+
+    def to_scipy(self) -> sparse.csr_array | None:
+        """The whole operator on rank 0, None elsewhere; rows and columns in the order of the levels' cells. Collective."""
+        parts = self.hierarchy.comm.gather(self.entries, root=0)
+        if parts is None:
+            return None
+        lengths = np.concatenate([np.diff(start) for start, _, _ in parts])
+        start = np.concatenate([[0], np.cumsum(lengths)])
+        columns = np.concatenate([column for _, column, _ in parts])
+        values = np.concatenate([value for _, _, value in parts])
+        return sparse.csr_array((values, columns, start), shape=self.shape)
+
+    def multiply(self, values: np.ndarray) -> np.ndarray:
+        """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective.
+
+        For looking and testing: the matrix is made anew for each call.
+        """
+        if self.source is None:
+            start, columns, own = self.entries
+            local = sparse.csr_array((own, columns - self.first_column, start), shape=(len(start) - 1, len(values)))
+            return local @ values
+        operators, name, other, axis = self.source
+        return operators.multiply_by_tpetra(name, other, axis, self.hierarchy.comm.py2f(), np.ascontiguousarray(values))
+
+
+@dataclass(frozen=True)
+class GradientAxis:
+    """One component of E = −∇φ: own φ_l + coarse φ_{l−1} + fine φ_{l+1}, in uncovered cells."""
+
+    own: Operator
+    coarse: Operator
+    fine: Operator
+
+
+class LevelOperators:
+    """The eight operators of a level; operators towards a level that does not exist have no columns."""
+
+    def __init__(self, solver: PoissonSolver, level: int) -> None:
+        self.hierarchy, self.level = solver.hierarchy, level
+        self._native = solver.native.operators(level)
+        self._coarse = solver.native.operators(level - 1) if level > 0 else None
+        self._fine = solver.native.operators(level + 1) if level + 1 < self.hierarchy.levels else None
+
+    @property
+    def no_fine(self) -> Operator:
+        """Laplacian of the level as if nothing finer existed; in covered cells, which hold corrections alone, what lies
+        behind an open wall vanishes where the finest level's ghosts are."""
+        return self._operator("no_fine", self._native)
+
+    @property
+    def composite(self) -> Operator:
+        """Laplacian in uncovered cells, with the fluxes of the finer level."""
+        return self._operator("composite", self._native)
+
+    @property
+    def coarse_boundary(self) -> Operator:
+        """What the ghosts around the level take from the next coarser one."""
+        return self._operator("coarse_boundary", self._coarse)
+
+    @property
+    def fine_boundary(self) -> Operator:
+        """What the mean fine fluxes take from the next finer level."""
+        return self._operator("fine_boundary", self._fine)
+
+    @property
+    def restriction(self) -> Operator:
+        """Mean of the children, in rows of covered cells."""
+        return self._operator("restriction", self._fine)
+
+    @property
+    def prolongation(self) -> Operator:
+        """Values from the next coarser level."""
+        return self._operator("prolongation", self._coarse)
+
+    @property
+    def uncovered(self) -> Operator:
+        """1 on the diagonal where no finer level covers the cell."""
+        ones = self._native.uncovered().astype(bool)
+        start = np.concatenate([[0], np.cumsum(ones)])
+        columns = self._native.first_row + np.flatnonzero(ones)
+        size = self._native.rows
+        entries = start, columns, np.ones(len(columns))
+        return Operator(self.hierarchy, (size, size), entries, first_column=self._native.first_row)
+
+    @property
+    def gradient(self) -> tuple[GradientAxis, ...]:
+        """E = −∇φ along x, y and z."""
+        return tuple(
+            GradientAxis(
+                self._operator("gradient_own", self._native, axis),
+                self._operator("gradient_coarse", self._coarse, axis),
+                self._operator("gradient_fine", self._fine, axis),
+            )
+            for axis in range(3)
+        )
+
+    def _operator(self, name: str, columns: _native.LevelOperators | None, axis: int = 0) -> Operator:
+        if columns is None:
+            empty = np.zeros(self._native.local_rows + 1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+            return Operator(self.hierarchy, (self._native.rows, 0), empty)
+        shape = self._native.rows, columns.rows
+        entries = self._native.rows_of(name, columns, axis)
+        return Operator(self.hierarchy, shape, entries, (self._native, name, columns, axis))

@@ -1,0 +1,157 @@
+"""What a run writes, and when: series, field dumps, checkpoints, pictures, and a line per step."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from types import TracebackType
+
+from mpi4py import MPI
+
+from .diagnostics import measure, quantities
+from .errors import InputError, OutputError
+from .field import Field, VectorField
+from .io import checkpoint, fields
+from .io.series import Series
+from .parallel import together
+from .plan import Clock
+from .report import RunLog
+from .resume import about, snapshot
+from .scene import Scene
+from .step import State
+
+SERIES = "series.csv"
+
+
+def prepare(comm: MPI.Comm, scene: Scene) -> None:
+    """Make the folder that a scene writes into. Collective; OutputError on all ranks if that is not possible."""
+    directory = scene.directory
+    problem = None
+    if comm.rank == 0:
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            trial = directory / f".trial_{os.getpid()}"
+            trial.touch()
+            trial.unlink()
+        except OSError as reason:
+            problem = reason.strerror
+    problem = comm.bcast(problem)
+    if problem is not None:
+        raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
+
+
+def latest_fields(directory: Path) -> Path:
+    """Return the field dump of the latest step in a run's folder; InputError if there is none."""
+    found = sorted(directory.glob("fields_*.vtkhdf"))
+    if not found:
+        raise InputError(f"{directory} holds no fields_*.vtkhdf; name a folder that a run wrote fields into, or a file")
+    return found[-1]
+
+
+class Recorder:
+    """Writes the states of one run into its folder; a context manager. Collective to make, and in all that it does.
+
+    `resumed`: the first state is recorded there already, and whatever came after it is to be written anew.
+    """
+
+    def __init__(self, comm: MPI.Comm, scene: Scene, state: State, clock: Clock, resumed: bool) -> None:
+        self._comm, self._scene, self._clock = comm, scene, clock
+        self._wanted = set(scene.output.write)
+        self._about = about(scene)
+        self._levels = scene.refinement.levels + 1
+        self._written: dict[str, int] = {}  # the latest step of each kind of output
+        self._told: set[str] = set()
+        self._since = time.perf_counter() - sum(state.seconds.values())
+        prepare(comm, scene)
+        self._series = self._open_series(state.step if resumed else None)
+        self._log = RunLog(comm, scene.schedule.last_step)
+
+    def _open_series(self, keep_to_step: int | None) -> Series | None:
+        if "series" not in self._wanted:
+            return None
+        path = self._scene.directory / SERIES
+        return Series(self._comm, path, quantities(self._levels), self._about, keep_to_step)
+
+    def __enter__(self) -> Recorder:
+        self._log.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._series is not None:
+            self._series.close()
+        self._log.__exit__(kind, value, trace)
+
+    def state(self, state: State, remarks: list[str]) -> None:
+        """Record a state: its row and line, and the files that are due."""
+        with self._clock("output"):
+            row = self._row(state)
+            if self._series is not None:
+                self._series.append(row)
+            self._log.step(row)
+            for remark in remarks:
+                if remark not in self._told:
+                    self._told.add(remark)
+                    self._log.warn(remark)
+            output = self._scene.output
+            if "fields" in self._wanted and output.fields_every and state.step % output.fields_every == 0:
+                self._write_fields(state)
+            if output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0:
+                self._write_checkpoint(state)
+
+    def end(self, state: State) -> None:
+        """Write what the end of a run leaves."""
+        if self._wanted & {"fields", "pictures"}:
+            self._write_fields(state)
+        self._write_checkpoint(state)
+        if "pictures" in self._wanted:
+            self._draw(state)
+
+    def stopped(self, state: State, reason: str) -> None:
+        """Write what a run needs to go on later."""
+        self._write_checkpoint(state)
+        self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
+
+    def _row(self, state: State) -> dict[str, float]:
+        now = time.perf_counter()
+        seconds, self._since = now - self._since, now
+        measured = measure(state.particles, state.lost.particles, state.rho, state.phi, state.efield, state.seconds)
+        residuals = state.report.residuals
+        return {
+            **measured,
+            "step": state.step,
+            "time": state.time,
+            "cycles": state.report.cycles,
+            "residual": residuals[-1] if residuals else 0.0,
+            "seconds": seconds,
+        }
+
+    def _write_fields(self, state: State) -> None:
+        if self._written.get("fields") == state.step:
+            return
+        self._written["fields"] = state.step
+        content: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield}
+        path = fields.path_of(self._scene.directory, state.step)
+        fields.write(path, state.hierarchy, content, state.step, state.time, self._about, self._scene.output.writers)
+
+    def _draw(self, state: State) -> None:
+        """Draw the field dump of a state."""
+        with together(self._comm, OutputError):
+            if self._comm.rank == 0:
+                from .plot import plot
+
+                plot(fields.path_of(self._scene.directory, state.step))
+
+    def _write_checkpoint(self, state: State) -> None:
+        if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:
+            return
+        self._written["checkpoint"] = state.step
+        if self._series is not None:
+            self._series.sync()  # a restart from the checkpoint relies on the rows before it
+        directory, output = self._scene.directory, self._scene.output
+        checkpoint.write(
+            self._comm, checkpoint.path_of(directory, state.step), snapshot(state, self._scene), output.writers
+        )
+        checkpoint.prune(self._comm, directory, output.keep)

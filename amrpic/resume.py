@@ -1,0 +1,121 @@
+"""A state as a checkpoint holds it, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from .boxes import cells_of
+from .errors import InputError
+from .field import Field, VectorField
+from .hierarchy import Hierarchy
+from .io.checkpoint import Snapshot
+from .io.manifest import Header
+from .io.provenance import Provenance
+from .io.restart import read, verify
+from .limits import require_room
+from .migrate import migrate
+from .particles import Particles
+from .poisson import SolveReport
+from .scene import Scene
+from .step import Lost, State
+
+COLUMNS = ("position", "momentum", "weight", "id")
+
+
+def about(scene: Scene) -> Provenance:
+    """Return what every output says about the run."""
+    return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
+
+
+def snapshot(state: State, scene: Scene) -> Snapshot:
+    """Return the whole state as a checkpoint takes it: arrays shared, not copied."""
+    hierarchy, particles, report = state.hierarchy, state.particles, state.report
+    header = Header(
+        step=state.step,
+        time=state.time,
+        domain=scene.domain.model_dump(mode="json"),
+        boxes=[hierarchy.boxes(level) for level in range(hierarchy.levels)],
+        owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
+        weights=hierarchy.weights,
+        about=about(scene),
+        extra={"charge": particles.charge, "mass": particles.mass, "report": vars(report)},
+    )
+    fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
+    tables = {"particles": _columns(particles), "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
+    return Snapshot(header, fields, tables)
+
+
+def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Scene]:
+    """Return the state in a checkpoint and its scene, on any number of ranks. Collective; InputError on all ranks.
+
+    `scene` may replace that of the checkpoint if its mesh is the same. The field at the particles is left to the caller.
+    """
+    manifest = verify(comm, path)
+    header = manifest.header
+    scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
+    _require_same_mesh(scene, header, path)
+    cells = sum(int(cells_of(boxes).sum()) for boxes in header.boxes)
+    require_room(comm, scene, cells, sum(manifest.rows["particles"]), f"checkpoint {path}")
+    refinement = scene.refinement
+    sizes = refinement.max_grid_size, refinement.blocking_factor
+    hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
+    held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
+    return _state(held, hierarchy), scene
+
+
+def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
+    extra, lost = held.header.extra, held.tables["lost"]
+    particles, _ = migrate(_particles(held.tables["particles"], extra), hierarchy)
+    units = {"rho": "C/m^3", "phi": "V"}
+    fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
+    for name, field in fields.items():
+        for level, values in enumerate(held.fields[name]):
+            field.array(level)[:] = values
+    return State(
+        particles=particles,
+        hierarchy=hierarchy,
+        rho=fields["rho"],
+        phi=fields["phi"],
+        efield=VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"]),
+        force=None,
+        lost=Lost(_particles(lost, extra), lost["time"]),
+        step=held.header.step,
+        time=held.header.time,
+        report=SolveReport(**extra["report"]),
+    )
+
+
+def _fields(state: State) -> dict[str, Field]:
+    efield = state.efield
+    # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
+    return {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
+
+
+def _columns(particles: Particles) -> dict[str, np.ndarray]:
+    return {name: getattr(particles, name) for name in COLUMNS}
+
+
+def _particles(columns: Mapping[str, np.ndarray], kind: Mapping[str, Any]) -> Particles:
+    position, momentum, weight, number = (columns[name] for name in COLUMNS)
+    return Particles(position, momentum, weight, number, kind["charge"], kind["mass"])
+
+
+def _require_same_mesh(scene: Scene, header: Header, path: Path) -> None:
+    kept: dict[str, Any] = dict(header.about.scene["refinement"])
+    changed = [
+        f"refinement.{key} is {getattr(scene.refinement, key)} instead of {kept[key]}"
+        for key in ("max_grid_size", "blocking_factor")
+        if getattr(scene.refinement, key) != kept[key]
+    ]
+    if scene.domain.model_dump(mode="json") != dict(header.domain):
+        changed.append("the domain is another one")
+    if changed:
+        raise InputError(
+            f"{scene.name} cannot go on from checkpoint {path}: {changed[0]}; restore that, or start afresh in another folder"
+        )

@@ -1,0 +1,470 @@
+"""The scene: everything that a run depends on, as one frozen model that TOML files and Python share."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, ValidationError, model_validator
+
+from . import toml
+from .bunches import ArrayBunch, GaussianBunch, LatticeBunch, SphereBunch
+from .complaints import close_match, sentences
+from .errors import HierarchyError, SceneError
+from .hierarchy import AXES, BOUNDARIES, Domain
+from .section import Section
+from .units import ChargeDensity, FieldStrength, Index3, Length, Length3, Time, complaint
+
+LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
+LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
+
+
+class RefusedScene(SceneError):
+    """A scene with mistakes: the message tells the first, `problems` has a sentence for each."""
+
+    def __init__(self, message: str, problems: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.problems = list(problems) or [message]
+
+
+class DomainSection(Section):
+    """The cuboid that is computed, its base cells and what holds at its faces."""
+
+    lower: Length3 = Field(description="Lower corner, m.")
+    upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
+    cells: Index3 = Field(
+        description="Base cells per axis; multiples of refinement.blocking_factor, because boxes are."
+    )
+    boundary: Annotated[dict[str, tuple[str, str]], BeforeValidator(lambda value: _per_face(value))] = Field(
+        default=dict.fromkeys(AXES, ("open", "open")),
+        description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a "
+        "pair (lower, upper). Open, φ(∞) = 0, is the default because a bunch in free space is the usual case.",
+    )
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        try:
+            domain = self.value
+        except HierarchyError as refused:
+            what, _, remedy = str(refused).partition("; ")
+            raise complaint(f"is refused: {what}", remedy, found="") from None
+        if any("open" in pair for pair in domain.boundary) and any(domain.periodic):
+            raise complaint(
+                "mixes open and periodic faces, for which there is no method yet",
+                "make all faces open, or the open ones dirichlet or neumann with room around the charge",
+                path="boundary",
+                found=domain.boundary,
+            )
+        return self
+
+    @property
+    def value(self) -> Domain:
+        """The domain that hierarchies are made of."""
+        return Domain(self.lower, self.upper, self.cells, self.boundary)
+
+
+def _per_face(value: Any) -> Any:
+    if isinstance(value, str):
+        value = dict.fromkeys(AXES, value)
+    if not isinstance(value, Mapping):
+        raise complaint("is no boundary", f"write one of {', '.join(BOUNDARIES)}, or one per axis")
+    pairs = {axis: (face, face) if isinstance(face, str) else tuple(face) for axis, face in value.items()}
+    for axis in pairs:
+        if axis not in AXES:
+            raise complaint("is not an axis", "use x, y and z", path=str(axis))
+    for axis, pair in pairs.items():
+        for name in pair:
+            if name not in BOUNDARIES:
+                raise complaint(
+                    "is not a boundary condition", close_match(str(name), BOUNDARIES), path=axis, found=name
+                )
+        if len(pair) != 2 or ("periodic" in pair and pair != ("periodic", "periodic")):
+            raise complaint(
+                "does not fit the two faces of an axis",
+                "write one condition or a pair (lower, upper), periodic on both or on none",
+                path=axis,
+                found=value[axis],
+            )
+    return {axis: pairs.get(axis, ("open", "open")) for axis in AXES}
+
+
+class Threshold(Section):
+    """Tag where the magnitude of a quantity exceeds a threshold."""
+
+    relative: float | None = Field(
+        default=None, ge=0, description="Threshold as a part of the largest magnitude anywhere."
+    )
+
+    @model_validator(mode="after")
+    def _one_threshold(self) -> Self:
+        absolute = getattr(self, "absolute", None)
+        if (absolute is None) == (self.relative is None):
+            raise complaint(
+                "must be given, or else absolute", "keep one of the two", path="relative", found=self.relative
+            )
+        return self
+
+
+class ChargeDensityRule(Threshold):
+    """Refine where |ρ| is large: there is the source of the field."""
+
+    kind: Literal["charge-density"] = "charge-density"
+    absolute: ChargeDensity | None = Field(ge=0, default=None, description="Threshold, C/m³.")
+
+
+class FieldStrengthRule(Threshold):
+    """Refine where |E| is large; costs a solve for each level that is made at the start."""
+
+    kind: Literal["field-strength"] = "field-strength"
+    absolute: FieldStrength | None = Field(ge=0, default=None, description="Threshold, V/m.")
+
+
+class StaticBox(Section):
+    """A cuboid to refine, in metres or in cells."""
+
+    level: int = Field(ge=1, description="Level of the cells inside the box; 1 is the first refined one.")
+    lower: Length3 | None = Field(default=None, description="Lower corner, m; rounded outwards to the blocking factor.")
+    upper: Length3 | None = Field(default=None, description="Upper corner, m.")
+    first: Index3 | None = Field(
+        default=None, description="First cell per axis in the index space of the level, exact."
+    )
+    last: Index3 | None = Field(default=None, description="Last cell per axis, inclusive.")
+
+    @model_validator(mode="after")
+    def _one_pair(self) -> Self:
+        metres: tuple[Any, Any] = (self.lower, self.upper)
+        cells: tuple[Any, Any] = (self.first, self.last)
+        pairs = [pair for pair in (metres, cells) if pair != (None, None)]
+        if len(pairs) != 1 or None in pairs[0]:
+            raise complaint("needs its corners", "give lower and upper in metres, or first and last in cells", found="")
+        if (
+            any(a >= b for a, b in zip(*metres, strict=True))
+            if metres[0]
+            else any(a > b for a, b in zip(*cells, strict=True))
+        ):
+            raise complaint("has no volume", "put its upper corner above the lower one", found=pairs[0])
+        return self
+
+
+class StaticRule(Section):
+    """Refine given boxes, and keep them."""
+
+    kind: Literal["static"] = "static"
+    boxes: list[StaticBox] = Field(min_length=1, description="The boxes of all refined levels.")
+
+
+class Refinement(Section):
+    """Where finer levels lie and how they are cut into boxes."""
+
+    levels: int = Field(
+        default=0, ge=0, le=20, description="Refined levels above the base, each of half the cell width."
+    )
+    max_grid_size: int = Field(
+        default=32,
+        ge=2,
+        description="Most cells of a box along an axis: small boxes balance the ranks, large ones are faster.",
+    )
+    blocking_factor: int = Field(
+        default=8, ge=2, description="Boxes begin and end at multiples of it; a power of two, so that they coarsen."
+    )
+    rule: Annotated[ChargeDensityRule | FieldStrengthRule | StaticRule, Field(discriminator="kind")] = Field(
+        default=ChargeDensityRule(relative=1e-3),
+        description="What is refined. The default follows a Gaussian bunch out to 3.7 σ.",
+    )
+    regrid_every: int = Field(default=5, ge=0, description="Steps between regrids; 0 keeps the first boxes.")
+    buffer: int = Field(
+        default=2,
+        ge=0,
+        description="Cells around tagged ones that are refined too: 2 keep dense charge 4 fine cells off the faces.",
+    )
+    efficiency: float = Field(default=0.7, gt=0, le=1, description="Least part of a clustered box that is tagged.")
+    nesting: int = Field(default=2, ge=1, description="Least cells of a level around the next finer one.")
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        block, size = self.blocking_factor, self.max_grid_size
+        if block & (block - 1):
+            below = 2 ** (block.bit_length() - 1)
+            raise complaint("is not a power of two", f"use {below} or {2 * below}", path="blocking_factor", found=block)
+        if size % block:
+            near = f"{size // block * block} or {(size // block + 1) * block}" if size > block else f"{block}"
+            raise complaint(
+                f"is not a multiple of the blocking factor {block}", f"use {near}", path="max_grid_size", found=size
+            )
+        if isinstance(self.rule, StaticRule):
+            for index, box in enumerate(self.rule.boxes):
+                if box.level > self.levels:
+                    raise complaint(
+                        f"lies above the {self.levels} refined levels of the scene",
+                        f"set refinement.levels to {box.level} or more, or leave the box out",
+                        path=f"rule.boxes.{index}.level",
+                        found=box.level,
+                    )
+        return self
+
+
+class Solver(Section):
+    """How Poisson's equation is solved."""
+
+    tolerance: float = Field(
+        default=1e-10,
+        gt=0,
+        lt=1,
+        description="Residual relative to that of a zero potential at which the solve has converged.",
+    )
+    norm: Literal["max", "l1", "l2"] = Field(
+        default="max", description="Norm of the residual; max sees every cell alike."
+    )
+    backend: Literal["crs"] = Field(
+        default="crs", description="How the operators are executed: as Tpetra's sparse matrices."
+    )
+    prolongation: Literal["trilinear", "constant"] = Field(
+        default="trilinear", description="Interpolation of coarse corrections; trilinear saves cycles."
+    )
+    sweeps: int = Field(
+        default=2, ge=1, description="Smoothing sweeps before, and as many after, the coarse correction."
+    )
+    max_cycles: int = Field(default=50, ge=1, description="Cycles after which a solve is given up as unconverged.")
+
+
+class NoMotion(Section):
+    """The particles rest."""
+
+    kind: Literal["none"] = "none"
+
+
+class Leapfrog(Section):
+    """Particles move in their own field, non-relativistically."""
+
+    kind: Literal["leapfrog"]
+    dt: Time = Field(gt=0, description="Time step, s; well below the plasma period and the time to cross a cell.")
+
+
+class RandomWalk(Section):
+    """Each coordinate of each particle takes a uniform random step: the reference benchmark's motion."""
+
+    kind: Literal["random-walk"]
+    amplitude: Length = Field(ge=0, description="Largest change per step and axis, m.")
+
+
+class Schedule(Section):
+    """How long a run is. The first solve comes before the first step."""
+
+    steps: int | None = Field(default=None, ge=0, description="Steps after the first solve.")
+    solves: int | None = Field(default=None, ge=1, description="Solves in all, in place of steps: one more than steps.")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if self.steps is not None and self.solves is not None:
+            raise complaint("is given as well as steps", "keep one of the two", path="solves", found=self.solves)
+        return self
+
+    @property
+    def last_step(self) -> int:
+        """Number of the step that ends the run."""
+        return self.steps if self.steps is not None else (self.solves or 1) - 1
+
+
+class Output(Section):
+    """What a run leaves behind."""
+
+    directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
+    write: list[Literal["checkpoint", "fields", "series", "pictures"]] = Field(
+        default=["checkpoint", "fields", "series", "pictures"], description="The kinds of output wanted."
+    )
+    checkpoint_every: int = Field(
+        default=10, ge=0, description="Steps between checkpoints; 0 writes the last one only."
+    )
+    keep: int = Field(
+        default=2, ge=1, description="Newest checkpoints kept: two, so that one remains if a disk fails the last."
+    )
+    writers: int = Field(
+        default=1, ge=0, description="Ranks that write a checkpoint, each a part of its own; 0 lets all of them."
+    )
+    fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
+
+
+class Scene(Section):
+    """A run, described: where, what charge, how refined, how solved, how moved, how long, what written."""
+
+    name: str = Field(default="scene", min_length=1, description="Name of the scene and of its output folder.")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="Of all random numbers; the same seed gives the same run.")
+    background: Literal["none", "neutralizing"] = Field(
+        default="none", description="neutralizing: a uniform density that cancels the net charge, for periodic scenes."
+    )
+    domain: DomainSection
+    bunches: list[
+        Annotated[GaussianBunch | SphereBunch | LatticeBunch | ArrayBunch, Field(discriminator="distribution")]
+    ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
+    refinement: Refinement = Refinement()
+    solver: Solver = Solver()
+    motion: Annotated[NoMotion | Leapfrog | RandomWalk, Field(discriminator="kind")] = NoMotion()
+    schedule: Schedule = Schedule()
+    output: Output = Output()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        self._check_cells()
+        self._check_boxes()
+        self._check_places()
+        self._check_balance()
+        self._check_species()
+        return self
+
+    def _check_cells(self) -> None:
+        cells, block = self.domain.cells, self.refinement.blocking_factor
+        for axis, number in enumerate(cells):
+            if number % block:
+                near = number // block * block
+                raise complaint(
+                    f"is not divisible by the blocking factor {block}",
+                    f"use {near or block} or {near + block}, or another refinement.blocking_factor",
+                    path=f"domain.cells.{axis}",
+                    found=number,
+                )
+            if number * 2**self.refinement.levels > LARGEST_INDEX:
+                raise complaint(
+                    f"makes {number * 2**self.refinement.levels} cells on the finest level, more than 32 bits count",
+                    "use fewer base cells or levels",
+                    path=f"domain.cells.{axis}",
+                    found=number,
+                )
+        if (rows := int(cells[0]) * int(cells[1]) * int(cells[2])) > LARGEST_ROW:
+            raise complaint(
+                f"makes {rows} equations, more than the {LARGEST_ROW} that 64-bit row numbers count",
+                "use fewer base cells",
+                path="domain.cells",
+                found=list(cells),
+            )
+
+    def _check_boxes(self) -> None:
+        rule, periodic = self.refinement.rule, self.domain.value.periodic
+        for number, box in enumerate(rule.boxes if isinstance(rule, StaticRule) else ()):
+            for axis in range(3):
+                last = self.domain.cells[axis] * 2**box.level - 1
+                outside = box.first and box.last and (box.first[axis] < 0 or box.last[axis] > last)
+                if outside and not periodic[axis]:
+                    raise complaint(
+                        f"leaves the domain, whose cells of level {box.level} reach from 0 to {last} along {AXES[axis]}",
+                        "move it inside",
+                        path=f"refinement.rule.boxes.{number}",
+                        found=[box.first, box.last],
+                    )
+
+    def _check_places(self) -> None:
+        for number, bunch in enumerate(self.bunches):
+            for place in bunch.places():
+                for axis in range(3):
+                    if not self.domain.lower[axis] <= place[axis] <= self.domain.upper[axis]:
+                        raise complaint(
+                            f"puts a bunch outside the domain, at {AXES[axis]} = {place[axis]:g} m where it reaches "
+                            f"from {self.domain.lower[axis]:g} to {self.domain.upper[axis]:g} m",
+                            "move the bunch or enlarge the domain",
+                            path=f"bunches.{number}.centre",
+                            found=list(place),
+                        )
+
+    def _check_balance(self) -> None:
+        singular = self.domain.value.singular
+        if self.background == "neutralizing" and not singular:
+            raise complaint(
+                "needs a domain whose faces are all periodic or neumann",
+                "change domain.boundary, or leave the background out",
+                path="background",
+                found=self.background,
+            )
+        charges = [bunch.bunch_charge * bunch.copies for bunch in self.bunches]
+        scale = sum(abs(charge) for charge in charges)
+        if singular and self.background == "none" and abs(sum(charges)) > 1e-12 * scale:
+            raise complaint(
+                f"has no solution: all faces are periodic or neumann, and the net charge is {sum(charges):g} C",
+                'set background = "neutralizing", or charges that add up to zero',
+                path="background",
+                found=self.background,
+            )
+
+    def _check_species(self) -> None:
+        for number, bunch in enumerate(self.bunches):
+            if bunch.species != self.bunches[0].species:
+                raise complaint(
+                    "differs from the first bunch's; a scene holds one species",
+                    "give all bunches the same species",
+                    path=f"bunches.{number}.species",
+                    found=bunch.species.model_dump(),
+                )
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
+        """Return the scene of a TOML file, with `key.path=value` overrides.
+
+        Raises SceneError in one sentence; paths in the file are relative to it.
+        """
+        path = Path(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as reason:
+            raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+            raise SceneError(f"scene file {path} is not TOML: {reason}; mend that line") from None
+        toml.override(data, overrides)
+        data.setdefault("name", path.stem)
+        _anchor_files(data, path.parent)
+        return cls.from_dict(data, source=str(path))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: str = "scene") -> Self:
+        """Return the scene of nested mappings and lists, as TOML and JSON hold. Raises SceneError in one sentence."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as refused:
+            problems = sentences(refused, source)
+            more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
+            raise RefusedScene(problems[0] + more, problems) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the resolved scene, all defaults filled in, as plain values; `from_dict` gives the scene back."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_toml(self) -> str:
+        """Return the resolved scene as the text of a TOML file."""
+        return toml.dumps(self.to_dict())
+
+    @property
+    def directory(self) -> Path:
+        """Where the run writes."""
+        return Path(self.output.directory) if self.output.directory is not None else Path("runs") / self.name
+
+    def particle_count(self) -> int:
+        """Macroparticles of the whole scene at its start."""
+        return sum(bunch.number * bunch.copies for bunch in self.bunches)
+
+    def summary(self) -> str:
+        """Return in one line what the scene is."""
+        cells = "x".join(map(str, self.domain.cells))
+        bunches = sum(bunch.copies for bunch in self.bunches)
+        return (
+            f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} bunches of "
+            f"{self.particle_count()} particles in all, {self.schedule.last_step} steps after the first solve"
+        )
+
+    def remarks(self) -> list[str]:
+        """Return one sentence for each thing that is legal and yet may not be meant."""
+        out = []
+        if self.bunches and all(isinstance(b, ArrayBunch) and b.file is not None for b in self.bunches):
+            pass  # their number is known once the files are read
+        elif self.particle_count() == 0:
+            out.append("the scene has zero particles; the field is that of the boundary alone")
+        flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
+        if flat:
+            out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")
+        return out
+
+
+def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
+    bunches = data.get("bunches")
+    for bunch in bunches if isinstance(bunches, list) else []:
+        if isinstance(bunch, dict) and isinstance(bunch.get("file"), str):
+            bunch["file"] = str(folder / bunch["file"])

@@ -1,0 +1,142 @@
+"""One time step as a composition of the stages, and the state before the first one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from mpi4py import MPI
+
+from .deposit import deposit
+from .errors import InputError
+from .field import Field, VectorField
+from .follow import follow, make_base
+from .gather import gather
+from .hierarchy import Hierarchy
+from .migrate import migrate
+from .particles import Particles, concatenate
+from .plan import Plan
+from .poisson import SolveReport
+from .populate import make_particles
+from .push import drift, kick, random_walk
+from .regrid import carry_over
+from .scene import Leapfrog, RandomWalk
+
+
+@dataclass(frozen=True, eq=False)
+class Lost:
+    """Particles that left the domain, as they were when they did, and the time (n,) in s. This rank's share."""
+
+    particles: Particles
+    time: np.ndarray
+
+    def joined(self, particles: Particles, now: float) -> Lost:
+        """Return these and those that are lost now."""
+        if len(particles) == 0:
+            return self
+        times = np.concatenate([self.time, np.full(len(particles), now)])
+        return Lost(concatenate([self.particles, particles]), times)
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that a step starts from; positions, momenta and fields belong to the same time."""
+
+    particles: Particles  # sorted on the hierarchy
+    hierarchy: Hierarchy
+    rho: Field  # of the particles, C/m³; without a neutralizing background
+    phi: Field  # V
+    efield: VectorField  # V/m
+    force: np.ndarray | None  # the field at the particles (n, 3), V/m, where motion asks for it
+    lost: Lost
+    step: int
+    time: float  # s
+    report: SolveReport
+    seconds: dict[str, float] = field(default_factory=dict)  # of the stages of the latest step, on this rank
+
+
+def advance(state: State, plan: Plan) -> State:
+    """Return the state one step later. Collective.
+
+    Leapfrog in its kick, drift, kick form: half a kick with the field that the particles start in, a drift, and half a kick
+    with the field that they arrive in. So momenta belong to the same time as positions whenever a state is looked at.
+    """
+    step, now = state.step + 1, state.time + plan.dt
+    with plan.clock("push"):
+        moved = set_off(state, plan)
+    with plan.clock("migrate"):
+        particles, gone = migrate(moved, state.hierarchy)
+    hierarchy, guess = state.hierarchy, state.phi
+    if plan.regrids_at(step):
+        particles, hierarchy = follow(particles, hierarchy, plan, state.efield)
+        with plan.clock("regrid"):
+            guess = carry_over(state.phi, hierarchy) if hierarchy is not state.hierarchy else state.phi
+    state = replace(state, particles=particles, lost=state.lost.joined(gone, now), step=step, time=now)
+    return arrive(with_field(state, hierarchy, guess, plan), plan)
+
+
+def begin(plan: Plan) -> State:
+    """Return the state before the first step: particles made, mesh refined to fit them, field solved. Collective."""
+    scene = plan.scene
+    base = make_base(plan)
+    with plan.clock("beam"):
+        made = make_particles(plan.comm, scene)
+        particles, gone = migrate(made, base)
+    _require_some_inside(plan.comm, particles, made)
+    particles, hierarchy = follow(particles, base, plan)
+    lost = Lost(Particles.empty(made.charge, made.mass), np.zeros(0)).joined(gone, 0.0)
+    nothing = Field(hierarchy)
+    unsolved = SolveReport(False, 0, [], {}, "not solved yet", 0.0)
+    state = State(
+        particles, hierarchy, nothing, nothing, VectorField(nothing, nothing, nothing), None, lost, 0, 0.0, unsolved
+    )
+    state = with_field(state, hierarchy, None, plan)
+    return replace(with_force(state, plan), seconds=plan.clock.take())
+
+
+def set_off(state: State, plan: Plan) -> Particles:
+    """Return the particles after the first part of their motion, at their new places."""
+    motion = plan.scene.motion
+    match motion:
+        case Leapfrog():
+            assert state.force is not None
+            return drift(kick(state.particles, state.force, plan.dt / 2), plan.dt)
+        case RandomWalk():
+            return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)
+    return state.particles
+
+
+def arrive(state: State, plan: Plan) -> State:
+    """Return the state after the last part of the motion, in the new field. Collective."""
+    state = with_force(state, plan)
+    with plan.clock("push"):
+        if state.force is not None:
+            state = replace(state, particles=kick(state.particles, state.force, plan.dt / 2))
+    return replace(state, seconds=plan.clock.take())
+
+
+def with_field(state: State, hierarchy: Hierarchy, guess: Field | None, plan: Plan) -> State:
+    """Return the state with the field of its particles, which must be sorted on the hierarchy. Collective.
+
+    Raises SolverError if the solve does not converge.
+    """
+    with plan.clock("deposit"):
+        rho = deposit(state.particles, hierarchy)
+    with plan.clock("solve"):
+        phi, report = plan.solve(rho, guess)
+        efield = plan.poisson(hierarchy).electric_field(phi)
+    return replace(state, hierarchy=hierarchy, rho=rho, phi=phi, efield=efield, report=report)
+
+
+def with_force(state: State, plan: Plan) -> State:
+    """Return the state with the field at its particles, if their motion depends on it. Collective."""
+    if not isinstance(plan.scene.motion, Leapfrog):
+        return state
+    with plan.clock("gather"):
+        return replace(state, force=gather(state.efield, state.particles))
+
+
+def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:
+    total, left = made.global_count(comm), inside.global_count(comm)
+    if total > 0 and left == 0:
+        raise InputError(f"all {total} particles of the scene lie outside the domain; move the bunches or enlarge it")

@@ -1,0 +1,71 @@
+"""When a run should stop before its end: signals, and the time that a batch job has."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from types import FrameType, TracebackType
+from typing import Any
+
+from mpi4py import MPI
+
+SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # USR1: a batch system's warning ahead of time; TERM: its last word
+MARGIN = 1.5  # a step may take so much longer than the longest one so far
+
+
+class Stop:
+    """Remembers signals, and knows how long the run may still last. To be entered before the first step.
+
+    Under Open MPI a TERM leaves the ranks one second only; ask batch systems for USR1 some minutes early.
+    """
+
+    def __init__(self, comm: MPI.Comm, walltime: float | None = None) -> None:
+        """`walltime` is in s from the start of this process; SLURM_JOB_END_TIME counts as well."""
+        self._comm = comm
+        self._signal = 0
+        self._old: dict[int, Any] = {}
+        ends = [_process_start() + walltime] if walltime is not None else []
+        if text := os.environ.get("SLURM_JOB_END_TIME", ""):
+            ends.append(float(text))
+        self._end = min(ends, default=float("inf"))
+        self._last = time.time()
+        self._longest = 0.0
+
+    def __enter__(self) -> Stop:
+        for number in SIGNALS:
+            with contextlib.suppress(ValueError):  # not the main thread: whoever started it looks after signals
+                self._old[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._old.items():
+            signal.signal(number, handler or signal.SIG_DFL)  # None: it was set outside Python
+
+    def reason(self) -> str | None:
+        """Return why to stop now, None to go on; the same on all ranks. Collective, once per step."""
+        now = time.time()
+        self._longest, self._last = max(self._longest, now - self._last), now
+        out_of_time = now + MARGIN * self._longest > self._end
+        number = self._comm.allreduce(max(self._signal, int(out_of_time)), op=MPI.MAX)
+        if number > 1:
+            return f"signal {signal.Signals(number).name}"
+        return "the time given is nearly over" if number else None
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self._signal = number
+
+
+def _process_start() -> float:
+    """Return when this process started, s since the epoch."""
+    try:
+        with open("/proc/self/stat") as file:
+            ticks = int(file.read().rpartition(")")[2].split()[19])
+        with open("/proc/uptime") as file:
+            uptime = float(file.read().split()[0])
+        return time.time() - uptime + ticks / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return time.time()

@@ -1,0 +1,68 @@
+#include "base/runtime.hpp"
+
+#include <Trilinos_version.h>
+#include <mpi.h>
+
+#include <Tpetra_Core.hpp>
+#include <Tpetra_Map.hpp>
+#include <algorithm>
+#include <stdexcept>
+#include <utility>
+
+namespace amrpic {
+namespace {
+
+bool initialized = false;
+
+// Never destroyed: an AtFinalize may outlive the static objects of this file.
+std::list<std::function<void()>>& releases() {
+  static auto* list = new std::list<std::function<void()>>;
+  return *list;
+}
+
+}  // namespace
+
+void initialize() {
+  if (initialized) return;
+  int mpi_is_up = 0;
+  MPI_Initialized(&mpi_is_up);
+  if (!mpi_is_up) throw std::runtime_error("MPI is not initialised: import mpi4py.MPI before amrpic._native");
+  // Tpetra reads argv even when there is nothing in it for Kokkos, so it gets a real one.
+  static char name[] = "amrpic";
+  static char* arguments[] = {name, nullptr};
+  int argc = 1;
+  char** argv = arguments;
+  Tpetra::initialize(&argc, &argv);
+  initialized = true;
+}
+
+void finalize() {
+  if (!initialized) return;
+  // A callback may destroy other promises, its own included, so the list is searched anew each time.
+  auto& list = releases();
+  const auto is_open = [](const auto& release) { return static_cast<bool>(release); };
+  for (auto at = list.begin(); (at = std::find_if(list.begin(), list.end(), is_open)) != list.end();) {
+    std::exchange(*at, nullptr)();
+  }
+  initialized = false;
+  Tpetra::finalize();
+}
+
+AtFinalize::AtFinalize(std::function<void()> release)
+    : place_(releases().insert(releases().end(), std::move(release))) {}
+
+AtFinalize::~AtFinalize() { releases().erase(place_); }
+
+std::string trilinos_version() { return TRILINOS_VERSION_STRING; }
+
+std::string kokkos_backend() { return Tpetra::Map<>::node_type::execution_space::name(); }
+
+std::string mpi_library() {
+  char text[MPI_MAX_LIBRARY_VERSION_STRING];
+  int length = 0;
+  MPI_Get_library_version(text, &length);
+  const std::string all(text, length);
+  return all.substr(0, all.find('\n'));
+}
+
+}  // namespace amrpic

@@ -1,0 +1,40 @@
+// Start and end of Kokkos and Tpetra, and what must be let go in between.
+#pragma once
+
+#include <functional>
+#include <list>
+#include <string>
+
+namespace amrpic {
+
+/// Start Kokkos and Tpetra on MPI_COMM_WORLD; a second call does nothing. MPI must be initialised.
+void initialize();
+
+/// Run all live `AtFinalize` callbacks, then stop Tpetra and Kokkos; without effect unless initialised. Collective.
+void finalize();
+
+/// A promise to release Trilinos objects while Kokkos still lives; forgotten when destroyed.
+///
+/// Python may drop its last handle on a solver after finalize(), and a Tpetra object destroyed then terminates the
+/// process. Whoever owns Tpetra or Kokkos objects therefore keeps one of these, whose callback resets them.
+class AtFinalize {
+ public:
+  explicit AtFinalize(std::function<void()> release);
+  ~AtFinalize();
+  AtFinalize(const AtFinalize&) = delete;
+  AtFinalize& operator=(const AtFinalize&) = delete;
+
+ private:
+  std::list<std::function<void()>>::iterator place_;
+};
+
+/// "13.2": version of the Trilinos this was compiled with.
+std::string trilinos_version();
+
+/// "Serial", "OpenMP", "Cuda": the Kokkos execution space of Tpetra's default node.
+std::string kokkos_backend();
+
+/// First line of what the MPI library says of itself.
+std::string mpi_library();
+
+}  // namespace amrpic

@@ -1,0 +1,41 @@
+#include "mesh/field.hpp"
+
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "mesh/sample.hpp"
+#include "mesh/transfer.hpp"
+
+namespace nb = nanobind;
+using namespace amrpic;
+using namespace nb::literals;
+
+void bind_field(nb::module_& m) {
+  nb::class_<Field>(m, "Field")
+      .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a)
+      .def(
+          "level",
+          [](nb::handle self, int level) {
+            auto& values = nb::cast<Field&>(self).level(level);
+            return nb::ndarray<nb::numpy, Real>(values.data(), {values.size()}, self);
+          },
+          "level"_a)
+      .def(
+          "average_down", [](Field& field) { Transfer(field.share_hierarchy()).average_down({&field}); },
+          nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "sample",
+          [](Field const& field, bind::RealRows points) {
+            std::vector<Real3> at;
+            for (std::size_t p = 0; p < points.shape(0); ++p) at.push_back({points(p, 0), points(p, 1), points(p, 2)});
+            std::vector<Real> values;
+            {
+              nb::gil_scoped_release release;
+              values = sample(field, at);
+            }
+            return bind::to_array(std::move(values));
+          },
+          "points"_a);
+}

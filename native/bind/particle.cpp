@@ -1,0 +1,115 @@
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "particle/deposit.hpp"
+#include "particle/gather.hpp"
+#include "particle/migrate.hpp"
+#include "particle/random.hpp"
+
+namespace nb = nanobind;
+using namespace amrpic;
+using namespace nb::literals;
+
+namespace {
+
+/// (n, 3), each column contiguous.
+using Columns = nb::ndarray<Real, nb::shape<-1, 3>, nb::device::cpu>;
+using ConstColumns = nb::ndarray<Real const, nb::shape<-1, 3>, nb::device::cpu>;
+template <class T>
+using Row = nb::ndarray<T, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+template <class Array>
+std::array<Real*, 3> columns(Array const& array) {
+  Real* first = const_cast<Real*>(array.data());
+  return {first, first + array.stride(1), first + 2 * array.stride(1)};
+}
+
+/// Particles as Python holds them. The kernels that take a view of them do not write where they should not.
+ParticleView view(ConstColumns const& position, ConstColumns const& momentum, Row<Real const> const& weight,
+                  Row<std::int64_t const> const& id) {
+  return {std::int64_t(position.shape(0)), columns(position), columns(momentum), const_cast<Real*>(weight.data()),
+          const_cast<std::int64_t*>(id.data())};
+}
+
+}  // namespace
+
+void bind_particle(nb::module_& m) {
+  nb::class_<ParticleMesh>(m, "ParticleMesh")
+      .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def_prop_ro("slots", [](ParticleMesh const& mesh) { return mesh.boxes().size(); });
+
+  nb::class_<Migration>(m, "Migration")
+      .def(
+          "__init__",
+          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, Row<Real const> weight,
+             Row<std::int64_t const> id) {
+            nb::gil_scoped_release release;
+            new (self) Migration(mesh, view(position, momentum, weight, id));
+          },
+          "mesh"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(),
+          nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
+      .def_prop_ro(
+          "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
+      .def_prop_ro(
+          "not_finite", [](Migration const& self) { return bind::to_array(self.not_finite()); },
+          nb::rv_policy::automatic)
+      .def_prop_ro("arriving", &Migration::arriving)
+      .def(
+          "finish",
+          [](Migration& self, Columns position, Columns momentum, Row<Real> weight, Row<std::int64_t> id,
+             Row<std::int64_t> starts) {
+            nb::gil_scoped_release release;
+            self.finish({self.arriving(), columns(position), columns(momentum), weight.data(), id.data()},
+                        starts.data());
+          },
+          "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a);
+
+  m.def(
+      "count_per_box",
+      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum,
+         Row<Real const> weight, Row<std::int64_t const> id) {
+        std::vector<std::vector<std::int64_t>> counts;
+        {
+          nb::gil_scoped_release release;
+          Locator locator(std::move(hierarchy));
+          counts = count_per_box(locator, view(position, momentum, weight, id));
+        }
+        nb::list out;
+        for (auto& level : counts) out.append(bind::to_array(std::move(level)));
+        return out;
+      },
+      "hierarchy"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a);
+
+  m.def(
+      "deposit",
+      [](ParticleMesh const& mesh, ConstColumns position, ConstColumns momentum, Row<Real const> weight,
+         Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge, Field& density) {
+        nb::gil_scoped_release release;
+        deposit(mesh, view(position, momentum, weight, id), starts.data(), charge, density);
+      },
+      "mesh"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "charge"_a, "density"_a);
+
+  m.def(
+      "gather",
+      [](ParticleMesh const& mesh, Field const& x, Field const& y, Field const& z, ConstColumns position,
+         ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
+         Columns out) {
+        nb::gil_scoped_release release;
+        gather(mesh, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
+      },
+      "mesh"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "out"_a);
+
+  m.def(
+      "uniforms",
+      [](std::uint64_t seed, std::uint64_t stream, std::uint64_t step, Row<std::int64_t const> id,
+         nb::ndarray<Real, nb::shape<4, -1>, nb::c_contig, nb::device::cpu> out) {
+        nb::gil_scoped_release release;
+        fill_uniforms(seed, stream, step, id.data(), id.shape(0), out.data());
+      },
+      "seed"_a, "stream"_a, "step"_a, "id"_a, "out"_a,
+      "Fill out (4, n) with numbers in (0, 1) that depend on the arguments alone.");
+}

@@ -1,0 +1,84 @@
+#include <nanobind/stl/map.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "solver/poisson.hpp"
+
+namespace nb = nanobind;
+using namespace amrpic;
+using namespace nb::literals;
+
+void bind_solver(nb::module_& m) {
+  m.attr("vacuum_permittivity") = vacuum_permittivity;
+  nb::enum_<Norm>(m, "Norm").value("l1", Norm::l1).value("l2", Norm::l2).value("max", Norm::max);
+  nb::enum_<Prolongation>(m, "Prolongation")
+      .value("constant", Prolongation::constant)
+      .value("trilinear", Prolongation::trilinear);
+
+  nb::class_<SolverOptions>(m, "SolverOptions")
+      .def(nb::init<>())
+      .def_rw("tolerance", &SolverOptions::tolerance)
+      .def_rw("norm", &SolverOptions::norm)
+      .def_rw("max_cycles", &SolverOptions::max_cycles)
+      .def_rw("pre_sweeps", &SolverOptions::pre_sweeps)
+      .def_rw("post_sweeps", &SolverOptions::post_sweeps)
+      .def_rw("relaxation", &SolverOptions::relaxation)
+      .def_rw("prolongation", &SolverOptions::prolongation)
+      .def_rw("neutralize", &SolverOptions::neutralize);
+
+  nb::class_<SolveReport>(m, "SolveReport")
+      .def_ro("converged", &SolveReport::converged)
+      .def_ro("cycles", &SolveReport::cycles)
+      .def_ro("residuals", &SolveReport::residuals)
+      .def_ro("floor", &SolveReport::floor)
+      .def_ro("reason", &SolveReport::reason)
+      .def_ro("seconds", &SolveReport::seconds);
+
+  nb::class_<PoissonSolver>(m, "PoissonSolver")
+      .def(
+          "__init__",
+          [](PoissonSolver* self, std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options) {
+            nb::gil_scoped_release release;
+            new (self) PoissonSolver(std::move(hierarchy), options);
+          },
+          "hierarchy"_a, "options"_a)
+      .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "electric_field",
+          [](PoissonSolver& solver, Field const& phi, Field& x, Field& y, Field& z) {
+            nb::gil_scoped_release release;
+            solver.electric_field(phi, {&x, &y, &z});
+          },
+          "phi"_a, "x"_a, "y"_a, "z"_a)
+      .def(
+          "wall_faces",
+          [](PoissonSolver& solver, int level) {
+            // kind and position of each wall face of this rank
+            Walls const& walls = solver.walls(level);
+            std::vector<int> kind;
+            std::vector<Real> position;
+            for (std::size_t i = 0; i < walls.faces.size(); ++i) {
+              kind.push_back(int(walls.faces[i].kind));
+              Real3 const x = walls.position(solver.hierarchy().domain(), solver.hierarchy().level(level), i);
+              position.insert(position.end(), x.begin(), x.end());
+            }
+            std::size_t const n = kind.size();
+            return nb::make_tuple(bind::to_array(std::move(kind)), bind::to_array(std::move(position), {n, 3}));
+          },
+          "level"_a)
+      .def(
+          "wall_data",
+          [](nb::handle self, int level) {
+            auto& datum = nb::cast<PoissonSolver&>(self).walls(level).datum;
+            return nb::ndarray<nb::numpy, Real>(datum.data(), {datum.size()}, self);
+          },
+          "level"_a)
+      .def("operators", &PoissonSolver::operators_with_gradient, "level"_a, nb::rv_policy::reference_internal)
+      .def_prop_ro("assemblies", &PoissonSolver::assemblies)
+      .def_prop_ro("messages", &PoissonSolver::messages)
+      .def_prop_ro("message_bytes", &PoissonSolver::message_bytes)
+      .def_prop_ro("operator_bytes", &PoissonSolver::operator_bytes);
+}

@@ -1,0 +1,117 @@
+#include "freespace/lattice_green.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+
+namespace amrpic::freespace {
+
+namespace {
+
+constexpr double pi = 3.14159265358979323846;
+constexpr int panel_nodes = 12;
+
+struct Node {
+  double place, weight;
+};
+
+/// Gauss-Legendre nodes on [0, 1]; the roots by Newton's method.
+std::array<Node, panel_nodes> gauss_legendre() {
+  std::array<Node, panel_nodes> out;
+  int const n = panel_nodes;
+  for (int i = 0; i < n; ++i) {
+    double x = std::cos(pi * (i + 0.75) / (n + 0.5)), slope = 1;
+    for (int iteration = 0; iteration < 10; ++iteration) {
+      double before = 1, value = x;
+      for (int k = 2; k <= n; ++k) {
+        double const next = ((2 * k - 1) * x * value - (k - 1) * before) / k;
+        before = value, value = next;
+      }
+      slope = n * (x * value - before) / (x * x - 1);
+      x -= value / slope;
+    }
+    out[i] = {(1 - x) / 2, 1 / ((1 - x * x) * slope * slope)};
+  }
+  return out;
+}
+
+/// Nodes in t for the integral from 0 to infinity of a product of three heat kernels.
+/// Panels double in length up to a time when the kernels have spread far beyond the reach; the tail is smooth in 1 /
+/// sqrt(t).
+std::vector<Node> time_nodes(std::array<double, 3> const& spacing, std::array<int, 3> const& reach) {
+  double smallest = spacing[0], largest = spacing[0], extent = 0;
+  for (int d = 0; d < 3; ++d) {
+    smallest = std::min(smallest, spacing[d]);
+    largest = std::max(largest, spacing[d]);
+    extent = std::max(extent, (reach[d] + 1) * spacing[d]);
+  }
+  auto const panel = gauss_legendre();
+  std::vector<Node> out;
+  double start = 0, length = 0.25 * smallest * smallest;
+  double const enough = 4 * extent * extent + 64 * largest * largest;
+  for (; start < enough; start += length, length = start)
+    for (Node const& n : panel) out.push_back({start + length * n.place, length * n.weight});
+  double const last = 1 / std::sqrt(start);
+  for (Node const& n : panel) {
+    double const u = last * n.place;
+    out.push_back({1 / (u * u), last * n.weight * 2 / (u * u * u)});
+  }
+  return out;
+}
+
+/// Large-argument expansion; each term is smaller than the one before by about (4 n^2) / (8 x).
+double bessel_far(double x, int n) {
+  double const mu = 4.0 * n * n;
+  double sum = 1, term = 1;
+  for (int k = 1; k < 40 && std::abs(term) > 1e-18 * std::abs(sum); ++k) {
+    double const odd = 2 * k - 1;
+    term *= -(mu - odd * odd) / (k * 8 * x);
+    sum += term;
+  }
+  return sum / std::sqrt(2 * pi * x);
+}
+
+}  // namespace
+
+std::vector<double> scaled_bessel(double x, int last) {
+  std::vector<double> out(std::size_t(last) + 1);
+  if (x > 20.0 * std::max(25.0, double(last) * last)) {
+    for (int n = 0; n <= last; ++n) out[n] = bessel_far(x, n);
+    return out;
+  }
+  // Miller: downwards from an order where I_n has vanished, then scaled by exp(-x) (I_0 + 2 I_1 + 2 I_2 + ...) = 1.
+  int const start = last + 40 + int(10 * std::sqrt(x));
+  double above = 0, value = 1e-280, sum = 0;
+  for (int n = start; n >= 0; --n) {
+    if (n <= last) out[n] = value;
+    sum += n > 0 ? 2 * value : value;
+    double const below = above + (n > 0 ? 2 * n / x * value : 0);
+    above = value, value = below;
+    if (value > 1e250) {
+      double const down = 1e-250;
+      above *= down, value *= down, sum *= down;
+      for (int k = n; k <= last; ++k) out[k] *= down;
+    }
+  }
+  for (double& v : out) v /= sum;
+  return out;
+}
+
+std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach) {
+  std::ptrdiff_t const nx = reach[0] + 1, ny = reach[1] + 1, nz = reach[2] + 1;
+  std::vector<double> out(std::size_t(nx * ny * nz), 0.0);
+  double const volume = spacing[0] * spacing[1] * spacing[2];
+  for (Node const& node : time_nodes(spacing, reach)) {
+    std::array<std::vector<double>, 3> kernel;
+    for (int d = 0; d < 3; ++d) kernel[d] = scaled_bessel(2 * node.place / (spacing[d] * spacing[d]), reach[d]);
+    for (std::ptrdiff_t k = 0; k < nz; ++k)
+      for (std::ptrdiff_t j = 0; j < ny; ++j) {
+        double const factor = node.weight / volume * kernel[1][j] * kernel[2][k];
+        double* row = out.data() + nx * (j + ny * k);
+        for (std::ptrdiff_t i = 0; i < nx; ++i) row[i] += factor * kernel[0][i];
+      }
+  }
+  return out;
+}
+
+}  // namespace amrpic::freespace

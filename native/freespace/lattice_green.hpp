@@ -1,0 +1,52 @@
+// Lattice Green's function of the 7-point Laplacian: the potential that the discrete operator itself gives a unit
+// charge in one cell of an infinite lattice.
+//
+// With -sum_d D_d^2 / h_d^2 G = delta, and e_n(t) = exp(-2t) I_n(2t) the heat kernel of one axis,
+//   G(i, j, k) = integral_0^infinity e_i(t / h_x^2) e_j(t / h_y^2) e_k(t / h_z^2) dt.
+// Here G is divided by the cell volume, so that q G is the potential of a charge q; far away it is q / (4 pi r).
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "freespace/lanes.hpp"
+
+namespace amrpic::freespace {
+
+/// exp(-x) I_n(x) for n = 0 .. last; x > 0.
+std::vector<double> scaled_bessel(double x, int last);
+
+/// G / volume for 0 <= i, j, k <= reach, i fastest. Accurate to rounding; lengths of about one are expected.
+std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach);
+
+/// Charges as the first lattice correction sees them: their sum and first moments, each charge times the square of its
+/// level's spacing over that of the base.
+struct LatticeMoments {
+  double charge;
+  std::array<double, 3> dipole;
+};
+
+/// 4 pi times what the lattice adds, at first order in h^2, to the potential of charges at (x, y, z) from their centre;
+/// `inverse_r`: 1 / distance, `h2`: squared base spacings.
+///
+/// From 1 / symbol = 1 / k^2 + sum_d h_d^2 k_d^4 / (12 k^4) + ..., and 1 / k^4 being the transform of -r / (8 pi), a
+/// unit charge gives
+///   f = -p / (8 r^7), p = sum_d h_d^2 s_d^2 (4 x_d^2 - s_d^2), s_d^2 = r^2 - x_d^2;
+/// a dipole D gives -D . grad f.
+template <class T>
+T lattice_correction(LatticeMoments const& moments, T const& x, T const& y, T const& z, T const& inverse_r,
+                     std::array<double, 3> const& h2) {
+  T const x2 = x * x, y2 = y * y, z2 = z * z;
+  T const ax = h2[0] * (y2 + z2), ay = h2[1] * (x2 + z2), az = h2[2] * (x2 + y2);  // h^2 s^2
+  T const bx = 2.0 * h2[0] * x2 - ax, by = 2.0 * h2[1] * y2 - ay, bz = 2.0 * h2[2] * z2 - az;
+  T const p = (y2 + z2) * (2.0 * bx + ax) + (x2 + z2) * (2.0 * by + ay) + (x2 + y2) * (2.0 * bz + az);
+  T const b = bx + by + bz;  // the slope of p along d is 4 x_d (2 a_d + b - b_d)
+  auto const& d = moments.dipole;
+  T const slope =
+      4.0 * (d[0] * x * (2.0 * ax + b - bx) + d[1] * y * (2.0 * ay + b - by) + d[2] * z * (2.0 * az + b - bz));
+  T const along = d[0] * x + d[1] * y + d[2] * z;
+  T const u = inverse_r * inverse_r;
+  return 0.125 * (u * u * u * inverse_r) * (slope - p * (moments.charge + 7.0 * along * u));
+}
+
+}  // namespace amrpic::freespace

@@ -1,0 +1,164 @@
+#include "freespace/octree.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+
+namespace amrpic::freespace {
+
+namespace {
+
+/// A node that has no parent yet, and the block it lies in at the present depth.
+struct Orphan {
+  Cell place;
+  TreeNode node;
+  Harmonics<double> moments;
+};
+
+bool by_place(Orphan const& a, Orphan const& b) {
+  return std::tie(a.place[2], a.place[1], a.place[0]) < std::tie(b.place[2], b.place[1], b.place[0]);
+}
+
+Orphan leaf_node(Leaf const& leaf, int number, Harmonics<double> const& moments, Point const& shape) {
+  double const scale = std::ldexp(1.0, -leaf.key.level);
+  TreeNode node{};
+  Cell const corner = leaf.corner();
+  for (int d = 0; d < 3; ++d) {
+    node.centre[d] = (corner[d] + 0.5 * leaf.extent[d]) * shape[d] * scale;
+    node.half[d] = 0.5 * (leaf.extent[d] - 1) * shape[d] * scale;
+  }
+  node.radius = std::hypot(node.half[0], node.half[1], node.half[2]);
+  node.coarsest = scale;
+  node.magnitude = leaf.magnitude;
+  auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
+  node.lattice.charge = moments[0].re * scale * scale;
+  node.lattice.dipole = {2 * second.re * scale * scale, 2 * second.im * scale * scale, first.re * scale * scale};
+  node.leaf = number;
+  return {leaf.key.place, node, moments};
+}
+
+/// The node around some children, without its moments.
+TreeNode enclose(Orphan const* first, Orphan const* last) {
+  TreeNode out{};
+  for (int d = 0; d < 3; ++d) {
+    double lower = first->node.centre[d], upper = lower;
+    for (Orphan const* child = first; child != last; ++child) {
+      lower = std::min(lower, child->node.centre[d] - child->node.half[d]);
+      upper = std::max(upper, child->node.centre[d] + child->node.half[d]);
+    }
+    out.centre[d] = 0.5 * (lower + upper);
+    out.half[d] = 0.5 * (upper - lower);
+  }
+  out.radius = std::hypot(out.half[0], out.half[1], out.half[2]);
+  for (Orphan const* child = first; child != last; ++child) {
+    out.coarsest = std::max(out.coarsest, child->node.coarsest);
+    out.magnitude += child->node.magnitude;
+    out.lattice.charge += child->node.lattice.charge;
+    for (int d = 0; d < 3; ++d)
+      out.lattice.dipole[d] +=
+          child->node.lattice.dipole[d] + child->node.lattice.charge * (child->node.centre[d] - out.centre[d]);
+  }
+  out.leaf = -1;
+  out.children = int(last - first);
+  return out;
+}
+
+/// Sum of the moments of some children about the centre of their parent, eight children at a time.
+Harmonics<double> join_moments(TreeNode const& parent, Orphan const* first, Orphan const* last) {
+  Harmonics<double> out{};
+  for (; first < last; first += lane_count) {
+    int const count = int(std::min<std::ptrdiff_t>(lane_count, last - first));
+    Harmonics<Lanes> moments{};
+    Lanes shift[3] = {};
+    for (int t = 0; t < count; ++t) {
+      for (int d = 0; d < 3; ++d) shift[d][t] = first[t].node.centre[d] - parent.centre[d];
+      for (int n = 0; n < harmonic_count; ++n) {
+        moments[n].re[t] = first[t].moments[n].re;
+        moments[n].im[t] = first[t].moments[n].im;
+      }
+    }
+    auto const moved = translate_moments(moments, shift[0], shift[1], shift[2]);
+    for (int n = 0; n < harmonic_count; ++n) {
+      out[n].re += sum_of(moved[n].re);
+      out[n].im += sum_of(moved[n].im);
+    }
+  }
+  return out;
+}
+
+class Builder {
+ public:
+  std::vector<Orphan> orphans;
+
+  /// Give a common parent to those of one place. An only child stays an orphan.
+  void adopt() {
+    std::stable_sort(orphans.begin(), orphans.end(), by_place);
+    std::vector<Orphan> parents;
+    for (auto first = orphans.begin(); first != orphans.end();) {
+      auto last = first + 1;
+      while (last != orphans.end() && last->place == first->place) ++last;
+      parents.push_back(last - first == 1 ? *first : parent_of(&*first, &*first + (last - first)));
+      first = last;
+    }
+    orphans = std::move(parents);
+  }
+
+  Octree finish() {
+    for (Orphan const& orphan : orphans) keep(orphan);
+    return std::move(tree_);
+  }
+
+ private:
+  Orphan parent_of(Orphan const* first, Orphan const* last) {
+    Orphan out{first->place, enclose(first, last), {}};
+    out.node.first_child = int(tree_.nodes.size());
+    out.moments = join_moments(out.node, first, last);
+    for (Orphan const* child = first; child != last; ++child) keep(*child);
+    return out;
+  }
+
+  void keep(Orphan const& orphan) {
+    tree_.nodes.push_back(orphan.node);
+    tree_.moments.push_back(orphan.moments);
+    tree_.expansions.push_back(to_expansion(orphan.moments));
+  }
+
+  Octree tree_;
+};
+
+/// Which axes to double next, so that blocks stay about as long as wide also where cells are not cubes.
+std::array<bool, 3> axes_to_double(Point const& width) {
+  double const shortest = std::min({width[0], width[1], width[2]});
+  return {width[0] < 1.5 * shortest, width[1] < 1.5 * shortest, width[2] < 1.5 * shortest};
+}
+
+}  // namespace
+
+Octree build_octree(std::vector<Leaf> const& leaves, std::vector<Harmonics<double>> const& moments,
+                    Point const& shape) {
+  Builder builder;
+  int const finest = leaves.empty() ? 0 : leaves.back().key.level;
+  auto last = int(leaves.size());
+  for (int level = finest; level >= 0; --level) {
+    for (Orphan& orphan : builder.orphans)
+      for (int& i : orphan.place) i >>= 1;
+    int first = last;
+    while (first > 0 && leaves[first - 1].key.level == level) --first;
+    for (int n = first; n < last; ++n) builder.orphans.push_back(leaf_node(leaves[n], n, moments[n], shape));
+    last = first;
+    builder.adopt();
+  }
+  Point width = shape;
+  while (builder.orphans.size() > 1) {
+    auto const doubled = axes_to_double(width);
+    for (int d = 0; d < 3; ++d) {
+      if (!doubled[d]) continue;
+      width[d] *= 2;
+      for (Orphan& orphan : builder.orphans) orphan.place[d] >>= 1;
+    }
+    builder.adopt();
+  }
+  return builder.finish();
+}
+
+}  // namespace amrpic::freespace

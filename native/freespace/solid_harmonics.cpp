@@ -1,0 +1,117 @@
+#include "freespace/solid_harmonics.hpp"
+
+namespace amrpic::freespace {
+
+namespace {
+
+/// A polynomial in x, y, z: the numbers before the monomials.
+struct Polynomial {
+  std::array<double, monomial_count> coefficient{};
+
+  /// Times x^a y^b z^c; what exceeds the order is left out.
+  Polynomial times(int a, int b, int c, double factor) const {
+    Polynomial out;
+    for (int i = 0; i <= order; ++i)
+      for (int j = 0; i + j <= order; ++j)
+        for (int k = 0; i + j + k <= order; ++k)
+          if (i + j + k + a + b + c <= order)
+            out.coefficient[monomial_index(i + a, j + b, k + c)] = factor * coefficient[monomial_index(i, j, k)];
+    return out;
+  }
+};
+
+Polynomial operator+(Polynomial a, Polynomial const& b) {
+  for (int n = 0; n < monomial_count; ++n) a.coefficient[n] += b.coefficient[n];
+  return a;
+}
+
+Polynomial times_r2(Polynomial const& p, double factor) {
+  return p.times(2, 0, 0, factor) + p.times(0, 2, 0, factor) + p.times(0, 0, 2, factor);
+}
+
+/// Re and Im of every R(l, m) as polynomials, by the recurrence of regular_harmonics.
+struct HarmonicPolynomials {
+  std::array<Polynomial, harmonic_count> re, im;
+
+  HarmonicPolynomials() {
+    re[0].coefficient[0] = 1;
+    for (int m = 0; m <= order; ++m) {
+      if (m > 0) {
+        int const before = harmonic_index(m - 1, m - 1);
+        double const scale = 1.0 / (2 * m);
+        re[harmonic_index(m, m)] = re[before].times(1, 0, 0, scale) + im[before].times(0, 1, 0, -scale);
+        im[harmonic_index(m, m)] = im[before].times(1, 0, 0, scale) + re[before].times(0, 1, 0, scale);
+      }
+      for (int l = m + 1; l <= order; ++l) {
+        double const scale = 1.0 / (l * l - m * m);
+        for (auto* part : {&re, &im}) {
+          Polynomial& p = (*part)[harmonic_index(l, m)];
+          p = (*part)[harmonic_index(l - 1, m)].times(0, 0, 1, (2 * l - 1) * scale);
+          if (l > m + 1) p = p + times_r2((*part)[harmonic_index(l - 2, m)], -scale);
+        }
+      }
+    }
+  }
+};
+
+}  // namespace
+
+Expansion to_expansion(Harmonics<double> const& moments) {
+  Expansion out;
+  double* a = out.data();
+  for (int m = 0; m <= order; ++m)
+    for (int l = m; l <= order; ++l) {
+      Complex<double> const& value = moments[harmonic_index(l, m)];
+      if (m == 0) {
+        *a++ = value.re;
+      } else {
+        *a++ = 2 * value.re;
+        *a++ = 2 * value.im;
+      }
+    }
+  return out;
+}
+
+std::array<double, monomial_count> block_monomials(double const* charges, BlockPowers const& powers) {
+  std::array<double, monomial_count> out;
+  for (int c = 0; c <= order; ++c) {
+    Lanes along_z[8] = {};
+    for (int k = 0; k < 8; ++k)
+      for (int j = 0; j < 8; ++j) {
+        Lanes row;
+        __builtin_memcpy(&row, charges + 8 * (8 * k + j), sizeof(Lanes));
+        along_z[j] += row * powers[2][c][k];
+      }
+    for (int b = 0; b + c <= order; ++b) {
+      Lanes along_y{};
+      for (int j = 0; j < 8; ++j) along_y += along_z[j] * powers[1][b][j];
+      for (int a = 0; a + b + c <= order; ++a) {
+        Lanes power;
+        __builtin_memcpy(&power, powers[0][a].data(), sizeof(Lanes));
+        out[monomial_index(a, b, c)] = sum_of(along_y * power);
+      }
+    }
+  }
+  return out;
+}
+
+Harmonics<double> moments_of(std::array<double, monomial_count> const& monomials) {
+  static HarmonicPolynomials const polynomials;
+  Harmonics<double> out;
+  for (int l = 0; l <= order; ++l) {
+    // R(l, m) is homogeneous: only the monomials of degree l take part.
+    int const first = monomial_index(l, 0, 0), last = first + (l + 1) * (l + 2) / 2;
+    for (int m = 0; m <= l; ++m) {
+      int const place = harmonic_index(l, m);
+      Complex<double> sum{0, 0};
+      for (int n = first; n < last; ++n) {
+        sum.re += polynomials.re[place].coefficient[n] * monomials[n];
+        sum.im += polynomials.im[place].coefficient[n] * monomials[n];
+      }
+      out[place] = sum;
+    }
+  }
+  return out;
+}
+
+}  // namespace amrpic::freespace

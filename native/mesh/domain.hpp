@@ -1,0 +1,29 @@
+#pragma once
+
+#include <array>
+
+#include "mesh/box.hpp"
+
+namespace amrpic {
+
+enum class Boundary { open, dirichlet, neumann, periodic };
+
+/// The computational domain: a cuboid in metres, cut into the cells of the base level.
+struct Domain {
+  Real3 lower;
+  Real3 upper;
+  Index3 cells;
+  std::array<std::array<Boundary, 2>, 3> boundary;  ///< [axis][lower or upper face]
+
+  bool periodic(int axis) const { return boundary[axis][0] == Boundary::periodic; }
+  Real spacing(int axis) const { return (upper[axis] - lower[axis]) / cells[axis]; }
+  bool has(Boundary kind) const {
+    for (auto const& faces : boundary)
+      if (faces[0] == kind || faces[1] == kind) return true;
+    return false;
+  }
+  /// A potential is fixed only up to a constant: every face is periodic or Neumann.
+  bool singular() const { return !has(Boundary::open) && !has(Boundary::dirichlet); }
+};
+
+}  // namespace amrpic

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <mpi.h>
+
+#include <memory>
+#include <vector>
+
+#include "mesh/level.hpp"
+
+namespace amrpic {
+
+/// The cells of other ranks among some numbers, as an Exchange takes them: ascending, each once. Negative numbers stand
+/// for no cell.
+std::vector<GlobalIndex> remote_cells(Level const& level, std::vector<GlobalIndex> numbers);
+
+/// The plan by which a rank reads cells of a level that other ranks own, and gives charge back to them.
+///
+/// Values of a level are kept as [own cells | ghosts], ghosts in ascending global number. All that passes between two
+/// ranks, for all boxes and all fields of a call, is one message. Made once per hierarchy; a call allocates nothing
+/// after the first with as many fields.
+class Exchange {
+ public:
+  Exchange() = default;
+
+  /// Plan for the given ghosts (ascending global numbers, none of them owned here). Collective.
+  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> ghosts);
+
+  /// Plan for some ghosts of another plan, into that plan's places; `subset` ascending. Collective.
+  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& all_ghosts,
+           std::vector<GlobalIndex> const& subset);
+
+  LocalIndex owned() const { return owned_; }
+  LocalIndex ghosts() const { return LocalIndex(ghosts_.size()); }
+  std::vector<GlobalIndex> const& ghost_numbers() const { return ghosts_; }
+
+  /// Place of a cell in [own cells | ghosts]; the cell must be owned or a ghost.
+  LocalIndex local(GlobalIndex cell) const;
+
+  /// Fill the ghosts of each field from their owners. Collective.
+  void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts) const;
+
+  /// The same for one field kept as [own cells | ghosts].
+  void update(Real* field) const { update({field}, {field + owned_}); }
+
+  /// Add each field's ghosts to their owners' cells, in the order of ranks; the ghosts keep their values. Collective.
+  void fold(std::vector<Real*> const& own, std::vector<Real const*> const& ghosts) const;
+
+  std::int64_t messages() const { return messages_; }  ///< sent by this rank so far
+  std::int64_t bytes() const { return bytes_; }
+
+ private:
+  struct Neighbour {
+    int rank;
+    std::vector<LocalIndex> cells;  ///< places among the ghosts, or among the own cells
+    mutable std::vector<Real> buffer;
+  };
+  void make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted);
+  static void pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields);
+  void post(std::vector<Neighbour> const& receive, std::vector<Neighbour> const& send, std::size_t fields) const;
+
+  MPI_Comm comm_ = MPI_COMM_NULL;
+  GlobalIndex first_ = 0;
+  LocalIndex owned_ = 0;
+  std::vector<GlobalIndex> ghosts_;
+  std::vector<Neighbour> sources_;  ///< ranks that own my ghosts; places among the ghosts
+  std::vector<Neighbour> readers_;  ///< ranks that read my cells; places among the own cells
+  mutable std::vector<MPI_Request> requests_;
+  mutable std::int64_t messages_ = 0;
+  mutable std::int64_t bytes_ = 0;
+};
+
+}  // namespace amrpic

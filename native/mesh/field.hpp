@@ -1,0 +1,27 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "mesh/hierarchy.hpp"
+
+namespace amrpic {
+
+/// One number per cell of this rank, on every level; boxes contiguous, x fastest.
+class Field {
+ public:
+  explicit Field(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std::move(hierarchy)) {
+    for (int l = 0; l < hierarchy_->level_count(); ++l)
+      values_.emplace_back(std::size_t(hierarchy_->level(l).local_cells()), 0.0);
+  }
+  Hierarchy const& hierarchy() const { return *hierarchy_; }
+  std::shared_ptr<Hierarchy const> share_hierarchy() const { return hierarchy_; }
+  std::vector<Real>& level(int l) { return values_[l]; }
+  std::vector<Real> const& level(int l) const { return values_[l]; }
+
+ private:
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  std::vector<std::vector<Real>> values_;
+};
+
+}  // namespace amrpic

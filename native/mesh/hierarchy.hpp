@@ -1,0 +1,48 @@
+#pragma once
+
+#include <mpi.h>
+
+#include <memory>
+#include <vector>
+
+#include "mesh/level.hpp"
+
+namespace amrpic {
+
+constexpr Index3 refinement_ratio{2, 2, 2};
+
+/// The levels of a refined mesh, coarse to fine; immutable. Boxes and their order do not depend on the number of ranks.
+class Hierarchy {
+ public:
+  /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself); `weights[l]`, if
+  /// given, holds one positive number per box of level l as it comes out of the cutting. Throws HierarchyError, alike
+  /// on all ranks, for boxes that overlap, leave the domain, are not aligned to the blocking factor, or do not nest.
+  Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vector<Box>> const& refined, int max_grid_size,
+            int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
+
+  MPI_Comm comm() const { return comm_; }
+  Domain const& domain() const { return domain_; }
+  int max_grid_size() const { return max_grid_size_; }
+  int blocking_factor() const { return blocking_factor_; }
+  int level_count() const { return int(levels_.size()); }
+  Level const& level(int l) const { return *levels_[l]; }
+  std::shared_ptr<Level const> share_level(int l) const { return levels_[l]; }
+  bool has_finer(int l) const { return l + 1 < level_count(); }
+
+ private:
+  MPI_Comm comm_;
+  Domain domain_;
+  int max_grid_size_, blocking_factor_;
+  std::vector<std::shared_ptr<Level const>> levels_;
+};
+
+/// `region` cut into boxes of at most `max_grid_size` cells per axis, corners on multiples of `blocking_factor`.
+std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor);
+
+/// Sort boxes along a space-filling curve (Morton order of their centres).
+void sort_along_curve(std::vector<Box>& boxes);
+
+/// Where each rank's run of boxes starts, ranks + 1 values, so that the runs carry about equal weight.
+std::vector<int> distribute(std::vector<Real> const& weights, int ranks);
+
+}  // namespace amrpic

@@ -1,0 +1,141 @@
+#include "mesh/refine.hpp"
+
+#include <algorithm>
+#include <string>
+
+#include "base/all_gather.hpp"
+#include "base/error.hpp"
+#include "mesh/cluster.hpp"
+#include "mesh/window.hpp"
+
+namespace amrpic {
+
+namespace {
+
+using Key = std::int64_t;  ///< coordinates of a block in one number
+
+constexpr int key_bits = 21;
+
+Key to_key(Index3 const& block) {
+  return Key(block[0]) | (Key(block[1]) << key_bits) | (Key(block[2]) << (2 * key_bits));
+}
+Index3 from_key(Key key) {
+  constexpr Key mask = (Key(1) << key_bits) - 1;
+  return {int(key & mask), int((key >> key_bits) & mask), int(key >> (2 * key_bits))};
+}
+
+void sort_unique(std::vector<Key>& keys) {
+  std::sort(keys.begin(), keys.end());
+  keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
+}
+
+/// The blocks of a level: what can be refined or not.
+class Lattice {
+ public:
+  Lattice(Hierarchy const& hierarchy, int level) {
+    Domain const& domain = hierarchy.domain();
+    for (int d = 0; d < 3; ++d) {
+      std::int64_t const blocks =
+          (std::int64_t(domain.cells[d]) << std::min(level, key_bits)) / hierarchy.blocking_factor();
+      if (level > key_bits || blocks > (1 << (key_bits - 1)))
+        throw HierarchyError("level " + std::to_string(level) + " would have more than 2^20 blocks along " + "xyz"[d] +
+                             "; use fewer levels");
+      extent_[d] = int(blocks);
+      periodic_[d] = domain.periodic(d);
+    }
+  }
+
+  /// Append the blocks of a region, wrapped where periodic and clipped elsewhere.
+  void append(Box region, std::vector<Key>& out) const {
+    for (int d = 0; d < 3; ++d)
+      if (periodic_[d])
+        region.upper[d] = std::min(region.upper[d], region.lower[d] + extent_[d] - 1);  // once around is everything
+      else
+        region.lower[d] = std::max(region.lower[d], 0), region.upper[d] = std::min(region.upper[d], extent_[d] - 1);
+    for_each_cell(region, [&](Index3 const& block) { out.push_back(to_key(wrap(block))); });
+  }
+
+ private:
+  Index3 wrap(Index3 block) const {
+    for (int d = 0; d < 3; ++d)
+      if (periodic_[d]) block[d] -= floor_divide(block[d], extent_[d]) * extent_[d];
+    return block;
+  }
+
+  Index3 extent_;
+  std::array<bool, 3> periodic_;
+};
+
+/// Marks per cell turned into marks per `edge` cells along one axis, each first grown by `buffer` cells both ways.
+Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, int edge) {
+  auto first = [&](int cell) { return floor_divide(cell - buffer, edge); };
+  auto last = [&](int cell) { return floor_divide(cell + buffer, edge); };
+  Box box = cells.box();
+  box.lower[axis] = first(box.lower[axis]);
+  box.upper[axis] = last(box.upper[axis]);
+  Window<char> out(box, 0);
+  for_each_cell(cells.box(), [&](Index3 const& cell) {
+    if (!cells(cell)) return;
+    Index3 block = cell;
+    for (block[axis] = first(cell[axis]); block[axis] <= last(cell[axis]); ++block[axis]) out(block) = 1;
+  });
+  return out;
+}
+
+/// Blocks of the next finer level that this rank's tags on a level ask for.
+std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, Lattice const& lattice, int buffer,
+                               int edge) {
+  std::vector<Key> out;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    Window<char> marks(level.box(b), 0);
+    std::uint8_t const* first = tags + level.local_offset(b);
+    std::copy(first, first + level.box(b).cells(), marks.values().begin());
+    // A cube around a tag is the product of intervals, so the axes can be grown one after the other.
+    for (int axis = 0; axis < 3; ++axis) marks = grow_and_coarsen(marks, axis, buffer, edge);
+    for_each_cell(marks.box(), [&](Index3 const& block) {
+      if (marks(block)) lattice.append({block, block}, out);
+    });
+  }
+  sort_unique(out);
+  return out;
+}
+
+std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, int edge) {
+  std::vector<Index3> blocks(keys.size());
+  std::transform(keys.begin(), keys.end(), blocks.begin(), from_key);
+  std::vector<Box> boxes = cluster(std::move(blocks), efficiency);
+  for (Box& box : boxes) box = box.refine({edge, edge, edge});
+  return boxes;
+}
+
+}  // namespace
+
+std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std::uint8_t const*> const& tags,
+                                     std::vector<std::vector<Box>> const& fixed, RefineOptions const& options) {
+  int const edge = hierarchy.blocking_factor();
+  int const tagged = std::min(int(tags.size()), hierarchy.level_count());
+  int const finest = std::min(options.max_levels - 1, std::max(tagged, int(fixed.size())));
+  std::vector<std::vector<Box>> levels(std::size_t(std::max(finest, 0)));
+
+  // From the finest down: what a level decides for itself is known, what the finer one needs around it is added.
+  for (int l = finest; l > 0; --l) {
+    Lattice const lattice(hierarchy, l);
+    std::vector<Key> blocks;
+    if (l - 1 < tagged) {
+      std::vector<Key> mine;
+      if (tags[l - 1]) mine = tagged_blocks(hierarchy.level(l - 1), tags[l - 1], lattice, options.buffer, edge / 2);
+      blocks = all_gather(hierarchy.comm(), mine).values;
+    }
+    if (l <= int(fixed.size()))
+      for (Box const& box : fixed[l - 1]) lattice.append(box.coarsen({edge, edge, edge}), blocks);
+    if (l < finest)
+      for (Box const& box : levels[l])
+        lattice.append(box.coarsen(refinement_ratio).grow(options.nesting).coarsen({edge, edge, edge}), blocks);
+    sort_unique(blocks);
+    levels[l - 1] = boxes_of_blocks(blocks, options.efficiency, edge);
+  }
+  while (!levels.empty() && levels.back().empty()) levels.pop_back();
+  return levels;
+}
+
+}  // namespace amrpic

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "mesh/hierarchy.hpp"
+
+namespace amrpic {
+
+struct RefineOptions {
+  int max_levels;   ///< most levels of the result, the base included
+  int buffer;       ///< cells around a tagged cell that are refined with it
+  int nesting;      ///< cells of a level around the next finer one, at least 1
+  Real efficiency;  ///< least share of a box's blocks that must be refined, unless it is a single block
+};
+
+/// Boxes of levels 1, 2, ... that refine all tagged cells and hold all `fixed` boxes, properly nested. Collective.
+///
+/// `tags[l]` points to one byte per cell of this rank on level l, nonzero where level l + 1 is wanted; null or missing:
+/// nowhere. `fixed[k]` lists boxes of level k + 1 in its own indices; they are aligned outward to the blocking factor,
+/// wrapped where periodic and clipped elsewhere. The boxes are aligned, disjoint and inside the domain, they depend on
+/// tags and `fixed` alone, not on how the present levels are cut or distributed, and the list ends before the first
+/// empty level.
+std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std::uint8_t const*> const& tags,
+                                     std::vector<std::vector<Box>> const& fixed, RefineOptions const& options);
+
+}  // namespace amrpic

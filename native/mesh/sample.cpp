@@ -1,0 +1,95 @@
+#include "mesh/sample.hpp"
+
+#include <cmath>
+#include <limits>
+
+namespace amrpic {
+
+namespace {
+
+/// A cell index brought into the domain: wrapped where periodic, else the nearest inside.
+int into_domain(int i, int n, bool periodic) {
+  if (periodic) return i - floor_divide(i, n) * n;
+  return std::min(std::max(i, 0), n - 1);
+}
+
+/// Cell of a level at a point, before wrapping.
+Index3 cell_at(Domain const& domain, Level const& level, Real3 const& point) {
+  Index3 cell;
+  for (int d = 0; d < 3; ++d) {
+    Real const at = std::floor((point[d] - domain.lower[d]) / level.spacing()[d]);
+    cell[d] = int(std::min(std::max(at, Real(-1)), Real(level.domain().extent(d))));
+    if (point[d] == domain.upper[d]) --cell[d];
+  }
+  return cell;
+}
+
+bool inside(Domain const& domain, Real3 const& point) {
+  for (int d = 0; d < 3; ++d)
+    if (!(std::isfinite(point[d]) &&
+          (domain.periodic(d) || (point[d] >= domain.lower[d] && point[d] <= domain.upper[d]))))
+      return false;
+  return true;
+}
+
+/// This rank's share of the trilinear value at a point, from cells of level `l` around the cell `home` that holds it. A
+/// neighbour that the level lacks takes its value from the next coarser one: the nearest cell's would be of first
+/// order.
+Real share(Field const& field, int l, Index3 const& home, Real3 const& point) {
+  Level const& level = field.hierarchy().level(l);
+  Domain const& domain = field.hierarchy().domain();
+  Index3 step;  // towards the neighbour on the point's side of the centre
+  Real3 far;    // that neighbour's weight
+  for (int d = 0; d < 3; ++d) {
+    Real const s = (point[d] - domain.lower[d]) / level.spacing()[d] - (home[d] + 0.5);
+    step[d] = s < 0 ? -1 : 1;
+    far[d] = std::abs(s);
+  }
+  auto wrapped = [&](Index3 cell) {
+    for (int d = 0; d < 3; ++d) cell[d] = into_domain(cell[d], level.domain().extent(d), level.periodic()[d]);
+    return cell;
+  };
+  Real sum = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    Index3 cell = home;
+    Real weight = 1;
+    for (int d = 0; d < 3; ++d) {
+      bool const other = (corner >> d) & 1;
+      if (other) cell[d] += step[d];
+      weight *= other ? far[d] : 1 - far[d];
+    }
+    Index3 const found = wrapped(cell);
+    int const b = level.find(found);
+    if (b < 0) {
+      Real3 centre;
+      for (int d = 0; d < 3; ++d) centre[d] = domain.lower[d] + (cell[d] + 0.5) * level.spacing()[d];
+      sum += weight * share(field, l - 1, cell_at(domain, field.hierarchy().level(l - 1), centre), centre);
+    } else if (level.owner(b) == level.rank()) {
+      sum += weight * field.level(l)[level.local_offset(b) + level.box(b).offset(found)];
+    }
+  }
+  return sum;
+}
+
+}  // namespace
+
+std::vector<Real> sample(Field const& field, std::vector<Real3> const& points) {
+  Hierarchy const& hierarchy = field.hierarchy();
+  std::vector<Real> values(points.size(), std::numeric_limits<Real>::quiet_NaN());
+  for (std::size_t p = 0; p < points.size(); ++p) {
+    if (!inside(hierarchy.domain(), points[p])) continue;
+    for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
+      Level const& level = hierarchy.level(l);
+      Index3 const home = cell_at(hierarchy.domain(), level, points[p]);
+      Index3 wrapped = home;
+      for (int d = 0; d < 3; ++d) wrapped[d] = into_domain(home[d], level.domain().extent(d), level.periodic()[d]);
+      if (level.find(wrapped) < 0) continue;
+      values[p] = share(field, l, home, points[p]);
+      break;
+    }
+  }
+  MPI_Allreduce(MPI_IN_PLACE, values.data(), int(values.size()), MPI_DOUBLE, MPI_SUM, hierarchy.comm());
+  return values;
+}
+
+}  // namespace amrpic

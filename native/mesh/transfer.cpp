@@ -1,0 +1,109 @@
+#include "mesh/transfer.hpp"
+
+#include <algorithm>
+
+#include "mesh/window.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// Numbers of the parents of this rank's cells of `fine`, box by box, x fastest.
+std::vector<GlobalIndex> parent_numbers(Level const& coarse, Level const& fine) {
+  std::vector<GlobalIndex> out;
+  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
+    auto const numbers = cell_numbers(coarse, fine.box(b).coarsen(refinement_ratio));
+    out.insert(out.end(), numbers.values().begin(), numbers.values().end());
+  }
+  return out;
+}
+
+/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `parent_numbers`: the
+/// place of the first child among this rank's cells, and the distances to its neighbours along y and z.
+template <class F>
+void for_each_family(Level const& fine, F&& f) {
+  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
+    Box const& box = fine.box(b);
+    LocalIndex const stride_y = box.extent(0), stride_z = stride_y * box.extent(1), first = fine.local_offset(b);
+    for (int k = 0; k < box.extent(2); k += 2)
+      for (int j = 0; j < box.extent(1); j += 2)
+        for (int i = 0; i < box.extent(0); i += 2) f(first + i + j * stride_y + k * stride_z, stride_y, stride_z);
+  }
+}
+
+Real mean_of_children(Real const* child, LocalIndex y, LocalIndex z) {
+  return ((child[0] + child[1]) + (child[y] + child[y + 1]) + (child[z] + child[z + 1]) +
+          (child[y + z] + child[y + z + 1])) /
+         8;
+}
+
+}  // namespace
+
+Transfer::Transfer(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std::move(hierarchy)) {
+  for (int l = 0; hierarchy_->has_finer(l); ++l) pairs_.push_back(make_pair(l));
+}
+
+Transfer::Pair Transfer::make_pair(int l) const {
+  Level const& coarse = hierarchy_->level(l);
+  Level const& fine = hierarchy_->level(l + 1);
+
+  Pair pair;
+  auto const numbers = parent_numbers(coarse, fine);
+  std::vector<char> has_children_here(std::size_t(coarse.local_cells()), 0);
+  for (GlobalIndex cell : numbers)
+    if (coarse.owns(cell)) has_children_here[std::size_t(cell - coarse.first_local_cell())] = 1;
+  pair.parents = Exchange(hierarchy_->comm(), coarse, remote_cells(coarse, numbers));
+  pair.place.reserve(numbers.size());
+  for (GlobalIndex cell : numbers) pair.place.push_back(pair.parents.local(cell));
+
+  for (int b = coarse.first_local_box(); b < coarse.last_local_box(); ++b) {
+    auto const covered = covered_cells(fine, refinement_ratio, coarse.box(b));
+    LocalIndex const start = coarse.local_offset(b);
+    for (std::size_t c = 0; c < covered.values().size(); ++c)
+      if (covered.values()[c] && !has_children_here[std::size_t(start) + c])
+        pair.bereaved.push_back(start + LocalIndex(c));
+  }
+  return pair;
+}
+
+void Transfer::average_down(std::vector<Field*> const& fields) const {
+  for (int l = int(pairs_.size()) - 1; l >= 0; --l) {
+    Pair const& pair = pairs_[l];
+    std::vector<Real*> own;
+    std::vector<Real const*> ghosts;
+    std::vector<std::vector<Real>> beyond(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
+    for (std::size_t f = 0; f < fields.size(); ++f) {
+      Real const* fine = fields[f]->level(l + 1).data();
+      Real* coarse = fields[f]->level(l).data();
+      for (LocalIndex cell : pair.bereaved) coarse[cell] = 0;
+      std::size_t n = 0;
+      LocalIndex const owned = pair.parents.owned();
+      for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
+        LocalIndex const place = pair.place[n++];
+        (place < owned ? coarse[place] : beyond[f][std::size_t(place - owned)]) = mean_of_children(fine + child, y, z);
+      });
+      own.push_back(coarse);
+      ghosts.push_back(beyond[f].data());
+    }
+    pair.parents.fold(own, ghosts);
+  }
+}
+
+void Transfer::spread(Field& field) const {
+  for (int l = 0; l < int(pairs_.size()); ++l) {
+    Pair const& pair = pairs_[l];
+    Real const* coarse = field.level(l).data();
+    Real* fine = field.level(l + 1).data();
+    std::vector<Real> beyond(std::size_t(pair.parents.ghosts()));
+    pair.parents.update({coarse}, {beyond.data()});
+    std::size_t n = 0;
+    LocalIndex const owned = pair.parents.owned();
+    for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
+      LocalIndex const place = pair.place[n++];
+      Real const value = place < owned ? coarse[place] : beyond[std::size_t(place - owned)];
+      for (LocalIndex c : {child, child + y, child + z, child + y + z}) fine[c] += value, fine[c + 1] += value;
+    });
+  }
+}
+
+}  // namespace amrpic

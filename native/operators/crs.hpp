@@ -1,0 +1,63 @@
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "base/types.hpp"
+
+namespace amrpic {
+
+/// A sparse matrix by compressed rows over this rank's cells of a level; columns are places in [own cells | ghosts] of
+/// a level. Rows of an operator that acts on few of them (at coarse-fine faces) are listed, so that applying it costs
+/// only those.
+struct Crs {
+  std::vector<std::size_t> row_start{0};  ///< rows + 1 values
+  std::vector<LocalIndex> column;
+  std::vector<Real> value;
+  std::vector<LocalIndex> occupied;  ///< rows with entries, if they are less than half of all
+  bool sparse_rows = false;          ///< whether `occupied` is used
+
+  LocalIndex rows() const { return LocalIndex(row_start.size()) - 1; }
+  std::size_t entries() const { return value.size(); }
+  std::size_t bytes() const {
+    return row_start.size() * sizeof(std::size_t) + entries() * (sizeof(LocalIndex) + sizeof(Real)) +
+           occupied.size() * sizeof(LocalIndex);
+  }
+
+  /// Row times vector.
+  Real dot(LocalIndex row, Real const* x) const {
+    Real sum = 0;
+    for (std::size_t k = row_start[row]; k < row_start[row + 1]; ++k) sum += value[k] * x[column[k]];
+    return sum;
+  }
+
+  /// List the occupied rows if they are few.
+  void finish() {
+    for (LocalIndex r = 0; r < rows(); ++r)
+      if (row_start[r] < row_start[r + 1]) occupied.push_back(r);
+    sparse_rows = 2 * occupied.size() < row_start.size();
+    if (!sparse_rows) occupied.clear();
+    occupied.shrink_to_fit();
+  }
+
+  /// Call f(row) for each row that has entries (or for all, where most have).
+  template <class F>
+  void for_each_row(F&& f) const {
+    if (sparse_rows)
+      for (LocalIndex r : occupied) f(r);
+    else
+      for (LocalIndex r = 0; r < rows(); ++r) f(r);
+  }
+};
+
+/// y = A x.
+inline void multiply(Crs const& a, Real const* x, Real* y) {
+  for (LocalIndex r = 0; r < a.rows(); ++r) y[r] = a.dot(r, x);
+}
+
+/// y += scale A x.
+inline void add_multiply(Real scale, Crs const& a, Real const* x, Real* y) {
+  a.for_each_row([&](LocalIndex r) { y[r] += scale * a.dot(r, x); });
+}
+
+}  // namespace amrpic

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "mesh/exchange.hpp"
+#include "mesh/hierarchy.hpp"
+#include "operators/crs.hpp"
+#include "stencil/boundary.hpp"
+#include "stencil/intergrid.hpp"
+
+namespace amrpic {
+
+/// One axis of E = -grad phi at the centres of uncovered cells: own phi_l + coarse phi_(l-1) + fine phi_(l+1), plus
+/// walls.
+struct GradientAxis {
+  Crs own, coarse, fine;
+};
+
+/// The eight operators of a level. The Laplacians approximate +Laplace, in 1/m^2.
+struct LevelOperators {
+  std::shared_ptr<Level const> level;
+  WallGhosts walls;
+  Exchange halo;          ///< all cells of this level that any operator reads: numbering of its vectors
+  Exchange stencil_halo;  ///< the part of it that `no_fine` reads
+
+  Crs no_fine;
+  std::optional<Crs> own_composite;      ///< kept apart only where a finer level exists
+  Crs coarse_boundary;                   ///< columns: next coarser level
+  Crs fine_boundary;                     ///< columns: next finer level
+  Crs restriction;                       ///< rows of covered cells; columns: next finer level
+  Crs prolongation;                      ///< columns: next coarser level
+  std::vector<char> uncovered;           ///< diagonal of the eighth operator: 1 where no finer level covers the cell
+  std::array<GradientAxis, 3> gradient;  ///< empty until assemble_gradient
+
+  Crs const& composite() const { return own_composite ? *own_composite : no_fine; }
+  LocalIndex rows() const { return level->local_cells(); }
+  std::size_t bytes() const;
+};
+
+/// A column of levels for which operators are made, coarse to fine: multigrid levels, each of which covers the domain,
+/// up to and including the base, then the refinement levels.
+struct LevelStack {
+  std::vector<std::shared_ptr<Level const>> levels;
+  std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
+  std::vector<WallGhosts> walls;
+  std::array<std::array<Boundary, 2>, 3> boundary;
+  std::size_t base = 0;  ///< the base level's place
+
+  bool refines(std::size_t l) const { return l > base && l < levels.size(); }
+};
+
+/// The refinement levels alone. Multigrid levels are put below them by `coarsen_below`.
+LevelStack stack_of(Hierarchy const& hierarchy);
+
+/// All operators of a stack but the gradient, counted and filled directly. Collective.
+std::vector<LevelOperators> assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation);
+
+/// Add the three axes of the gradient to the operators of a stack. Local.
+void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& operators);
+
+}  // namespace amrpic

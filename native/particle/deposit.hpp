@@ -1,0 +1,19 @@
+#pragma once
+
+#include "mesh/field.hpp"
+#include "particle/particle_mesh.hpp"
+#include "particle/view.hpp"
+
+namespace amrpic {
+
+/// Set `density` to the charge density of the particles in C/m³; covered cells hold the mean of their children.
+/// Collective.
+///
+/// `charge` is that of one real particle. Particles are sorted by slot: those of slot s are starts[s] to starts[s + 1].
+/// Where a cloud leaves its level, the coarser cell there takes the share; the share of a covered cell is dealt out
+/// equally to its children; what overhangs a wall is folded onto the wall cell. So the total charge is kept to
+/// rounding. Throws std::out_of_range, on all ranks, if a particle lies outside the box it is sorted into.
+void deposit(ParticleMesh const& mesh, ParticleView const& particles, std::int64_t const* starts, Real charge,
+             Field& density);
+
+}  // namespace amrpic

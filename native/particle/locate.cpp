@@ -1,0 +1,80 @@
+#include "particle/locate.hpp"
+
+#include <cmath>
+
+namespace amrpic {
+
+Locator::Locator(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std::move(hierarchy)), block_shift_(-1) {
+  Domain const& domain = hierarchy_->domain();
+  for (int d = 0; d < 3; ++d) {
+    lower_[d] = domain.lower[d];
+    length_[d] = domain.upper[d] - domain.lower[d];
+    cells_per_metre_[d] = 1 / domain.spacing(d);
+  }
+  for (int block = hierarchy_->blocking_factor(); block > 1; block /= 2) ++block_shift_;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    children_.emplace_back(std::size_t(hierarchy_->level(l).box_count()));
+}
+
+bool Locator::wrap(Real3& x) const {
+  auto const inside = [&](int d) {
+    Real const s = (x[d] - lower_[d]) * cells_per_metre_[d];
+    return s >= 0 && s < hierarchy_->domain().cells[d];
+  };
+  for (int d = 0; d < 3; ++d) {
+    if (inside(d)) continue;
+    if (!hierarchy_->domain().periodic(d)) return false;
+    Real const rest = std::fmod(x[d] - lower_[d], length_[d]);
+    x[d] = lower_[d] + (rest < 0 ? rest + length_[d] : rest);
+    if (!inside(d)) x[d] = lower_[d];  // rounded onto the upper face, which is the lower one
+  }
+  return true;
+}
+
+Home Locator::find(Real3 const& x, Home const& hint) {
+  auto const cell_on = [&](int level) {
+    Real3 const s = coordinate(x, level);
+    return Index3{int(s[0]), int(s[1]), int(s[2])};
+  };
+  Home home{hint.level, hint.box, -1};
+  Index3 cell = cell_on(home.level);
+  if (home.box < 0 || !hierarchy_->level(home.level).box(home.box).contains(cell)) {
+    home.level = 0;
+    cell = cell_on(0);
+    home.box = hierarchy_->level(0).find(cell);
+  }
+  for (int child = child_box(home.level, home.box, cell); child >= 0; child = child_box(home.level, home.box, cell)) {
+    home.box = child;
+    cell = cell_on(++home.level);
+  }
+  home.cell = LocalIndex(hierarchy_->level(home.level).box(home.box).offset(cell));
+  return home;
+}
+
+int Locator::child_box(int level, int box, Index3 const& cell) {
+  if (!hierarchy_->has_finer(level)) return -1;
+  std::vector<int>& children = children_[level][box];
+  if (children.empty()) children = make_children(level, box);
+  if (children.size() == 1) return children[0];
+  Box const& parent = hierarchy_->level(level).box(box);
+  auto const block = [&](int d) { return (cell[d] - parent.lower[d]) >> block_shift_; };
+  auto const blocks = [&](int d) { return parent.extent(d) >> block_shift_; };
+  return children[std::size_t(block(0) + blocks(0) * (block(1) + blocks(1) * block(2)))];
+}
+
+std::vector<int> Locator::make_children(int level, int box) const {
+  int const size = 1 << block_shift_;
+  Box const blocks = hierarchy_->level(level).box(box).coarsen({size, size, size});
+  std::vector<int> out(std::size_t(blocks.cells()), -1);
+  bool any = false;
+  // Boxes start and end on block faces, so a block lies in one box or in none.
+  hierarchy_->level(level + 1).for_each_overlap(
+      blocks.refine({2 * size, 2 * size, 2 * size}), [&](int child, Box const& part, Index3 const&) {
+        any = true;
+        for_each_cell(part.coarsen({2 * size, 2 * size, 2 * size}),
+                      [&](Index3 const& b) { out[std::size_t(blocks.offset(b))] = child; });
+      });
+  return any ? out : std::vector<int>{-1};
+}
+
+}  // namespace amrpic

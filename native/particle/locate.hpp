@@ -1,0 +1,53 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "mesh/hierarchy.hpp"
+
+namespace amrpic {
+
+/// Where a particle lives: the finest box that holds it, and the cell in that box (x fastest).
+struct Home {
+  int level = 0;
+  int box = -1;
+  LocalIndex cell = -1;
+};
+
+/// Finds the homes of points.
+///
+/// A point on a face belongs to the cell above it. All levels take their cells from the same base coordinate, scaled by
+/// powers of two, so levels cannot disagree by rounding about who holds a point.
+class Locator {
+ public:
+  explicit Locator(std::shared_ptr<Hierarchy const> hierarchy);
+
+  Hierarchy const& hierarchy() const { return *hierarchy_; }
+
+  /// Bring a point into the domain along periodic axes; false if it lies outside along another axis.
+  bool wrap(Real3& x) const;
+
+  /// Home of a point inside the domain. `hint` is tried first: neighbours in memory are mostly neighbours in space.
+  Home find(Real3 const& x, Home const& hint = {});
+
+  /// A point's coordinate on a level in cell widths, from the lower corner of the domain.
+  Real3 coordinate(Real3 const& x, int level) const {
+    Real const scale = Real(1 << level);
+    Real3 out;
+    for (int d = 0; d < 3; ++d) out[d] = (x[d] - lower_[d]) * cells_per_metre_[d] * scale;
+    return out;
+  }
+
+ private:
+  int child_box(int level, int box, Index3 const& cell);
+  std::vector<int> make_children(int level, int box) const;
+
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  Real3 lower_, length_, cells_per_metre_;
+  int block_shift_;  ///< a block of the finer level covers 2^block_shift_ cells along an axis
+  /// children_[level][box]: box of the finer level, or -1, for each block; empty until asked for, one -1 if none is
+  /// finer.
+  std::vector<std::vector<std::vector<int>>> children_;
+};
+
+}  // namespace amrpic

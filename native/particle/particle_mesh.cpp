@@ -1,0 +1,95 @@
+#include "particle/particle_mesh.hpp"
+
+#include <algorithm>
+#include <stdexcept>
+
+#include "mesh/window.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// Surroundings by global numbers, before it is known where the ghosts are kept.
+struct Numbered {
+  std::vector<GlobalIndex> shell;  ///< number, or ~n with n the place of the parent in the window of parents
+  Box parents;
+  std::vector<GlobalIndex> coarse;  ///< `no_cell`: not needed
+};
+
+/// Mark the coarse cells from which deposit and gather at a cell beyond the edge of its level take or give.
+void mark_coarse(Numbered& out, Window<GlobalIndex> const& numbers, Level const& coarser, Index3 const& cell) {
+  Index3 const parent = cell_parent(cell), other = nearest_other_parent(cell);
+  for (int corner = 0; corner < 8; ++corner) {
+    Index3 c;
+    for (int d = 0; d < 3; ++d) c[d] = (corner >> d) & 1 ? other[d] : parent[d];
+    c = fold_at_walls(c, coarser);
+    if (numbers(c) == no_cell)
+      throw std::logic_error("cell " + to_string(c) + " beside a finer level does not exist, although levels nest");
+    out.coarse[std::size_t(out.parents.offset(c))] = numbers(c);
+  }
+}
+
+Numbered number_surroundings(Hierarchy const& hierarchy, int l, int b) {
+  Level const& level = hierarchy.level(l);
+  Box const& box = level.box(b);
+  auto const numbers = cell_numbers(level, box.grow(tile_reach));
+  Numbered out;
+  std::vector<Index3> beyond;  // shell cells that the level lacks
+  for_each_shell_row(box, [&](int first, int last, int j, int k) {
+    for (int i = first; i <= last; ++i) {
+      Index3 const cell = fold_at_walls({i, j, k}, level);
+      out.shell.push_back(numbers(cell));
+      if (numbers(cell) == no_cell) beyond.push_back(cell);
+    }
+  });
+  if (beyond.empty()) return out;
+
+  Level const& coarser = hierarchy.level(l - 1);
+  out.parents = box.coarsen(refinement_ratio).grow(1);
+  out.coarse.assign(std::size_t(out.parents.cells()), no_cell);
+  auto const coarse_numbers = cell_numbers(coarser, out.parents);
+  auto cell = beyond.begin();
+  for (GlobalIndex& number : out.shell)
+    if (number == no_cell) {
+      mark_coarse(out, coarse_numbers, coarser, *cell);
+      number = ~out.parents.offset(cell_parent(*cell++));
+    }
+  return out;
+}
+
+std::vector<LocalIndex> places(std::vector<GlobalIndex> const& numbers, Exchange const& exchange) {
+  std::vector<LocalIndex> out(numbers.size());
+  std::transform(numbers.begin(), numbers.end(), out.begin(),
+                 [&](GlobalIndex n) { return n < 0 ? LocalIndex(n) : exchange.local(n); });
+  return out;
+}
+
+}  // namespace
+
+ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
+    : hierarchy_(std::move(hierarchy)), locator_(hierarchy_), transfer_(hierarchy_) {
+  int const levels = hierarchy_->level_count();
+  std::vector<Numbered> numbered;
+  std::vector<std::vector<GlobalIndex>> read(static_cast<std::size_t>(levels));
+  for (int l = 0; l < levels; ++l) {
+    first_slot_.push_back(int(boxes_.size()));
+    Level const& level = hierarchy_->level(l);
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      numbered.push_back(number_surroundings(*hierarchy_, l, b));
+      std::vector<GlobalIndex> const &shell = numbered.back().shell, &coarse = numbered.back().coarse;
+      read[l].insert(read[l].end(), shell.begin(), shell.end());
+      if (l > 0) read[l - 1].insert(read[l - 1].end(), coarse.begin(), coarse.end());
+      boxes_.push_back({l, b, {}, numbered.back().parents, {}});
+    }
+  }
+  for (int l = 0; l < levels; ++l) {
+    Level const& level = hierarchy_->level(l);
+    exchanges_.emplace_back(hierarchy_->comm(), level, remote_cells(level, std::move(read[l])));
+  }
+  for (std::size_t s = 0; s < boxes_.size(); ++s) {
+    boxes_[s].shell = places(numbered[s].shell, exchanges_[boxes_[s].level]);
+    if (boxes_[s].level > 0) boxes_[s].coarse = places(numbered[s].coarse, exchanges_[boxes_[s].level - 1]);
+  }
+}
+
+}  // namespace amrpic

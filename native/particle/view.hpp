@@ -1,0 +1,22 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "base/types.hpp"
+
+namespace amrpic {
+
+/// Particles in memory that others own: one array per component.
+struct ParticleView {
+  std::int64_t count;
+  std::array<Real*, 3> position;  ///< m
+  std::array<Real*, 3> momentum;  ///< kg m/s, of one real particle
+  Real* weight;                   ///< real particles per macroparticle
+  std::int64_t* id;
+
+  Real3 at(std::int64_t i) const { return {position[0][i], position[1][i], position[2][i]}; }
+  Real3 momentum_at(std::int64_t i) const { return {momentum[0][i], momentum[1][i], momentum[2][i]}; }
+};
+
+}  // namespace amrpic

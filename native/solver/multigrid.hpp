@@ -1,0 +1,66 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "operators/operators.hpp"
+#include "solver/bottom.hpp"
+#include "solver/options.hpp"
+#include "solver/stopwatch.hpp"
+
+namespace amrpic {
+
+/// One level of the cycle: its operators, and vectors that are allocated once.
+class MultigridLevel {
+ public:
+  MultigridLevel(LevelOperators const& operators, SolverOptions const& options);
+
+  /// From a zero correction: smooth, then leave the right-hand side of the coarser level. Collective.
+  ///
+  /// Covered coarse cells receive the mean of the remaining residual; uncovered ones beside this level lose what the
+  /// correction sends through the common faces.
+  void pre_smooth_and_restrict(MultigridLevel& coarser);
+
+  /// Add the coarser level's correction, take its part of the ghosts into account, smooth. Collective.
+  void prolong_and_post_smooth(MultigridLevel const& coarser);
+
+  LevelOperators const& operators() const { return operators_; }
+  std::vector<Real>& right_hand_side() { return right_hand_side_; }  ///< own cells
+  std::vector<Real>& correction() { return correction_; }            ///< own cells and ghosts
+  std::vector<Real> const& correction() const { return correction_; }
+
+ private:
+  void smooth_from_zero();
+  void smooth(int sweeps);
+  void relax(std::vector<LocalIndex> const& rows);
+
+  LevelOperators const& operators_;
+  int pre_sweeps_, post_sweeps_;
+  Real relaxation_;
+  std::array<std::vector<LocalIndex>, 2> colour_;  ///< rows with even and odd i + j + k
+  std::vector<Real> right_hand_side_, correction_, residual_;
+};
+
+/// The V-cycle over refinement levels and multigrid levels alike, for corrections in residual form.
+class Multigrid {
+ public:
+  Multigrid(MPI_Comm comm, std::vector<LevelOperators> const& operators, bool singular, SolverOptions const& options);
+
+  MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
+  std::size_t finest() const { return levels_.size() - 1; }
+
+  /// One V-cycle for the corrections from the finest level down; reads every refinement level's right-hand side.
+  /// Collective.
+  void cycle() { cycle(finest()); }
+
+  Stopwatch& stopwatch() { return stopwatch_; }
+
+ private:
+  void cycle(std::size_t l);
+
+  std::vector<MultigridLevel> levels_;
+  Bottom bottom_;
+  Stopwatch stopwatch_;
+};
+
+}  // namespace amrpic

@@ -1,0 +1,338 @@
+#include "solver/poisson.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <sstream>
+
+#include "base/error.hpp"
+#include "base/rows.hpp"
+#include "solver/coarsening.hpp"
+
+namespace amrpic {
+
+namespace {
+
+Real global(MPI_Comm comm, Real value, MPI_Op op) {
+  MPI_Allreduce(MPI_IN_PLACE, &value, 1, MPI_DOUBLE, op, comm);
+  return value;
+}
+
+std::string scientific(Real value) {
+  std::ostringstream out;
+  out.precision(2);
+  out << std::scientific << value;
+  return out.str();
+}
+
+freespace::Lattice lattice_of(Hierarchy const& hierarchy) {
+  return {hierarchy.domain().lower, hierarchy.level(0).spacing(), hierarchy.domain().cells};
+}
+
+}  // namespace
+
+PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options)
+    : hierarchy_(std::move(hierarchy)),
+      options_(options),
+      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size())),
+      operators_(assemble(hierarchy_->comm(), stack_, options.prolongation)),
+      transfer_(hierarchy_),
+      multigrid_(hierarchy_->comm(), operators_, hierarchy_->domain().singular(), options) {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    LevelOperators const& o = operators(l);
+    state_.push_back({std::vector<Real>(std::size_t(o.rows()) + std::size_t(o.halo.ghosts())),
+                      std::vector<Real>(std::size_t(o.rows()))});
+    walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
+  }
+  if (hierarchy_->domain().has(Boundary::open))
+    free_space_ = std::make_unique<freespace::FreeSpace>(hierarchy_->comm(), lattice_of(*hierarchy_));
+}
+
+template <class F>
+void PoissonSolver::for_each_uncovered(int l, F&& f) const {
+  LevelOperators const& o = operators(l);
+  for (LocalIndex row = 0; row < o.rows(); ++row)
+    if (o.uncovered[row]) f(row);
+}
+
+/// The chosen norm over uncovered cells of the whole hierarchy of value(level, row); nan if one is.
+template <class Value>
+Real PoissonSolver::norm(Value&& value) const {
+  bool const largest = options_.norm == Norm::max;
+  Real result = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Real const volume = hierarchy_->level(l).cell_volume();
+    for_each_uncovered(l, [&](LocalIndex row) {
+      Real const v = std::abs(value(l, row));
+      if (largest)
+        result = v <= result || std::isnan(result) ? result : v;  // a nan stays
+      else
+        result += volume * (options_.norm == Norm::l1 ? v : v * v);
+    });
+  }
+  // MPI_MAX may drop a nan
+  Real const bad = global(hierarchy_->comm(), std::isfinite(result) ? 0.0 : 1.0, MPI_MAX);
+  if (bad > 0) return std::numeric_limits<Real>::quiet_NaN();
+  result = global(hierarchy_->comm(), result, largest ? MPI_MAX : MPI_SUM);
+  return options_.norm == Norm::l2 ? std::sqrt(result) : result;
+}
+
+/// Integral of the right-hand side, or of its magnitude, over uncovered cells.
+Real PoissonSolver::composite_integral(bool magnitude) const {
+  Real sum = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Real const volume = hierarchy_->level(l).cell_volume();
+    for_each_uncovered(l, [&](LocalIndex row) {
+      Real const f = state_[l].right_hand_side[row];
+      sum += volume * (magnitude ? std::abs(f) : f);
+    });
+  }
+  return global(hierarchy_->comm(), sum, MPI_SUM);
+}
+
+/// Size of the largest single term in the residual: what rounding is relative to.
+Real PoissonSolver::largest_phi_term() const {
+  return norm([&](int l, LocalIndex row) {
+    Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
+    return diagonal * state_[l].phi[row];
+  });
+}
+
+void PoissonSolver::set_open_walls(Field const& rho) {
+  Domain const& domain = hierarchy_->domain();
+  std::vector<freespace::ChargeBox> charges;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Level const& level = hierarchy_->level(l);
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      Box const box = level.box(b);
+      freespace::ChargeBox charge{l, box.lower, box.upper, &rho.level(l)[level.local_offset(b)],
+                                  level.cell_volume() / vacuum_permittivity};
+      if (hierarchy_->has_finer(l))
+        hierarchy_->level(l + 1).for_each_overlap(box.refine(refinement_ratio),
+                                                  [&](int, Box const& part, Index3 const&) {
+                                                    Box const covered = part.coarsen(refinement_ratio);
+                                                    charge.covered.push_back({covered.lower, covered.upper});
+                                                  });
+      charges.push_back(std::move(charge));
+    }
+  }
+  free_space_->set_charges(charges);
+
+  std::array<bool, 6> open;
+  for (int face = 0; face < 6; ++face) open[face] = domain.boundary[face / 2][face % 2] == Boundary::open;
+  auto const planes = free_space_->wall_planes(open);
+  std::vector<freespace::PointTarget> targets;
+  std::vector<Real*> datum;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    for (std::size_t i = 0; i < walls_[l].faces.size(); ++i) {
+      auto const& face = walls_[l].faces[i];
+      if (face.kind != Boundary::open) continue;
+      if (l == 0) {
+        auto const [u, v] = tangential_axes(face.axis);
+        walls_[0].datum[i] =
+            planes[2 * face.axis + face.side][std::size_t(face.cell[u]) + std::size_t(domain.cells[u]) * face.cell[v]];
+      } else {
+        targets.push_back({walls_[l].position(domain, hierarchy_->level(l), i), l});
+        datum.push_back(&walls_[l].datum[i]);
+      }
+    }
+  auto const values = free_space_->potential(targets);
+  for (std::size_t t = 0; t < values.size(); ++t) *datum[t] = values[t];
+}
+
+void PoissonSolver::set_right_hand_side(Field const& rho) {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    auto& f = state_[l].right_hand_side;
+    auto const& density = rho.level(l);
+    for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = -density[row] / vacuum_permittivity; });
+    subtract_from_laplacian(walls_[l], operators(l).walls, hierarchy_->level(l).spacing(), f);
+  }
+}
+
+/// Where constants are in the null space, only a right-hand side without mean has a solution.
+void PoissonSolver::remove_net_charge() {
+  Real volume = 1;
+  for (int d = 0; d < 3; ++d) volume *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];
+  Real const net = composite_integral(false), magnitude = composite_integral(true);
+  if (!options_.neutralize && std::abs(net) > 1e-10 * magnitude)
+    throw SolverError("all faces are periodic or Neumann, but the net charge (with the flux through the walls) is " +
+                      scientific(-net * vacuum_permittivity) +
+                      " C, which no potential can balance; make it zero, ask for background = \"neutralizing\", or "
+                      "give one face a potential");
+  // Twice: what rounding leaves of a large uniform background is a mean that no potential can balance, and it would
+  // stop the residual where little else remains, as between two swings of a plasma.
+  for (int pass = 0; pass < 2; ++pass) {
+    Real const mean = composite_integral(false) / volume;
+    for (int l = 0; l < hierarchy_->level_count(); ++l)
+      for (Real& f : state_[l].right_hand_side) f -= mean;
+  }
+}
+
+/// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
+/// face may be a covered one.
+void PoissonSolver::average_down_phi() {
+  for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
+    if (hierarchy_->has_finer(l)) {
+      Crs const& restriction = operators(l).restriction;
+      restriction.for_each_row([&](LocalIndex row) {
+        if (!operators(l).uncovered[row]) state_[l].phi[row] = restriction.dot(row, state_[l + 1].phi.data());
+      });
+    }
+    operators(l).halo.update(state_[l].phi.data());
+  }
+}
+
+/// Composite residual of the uncovered cells, into the right-hand sides of the cycle.
+void PoissonSolver::compute_residual() {
+  int const levels = hierarchy_->level_count();
+  average_down_phi();
+  for (int l = 0; l < levels; ++l) {
+    LevelOperators const& o = operators(l);
+    Real const* const phi = state_[l].phi.data();
+    auto const& f = state_[l].right_hand_side;
+    auto& r = cycle_level(l).right_hand_side();
+    for_rows(o.rows(),
+             [&, phi](LocalIndex row) { r[row] = o.uncovered[row] ? f[row] - o.composite().dot(row, phi) : 0.0; });
+    if (l > 0) add_multiply(-1.0, o.coarse_boundary, state_[l - 1].phi.data(), r.data());
+    if (l + 1 < levels) add_multiply(-1.0, o.fine_boundary, state_[l + 1].phi.data(), r.data());
+  }
+}
+
+Real PoissonSolver::residual_norm() {
+  return norm([&](int l, LocalIndex row) { return cycle_level(l).right_hand_side()[row]; });
+}
+
+void PoissonSolver::correct() {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    auto& phi = state_[l].phi;
+    auto const& correction = cycle_level(l).correction();
+    for_rows(operators(l).rows(), [&](LocalIndex row) { phi[row] += correction[row]; });
+  }
+}
+
+/// Take the mean over the domain away from phi, where the boundary leaves it free.
+void PoissonSolver::fix_constant() {
+  Real sum = 0, volume = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    for_each_uncovered(l, [&](LocalIndex row) {
+      sum += hierarchy_->level(l).cell_volume() * state_[l].phi[row];
+      volume += hierarchy_->level(l).cell_volume();
+    });
+  Real const mean = global(hierarchy_->comm(), sum, MPI_SUM) / global(hierarchy_->comm(), volume, MPI_SUM);
+  for (auto& state : state_)
+    for (Real& phi : state.phi) phi -= mean;
+}
+
+void PoissonSolver::iterate(SolveReport& report) {
+  Real const size = norm([&](int l, LocalIndex row) { return state_[l].right_hand_side[row]; });
+  if (!std::isfinite(size))
+    throw SolverError(
+        "the charge density or the boundary data hold values that are not finite; look for the step that made them");
+  auto finish = [&](bool converged, std::string reason) {
+    report.converged = converged;
+    report.reason = std::move(reason);
+  };
+  if (size == 0) {
+    for (auto& state : state_) std::fill(state.phi.begin(), state.phi.end(), 0.0);
+    report.residuals.push_back(0);
+    return finish(true, "the right-hand side is zero");
+  }
+  int slow = 0, stuck = 0;  // cycles in a row that halved the residual not even once, or hardly moved it
+  for (;; ++report.cycles) {
+    stopwatch_.time("residual", [&] { compute_residual(); });
+    Real const residual = residual_norm() / size;
+    report.residuals.push_back(residual);
+    if (residual <= options_.tolerance) return finish(true, "tolerance reached");
+    if (!std::isfinite(residual) && report.cycles == 0)
+      throw SolverError("the guess holds values that are not finite; solve without one");
+    if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
+    if (residual > 1e6 * std::max(report.residuals.front(), Real(1))) return finish(false, "the cycles diverge");
+    if (report.cycles > 0) {
+      Real const factor = residual / report.residuals[report.residuals.size() - 2];
+      slow = factor > 0.5 ? slow + 1 : 0;
+      stuck = factor > 0.98 ? stuck + 1 : 0;
+    }
+    if (slow >= 2) {
+      report.floor = std::numeric_limits<Real>::epsilon() * largest_phi_term() / size;
+      if (residual <= 10 * report.floor)
+        return finish(options_.tolerance <= 10 * report.floor,
+                      "rounding floor of about " + scientific(report.floor) + " reached");
+    }
+    if (stuck >= 5) return finish(false, "the residual no longer falls");
+    if (report.cycles == options_.max_cycles)
+      return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
+    multigrid_.cycle();
+    correct();
+  }
+}
+
+SolveReport PoissonSolver::solve(Field const& rho, Field& phi) {
+  SolveReport report;
+  stopwatch_.reset();
+  multigrid_.stopwatch().reset();
+  if (free_space_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
+  set_right_hand_side(rho);
+  bool const singular = hierarchy_->domain().singular();
+  if (singular) remove_net_charge();
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    std::copy(phi.level(l).begin(), phi.level(l).end(), state_[l].phi.begin());
+
+  iterate(report);
+
+  if (singular) fix_constant();
+  average_down_phi();
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    std::copy(state_[l].phi.begin(), state_[l].phi.begin() + operators(l).rows(), phi.level(l).begin());
+  report.seconds = stopwatch_.seconds();
+  for (auto const& [stage, seconds] : multigrid_.stopwatch().seconds()) report.seconds[stage] = seconds;
+  return report;
+}
+
+LevelOperators const& PoissonSolver::operators_with_gradient(int level) {
+  if (!has_gradient_) {
+    assemble_gradient(stack_, operators_);
+    has_gradient_ = true;
+    ++assemblies_;
+  }
+  return operators(level);
+}
+
+void PoissonSolver::electric_field(Field const& phi, std::vector<Field*> const& components) {
+  int const levels = hierarchy_->level_count();
+  operators_with_gradient(0);
+  for (int l = 0; l < levels; ++l) {
+    std::copy(phi.level(l).begin(), phi.level(l).end(), state_[l].phi.begin());
+    operators(l).halo.update(state_[l].phi.data());
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    for (int l = 0; l < levels; ++l) {
+      LevelOperators const& o = operators(l);
+      auto& e = components[axis]->level(l);
+      multiply(o.gradient[axis].own, state_[l].phi.data(), e.data());
+      if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, state_[l - 1].phi.data(), e.data());
+      if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, state_[l + 1].phi.data(), e.data());
+      add_to_field(walls_[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, e);
+    }
+  }
+  transfer_.average_down(components);
+}
+
+std::int64_t PoissonSolver::messages() const {
+  std::int64_t sum = 0;
+  for (auto const& o : operators_) sum += o.halo.messages() + o.stencil_halo.messages();
+  return sum;
+}
+
+std::int64_t PoissonSolver::message_bytes() const {
+  std::int64_t sum = 0;
+  for (auto const& o : operators_) sum += o.halo.bytes() + o.stencil_halo.bytes();
+  return sum;
+}
+
+std::size_t PoissonSolver::operator_bytes() const {
+  std::size_t sum = 0;
+  for (auto const& o : operators_) sum += o.bytes();
+  return sum;
+}
+
+}  // namespace amrpic

@@ -1,0 +1,92 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "freespace/free_space.hpp"
+#include "mesh/field.hpp"
+#include "mesh/transfer.hpp"
+#include "solver/multigrid.hpp"
+#include "solver/walls.hpp"
+
+namespace amrpic {
+
+constexpr Real vacuum_permittivity = 8.8541878188e-12;  ///< F/m, CODATA 2022
+
+/// How a solve went.
+struct SolveReport {
+  bool converged = false;
+  int cycles = 0;
+  std::vector<Real> residuals;  ///< before the first cycle and after each, relative to the right-hand side
+  Real floor = 0;               ///< estimate of the relative residual that rounding alone leaves
+  std::string reason;
+  std::map<std::string, Real> seconds;
+};
+
+/// Solves Laplace phi = -rho / eps0 over all levels of a hierarchy at once. Set up once per hierarchy, solved many
+/// times.
+class PoissonSolver {
+ public:
+  /// Collective.
+  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options);
+  PoissonSolver(PoissonSolver const&) = delete;  // the cycle refers to the operators
+  PoissonSolver& operator=(PoissonSolver const&) = delete;
+
+  /// The wall faces of a level on this rank; their Dirichlet and Neumann data may be set before a solve.
+  Walls& walls(int level) { return walls_[level]; }
+
+  /// Fill phi (V) from rho (C/m^3), starting from what phi holds. Covered cells of phi hold the mean of their children.
+  /// Throws SolverError for a charge that no potential can balance. Collective.
+  SolveReport solve(Field const& rho, Field& phi);
+
+  /// Fill the three components of -grad phi (V/m); walls count with the data of the latest solve. Collective.
+  void electric_field(Field const& phi, std::vector<Field*> const& components);
+
+  Hierarchy const& hierarchy() const { return *hierarchy_; }
+  LevelOperators const& operators(int level) const { return operators_[stack_.base + level]; }
+  LevelOperators const& operators_with_gradient(int level);
+
+  std::int64_t assemblies() const { return assemblies_; }  ///< operator assemblies so far
+  std::int64_t messages() const;                           ///< halo messages sent by this rank so far
+  std::int64_t message_bytes() const;
+  std::size_t operator_bytes() const;  ///< of this rank's CRS storage
+
+ private:
+  struct LevelState {
+    std::vector<Real> phi;              ///< own cells and ghosts
+    std::vector<Real> right_hand_side;  ///< f = -rho / eps0 minus what walls add
+  };
+  MultigridLevel& cycle_level(int l) { return multigrid_.level(stack_.base + std::size_t(l)); }
+  template <class F>
+  void for_each_uncovered(int l, F&& f) const;
+  template <class Value>
+  Real norm(Value&& value) const;
+  Real composite_integral(bool magnitude) const;
+  Real largest_phi_term() const;
+
+  void set_open_walls(Field const& rho);
+  void set_right_hand_side(Field const& rho);
+  void remove_net_charge();
+  void average_down_phi();
+  void compute_residual();
+  Real residual_norm();
+  void correct();
+  void fix_constant();
+  void iterate(SolveReport& report);
+
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  SolverOptions options_;
+  LevelStack stack_;
+  std::vector<LevelOperators> operators_;
+  Transfer transfer_;
+  Multigrid multigrid_;
+  std::vector<LevelState> state_;
+  std::vector<Walls> walls_;
+  std::unique_ptr<freespace::FreeSpace> free_space_;
+  Stopwatch stopwatch_;
+  bool has_gradient_ = false;
+  std::int64_t assemblies_ = 1;
+};
+
+}  // namespace amrpic

@@ -1,0 +1,55 @@
+#include "solver/walls.hpp"
+
+namespace amrpic {
+
+Real3 Walls::position(Domain const& domain, Level const& level, std::size_t face) const {
+  Face const& f = faces[face];
+  Real3 x;
+  for (int d = 0; d < 3; ++d) x[d] = domain.lower[d] + (f.cell[d] + 0.5) * level.spacing()[d];
+  Real const out = f.side == 0 ? -1 : 1;
+  if (f.kind == Boundary::open)
+    x[f.axis] += out * level.spacing()[f.axis];
+  else
+    x[f.axis] = f.side == 0 ? domain.lower[f.axis] : domain.upper[f.axis];
+  return x;
+}
+
+Walls find_walls(Domain const& domain, Level const& level) {
+  Walls out;
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      Boundary const kind = domain.boundary[axis][side];
+      if (kind == Boundary::periodic) continue;
+      int const at = side == 0 ? level.domain().lower[axis] : level.domain().upper[axis];
+      for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+        Box layer = level.box(b);
+        if (at < layer.lower[axis] || at > layer.upper[axis]) continue;
+        layer.lower[axis] = layer.upper[axis] = at;
+        for_each_cell(layer, [&](Index3 const& cell) {
+          out.faces.push_back({level.local_offset(b) + LocalIndex(level.box(b).offset(cell)), cell, axis, side, kind});
+        });
+      }
+    }
+  out.datum.assign(out.faces.size(), 0.0);
+  return out;
+}
+
+void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, std::vector<Real>& f) {
+  for (std::size_t i = 0; i < walls.faces.size(); ++i) {
+    auto const& face = walls.faces[i];
+    Real const h = spacing[face.axis];
+    f[face.row] -= ghosts[face.axis][face.side].datum * walls.datum[i] / h / h;
+  }
+}
+
+void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
+                  std::vector<char> const& uncovered, std::vector<Real>& e) {
+  for (std::size_t i = 0; i < walls.faces.size(); ++i) {
+    auto const& face = walls.faces[i];
+    if (face.axis != axis || !uncovered[face.row]) continue;
+    Real const outward = ghosts[axis][face.side].datum * walls.datum[i] / spacing[axis];
+    e[face.row] += (face.side == 0 ? 0.5 : -0.5) * outward;
+  }
+}
+
+}  // namespace amrpic

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <vector>
+
+#include "mesh/hierarchy.hpp"
+#include "operators/operators.hpp"
+
+namespace amrpic {
+
+/// The wall faces of this rank's cells of a level, and the datum given on each: a potential (V) on the face for
+/// Dirichlet, an outward derivative (V/m) on the face for Neumann, the potential (V) at the ghost centre for open.
+struct Walls {
+  struct Face {
+    LocalIndex row;
+    Index3 cell;
+    int axis, side;
+    Boundary kind;
+  };
+  std::vector<Face> faces;
+  std::vector<Real> datum;  ///< one per face
+
+  /// Where a face's datum is taken, in m.
+  Real3 position(Domain const& domain, Level const& level, std::size_t face) const;
+};
+
+/// The wall faces of a level, with zero data.
+Walls find_walls(Domain const& domain, Level const& level);
+
+/// f -= what the data add to the Laplacian.
+void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, std::vector<Real>& f);
+
+/// e += what the data add to -grad phi along an axis, in cells where `uncovered`.
+void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
+                  std::vector<char> const& uncovered, std::vector<Real>& e);
+
+}  // namespace amrpic

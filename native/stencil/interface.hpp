@@ -1,0 +1,101 @@
+#pragma once
+
+#include <array>
+#include <utility>
+
+#include "base/types.hpp"
+
+namespace amrpic {
+
+/// Along the normal of a coarse-fine face a fine ghost is quadratic: with the fine cells at -1/2 (phi_1) and -3/2
+/// (phi_2) and the coarse value phi* at +1 fine cell widths from the face, the parabola gives at +1/2 ghost = 8/15 phi*
+/// + 2/3 phi_1 - 1/5 phi_2.
+namespace interface_ghost {
+constexpr Real coarse = 8.0 / 15.0;
+constexpr Real first = 2.0 / 3.0;
+constexpr Real second = -1.0 / 5.0;
+}  // namespace interface_ghost
+
+/// How phi* was found; the first that fits is taken, in this order.
+enum class PlaneFitKind { biquadratic, bilinear, two_lines, one_line, single };
+
+/// phi* as a sum over coarse cells of the interface plane: offsets from the cell behind the ghost, and weights.
+struct PlaneFit {
+  struct Term {
+    int i, j;  ///< along the lower and the higher tangential axis
+    Real weight;
+  };
+  std::array<Term, 9> terms;
+  int count = 0;
+  PlaneFitKind kind = PlaneFitKind::single;
+  int placement = 0;  ///< which of the placements of its kind
+
+  void add(int i, int j, Real weight) { terms[count++] = {i, j, weight}; }
+};
+
+/// Lagrange weight of node `first + m` of `count` neighbouring integer nodes, at x.
+constexpr Real lagrange(int first, int count, int m, Real x) {
+  Real weight = 1;
+  for (int k = 0; k < count; ++k)
+    if (k != m) weight *= (x - (first + k)) / Real(m - k);
+  return weight;
+}
+
+/// Bit of the coarse cell at offset (i, j), each in -2 .. 2.
+constexpr unsigned plane_bit(int i, int j) { return 1u << (5 * (i + 2) + (j + 2)); }
+
+constexpr unsigned plane_block(int i, int j, int size) {
+  unsigned mask = 0;
+  for (int a = 0; a < size; ++a)
+    for (int b = 0; b < size; ++b) mask |= plane_bit(i + a, j + b);
+  return mask;
+}
+
+/// Lower corners of the nine 3 x 3 blocks, in the order in which they are tried (bit patterns 473536, 14798, 236768,
+/// 15153152, 947072, 29596, 7399, 7576576, 30306304), and of the four 2 x 2 blocks that follow.
+constexpr std::array<std::pair<int, int>, 9> biquadratic_corners{
+    {{-1, -1}, {-2, -1}, {-1, -2}, {0, -1}, {-1, 0}, {-2, 0}, {-2, -2}, {0, -2}, {0, 0}}};
+constexpr std::array<std::pair<int, int>, 4> bilinear_corners{{{-1, -1}, {0, -1}, {0, 0}, {-1, 0}}};
+
+/// The fit of phi* at (x, y) coarse cell widths from the coarse cell behind the ghost; `usable` tells which of the 25
+/// cells around it exist, lie inside the domain and are uncovered (that cell itself always is).
+///
+/// 2-D second-order Lagrange interpolation (Frey and Adelmann) where one of the nine blocks is complete; else bilinear;
+/// else the cell's value plus a linear change along each axis that has a neighbour (the upper one first); else the
+/// value alone.
+inline PlaneFit plane_fit(unsigned usable, Real x, Real y) {
+  PlaneFit fit;
+  auto tensor = [&](auto const& corners, int size, PlaneFitKind kind) {
+    for (std::size_t p = 0; p < corners.size(); ++p) {
+      auto const [i, j] = corners[p];
+      unsigned const block = plane_block(i, j, size);
+      if ((usable & block) != block) continue;
+      for (int a = 0; a < size; ++a)
+        for (int b = 0; b < size; ++b) fit.add(i + a, j + b, lagrange(i, size, a, x) * lagrange(j, size, b, y));
+      fit.kind = kind;
+      fit.placement = int(p);
+      return true;
+    }
+    return false;
+  };
+  if (tensor(biquadratic_corners, 3, PlaneFitKind::biquadratic)) return fit;
+  if (tensor(bilinear_corners, 2, PlaneFitKind::bilinear)) return fit;
+
+  int lines = 0;
+  fit.add(0, 0, 1.0);
+  auto line = [&](int i, int j, Real s) {
+    for (int side : {1, -1}) {
+      if (!(usable & plane_bit(side * i, side * j))) continue;
+      fit.add(side * i, side * j, side * s);
+      fit.terms[0].weight -= side * s;
+      ++lines;
+      return;
+    }
+  };
+  line(1, 0, x);
+  line(0, 1, y);
+  fit.kind = lines == 2 ? PlaneFitKind::two_lines : lines == 1 ? PlaneFitKind::one_line : PlaneFitKind::single;
+  return fit;
+}
+
+}  // namespace amrpic

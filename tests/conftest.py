@@ -1,0 +1,44 @@
+"""Fixtures of all tests, and the plugin that gives a test its MPI ranks.
+
+`@pytest.mark.mpi(ranks=(1, 2), timeout=60)` runs a test once per number of ranks, on as many processes.
+Such a test asks for the fixture `comm`; its `tmp_path` is one directory for all ranks.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mpi_batch
+import mpi_rank
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line(
+        "markers", "mpi(ranks=(1, 2), timeout=60): run on so many MPI ranks, each within the timeout"
+    )
+    plugin = mpi_rank.Rank(config) if mpi_rank.is_rank() else mpi_batch.Launcher(config)
+    config.pluginmanager.register(plugin, "amrpic-mpi")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    mark = metafunc.definition.get_closest_marker("mpi")
+    if mark is not None:
+        metafunc.fixturenames.append("ranks")
+        metafunc.parametrize("ranks", mpi_batch.rank_counts(mark), ids=lambda n: f"{n}r")
+
+
+@pytest.fixture
+def comm() -> Any:
+    """The communicator of all ranks of this test; outside `mark.mpi`, of this process alone."""
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
+
+
+@pytest.fixture
+def tmp_path(tmp_path: Path) -> Path:
+    """An empty directory, the same one on all ranks."""
+    return Path(mpi_rank.from_first(str(tmp_path))) if mpi_rank.is_rank() else tmp_path

@@ -1,0 +1,160 @@
+"""Who may know whom: the dependency graphs of the native folders and of the Python modules.
+
+Stages are functions from values to a value and do not know each other; only the step puts them in order.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# ---- native: folder -> folders it may include ----
+NATIVE = {
+    "base": set(),
+    "mesh": {"base"},
+    "stencil": {"mesh", "base"},
+    "operators": {"stencil", "mesh", "base"},
+    "freespace": {"mesh", "base"},
+    "solver": {"operators", "freespace", "stencil", "mesh", "base"},
+    "particle": {"mesh", "base"},
+    "bind": {"solver", "operators", "freespace", "particle", "stencil", "mesh", "base"},
+}
+
+# What may be named in some folders only.
+CONFINED = {
+    r'#include\s*[<"](nanobind|Python)': {"bind"},
+    r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
+    r"#include\s*<(Tpetra|Teuchos)": {"base", "operators", "solver"},
+    r"\bParameterList\b": {"solver"},
+    r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
+}
+
+# ---- Python: module -> groups and modules it may import; a folder counts as one module ----
+GROUPS = {
+    "common": {"boxes", "errors", "failure", "parallel", "stop", "units"},
+    "native": {"_native"},
+    "values": {"hierarchy", "field", "particles", "scene"},
+    "scene parts": {"bunches", "complaints", "limits", "section", "toml"},
+    "stages": {"beam", "tag", "regrid", "migrate", "deposit", "poisson", "gather", "push"},
+    "reductions": {"diagnostics"},
+    "output": {"io", "plot", "raster", "report"},
+    "order": {"step", "follow", "plan", "populate", "record", "resume", "simulation"},  # compose stages and output
+    "machine": {"doctor"},
+    "surface": {"cli", "__init__", "__main__"},
+}
+IMPORTS = {
+    "common": {"common", "native"},
+    "native": set(),
+    "values": {"common", "native", "values", "scene parts"},
+    "scene parts": {"common", "scene parts", "scene"},
+    "stages": {"common", "native", "values"},
+    "reductions": {"common", "native", "values"},
+    "output": {"common", "native", "values", "scene parts", "reductions", "output"},
+    "order": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order"},
+    "machine": {"common", "native", "values", "poisson"},
+    "surface": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order", "machine"},
+}
+
+
+def native_files() -> list[Path]:
+    return sorted(path for path in (ROOT / "native").rglob("*") if path.suffix in (".cpp", ".hpp"))
+
+
+def python_files() -> list[Path]:
+    return sorted((ROOT / "amrpic").rglob("*.py"))
+
+
+def included(text: str) -> Iterator[str]:
+    """Folders of the own headers that a native source includes."""
+    return (folder for folder in re.findall(r'^\s*#\s*include\s*"(\w+)/', text, re.MULTILINE))
+
+
+def forbidden_includes(folder: str, text: str) -> set[str]:
+    """Folders that a source in `folder` includes and may not."""
+    return {other for other in included(text) if other != folder and other not in NATIVE[folder]}
+
+
+def group_of(module: str) -> str:
+    """The group of a module of the package; one that has none must be given its place above."""
+    found = [group for group, modules in GROUPS.items() if module in modules]
+    assert found, f"amrpic/{module} has no place in the dependency graph; give it one in {Path(__file__).name}"
+    return found[0]
+
+
+def module_of(path: Path) -> str:
+    """The module, or the folder, that a file of the package belongs to."""
+    return path.relative_to(ROOT / "amrpic").parts[0].removesuffix(".py")
+
+
+def imported(text: str, depth: int) -> set[str]:
+    """Modules of the package that a source imports anywhere in it; it lies `depth` folders below the package."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            names = [alias.name.split(".") for alias in node.names]
+            found |= {(name[1:] or ["__init__"])[0] for name in names if name[0] == "amrpic"}
+        elif isinstance(node, ast.ImportFrom):
+            found |= imported_from(node, depth)
+    return found
+
+
+def imported_from(node: ast.ImportFrom, depth: int) -> set[str]:
+    """Modules of the package that one `from` line imports."""
+    name = node.module.split(".") if node.module else []
+    if node.level == 0:
+        if name[0] != "amrpic":
+            return set()
+        name = name[1:]
+    elif node.level <= depth:
+        return set()  # within its own folder
+    return {name[0]} if name else {package_name(alias.name) for alias in node.names}
+
+
+def package_name(name: str) -> str:
+    """What `from . import name` depends on: a module, or else the package's own surface."""
+    return name if any(name in modules for modules in GROUPS.values()) else "__init__"
+
+
+def forbidden_imports(module: str, text: str, depth: int = 0) -> set[str]:
+    """Modules that a source of `module` imports and may not."""
+    allowed = IMPORTS[group_of(module)]
+    others = imported(text, depth) - {module}
+    return {other for other in others if other not in allowed and group_of(other) not in allowed}
+
+
+@pytest.mark.parametrize("path", native_files(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_native_folder_includes_only_what_lies_below_it(path):
+    text = path.read_text()
+    assert forbidden_includes(path.parent.name, text) == set()
+    for pattern, folders in CONFINED.items():
+        assert path.parent.name in folders or not re.search(pattern, text), (
+            f"{pattern} belongs to {folders or 'nobody'}"
+        )
+
+
+@pytest.mark.parametrize("path", python_files(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_module_imports_only_what_lies_below_it(path):
+    depth = len(path.relative_to(ROOT / "amrpic").parts) - 1
+    assert forbidden_imports(module_of(path), path.read_text(), depth) == set()
+
+
+def test_native_graph_has_no_cycle():
+    assert all(folder not in NATIVE[below] for folder, belows in NATIVE.items() for below in belows)
+
+
+def test_forbidden_lines_are_found():
+    assert forbidden_includes("mesh", '#include "solver/cycle.hpp"\n#include "base/types.hpp"') == {"solver"}
+    assert forbidden_includes("particle", '  #  include "stencil/x.hpp"') == {"stencil"}
+    assert forbidden_imports("deposit", "from .gather import gather\nfrom .field import Field") == {"gather"}
+    assert forbidden_imports("deposit", "def f():\n    from amrpic.migrate import migrate") == {"migrate"}
+    assert forbidden_imports("field", "from . import deposit, _native") == {"deposit"}
+    assert forbidden_imports("step", "import amrpic.cli") == {"cli"}
+    assert forbidden_imports("io", "from ..step import State\nfrom .collect import rows", depth=1) == {"step"}
+    assert forbidden_imports("push", "import amrpic") == {"__init__"}
+    assert forbidden_imports("cli", "from . import step, report, io, doctor\nfrom .errors import AmrpicError") == set()

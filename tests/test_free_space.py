@@ -1,0 +1,362 @@
+"""The potential behind an open wall: the one that the 7-point operator itself has on an infinite lattice.
+
+The reference is the convolution with the lattice Green's function by FFT, exact to rounding.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import scipy.fft
+from scipy.special import erf, ive
+
+from amrpic._native import FreeSpace, lattice_green, multipole_moments, translate_moments
+
+ALL_OPEN = [True] * 6
+
+
+# ---- the reference ----
+
+
+def green(reach, spacing=(1.0, 1.0, 1.0)):
+    """Lattice Green's function over the cell volume, offsets 0 .. reach: the integral of three heat kernels over time."""
+    x, w = np.polynomial.legendre.leggauss(12)
+    x, w = (x + 1) / 2, w / 2
+    h = np.asarray(spacing)
+    enough = 4 * max((n + 1) * d for n, d in zip(reach, h, strict=True)) ** 2 + 64 * max(h) ** 2
+    times, weights = [], []
+    start, length = 0.0, 0.25 * min(h) ** 2
+    while start < enough:
+        times.append(start + length * x)
+        weights.append(length * w)
+        start, length = start + length, start + length
+    tail = start**-0.5 * x
+    time = np.concatenate([*times, tail**-2])
+    weight = np.concatenate([*weights, start**-0.5 * w * 2 * tail**-3])
+    kernels = [heat_kernel(n, 2 * time / d**2) for n, d in zip(reach, h, strict=True)]
+    plane = np.einsum("jt,kt->jkt", kernels[1], kernels[2] * weight)
+    return np.tensordot(kernels[0], plane, axes=(1, 2)) / np.prod(h)
+
+
+def heat_kernel(reach, x):
+    """exp(-x) I_n(x) for n = 0 .. reach, (reach + 1, x.size); by its asymptotic series where ive loses its digits."""
+    n = np.arange(reach + 1)[:, None]
+    far = x > max(1e4, 20.0 * reach**2)
+    series, term = np.ones((reach + 1, x.size)), np.ones((reach + 1, x.size))
+    for k in range(1, 16):
+        term = term * -(4.0 * n**2 - (2 * k - 1) ** 2) / (8 * k * np.maximum(x, 1e3))
+        series += term
+    return np.where(far, series / np.sqrt(2 * np.pi * x), ive(n, np.where(far, 1.0, x)))
+
+
+class Exact:
+    """Potential of charges on the cells of a box, on these cells and the ghost cells around them."""
+
+    def __init__(self, cells, spacing=(1.0, 1.0, 1.0)):
+        self.cells = cells
+        self.shape = [scipy.fft.next_fast_len(2 * n + 4, real=True) for n in cells]
+        offsets = [
+            np.minimum(np.minimum(i := np.arange(m), m - i), n + 1) for m, n in zip(self.shape, cells, strict=True)
+        ]
+        table = green([n + 1 for n in cells], spacing)
+        self.kernel = scipy.fft.rfftn(table[np.ix_(*offsets)])
+
+    def __call__(self, charges):
+        padded = np.zeros(self.shape)
+        padded[tuple(slice(1, n + 1) for n in self.cells)] = charges
+        potential = scipy.fft.irfftn(scipy.fft.rfftn(padded) * self.kernel, s=self.shape)
+        return potential[tuple(slice(0, n + 2) for n in self.cells)]
+
+
+@pytest.fixture(scope="module")
+def exact_48():
+    return Exact((48, 48, 48))
+
+
+def ghost_planes(potential):
+    """The six layers of ghost cells, (lower axis, upper axis)."""
+    inner = potential[1:-1, 1:-1, 1:-1].shape
+    cells = [slice(1, n + 1) for n in inner]
+    out = []
+    for axis, end in itertools.product(range(3), (0, -1)):
+        out.append(potential[tuple(end if d == axis else cells[d] for d in range(3))])
+    return out
+
+
+def field(charges, planes):
+    """Potential and E on unit cells, solved with given ghost values."""
+    rhs = charges.copy()
+    padded = np.zeros([n + 2 for n in charges.shape])
+    inner = (slice(1, -1),) * 3
+    for (axis, end), plane in zip(itertools.product(range(3), (0, -1)), planes, strict=True):
+        rhs[tuple(end if d == axis else slice(None) for d in range(3))] += plane
+        padded[tuple(end if d == axis else slice(1, -1) for d in range(3))] = plane
+    modes = [2 - 2 * np.cos(np.pi * np.arange(1, n + 1) / (n + 1)) for n in charges.shape]
+    symbol = modes[0][:, None, None] + modes[1][:, None] + modes[2]
+    padded[inner] = scipy.fft.idstn(scipy.fft.dstn(rhs, type=1) / symbol, type=1)
+    e = [(np.roll(padded, 1, axis) - np.roll(padded, -1, axis))[inner] / 2 for axis in range(3)]
+    return padded[inner], np.array(e)
+
+
+# ---- the code under test ----
+
+
+class World:
+    """MPI_COMM_SELF without mpi4py."""
+
+    @staticmethod
+    def py2f():
+        from mpi4py import MPI
+
+        return MPI.COMM_SELF.py2f()
+
+
+def free_space(cells, spacing=(1.0, 1.0, 1.0), lower=(0.0, 0.0, 0.0), comm=World):
+    return FreeSpace(comm.py2f(), lower, spacing, cells)
+
+
+def walls(charges, spacing=(1.0, 1.0, 1.0)):
+    space = free_space(charges.shape, spacing)
+    space.set_box(0, (0, 0, 0), np.asfortranarray(charges))
+    return [plane.T for plane in space.wall_planes(ALL_OPEN)]
+
+
+def greatest_difference(planes, others):
+    return max(np.abs(a - b).max() for a, b in zip(planes, others, strict=True))
+
+
+# ---- sources on [-1.04, 1.04]^3 ----
+
+
+def gaussian(n, centre, sigma, charge=1.0, half_width=1.04):
+    faces = np.linspace(-half_width, half_width, n + 1)
+    x, y, z = (np.diff(erf((faces - c) / (np.sqrt(2) * sigma))) / 2 for c in centre)
+    return charge * x[:, None, None] * y[:, None] * z
+
+
+def ball(n, radius, half_width=1.04):
+    h = 2 * half_width / n
+    x = (np.arange(4 * n) + 0.5) * h / 4 - half_width
+    inside = (x[:, None, None] ** 2 + x[:, None] ** 2 + x**2 < radius**2).astype(np.float32)
+    charge = inside.reshape(n, 4, n, 4, n, 4).sum((1, 3, 5), dtype=float)
+    return charge / charge.sum()
+
+
+SOURCES = {
+    "ball up to the wall": lambda n: ball(n, 1.0),
+    "ball of half the width": lambda n: ball(n, 0.5),
+    "bunch": lambda n: gaussian(n, (0, 0, 0), 1 / 5.5),
+    "bunch off centre": lambda n: gaussian(n, (0.5, 0.3, -0.4), 0.08),
+    "train on the diagonal": lambda n: sum(gaussian(n, (x, x, 0), 0.04, 0.1) for x in np.linspace(-0.9, 0.9, 10)),
+    "neutral pair": lambda n: gaussian(n, (0.3, 0, 0), 0.1) - gaussian(n, (-0.3, 0.1, 0), 0.1),
+}
+
+
+# ---- the Green's function and the multipoles ----
+
+
+def test_lattice_green_has_the_known_values():
+    table = lattice_green((1.0, 1.0, 1.0), (32, 32, 32))
+    assert table[0, 0, 0] == pytest.approx(0.2527310098586627, abs=1e-15)
+    assert table[0, 0, 1] == pytest.approx(0.0860643431919963, abs=1e-15)
+    assert table[0, 1, 1] == pytest.approx(0.0551914336877373, abs=1e-15)
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (1.0, 2.0, 10.0), (1.0, 1.0, 100.0)])
+def test_lattice_green_inverts_the_operator(spacing):
+    octant = lattice_green(spacing, (13, 13, 13)).T
+    offsets = np.abs(np.arange(-12, 13))
+    g = octant[np.ix_(offsets, offsets, offsets)]
+    inner = (slice(1, -1),) * 3
+    minus_laplacian = sum((2 * g - np.roll(g, 1, d) - np.roll(g, -1, d))[inner] / spacing[d] ** 2 for d in range(3))
+    delta = np.zeros((23, 23, 23))
+    delta[11, 11, 11] = 1 / np.prod(spacing)
+    assert np.abs(minus_laplacian - delta).max() < 2e-14 * delta.max()
+
+
+def test_moved_moments_are_those_about_the_new_centre():
+    rng = np.random.default_rng(1)
+    positions, charges = rng.uniform(-1, 1, (50, 3)), rng.standard_normal(50)
+    old, new, shift = (0.1, -0.2, 0.3), (-0.7, 0.5, 0.2), (0.8, -0.7, 0.1)
+    moved = translate_moments(multipole_moments(positions, charges, old), shift)
+    assert moved == pytest.approx(multipole_moments(positions, charges, new), abs=1e-13)
+
+
+# ---- walls ----
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_wall_values_are_those_of_the_infinite_lattice(source, exact_48):
+    charges = SOURCES[source](48)
+    expected = exact_48(charges)
+    assert greatest_difference(walls(charges), ghost_planes(expected)) < 6e-5 * np.abs(expected).max()
+
+
+def test_wall_values_of_a_train_on_a_finer_lattice():
+    charges = SOURCES["train on the diagonal"](96)
+    expected = Exact((96, 96, 96))(charges)
+    assert greatest_difference(walls(charges), ghost_planes(expected)) < 6e-5 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("cell", [(0, 24, 24), (0, 5, 16), (0, 0, 0), (47, 46, 3)])
+def test_field_of_one_charge_in_the_outermost_layer(cell, exact_48):
+    charges = np.zeros((48, 48, 48))
+    charges[cell] = 1
+    planes = ghost_planes(exact_48(charges))
+    _, expected = field(charges, planes)
+    _, e = field(charges, walls(charges))
+    assert np.abs(e - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_no_narrow_peak_hides_behind_a_wide_one(exact_48):
+    # Weak single cells in the outermost layer, anywhere, behind the field of a strong wide bunch.
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        charges = gaussian(48, (0, 0, 0), 1 / 5.5)
+        cell = rng.integers(0, 48, 3)
+        cell[rng.integers(3)] = 0
+        charges[tuple(cell)] += 3e-4
+        expected = exact_48(charges)
+        assert greatest_difference(walls(charges), ghost_planes(expected)) < 4e-5 * np.abs(expected).max()
+
+
+def test_random_charge_along_a_wall(exact_48):
+    charges = np.zeros((48, 48, 48))
+    charges[:, :6] = np.random.default_rng(3).standard_normal((48, 6, 48))
+    planes = ghost_planes(exact_48(charges))
+    expected, _ = field(charges, planes)
+    assert greatest_difference(walls(charges), planes) < 4e-4 * np.abs(expected).max()
+
+
+def test_no_charge_gives_no_potential():
+    assert greatest_difference(walls(np.zeros((16, 16, 16))), [np.zeros((16, 16))] * 6) == 0
+
+
+def test_only_open_walls_are_computed():
+    space = free_space((16, 16, 16))
+    space.set_box(0, (8, 8, 8), np.ones((1, 1, 1), order="F"))
+    planes = space.wall_planes([True, False, True, True, False, False])
+    assert [p is not None for p in planes] == [True, False, True, True, False, False]
+
+
+@pytest.mark.parametrize("cells", [(2, 3, 5), (20, 33, 50), (8, 100, 17)])
+def test_boxes_of_any_shape(cells):
+    charges = np.random.default_rng(2).random(cells) ** 4
+    expected = Exact(cells)(charges)
+    assert greatest_difference(walls(charges), ghost_planes(expected)) < 5e-5 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 10.0), (10.0, 1.0, 1.0), (3.0, 1.0, 2.0)])
+def test_cells_that_are_not_cubes(spacing):
+    cells = (32, 24, 40)
+    charges = np.zeros(cells)
+    charges[3:20, 5:15, 10:30] = np.random.default_rng(4).random((17, 10, 20))
+    charges[0, 3, 39] = 30
+    expected = Exact(cells, spacing)(charges)
+    assert greatest_difference(walls(charges, spacing), ghost_planes(expected)) < 2e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("charge", [1e-30, 1e3])
+@pytest.mark.parametrize("spacing", [1e-9, 1e6])
+def test_neither_charge_nor_size_matters(charge, spacing):
+    charges = gaussian(16, (0.5, 0.3, -0.4), 0.2)
+    space = free_space((16, 16, 16), (spacing,) * 3, (3 * spacing,) * 3)
+    space.set_box(0, (0, 0, 0), np.asfortranarray(charge * charges))
+    for plane, expected in zip(space.wall_planes(ALL_OPEN), walls(charges), strict=True):
+        assert pytest.approx(charge / spacing * expected, rel=1e-12) == plane.T
+
+
+# ---- refined charge ----
+
+
+def split_by_patch(fine, lower, upper):
+    """Charges given on fine cells, as a patch of them (base cells lower .. upper) and base cells around it."""
+    n = fine.shape[0] // 2
+    base = fine.reshape(n, 2, n, 2, n, 2).sum((1, 3, 5))
+    in_patch = np.zeros(base.shape, bool)
+    in_patch[tuple(slice(a, b + 1) for a, b in zip(lower, upper, strict=True))] = True
+    in_fine_patch = in_patch.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    positions, charges, levels = [], [], []
+    for level, values, chosen in ((0, base, ~in_patch), (1, fine, in_fine_patch)):
+        cells = np.argwhere(chosen & (values != 0))
+        positions.append((cells + 0.5) / (n << level))
+        charges.append(values[tuple(cells.T)])
+        levels.append(np.full(len(cells), level, np.int32))
+    return np.concatenate(positions), np.concatenate(charges), np.concatenate(levels)
+
+
+def test_refined_charge_seen_from_distant_walls():
+    n = 16
+    positions, charges, levels = split_by_patch(
+        gaussian(2 * n, (0.0, 0.05, -0.05), 0.07, half_width=0.5), (5, 5, 5), (10, 10, 10)
+    )
+    space = free_space((n, n, n), (1 / n,) * 3)
+    space.set_charges(positions, charges, levels)
+    ghost = -0.5 / n
+    u = (np.arange(n) + 0.5) / n
+    places = np.stack(np.meshgrid([ghost], u, u, indexing="ij"), -1)[0]
+    expected = (charges / (4 * np.pi * np.linalg.norm(places[:, :, None] - positions, axis=-1))).sum(-1)
+    # What is left is the lattice: (h / 2r)^2 of the fine one.
+    assert pytest.approx(expected, rel=2e-3) == space.wall_planes(ALL_OPEN)[0].T
+
+
+def test_patch_at_the_wall_agrees_with_a_lattice_that_is_fine_everywhere():
+    n, lower, upper = 16, (0, 3, 3), (7, 12, 12)
+    fine = gaussian(2 * n, (-0.44, 0.0, -0.03), 0.05, half_width=0.5)
+    positions, charges, levels = split_by_patch(fine, lower, upper)
+    space = free_space((n, n, n), (1 / n,) * 3)
+    space.set_charges(positions, charges, levels)
+
+    margin = 4
+    around = Exact((2 * n + 2 * margin,) * 3)(np.pad(fine, margin)) * 2 * n
+    around = around[1:-1, 1:-1, 1:-1]
+    scale = np.abs(around).max()
+    wall = slice(margin, -margin)
+    base_ghosts = around[margin - 2 : margin, wall, wall].reshape(2, n, 2, n, 2).mean((0, 2, 4))
+    assert np.abs(space.wall_planes(ALL_OPEN)[0].T - base_ghosts).max() < 1e-4 * scale
+
+    v, w = np.meshgrid(*(np.arange(2 * a, 2 * b + 2) for a, b in zip(lower[1:], upper[1:], strict=True)), indexing="ij")
+    ghosts = np.stack([np.full(v.shape, -0.5), v + 0.5, w + 0.5], -1).reshape(-1, 3) / (2 * n)
+    potential = space.potential(ghosts, np.ones(len(ghosts), np.int32)).reshape(v.shape)
+    assert np.abs(potential - around[margin - 1][v + margin, w + margin]).max() < 1e-4 * scale
+
+
+def test_fine_ghosts_beside_coarse_charge_continue_the_coarse_potential():
+    n = 16
+    charges = np.zeros((n, n, n))
+    charges[2, 8, 8] = 1
+    space = free_space((n, n, n), (1 / n,) * 3)
+    space.set_box(0, (0, 0, 0), np.asfortranarray(charges))
+    ghosts = (np.array([[-0.5, 2 * 8 + 7.5, 15.5], [-0.5, 0.5, 0.5], [-0.5, 17.5, 22.5]])) / (2 * n)
+    distance = np.linalg.norm(ghosts - (np.array([2, 8, 8]) + 0.5) / n, axis=1)
+    assert space.potential(ghosts, np.ones(3, np.int32)) == pytest.approx(1 / (4 * np.pi * distance), rel=2e-2)
+
+
+# ---- ranks ----
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_walls_do_not_depend_on_the_ranks(comm):
+    n = 32
+    positions, charges, levels = split_by_patch(
+        gaussian(2 * n, (-0.45, 0.1, 0.2), 0.06, half_width=0.5)
+        + gaussian(2 * n, (0.3, -0.3, 0), 0.05, half_width=0.5),
+        (0, 14, 14),
+        (9, 25, 25),
+    )
+    ghosts = np.stack(np.meshgrid([-0.5], np.arange(30, 50) + 0.5, np.arange(30, 50) + 0.5, indexing="ij"), -1)
+    ghosts = ghosts.reshape(-1, 3) / (2 * n)
+    fine = np.ones(len(ghosts), np.int32)
+
+    alone = free_space((n, n, n), (1 / n,) * 3)
+    alone.set_charges(positions, charges, levels)
+    together = free_space((n, n, n), (1 / n,) * 3, comm=comm)
+    mine = slice(comm.rank, None, comm.size)  # cells of one block on all ranks
+    together.set_charges(positions[mine].copy(), charges[mine].copy(), levels[mine].copy())
+
+    for plane, expected in zip(together.wall_planes(ALL_OPEN), alone.wall_planes(ALL_OPEN), strict=True):
+        assert plane == pytest.approx(expected, rel=1e-13)
+    expected = alone.potential(ghosts, fine)
+    assert together.potential(ghosts[mine].copy(), fine[mine].copy()) == pytest.approx(expected[mine], rel=1e-13)

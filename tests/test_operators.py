@@ -1,0 +1,120 @@
+"""The eight operators equal those of an independent oracle, and obey the laws by themselves."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import amrpic
+import laws
+from hierarchies import all_cases
+from oracle import LINEAR_FITS, QUADRATIC_FITS, Oracle
+from parts import first_ranks, hierarchy_of, wait_quietly
+
+CASES = all_cases()
+NAMES = ("no_fine", "composite", "coarse_boundary", "fine_boundary", "restriction", "prolongation", "uncovered")
+each_case = pytest.mark.parametrize("name", CASES, scope="module")
+
+
+def matrices(solver: amrpic.PoissonSolver, level: int) -> SimpleNamespace:
+    """Return the operators of a level as SciPy matrices under their names; None for each but on rank 0. Collective."""
+    operators = solver.operators(level)
+    gradient = [
+        SimpleNamespace(own=axis.own.to_scipy(), coarse=axis.coarse.to_scipy(), fine=axis.fine.to_scipy())
+        for axis in operators.gradient
+    ]
+    return SimpleNamespace(gradient=gradient, **{name: getattr(operators, name).to_scipy() for name in NAMES})
+
+
+def by_name(operators: SimpleNamespace) -> dict[str, sp.sparray]:
+    flat = {name: getattr(operators, name) for name in NAMES}
+    for axis, blocks in zip("xyz", operators.gradient, strict=True):
+        flat |= {f"gradient {axis} {block}": getattr(blocks, block) for block in ("own", "coarse", "fine")}
+    return flat
+
+
+def difference(found: sp.sparray, expected: sp.sparray) -> float:
+    """Return the largest difference of two matrices relative to the largest entry expected."""
+    assert found.shape == expected.shape
+    size = abs(expected).max() if expected.nnz else 0.0
+    error = abs(found - expected).max() if found.nnz + expected.nnz else 0.0
+    return float(error / size) if size else float(error)
+
+
+@lru_cache(maxsize=1)
+def expectation(name: str, boxes: tuple[bytes, ...]) -> tuple[Oracle, list[dict[str, sp.sparray]]]:
+    """Return the oracle of a case with the boxes that the hierarchy really has, and its operators per level."""
+    oracle = Oracle(CASES[name], [np.frombuffer(level, dtype=np.int64).reshape(-1, 6) for level in boxes])
+    operators = [by_name(oracle.operators(level)) for level in range(oracle.levels)]
+    for level, expected in enumerate(operators):
+        expected["constant prolongation"] = oracle.operators(level, "constant").prolongation
+    return oracle, operators
+
+
+def expected_for(name: str, hierarchy: amrpic.Hierarchy) -> tuple[Oracle, list[dict[str, sp.sparray]]]:
+    boxes = (np.ascontiguousarray(hierarchy.boxes(level), dtype=np.int64) for level in range(hierarchy.levels))
+    return expectation(name, tuple(level.tobytes() for level in boxes))
+
+
+def differences(name: str, comm: Any) -> dict[tuple[int, str], float]:
+    """Return by level and operator how far it is from the oracle's; empty but on rank 0. Collective."""
+    hierarchy = hierarchy_of(CASES[name], comm)
+    trilinear, constant = (amrpic.PoissonSolver(hierarchy, prolongation=p) for p in ("trilinear", "constant"))
+    result: dict[tuple[int, str], float] = {}
+    for level in range(hierarchy.levels):
+        found = by_name(matrices(trilinear, level))
+        found["constant prolongation"] = constant.operators(level).prolongation.to_scipy()
+        if comm.rank == 0:
+            _, expected = expected_for(name, hierarchy)
+            result |= {(level, o): difference(found[o], matrix) for o, matrix in expected[level].items()}
+    return result
+
+
+@each_case
+@pytest.mark.mpi(ranks=3, timeout=120)
+def test_operators_equal_the_oracle_on_one_two_and_three_ranks(name, comm):
+    for ranks in (1, 2, 3):
+        part = first_ranks(ranks)
+        found = differences(name, part) if part else {}
+        wait_quietly(comm)
+        assert {place: d for place, d in found.items() if not d <= 1e-12} == {}, f"on {ranks} ranks"
+
+
+@each_case
+@pytest.mark.mpi(ranks=3)
+def test_operators_obey_the_laws(name, comm):
+    """Gauss's law to rounding; polynomials of the degree of the interface fits exactly; transfers of linear functions."""
+    hierarchy = hierarchy_of(CASES[name], comm)
+    solver = amrpic.PoissonSolver(hierarchy)
+    found = [matrices(solver, level) for level in range(hierarchy.levels)]
+    if comm.rank == 0:
+        oracle, _ = expected_for(name, hierarchy)
+        assert laws.gauss_defect(oracle, found) < 1e-13
+        assert laws.transfer_defect(oracle, found) < 1e-13
+        for degree, fits in ((1, LINEAR_FITS), (2, QUADRATIC_FITS)):
+            defects = laws.exactness_defects(oracle, found, degree, fits)
+            assert defects["laplacian"] < 1e-12
+            assert defects["field"] < 1e-12
+        if all(kind in ("neumann", "periodic") for types in oracle.types for kind in types):
+            assert laws.constant_defect(oracle, found) < 1e-12
+    wait_quietly(comm)
+
+
+@each_case
+@pytest.mark.mpi(ranks=2)
+def test_boxes_of_the_hierarchy_are_those_given_cut_to_size(name, comm):
+    case = CASES[name]
+    hierarchy = hierarchy_of(case, comm)
+    for level in range(hierarchy.levels):
+        boxes = hierarchy.boxes(level)
+        size = boxes[:, 3:] - boxes[:, :3] + 1
+        assert size.min() >= 1 and size.max() <= case.max_grid_size
+        assert not (boxes[:, :3] % case.blocking_factor).any() and not (size % case.blocking_factor).any()
+        assert set(Oracle(case, [boxes]).cells[0]) == set(Oracle(case, [case.boxes(level)]).cells[0])
+        assert hierarchy.cells(level) == size.prod(axis=1).sum()
+        assert hierarchy.spacing(level) == pytest.approx(Oracle(case, case.all_boxes()).spacing[level], rel=1e-15)

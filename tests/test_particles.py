@@ -1,0 +1,214 @@
+"""Particles find their homes, keep their identity, and move as they should."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import amrpic
+import hierarchies
+from amrpic.errors import ParticleError
+from amrpic.migrate import migrate, particles_per_box
+from amrpic.particles import Particles, concatenate
+from amrpic.push import RANDOM_WALK, drift, kick, random_walk
+from particle_cases import CHARGE, MASS, Mesh, everywhere, hierarchy_of, scattered
+
+CASES = list(hierarchies.all_cases().values())
+
+
+def at(positions: list | np.ndarray, ids: int = 0) -> Particles:
+    """Particles at rest at the positions."""
+    position = np.array(positions, dtype=float).reshape(-1, 3)
+    count = len(position)
+    return Particles(position, np.zeros((count, 3)), np.ones(count), np.arange(ids, ids + count), CHARGE, MASS)
+
+
+def periodic_box(comm: MPI.Comm) -> amrpic.Hierarchy:
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), {"x": "periodic", "y": "periodic", "z": "neumann"})
+    return amrpic.Hierarchy(comm, domain, [[((8, 0, 8), (15, 31, 23))]], max_grid_size=8)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3), timeout=120)
+def test_each_particle_lies_in_the_finest_box_on_its_owner(comm):
+    for case in CASES:
+        hierarchy = hierarchy_of(case, comm)
+        particles, _ = migrate(scattered(hierarchy, 300), hierarchy)
+        mesh, starts = Mesh(hierarchy), particles.sorted_on(hierarchy).starts
+        slot = 0
+        for level in range(hierarchy.levels):
+            for box in hierarchy.local_boxes(level):
+                corners = hierarchy.boxes(level)[box]
+                for x in particles.position[starts[slot] : starts[slot + 1]]:
+                    cell = mesh.coordinate(x, level).astype(int)
+                    assert (corners[:3] <= cell).all() and (cell <= corners[3:]).all(), case.name
+                    assert mesh.finest(x) == level, case.name
+                slot += 1
+        assert starts[0] == 0 and starts[slot] == len(particles)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_migration_changes_no_particle(comm):
+    for case in CASES[:8]:
+        hierarchy = hierarchy_of(case, comm)
+        before = scattered(hierarchy, 500)
+        after, lost = migrate(before, hierarchy)
+        assert len(lost) == 0
+        a, b = everywhere(comm, before), everywhere(comm, after)
+        assert all(np.array_equal(a[name], b[name]) for name in a), case.name
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_particles_are_sorted_by_box_cell_and_id(comm):
+    hierarchy = periodic_box(comm)
+    rng = np.random.default_rng(1)
+    ids = rng.permutation(4000)[comm.rank :: comm.size]
+    position = np.random.default_rng(2).random((4000, 3))[ids]
+    count = len(ids)
+    particles = Particles(position, np.zeros((count, 3)), np.ones(count), ids, CHARGE, MASS)
+    particles, _ = migrate(particles, hierarchy)
+    keys, slot = [], 0
+    for level in range(hierarchy.levels):
+        for box in hierarchy.local_boxes(level):
+            own = slice(*particles.sorted_on(hierarchy).starts[slot : slot + 2])
+            cells = np.floor(particles.position[own] / hierarchy.spacing(level)).astype(int)
+            keys += [(level, box, *cell[::-1], i) for cell, i in zip(cells.tolist(), particles.id[own], strict=True)]
+            slot += 1
+    assert len(keys) == len(particles)
+    assert keys == sorted(keys)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_point_on_a_face_belongs_to_the_cell_above(comm):
+    hierarchy = amrpic.Hierarchy(
+        comm, amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16)), [[((8, 8, 8), (23, 23, 23))]], blocking_factor=8
+    )
+    below = np.nextafter(0.25, 0)
+    corners = at(
+        [(0.25, 0.25, 0.25), (below, 0.25, 0.25), (0.75, 0.5, 0.5), (np.nextafter(0.75, 0), 0.5, 0.5), (0, 0, 0)]
+    )
+    mine = corners if comm.rank == 0 else corners.select(slice(0))
+    counts = particles_per_box(mine, hierarchy)
+    assert [int(c.sum()) for c in counts] == [3, 2]
+    assert len(migrate(mine, hierarchy)[1]) == 0
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_periodic_axes_wrap_and_walls_lose(comm):
+    hierarchy = periodic_box(comm)
+    points = [
+        (1.25, -0.5, 0.5),
+        (1.0, 0.0, 0.0),
+        (-1e-30, 7.75, 0.5),
+        (0.5, 0.5, 1.0),
+        (0.5, 0.5, -1e-9),
+        (1e300, -1e300, 0.5),
+    ]
+    mine = at(points) if comm.rank == 0 else at([])
+    inside, lost = migrate(mine, hierarchy)
+    found = everywhere(comm, inside)
+    assert found["id"].tolist() == [0, 1, 2, 5]
+    assert found["position"][:3] == pytest.approx(np.array([(0.25, 0.5, 0.5), (0, 0, 0), (0, 0.75, 0.5)]), abs=1e-15)
+    assert ((found["position"] >= 0) & (found["position"] < 1)).all()
+    gone = everywhere(comm, lost)
+    assert gone["id"].tolist() == [3, 4]
+    assert gone["position"].tolist() == [[0.5, 0.5, 1.0], [0.5, 0.5, -1e-9]]
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("what", ["position", "momentum"])
+def test_values_that_are_not_finite_are_an_error_on_all_ranks(comm, what, value):
+    hierarchy = periodic_box(comm)
+    particles = at([(0.5, 0.5, 0.5)] * 4, ids=10 * comm.rank)
+    if comm.rank != 0 or comm.size == 1:
+        getattr(particles, what)[2, 1] = value
+    bad, first = (1, 2) if comm.size == 1 else (comm.size - 1, 12)
+    with pytest.raises(ParticleError, match=f"^{bad} particles .* not finite, .* id {first} ") as caught:
+        migrate(particles, hierarchy)
+    assert len(set(comm.allgather(str(caught.value)))) == 1
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_counts_per_box_are_global_and_need_no_migration(comm):
+    for case in CASES[:10]:
+        hierarchy = hierarchy_of(case, comm)
+        particles = scattered(hierarchy, 1000)
+        counts = particles_per_box(particles, hierarchy)
+        assert [len(c) for c in counts] == [len(hierarchy.boxes(l)) for l in range(hierarchy.levels)]
+        assert sum(int(c.sum()) for c in counts) == 1000
+        here, _ = migrate(particles, hierarchy)
+        own = np.concatenate([counts[l][list(hierarchy.local_boxes(l))] for l in range(hierarchy.levels)])
+        assert np.array_equal(np.diff(here.sorted_on(hierarchy).starts), own)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_random_walk_does_not_depend_on_ranks(comm):
+    def walked(comm: MPI.Comm) -> dict[str, np.ndarray]:
+        hierarchy = periodic_box(comm)
+        particles, _ = migrate(scattered(hierarchy, 3000), hierarchy)
+        for step in range(3):
+            particles, _ = migrate(random_walk(particles, 0.05, seed=7, step=step), hierarchy)
+        return everywhere(comm, particles)
+
+    alone, together = walked(MPI.COMM_SELF), walked(comm)
+    assert 2000 < len(alone["id"]) < 3000
+    assert all(np.array_equal(alone[name], together[name]) for name in alone)
+
+
+def test_random_walk_is_uniform_and_new_at_each_step():
+    particles = at(np.zeros((100_000, 3)))
+    first, second = (random_walk(particles, 2e-3, seed=1, step=s).position for s in (0, 1))
+    assert np.abs(first).max() < 2e-3
+    assert np.abs(first.mean(axis=0)).max() < 5 * 2e-3 / np.sqrt(3e5)
+    assert first.var(axis=0) == pytest.approx(np.full(3, 4e-6 / 3), rel=5 * np.sqrt(0.8 / 1e5))
+    draws = np.concatenate([first.T, second.T])
+    assert np.abs(np.corrcoef(draws) - np.eye(6)).max() < 5 / np.sqrt(1e5)
+
+
+def test_random_numbers_are_those_of_philox():
+    """NumPy's generator steps its counter once before the first draw."""
+    particles = at(np.zeros((5, 3)), ids=41)
+    for n, move in enumerate(random_walk(particles, 1.0, seed=99, step=6).position):
+        key, counter = np.array([99, RANDOM_WALK], dtype=np.uint64), np.array([41 + n - 1, 6, 0, 0], dtype=np.uint64)
+        words = np.random.Philox(key=key, counter=counter).random_raw(3)
+        assert move == pytest.approx(2 * (words.astype(float) / 2.0**64) - 1, abs=1e-14)
+
+
+def test_kick_and_drift_are_newtons(comm):
+    particles = scattered(hierarchy_of(CASES[0], comm), 100)
+    efield = np.random.default_rng(0).normal(size=(100, 3))
+    kicked = kick(particles, efield, 1e-9)
+    assert kicked.momentum == pytest.approx(particles.momentum + CHARGE * 1e-9 * efield, rel=1e-14)
+    assert kicked.position is particles.position
+    moved = drift(particles, 1e-31)
+    assert moved.position == pytest.approx(particles.position + 1e-31 / MASS * particles.momentum, rel=1e-14)
+    assert moved.momentum is particles.momentum
+    assert moved.sorting is None
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_no_particles_migrate_and_move(comm):
+    hierarchy = periodic_box(comm)
+    particles, lost = migrate(Particles.empty(CHARGE, MASS), hierarchy)
+    assert len(particles) == len(lost) == 0
+    moved = random_walk(drift(kick(particles, np.empty((0, 3)), 1.0), 1.0), 1.0, 0, 0)
+    assert len(migrate(moved, hierarchy)[0]) == 0
+    assert moved.global_count(comm) == 0 and moved.total_charge(comm) == 0
+    assert sum(int(c.sum()) for c in particles_per_box(moved, hierarchy)) == 0
+
+
+def test_particles_join_in_order():
+    one, none, two = at(np.zeros((3, 3))), at([]), at(np.ones((2, 3)), ids=3)
+    joined = concatenate([one, none, two])
+    assert joined.id.tolist() == [0, 1, 2, 3, 4]
+    assert joined.position[:, 0].tolist() == [0, 0, 0, 1, 1]
+    with pytest.raises(ParticleError, match="cannot join"):
+        concatenate([one, Particles.empty(CHARGE, 2 * MASS)])
+
+
+def test_arrays_that_do_not_fit_together_are_refused():
+    with pytest.raises(ParticleError, match=r"\(n, 3\)"):
+        Particles(np.zeros((3, 2)), np.zeros((3, 3)), np.ones(3), np.arange(3), CHARGE, MASS)
+    with pytest.raises(ParticleError, match="4 values of weight"):
+        Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(4), np.arange(3), CHARGE, MASS)

@@ -1,0 +1,215 @@
+"""The run log and the pictures: what is printed, and that pictures show what was computed."""
+
+from __future__ import annotations
+
+import io
+import warnings
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from amrpic import Domain, Field, Hierarchy, VectorField, plot, raster
+from amrpic.errors import InputError, OutputError
+from amrpic.io import fields
+from amrpic.io.dump import Dump
+from amrpic.io.provenance import Provenance
+from amrpic.report import RunLog, step_line
+
+ROW = {
+    "step": 12,
+    "time": 1.2e-9,
+    "cells_0": 1000,
+    "cells_1": 234,
+    "boxes": 21,
+    "particles": 99_990,
+    "lost_particles": 10,
+    "cycles": 7,
+    "residual": 3.14e-11,
+    "seconds": 1.25,
+    "memory": 412 * 2**20,
+}
+
+
+# ---- the log ----
+
+
+def test_a_step_is_one_line_with_all_that_matters():
+    assert step_line(ROW, 100, 110.4) == (
+        "step  12/100  t 1.2000e-09 s  2 levels 21 boxes 1234 cells  99990 particles 10 lost  "
+        "7 cycles 3.1e-11  1.25 s/step  ETA 0:01:50  412 MiB"
+    )
+
+
+@pytest.mark.mpi(ranks=(2,))
+def test_only_rank_0_prints(comm):
+    out, err = io.StringIO(), io.StringIO()
+    with RunLog(comm, 13, out, err) as log:
+        log.step(ROW)
+        log.step({**ROW, "step": 13})
+        warnings.warn("something may not be meant", stacklevel=1)
+    lines = out.getvalue().splitlines()
+    assert len(lines) == (2 if comm.rank == 0 else 0)
+    assert len(err.getvalue().splitlines()) == (1 if comm.rank == 0 else 0)
+    if comm.rank == 0:
+        assert "ETA 0:00:01" in lines[0]
+        assert "ETA 0:00:00" in lines[1]
+
+
+def test_a_terminal_changes_nothing(comm):
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    plain, terminal = io.StringIO(), Terminal()
+    for stream in (plain, terminal):
+        with RunLog(comm, 20, stream) as log:
+            log.step(ROW)
+    assert plain.getvalue() == terminal.getvalue()
+    assert plain.getvalue().count("\n") == 1
+    assert not set("\r\x1b") & set(plain.getvalue())
+
+
+def test_each_warning_is_told_once_and_counted_at_the_end(comm):
+    err = io.StringIO()
+    shown_before = warnings.showwarning
+    with RunLog(comm, 20, io.StringIO(), err) as log:
+        for _ in range(3):
+            warnings.warn("nothing is tagged", stacklevel=1)
+        log.warn("no particles")
+        assert err.getvalue().splitlines() == ["warning: nothing is tagged", "warning: no particles"]
+    assert err.getvalue().splitlines()[2:] == ["warning, 3 times in all: nothing is tagged"]
+    assert warnings.showwarning is shown_before
+
+
+# ---- what pictures show ----
+
+DOMAIN = Domain(lower=(-0.02, -0.03, 0.01), upper=(0.02, 0.01, 0.17), cells=(16, 16, 32), boundary="dirichlet")
+LEVELS = [[((8, 8, 8), (23, 23, 47))], [((24, 24, 40), (39, 39, 55))]]
+
+
+def dumped(comm, folder, density):
+    """Write a dump of three levels with φ = x + 10 y + 100 z and E = (x, y, z); return its path."""
+    hierarchy = Hierarchy(comm, DOMAIN, LEVELS, max_grid_size=16, blocking_factor=8)
+    phi = Field(hierarchy, "V").fill(lambda x, y, z: x + 10 * y + 100 * z)
+    efield = VectorField(*(Field(hierarchy, "V/m").fill(lambda *at, i=i: at[i]) for i in range(3)))
+    rho = Field(hierarchy, "C/m^3").fill(density).average_down()
+    path = fields.path_of(folder, 3)
+    fields.write(path, hierarchy, {"phi": phi, "rho": rho, "E": efield}, 3, 2e-9, Provenance())
+    return path
+
+
+def cloud(x, y, z):
+    return 1e-6 * np.exp(-((x / 4e-3) ** 2) - ((y + 0.01) / 4e-3) ** 2 - ((z - 0.09) / 3e-2) ** 2)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_slice_holds_the_finest_cells_in_their_places(comm, tmp_path, axis):
+    finest = DOMAIN.spacing / 4
+    place = float(DOMAIN.lower[axis] + (48.25 if axis == 2 else 32.25) * finest[axis])  # cuts all three levels
+    with Dump(dumped(comm, tmp_path, cloud)) as dump:
+        shown = raster.slice_through(dump, "phi", axis, place)
+        strength = raster.slice_through(dump, "E", axis, place)
+    a, b = shown.axes
+    assert DOMAIN.upper[a] - DOMAIN.lower[a] >= DOMAIN.upper[b] - DOMAIN.lower[b]
+    assert shown.values.shape == (4 * DOMAIN.cells[a], 4 * DOMAIN.cells[b])
+    at = np.empty((*shown.values.shape, 3))
+    at[..., a] = (shown.lower[0] + (np.arange(at.shape[0]) + 0.5) * finest[a])[:, None]
+    at[..., b] = (shown.lower[1] + (np.arange(at.shape[1]) + 0.5) * finest[b])[None, :]
+    at[..., axis] = place
+    width = np.ones(shown.values.shape)  # of the finest cells at a pixel, in base cells
+    for level, boxes in enumerate(LEVELS, start=1):
+        for lower, upper in boxes:
+            i, j = (slice(lower[d] * 4 >> level, (upper[d] + 1) * 4 >> level) for d in (a, b))
+            width[i, j] = 0.5**level
+    # A pixel shows the value at the centre of its cell: at most half a cell away along each axis.
+    half = DOMAIN.spacing / 2
+    assert np.all(np.abs(shown.values - at @ [1, 10, 100]) <= width * (half @ [1, 10, 100]) * 1.001)
+    assert np.all(np.abs(strength.values - np.linalg.norm(at, axis=-1)) <= width * np.linalg.norm(half) * 1.001)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("most_pixels", [1600, 50])
+def test_a_projection_holds_all_of_the_charge_once(comm, tmp_path, monkeypatch, axis, most_pixels):
+    monkeypatch.setattr(raster, "MOST_PIXELS", most_pixels)
+    with Dump(dumped(comm, tmp_path, cloud)) as dump:
+        seen = raster.projection(dump, "rho", axis)
+        spread = raster.spread_of(dump)
+    area = np.prod((seen.upper - seen.lower) / seen.values.shape)
+    exact = 1e-6 * np.pi**1.5 * 4e-3 * 4e-3 * 3e-2
+    assert spread.charge == pytest.approx(exact, rel=1e-3)
+    # Fewer pixels than cells sample the cells and do not sum them.
+    assert seen.values.sum() * area == pytest.approx(spread.charge, rel=1e-12 if most_pixels == 1600 else 0.02)
+
+
+def test_the_line_follows_the_long_side_of_the_charge_from_wall_to_wall(comm, tmp_path):
+    with Dump(dumped(comm, tmp_path, cloud)) as dump:
+        spread = raster.spread_of(dump)
+        line = raster.line_through(dump, spread)
+        values = raster.line_values(dump, "phi", line)
+        efield = raster.line_values(dump, "E", line)
+    np.testing.assert_allclose(spread.centre, [0, -0.01, 0.09], atol=3e-5)
+    np.testing.assert_allclose(np.sqrt(np.diag(spread.covariance)), np.array([4e-3, 4e-3, 3e-2]) / 2**0.5, rtol=0.05)
+    assert line.direction.tolist() == [0, 0, 1]
+    assert line.points[0, 2] == pytest.approx(0.01, abs=1e-3)
+    assert line.points[-1, 2] == pytest.approx(0.17, abs=1e-3)
+    coarse = DOMAIN.spacing * [1, 10, 100] / 2
+    assert np.abs(values - line.points @ [1, 10, 100]).max() <= coarse.sum() * 1.001
+    assert np.abs(efield - line.points).max() <= DOMAIN.spacing.max() / 2 * 1.001
+
+
+def test_a_train_of_bunches_is_seen_along_its_diagonal(comm, tmp_path):
+    def train(x, y, z):
+        return sum(np.exp(-((x - b) ** 2 + (y + 0.01 - b) ** 2 + (z - 0.09) ** 2) / 2e-5) for b in (-0.01, 0, 0.01))
+
+    with Dump(dumped(comm, tmp_path, train)) as dump:
+        line = raster.line_through(dump, raster.spread_of(dump))
+    np.testing.assert_allclose(line.direction, [0.5**0.5, 0.5**0.5, 0], atol=0.02)
+
+
+# ---- the pictures ----
+
+DENSITIES = {
+    "positive": cloud,
+    "negative": lambda x, y, z: -cloud(x, y, z),
+    "both": lambda x, y, z: x * cloud(x, y, z),
+    "none": lambda x, y, z: 0 * x * y * z,
+}
+
+
+@pytest.mark.parametrize(("density", "axis"), [("positive", "z"), ("negative", "x"), ("both", "z"), ("none", "x")])
+def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density, axis, monkeypatch):
+    figures = []
+    save = plot._save
+
+    def watched(figure, path):
+        figures.append(figure)
+        return save(figure, path)
+
+    monkeypatch.setattr(plot, "_save", watched)
+    pictures = plot.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", axis)
+    assert [p.name for p in pictures] == [
+        f"fields_00000003_{n}.png" for n in (f"phi_{axis}", f"E_{axis}", f"rho_{axis}", "line")
+    ]
+    for path, figure in zip(pictures, figures, strict=True):
+        assert path.read_bytes().startswith(b"\x89PNG")
+        box = figure.get_tightbbox(FigureCanvasAgg(figure).get_renderer())
+        width, height = figure.get_size_inches()
+        assert 0 <= box.x0 < box.x1 <= width
+        assert 0 <= box.y0 < box.y1 <= height
+
+
+def test_what_cannot_be_drawn_is_named(comm, tmp_path):
+    with pytest.raises(InputError, match="No such file"):
+        plot.plot(tmp_path / "fields_00000001.vtkhdf")
+    (tmp_path / "pictures").write_text("in the way")
+    with pytest.raises(OutputError, match=r"cannot write picture .*: File exists; choose another output folder"):
+        plot.plot(dumped(comm, tmp_path, cloud), tmp_path / "pictures")
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [(0.0, "s", "0 s"), (1.25e-9, "s", "1.25 ns"), (-0.0282842, "m", "−28.28 mm"), (0.99999, "V", "1 V")],
+)
+def test_quantities_take_the_prefix_that_suits_them(value, unit, text):
+    assert plot.quantity(value, unit) == text

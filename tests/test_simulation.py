@@ -1,0 +1,293 @@
+"""The loop: conserved charge, the same run on one rank and on two, physics with known answers, stopping and going on."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amrpic import scene as model
+from amrpic.io import series
+from amrpic.simulation import Simulation
+from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
+
+QUIET: dict[str, Any] = {"write": []}
+GAUSSIAN = {"distribution": "gaussian", "sigma": 0.01, "charge": 1e-11, "particles": 4000}
+POINTS = np.random.default_rng(3).uniform(-0.09, 0.09, (200, 3))
+
+
+def scene(**changes: Any) -> model.Scene:
+    """A refined bunch that walks at random, sections replaced as given."""
+    data: dict[str, Any] = {
+        "domain": {"lower": -0.1, "upper": 0.1, "cells": 16, "boundary": "dirichlet"},
+        "bunches": [GAUSSIAN],
+        "refinement": {"levels": 2, "max_grid_size": 16, "regrid_every": 2, "blocking_factor": 4},
+        "motion": {"kind": "random-walk", "amplitude": "3 mm"},
+        "schedule": {"steps": 4},
+        "output": QUIET,
+    }
+    return model.Scene.from_dict({**data, **changes})
+
+
+def run(comm: Any, given: model.Scene) -> Simulation:
+    simulation = Simulation(comm, given)
+    assert simulation.run() is None
+    return simulation
+
+
+def everything(simulation: Simulation) -> dict[str, np.ndarray]:
+    """Particles and fields of this rank."""
+    particles, efield = simulation.particles, simulation.efield
+    fields = {"rho": simulation.rho, "phi": simulation.phi, "x": efield.x, "y": efield.y, "z": efield.z}
+    levels = range(simulation.hierarchy.levels)
+    return {
+        "position": particles.position,
+        "momentum": particles.momentum,
+        "id": particles.id,
+        **{name: np.concatenate([field.array(level) for level in levels]) for name, field in fields.items()},
+    }
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_charge_is_conserved_through_moves_and_regrids(comm):
+    simulation = Simulation(comm, scene())
+    meshes = []
+
+    def look(now: Simulation) -> None:
+        meshes.append([now.hierarchy.boxes(level).tolist() for level in range(now.hierarchy.levels)])
+        assert now.particles.global_count(comm) == 4000
+        assert now.rho.integral() == pytest.approx(1e-11, rel=1e-13)
+
+    simulation.on_step(look)
+    simulation.run()
+    assert len(meshes) == 4
+    assert meshes[0] != meshes[3]  # the mesh did follow
+
+
+@pytest.mark.mpi(ranks=2)
+def test_same_run_on_one_rank_and_on_two(comm):
+    from mpi4py import MPI
+
+    alone, together = run(MPI.COMM_SELF, scene()), run(comm, scene())
+    for level in range(alone.hierarchy.levels):
+        assert np.array_equal(alone.hierarchy.boxes(level), together.hierarchy.boxes(level))
+    assert alone.report.cycles == together.report.cycles
+    difference = together.phi.sample(POINTS) - alone.phi.sample(POINTS)
+    assert np.abs(difference).max() < 1e-8 * alone.phi.max_abs()
+    order = np.argsort(alone.particles.id)
+    ids = np.concatenate(comm.allgather(together.particles.id))
+    position = np.concatenate(comm.allgather(together.particles.position))
+    assert np.array_equal(position[np.argsort(ids)], alone.particles.position[order])
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("motion", [{"kind": "leapfrog", "dt": 2e-5}, {"kind": "random-walk", "amplitude": 3e-3}])
+def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion):
+    given = scene(motion=motion, schedule={"steps": 5})
+    simulation = Simulation(comm, given)
+    simulation.on_step(lambda now: now.checkpoint(tmp_path / "half") if now.step == 3 else None)
+    simulation.run()
+    again = Simulation.restart(comm, tmp_path / "half")
+    assert again.scene == given
+    assert (again.step, again.time) == (3, pytest.approx(3 * motion.get("dt", 0)))
+    again.run()
+    for name, values in everything(simulation).items():
+        assert np.array_equal(values, everything(again)[name]), name
+
+
+@pytest.mark.mpi(ranks=2)
+def test_restart_on_another_number_of_ranks(comm, tmp_path):
+    from mpi4py import MPI
+
+    given = scene(schedule={"steps": 4})
+    whole = Simulation(comm, given)
+    whole.on_step(lambda now: now.checkpoint(tmp_path / "half") if now.step == 3 else None)
+    whole.run()
+    alone = Simulation.restart(MPI.COMM_SELF, tmp_path / "half")
+    alone.run()
+    difference = whole.phi.sample(POINTS) - alone.phi.sample(POINTS)
+    assert np.abs(difference).max() < 1e-8 * alone.phi.max_abs()
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_lost_particles_are_recorded_and_kept_in_checkpoints(comm, tmp_path):
+    fast = {**GAUSSIAN, "sigma": 0.002, "particles": 50, "velocity": [1e6, 0, 0]}
+    given = scene(
+        bunches=[fast],
+        motion={"kind": "leapfrog", "dt": 4e-8},
+        schedule={"steps": 4},
+        refinement={"levels": 0},
+    )
+    simulation = run(comm, given)
+    assert simulation.particles.global_count(comm) == 0
+    assert simulation.lost.particles.global_count(comm) == 50
+    assert simulation.lost.particles.total_charge(comm) == pytest.approx(1e-11, rel=1e-12)
+    assert np.all(simulation.lost.time == pytest.approx(1.2e-7))
+    assert np.all(simulation.lost.particles.position[:, 0] > 0.1)
+    simulation.checkpoint(tmp_path / "end")
+    again = Simulation.restart(comm, tmp_path / "end")
+    assert np.array_equal(again.lost.particles.id, simulation.lost.particles.id)
+
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.mark.mpi(ranks=2)
+def test_sphere_has_the_potential_and_field_of_a_uniform_sphere(comm):
+    simulation = Simulation(comm, model.Scene.from_toml(EXAMPLES / "sphere.toml", ["output.write=[]"]))
+    radius = 0.005
+    around = radius * np.array([[1, 0, 0], [0, -1, 0], [0, 0, 1], [0.6, 0.8, 0], [0, -0.6, 0.8]])
+    assert simulation.phi.sample(np.zeros((1, 3)))[0] == pytest.approx(75, rel=0.005)
+    assert simulation.phi.sample(around) == pytest.approx(50, rel=0.005)
+    outward = np.einsum("ij,ij->i", simulation.efield.sample(1.5 * around), around / radius)
+    assert outward == pytest.approx(1e4 / 1.5**2, rel=0.01)
+
+
+def plasma(density: float, amplitude: float, per_axis: int, dt: float, steps: int) -> model.Scene:
+    """Cold electrons in a periodic cube of 1 cm, displaced by a sine along x."""
+    return scene(
+        domain={"lower": 0, "upper": 0.01, "cells": 16, "boundary": "periodic"},
+        background="neutralizing",
+        bunches=[
+            {
+                "distribution": "lattice",
+                "species": "electron",
+                "per_axis": per_axis,
+                "displacement": [amplitude, 0, 0],
+                "charge": -density * 1e-6 * ELEMENTARY_CHARGE,
+            }
+        ],
+        refinement={"levels": 0},
+        motion={"kind": "leapfrog", "dt": dt},
+        schedule={"steps": steps},
+    )
+
+
+def crossings(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Times at which a curve passes through zero."""
+    at = np.flatnonzero(values[:-1] * values[1:] < 0)
+    return time[at] - values[at] * (time[at + 1] - time[at]) / (values[at + 1] - values[at])
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_cold_plasma_oscillates_with_its_plasma_period(comm):
+    density = 1e14
+    period = 2 * np.pi / np.sqrt(density * ELEMENTARY_CHARGE**2 / (VACUUM_PERMITTIVITY * ELECTRON_MASS))
+    simulation = Simulation(comm, plasma(density, amplitude=2e-4, per_axis=32, dt=period / 40, steps=80))
+    probe = np.array([[0.0025, 0.005, 0.005]])
+    seen: list[tuple[float, float]] = []
+    simulation.on_step(lambda now: seen.append((now.time, float(now.efield.sample(probe)[0, 0]))))
+    simulation.run()
+    time, values = np.array(seen).T
+    half = np.diff(crossings(time, values))
+    # Measured: 1.6 % longer, because clouds and differences of one cell soften the force at 16 cells to a wave.
+    assert 2 * half.mean() == pytest.approx(1.016 * period, rel=0.005)
+    assert np.abs(values[-40:]).max() == pytest.approx(np.abs(values[:40]).max(), rel=0.02)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_expanding_bunch_turns_field_energy_into_motion(comm):
+    given = scene(
+        domain={"lower": -0.02, "upper": 0.02, "cells": 32, "boundary": "dirichlet"},
+        bunches=[
+            {"distribution": "sphere", "species": "electron", "radius": 0.004, "charge": -1e-11, "particles": 20000}
+        ],
+        refinement={"levels": 0},
+        motion={"kind": "leapfrog", "dt": 1e-10},
+        schedule={"steps": 20},
+    )
+    simulation = Simulation(comm, given)
+
+    def energies() -> tuple[float, float]:
+        from amrpic.diagnostics import kinetic_energy, potential_energy
+
+        return kinetic_energy(comm, simulation.particles), potential_energy(simulation.rho, simulation.phi)
+
+    kinetic, potential = energies()
+    assert kinetic == 0
+    total = potential
+    simulation.run()
+    kinetic, potential = energies()
+    assert kinetic > 0.3 * total
+    # Measured: 1.4 % less at the end with any time step, the price of a gather that conserves momentum.
+    assert kinetic + potential == pytest.approx(total, rel=0.02)
+
+
+@pytest.mark.mpi(ranks=2)
+def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_path):
+    output = {"directory": str(tmp_path / "out"), "write": ["checkpoint", "series"], "checkpoint_every": 0}
+    given = scene(schedule={"steps": 4}, output=output)
+    simulation = Simulation(comm, given)
+
+    def warn_one_rank(now: Simulation) -> None:
+        if now.step == 2 and comm.rank == 1:
+            os.kill(os.getpid(), signal.SIGUSR1)
+
+    simulation.on_step(warn_one_rank)
+    assert simulation.run() == "signal SIGUSR1"
+    assert simulation.step == 2
+    again = Simulation.restart(comm, tmp_path / "out" / "checkpoint_00000002")
+    assert again.run() is None
+    undisturbed = run(comm, scene(schedule={"steps": 4}))
+    for name, values in everything(undisturbed).items():
+        assert np.array_equal(values, everything(again)[name]), name
+    if comm.rank == 0:
+        assert series.read(tmp_path / "out" / "series.csv")["step"].tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.mpi(ranks=1)
+def test_run_stops_before_its_time_is_over(comm, tmp_path):
+    output = {"directory": str(tmp_path / "out"), "write": ["checkpoint"]}
+    simulation = Simulation(comm, scene(schedule={"steps": 1000}, output=output))
+    assert simulation.run(walltime=0.0) == "the time given is nearly over"
+    assert (tmp_path / "out" / "checkpoint_00000000").is_dir()
+
+
+@pytest.mark.mpi(ranks=2)
+def test_outputs_are_those_that_the_scene_wants(comm, tmp_path):
+    def written(*kinds: str) -> set[str]:
+        folder = tmp_path / "-".join(("out", *kinds))
+        output = {"directory": str(folder), "write": list(kinds), "fields_every": 2, "checkpoint_every": 1, "keep": 2}
+        run(comm, scene(schedule={"steps": 2}, output=output, refinement={"levels": 0}))
+        comm.Barrier()
+        return {path.name for path in Path(folder).iterdir()}
+
+    assert written() == set()
+    assert written("series") == {"series.csv"}
+    assert written("checkpoint") == {"checkpoint_00000001", "checkpoint_00000002"}
+    assert written("fields") == {"fields_00000000.vtkhdf", "fields_00000002.vtkhdf"}
+    assert {name.rpartition(".")[2] for name in written("pictures")} == {"vtkhdf", "png"}
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_static_boxes_stay(comm):
+    boxes = [
+        {"level": 1, "first": 8, "last": 23},
+        {"level": 2, "lower": [-0.02, -0.02, -0.02], "upper": [0.02, 0.02, 0.02]},
+    ]
+    simulation = run(
+        comm,
+        scene(
+            refinement={
+                "levels": 2,
+                "blocking_factor": 4,
+                "max_grid_size": 16,
+                "rule": {"kind": "static", "boxes": boxes},
+            }
+        ),
+    )
+    assert simulation.hierarchy.levels == 3
+    assert simulation.hierarchy.cells(1) == 16**3
+    assert simulation.hierarchy.boxes(2)[:, :3].min(axis=0).tolist() == [24, 24, 24]
+
+
+@pytest.mark.mpi(ranks=2)
+def test_field_strength_refines_where_the_field_is(comm):
+    rule = {"kind": "field-strength", "relative": 0.5}
+    simulation = run(comm, scene(refinement={"levels": 1, "blocking_factor": 4, "max_grid_size": 16, "rule": rule}))
+    assert simulation.hierarchy.levels == 2
+    assert 0 < simulation.hierarchy.cells(1) < 8 * 16**3

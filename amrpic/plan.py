@@ -25,6 +25,7 @@ class Plan:
         self.clock = Clock()
         self.remarks: list[str] = []
         self._solver: PoissonSolver | None = None
+        self._potential, self._slope = scene.domain.wall_functions()
 
     def poisson(self, hierarchy: Hierarchy) -> PoissonSolver:
         """Return the solver of a hierarchy, set up at the first call. Collective."""
@@ -39,13 +40,16 @@ class Plan:
                 prolongation=options.prolongation,
                 sweeps=(options.sweeps, options.sweeps),
                 max_cycles=options.max_cycles,
+                stretch=options.stretch,
                 background="neutralizing" if self.scene.background == "neutralizing" else None,
             )
         return self._solver
 
     def solve(self, rho: Field, guess: Field | None) -> tuple[Field, SolveReport]:
         """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge."""
-        phi, report = self.poisson(rho.hierarchy).solve(rho, guess=guess)
+        phi, report = self.poisson(rho.hierarchy).solve(
+            rho, guess=guess, boundary_values=self._potential, boundary_flux=self._slope
+        )
         if not report.converged:
             reached = report.residuals[-1] if report.residuals else float("nan")
             raise SolverError(

@@ -37,7 +37,9 @@ class PoissonSolver:
 
     `tolerance` bounds the residual over the right-hand side (its boundary part included) in `norm`: "max", or "l1" or "l2"
     weighted by volume, over uncovered cells. `background="neutralizing"` takes the mean charge away where all faces are
-    periodic or Neumann. The cycle is a V-cycle with `sweeps` (before, after) of over-relaxed red-black Gauss-Seidel.
+    periodic or Neumann. With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives
+    φ and E of charge that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in
+    coordinates s_d x_d. The cycle is a V-cycle with `sweeps` (before, after) of over-relaxed red-black Gauss-Seidel.
 
     Raises SolverError for an option out of range.
     """
@@ -54,6 +56,7 @@ class PoissonSolver:
         relaxation: float = 1.25,
         max_cycles: int = 100,
         background: str | None = None,
+        stretch: Sequence[float] = (1.0, 1.0, 1.0),
     ) -> None:
         _one_of("norm", norm, NORMS)
         _one_of("backend", backend, BACKENDS)
@@ -70,6 +73,8 @@ class PoissonSolver:
             raise SolverError(f"relaxation is {relaxation}; give a number between 0 and 2")
         if max_cycles < 1:
             raise SolverError(f"max_cycles is {max_cycles}; give at least 1")
+        if len(stretch) != 3 or not all(0 < s < np.inf for s in stretch):
+            raise SolverError(f"stretch is {tuple(stretch)}; give three positive numbers, such as (1, 1, gamma)")
         options = _native.SolverOptions()
         options.tolerance = tolerance
         options.norm = getattr(_native.Norm, norm)
@@ -78,8 +83,9 @@ class PoissonSolver:
         options.relaxation = relaxation
         options.max_cycles = int(max_cycles)
         options.neutralize = background is not None
+        options.stretch = self.stretch = tuple(float(s) for s in stretch)
         self.hierarchy = hierarchy
-        self._has_wall_data = False
+        self._walls: tuple[Function | None, Function | None] = (None, None)  # whose values the walls hold
         try:
             self.native = _native.PoissonSolver(hierarchy.native, options)
         except _native.SolverError as refused:
@@ -116,7 +122,7 @@ class PoissonSolver:
         )
 
     def electric_field(self, phi: Field) -> VectorField:
-        """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces. Collective.
+        """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces; stretched as the equation. Collective.
 
         Walls count with the data of the latest solve.
         """
@@ -136,16 +142,18 @@ class PoissonSolver:
             )
 
     def _set_walls(self, values: Function | None, flux: Function | None) -> None:
-        had_data, self._has_wall_data = self._has_wall_data, values is not None or flux is not None
-        if not (had_data or self._has_wall_data):
+        if (values, flux) == (None, None) == self._walls:
             return  # all of it is zero already
         with together(self.hierarchy.comm, SolverError):
             for level in range(self.hierarchy.levels):
-                kinds, points = self.native.wall_faces(level)
+                kinds, axes, points = self.native.wall_faces(level)
                 data = self.native.wall_data(level)
                 for kind, function in ((DIRICHLET, values), (NEUMANN, flux)):
                     faces = kinds == kind
                     data[faces] = 0.0 if function is None else function(*points[faces].T)
+                # the native side works in stretched coordinates
+                data[kinds == NEUMANN] /= np.array(self.stretch)[axes[kinds == NEUMANN]]
+        self._walls = values, flux
 
 
 def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:

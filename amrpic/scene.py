@@ -17,6 +17,7 @@ from .errors import HierarchyError, SceneError
 from .hierarchy import AXES, BOUNDARIES, Domain
 from .section import Section
 from .units import ChargeDensity, FieldStrength, Index3, Length, Length3, Time, complaint
+from .walls import Function, Potentials, Slopes, require_kind, wall_function
 
 LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
@@ -43,6 +44,16 @@ class DomainSection(Section):
         description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a "
         "pair (lower, upper). Open, φ(∞) = 0, is the default because a bunch in free space is the usual case.",
     )
+    potential: Potentials = Field(
+        default={},
+        description='Potential of Dirichlet faces, V, per axis one or a pair (lower, upper): numbers, strings such as "5 kV", '
+        'or formulas in x, y and z (m) such as "1e6*(x^2 - y^2)". Faces without one are at 0 V.',
+    )
+    slope: Slopes = Field(
+        default={},
+        description="Outward derivative of φ on Neumann faces, V/m, per axis one or a pair (lower, upper), as for "
+        "potential; the flux of E out of the face is minus this. Faces without one have none.",
+    )
 
     @model_validator(mode="after")
     def _sound(self) -> Self:
@@ -58,7 +69,13 @@ class DomainSection(Section):
                 path="boundary",
                 found=domain.boundary,
             )
+        require_kind(self.potential, self.boundary, "dirichlet", "potential")
+        require_kind(self.slope, self.boundary, "neumann", "slope")
         return self
+
+    def wall_functions(self) -> tuple[Function | None, Function | None]:
+        """The potential on Dirichlet faces and the slope on Neumann faces, as functions of x, y and z; None where zero."""
+        return tuple(wall_function(given, self.lower, self.upper) for given in (self.potential, self.slope))  # type: ignore[return-value]
 
     @property
     def value(self) -> Domain:
@@ -224,10 +241,22 @@ class Solver(Section):
     prolongation: Literal["trilinear", "constant"] = Field(
         default="trilinear", description="Interpolation of coarse corrections; trilinear saves cycles."
     )
+    stretch: tuple[float, float, float] = Field(
+        default=(1.0, 1.0, 1.0),
+        description="Factors s on the lengths: the equation is Σ s⁻² ∂²φ/∂x² = −ρ/ε₀ and E = −s⁻² ∂φ/∂x. "
+        "(1, 1, γ) gives φ and E, seen at rest, of a bunch that moves along z with the Lorentz factor γ.",
+    )
     sweeps: int = Field(
         default=2, ge=1, description="Smoothing sweeps before, and as many after, the coarse correction."
     )
     max_cycles: int = Field(default=50, ge=1, description="Cycles after which a solve is given up as unconverged.")
+
+    @model_validator(mode="after")
+    def _positive_stretch(self) -> Self:
+        for axis, factor in enumerate(self.stretch):
+            if factor <= 0:
+                raise complaint("is not positive", "give a factor above 0", path=f"stretch.{axis}", found=factor)
+        return self
 
 
 class NoMotion(Section):
@@ -312,6 +341,7 @@ class Scene(Section):
         self._check_places()
         self._check_balance()
         self._check_species()
+        self._check_stretch()
         return self
 
     def _check_cells(self) -> None:
@@ -378,7 +408,7 @@ class Scene(Section):
             )
         charges = [bunch.bunch_charge * bunch.copies for bunch in self.bunches]
         scale = sum(abs(charge) for charge in charges)
-        if singular and self.background == "none" and abs(sum(charges)) > 1e-12 * scale:
+        if singular and not self.domain.slope and self.background == "none" and abs(sum(charges)) > 1e-12 * scale:
             raise complaint(
                 f"has no solution: all faces are periodic or neumann, and the net charge is {sum(charges):g} C",
                 'set background = "neutralizing", or charges that add up to zero',
@@ -395,6 +425,15 @@ class Scene(Section):
                     path=f"bunches.{number}.species",
                     found=bunch.species.model_dump(),
                 )
+
+    def _check_stretch(self) -> None:
+        if isinstance(self.motion, Leapfrog) and self.solver.stretch != (1.0, 1.0, 1.0):
+            raise complaint(
+                "asks for the field of a relativistic bunch, but the leapfrog knows no magnetic force",
+                "leave stretch out, or the motion",
+                path="solver.stretch",
+                found=list(self.solver.stretch),
+            )
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:

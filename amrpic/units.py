@@ -56,6 +56,7 @@ UNITS: dict[str, dict[str, float]] = {
         "nC/mm^3": 1.0,
         "e/m^3": ELEMENTARY_CHARGE,
     },
+    "potential": {"V": 1.0, "mV": 1e-3, "kV": 1e3, "MV": 1e6},
     "field": {"V/m": 1.0, "kV/m": 1e3, "MV/m": 1e6, "GV/m": 1e9},
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
 }

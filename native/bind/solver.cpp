@@ -1,3 +1,4 @@
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
@@ -27,6 +28,7 @@ void bind_solver(nb::module_& m) {
       .def_rw("post_sweeps", &SolverOptions::post_sweeps)
       .def_rw("relaxation", &SolverOptions::relaxation)
       .def_rw("prolongation", &SolverOptions::prolongation)
+      .def_rw("stretch", &SolverOptions::stretch)
       .def_rw("neutralize", &SolverOptions::neutralize);
 
   nb::class_<SolveReport>(m, "SolveReport")
@@ -56,17 +58,19 @@ void bind_solver(nb::module_& m) {
       .def(
           "wall_faces",
           [](PoissonSolver& solver, int level) {
-            // kind and position of each wall face of this rank
+            // kind, axis and position of each wall face of this rank
             Walls const& walls = solver.walls(level);
-            std::vector<int> kind;
+            std::vector<int> kind, axis;
             std::vector<Real> position;
             for (std::size_t i = 0; i < walls.faces.size(); ++i) {
               kind.push_back(int(walls.faces[i].kind));
+              axis.push_back(walls.faces[i].axis);
               Real3 const x = walls.position(solver.hierarchy().domain(), solver.hierarchy().level(level), i);
               position.insert(position.end(), x.begin(), x.end());
             }
             std::size_t const n = kind.size();
-            return nb::make_tuple(bind::to_array(std::move(kind)), bind::to_array(std::move(position), {n, 3}));
+            return nb::make_tuple(bind::to_array(std::move(kind)), bind::to_array(std::move(axis)),
+                                  bind::to_array(std::move(position), {n, 3}));
           },
           "level"_a)
       .def(

@@ -203,4 +203,14 @@ Hierarchy::Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vecto
   }
 }
 
+std::shared_ptr<Hierarchy const> Hierarchy::stretched(Real3 const& factor) const {
+  auto out = std::make_shared<Hierarchy>(*this);
+  for (int d = 0; d < 3; ++d) {
+    out->domain_.lower[d] *= factor[d];
+    out->domain_.upper[d] *= factor[d];
+  }
+  for (auto& level : out->levels_) level = level->stretched(factor);
+  return out;
+}
+
 }  // namespace amrpic

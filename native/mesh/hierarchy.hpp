@@ -29,6 +29,9 @@ class Hierarchy {
   std::shared_ptr<Level const> share_level(int l) const { return levels_[l]; }
   bool has_finer(int l) const { return l + 1 < level_count(); }
 
+  /// The same boxes on the same ranks, in a space whose lengths are those of this one times `factor`.
+  std::shared_ptr<Hierarchy const> stretched(Real3 const& factor) const;
+
  private:
   MPI_Comm comm_;
   Domain domain_;

@@ -74,4 +74,10 @@ std::vector<int> Level::boxes_near(Box const& region) const {
   return out;
 }
 
+std::shared_ptr<Level const> Level::stretched(Real3 const& factor) const {
+  auto out = std::make_shared<Level>(*this);
+  for (int d = 0; d < 3; ++d) out->spacing_[d] *= factor[d];
+  return out;
+}
+
 }  // namespace amrpic

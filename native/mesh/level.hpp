@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <unordered_map>
 #include <vector>
 
@@ -22,6 +23,8 @@ class Level {
   Box const& domain() const { return domain_; }
   std::array<bool, 3> const& periodic() const { return periodic_; }
   Real3 const& spacing() const { return spacing_; }
+  /// The same boxes on the same ranks, with `factor` times the spacing.
+  std::shared_ptr<Level const> stretched(Real3 const& factor) const;
   Real cell_volume() const { return spacing_[0] * spacing_[1] * spacing_[2]; }
 
   int box_count() const { return int(boxes_.size()); }

@@ -16,6 +16,7 @@ struct SolverOptions {
   int pre_sweeps = 2, post_sweeps = 2;
   Real relaxation = 1.25;  ///< of red-black Gauss-Seidel; within a cycle of the best for all cases measured
   Prolongation prolongation = Prolongation::trilinear;
+  Real3 stretch{1, 1, 1};  ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
   bool neutralize =
       false;  ///< take the mean of the charge away where the boundary leaves the potential's constant free
 };

@@ -32,7 +32,8 @@ freespace::Lattice lattice_of(Hierarchy const& hierarchy) {
 }  // namespace
 
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options)
-    : hierarchy_(std::move(hierarchy)),
+    : given_(std::move(hierarchy)),
+      hierarchy_(given_->stretched(options.stretch)),
       options_(options),
       stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size())),
       operators_(assemble(hierarchy_->comm(), stack_, options.prolongation)),
@@ -154,9 +155,10 @@ void PoissonSolver::remove_net_charge() {
   Real volume = 1;
   for (int d = 0; d < 3; ++d) volume *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];
   Real const net = composite_integral(false), magnitude = composite_integral(true);
+  Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
   if (!options_.neutralize && std::abs(net) > 1e-10 * magnitude)
     throw SolverError("all faces are periodic or Neumann, but the net charge (with the flux through the walls) is " +
-                      scientific(-net * vacuum_permittivity) +
+                      scientific(-net / stretched_volume * vacuum_permittivity) +
                       " C, which no potential can balance; make it zero, ask for background = \"neutralizing\", or "
                       "give one face a potential");
   // Twice: what rounding leaves of a large uniform background is a mean that no potential can balance, and it would
@@ -312,6 +314,7 @@ void PoissonSolver::electric_field(Field const& phi, std::vector<Field*> const& 
       if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, state_[l - 1].phi.data(), e.data());
       if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, state_[l + 1].phi.data(), e.data());
       add_to_field(walls_[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, e);
+      if (options_.stretch[axis] != 1) for_rows(o.rows(), [&](LocalIndex row) { e[row] /= options_.stretch[axis]; });
     }
   }
   transfer_.average_down(components);

@@ -25,7 +25,8 @@ struct SolveReport {
 };
 
 /// Solves Laplace phi = -rho / eps0 over all levels of a hierarchy at once. Set up once per hierarchy, solved many
-/// times.
+/// times. With options.stretch = s the Laplacian is the sum of (1/s_d^2) d^2/dx_d^2: that of coordinates s_d x_d, in
+/// which everything below lives.
 class PoissonSolver {
  public:
   /// Collective.
@@ -40,10 +41,11 @@ class PoissonSolver {
   /// Throws SolverError for a charge that no potential can balance. Collective.
   SolveReport solve(Field const& rho, Field& phi);
 
-  /// Fill the three components of -grad phi (V/m); walls count with the data of the latest solve. Collective.
+  /// Fill the three components of E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve.
+  /// Collective.
   void electric_field(Field const& phi, std::vector<Field*> const& components);
 
-  Hierarchy const& hierarchy() const { return *hierarchy_; }
+  Hierarchy const& hierarchy() const { return *given_; }
   LevelOperators const& operators(int level) const { return operators_[stack_.base + level]; }
   LevelOperators const& operators_with_gradient(int level);
 
@@ -75,7 +77,8 @@ class PoissonSolver {
   void fix_constant();
   void iterate(SolveReport& report);
 
-  std::shared_ptr<Hierarchy const> hierarchy_;
+  std::shared_ptr<Hierarchy const> given_;
+  std::shared_ptr<Hierarchy const> hierarchy_;  ///< the given one in stretched coordinates
   SolverOptions options_;
   LevelStack stack_;
   std::vector<LevelOperators> operators_;

@@ -19,7 +19,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub help setup build run test verify lint format clean
+.PHONY: stub docs help setup build run test verify lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -82,12 +82,16 @@ build/_native.pyi: .venv/.built
 stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 	@cmp -s $< amrpic/_native.pyi || cp $< amrpic/_native.pyi
 
+docs: .venv/.built  ## write docs/scene.md, the reference of scenes, anew
+	@$(BIN)/amrpic schema --markdown --output docs/scene.md
+
 lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency graphs
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/clang-format --dry-run -Werror $(wildcard native/*/*.cpp native/*/*.hpp)
 	cmp build/_native.pyi amrpic/_native.pyi || { echo 'the stub is old: make stub'; exit 1; }
+	$(BIN)/amrpic schema --markdown | cmp - docs/scene.md || { echo 'the reference of scenes is old: make docs'; exit 1; }
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
 format: .venv/.packages  ## let ruff and clang-format rewrite the sources

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from .complaints import close_match
 from .errors import InputError
@@ -34,6 +35,10 @@ class Species(Section):
                 found=data,
             )
         return dict(zip(("charge", "mass"), SPECIES[data], strict=True))
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"anyOf": [{"enum": list(SPECIES)}, handler(schema)]}
 
 
 class Bunch(Section):

@@ -66,6 +66,10 @@ def parser() -> argparse.ArgumentParser:
     )
     plot.add_argument("--output", metavar="DIR", help="where to put the pictures; default beside what they show")
 
+    schema = _command(commands, "schema", _schema, "print what a scene may hold, as a JSON schema for editors")
+    schema.add_argument("--markdown", action="store_true", help="as a reference for people, in Markdown")
+    schema.add_argument("--output", metavar="FILE", help="write it into a file")
+
     _command(commands, "doctor", _doctor, "check this machine and tell how to mend what is wrong")
     return top
 
@@ -165,6 +169,23 @@ def _plot(chosen: argparse.Namespace) -> int:
         if MPI.COMM_WORLD.rank == 0:
             dump = latest_fields(path) if path.is_dir() else path
             print(*plot(dump, folder, chosen.axis, chosen.position), sep="\n")
+    return 0
+
+
+def _schema(chosen: argparse.Namespace) -> int:
+    import json
+
+    from .errors import OutputError
+    from .schema import scene_reference, scene_schema
+
+    text = scene_reference() if chosen.markdown else json.dumps(scene_schema(), indent=2, ensure_ascii=False) + "\n"
+    if chosen.output is None:
+        print(text, end="")
+        return 0
+    try:
+        Path(chosen.output).write_text(text, encoding="utf-8")
+    except OSError as reason:
+        raise OutputError(f"cannot write {chosen.output}: {reason.strerror}; choose another --output") from None
     return 0
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
 from . import toml
 from .bunches import ArrayBunch, GaussianBunch, LatticeBunch, SphereBunch
@@ -31,6 +31,16 @@ class RefusedScene(SceneError):
         self.problems = list(problems) or [message]
 
 
+_FACE = {"enum": list(BOUNDARIES)}
+_FACES = {"anyOf": [_FACE, {"type": "array", "items": _FACE, "minItems": 2, "maxItems": 2}]}
+BOUNDARY_SCHEMA = {
+    "anyOf": [
+        _FACE,
+        {"type": "object", "properties": dict.fromkeys(AXES, _FACES), "additionalProperties": False},
+    ]
+}
+
+
 class DomainSection(Section):
     """The cuboid that is computed, its base cells and what holds at its faces."""
 
@@ -39,7 +49,11 @@ class DomainSection(Section):
     cells: Index3 = Field(
         description="Base cells per axis; multiples of refinement.blocking_factor, because boxes are."
     )
-    boundary: Annotated[dict[str, tuple[str, str]], BeforeValidator(lambda value: _per_face(value))] = Field(
+    boundary: Annotated[
+        dict[str, tuple[str, str]],
+        BeforeValidator(lambda value: _per_face(value)),
+        WithJsonSchema(BOUNDARY_SCHEMA),
+    ] = Field(
         default=dict.fromkeys(AXES, ("open", "open")),
         description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a "
         "pair (lower, upper). Open, φ(∞) = 0, is the default because a bunch in free space is the usual case.",

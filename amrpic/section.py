@@ -5,16 +5,41 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, model_validator
+from pydantic_core import CoreSchema
 
 from .complaints import close_match
 from .units import complaint
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, str | bool):
+        raise complaint("is not a number", "write one, without quotes and without a unit")
+    return value
+
+
+REFUSAL = {"type": "no-info", "function": _number}
+
+
+def _without_coercion(schema: Any) -> Any:
+    """Return a validation schema in which "3" and true are no numbers, as for every JSON schema and editor."""
+    if isinstance(schema, list):
+        return [_without_coercion(member) for member in schema]
+    if not isinstance(schema, dict) or schema.get("function") == REFUSAL:
+        return schema
+    if schema.get("type") in ("int", "float"):
+        return {"type": "function-before", "function": REFUSAL, "schema": schema}
+    return {key: _without_coercion(member) for key, member in schema.items()}
 
 
 class Section(BaseModel):
     """A part of the scene: frozen, and strict about its keys."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return _without_coercion(handler(source))
 
     @model_validator(mode="before")
     @classmethod

@@ -52,25 +52,25 @@ def _key(holder: Any, key: str, assignment: str) -> Any:
     return int(key)
 
 
-def _value(text: str) -> Any:
+def _value(written: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return tomllib.loads(f"value = {written}")["value"]
     except tomllib.TOMLDecodeError:
-        return text.strip()
+        return written.strip()
 
 
 def _table(data: Mapping[str, Any], path: tuple[str, ...], lines: list[str]) -> None:
     plain = {key: value for key, value in data.items() if not _is_section(value)}
     if path and (plain or not data):
         lines += ["", f"[{'.'.join(path)}]"]
-    lines += [f"{_bare(key)} = {_text(value)}" for key, value in plain.items()]
+    lines += [f"{_bare(key)} = {text(value)}" for key, value in plain.items()]
     for key, value in data.items():
         if isinstance(value, Mapping):
             _table(value, (*path, _bare(key)), lines)
         elif _is_section(value):
             for member in value:
                 lines += ["", f"[[{'.'.join((*path, _bare(key)))}]]"]
-                lines += [f"{_bare(k)} = {_text(v)}" for k, v in member.items()]
+                lines += [f"{_bare(k)} = {text(v)}" for k, v in member.items()]
 
 
 def _is_section(value: Any) -> bool:
@@ -81,13 +81,14 @@ def _bare(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key)
 
 
-def _text(value: Any) -> str:
+def text(value: Any) -> str:
+    """Return a value as TOML writes it on one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_bare(key)} = {_text(member)}" for key, member in value.items()) + "}"
+        return "{" + ", ".join(f"{_bare(key)} = {text(member)}" for key, member in value.items()) + "}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_text(member) for member in value) + "]"
+        return "[" + ", ".join(text(member) for member in value) + "]"
     return repr(value)

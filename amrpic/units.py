@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from . import _native
@@ -61,7 +61,8 @@ UNITS: dict[str, dict[str, float]] = {
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
 }
 
-_QUANTITY = re.compile(r"\s*([-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+_NUMBER = r"[-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 
 
 def complaint(what: str, remedy: str, *, path: str = "", found: Any = None) -> PydanticCustomError:
@@ -103,7 +104,23 @@ class Quantity:
         return core_schema.no_info_before_validator_function(lambda value: to_si(value, self.kind), handler(source))
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {**handler(schema), "type": ["number", "string"], "unit": next(iter(UNITS[self.kind]))}
+        # The pattern constrains strings alone, limits constrain numbers alone.
+        units = "|".join(UNITS[self.kind]).replace("^", r"\^")
+        pattern = rf"^\s*{_NUMBER}\s*({units})\s*$"
+        unit = next(iter(UNITS[self.kind]))
+        return {**handler(schema), "type": ["number", "string"], "pattern": pattern, "unit": unit}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Annotation of a triple: a single value stands for all three axes."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(_spread, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        one = handler(schema)["prefixItems"][0]
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]}
 
 
 def to_seconds(text: str) -> float:
@@ -144,9 +161,6 @@ def _example(kind: str) -> str:
     return f'such as "2.5 {table[1] if len(table) > 1 else table[0]}"'
 
 
-# A value per axis; a single one stands for all three.
-PerAxis = BeforeValidator(_spread)
-
 Length = Annotated[float, Quantity("length")]
 Time = Annotated[float, Quantity("time")]
 Charge = Annotated[float, Quantity("charge")]
@@ -155,10 +169,10 @@ Momentum = Annotated[float, Quantity("momentum")]
 Velocity = Annotated[float, Quantity("velocity")]
 ChargeDensity = Annotated[float, Quantity("charge density")]
 FieldStrength = Annotated[float, Quantity("field")]
-Length3 = Annotated[tuple[Length, Length, Length], PerAxis]
-Momentum3 = Annotated[tuple[Momentum, Momentum, Momentum], PerAxis]
-Velocity3 = Annotated[tuple[Velocity, Velocity, Velocity], PerAxis]
-Index3 = Annotated[tuple[int, int, int], PerAxis]
+Length3 = Annotated[tuple[Length, Length, Length], Spread()]
+Momentum3 = Annotated[tuple[Momentum, Momentum, Momentum], Spread()]
+Velocity3 = Annotated[tuple[Velocity, Velocity, Velocity], Spread()]
+Index3 = Annotated[tuple[int, int, int], Spread()]
 
 #: Charge (C) and mass (kg) of one particle of the species that have a name.
 SPECIES: dict[str, tuple[float, float]] = {

@@ -40,7 +40,7 @@ GROUPS = {
     "common": {"boxes", "errors", "failure", "parallel", "stop", "units"},
     "native": {"_native"},
     "values": {"hierarchy", "field", "particles", "scene"},
-    "scene parts": {"bunches", "complaints", "expression", "limits", "section", "toml", "walls"},
+    "scene parts": {"bunches", "complaints", "expression", "limits", "schema", "section", "toml", "walls"},
     "stages": {"beam", "tag", "regrid", "migrate", "deposit", "poisson", "gather", "push"},
     "reductions": {"diagnostics"},
     "output": {"io", "plot", "raster", "report"},

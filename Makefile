@@ -27,8 +27,8 @@ help:  ## list the targets
 run: setup  ## the main job: SCENE on RANKS ranks
 	mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
 
-test: setup  ## all tests; ARGS go to pytest
-	$(BIN)/python -m pytest $(ARGS)
+test: setup  ## all tests, JOBS files at a time; ARGS go to pytest
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
 verify: setup  ## the long forms of tests: ten bunches on 1 to 4 ranks, twenty kills
 	AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_decomposition.py tests/test_kill_restart.py $(ARGS)

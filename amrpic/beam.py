@@ -15,6 +15,7 @@ from scipy.special import ndtri
 from . import _native
 from .errors import ParticleError
 from .particles import Particles
+from .species import Species, SpeciesTable
 
 POSITION, MOMENTUM = 2, 3  # streams of the counter-based generator; the random walk draws from another
 
@@ -28,8 +29,7 @@ def gaussian(
     centre: Vector,
     sigma: float | Vector,
     bunch_charge: float,
-    charge: float,
-    mass: float,
+    species: Species,
     momentum: Vector = (0.0, 0.0, 0.0),
     momentum_sigma: float | Vector = 0.0,
     seed: int = 0,
@@ -38,11 +38,11 @@ def gaussian(
     """Return this rank's share of a bunch with normal distributions along each axis.
 
     `centre` and `sigma` in m, `momentum` (mean) and `momentum_sigma` in kg m/s of one real particle; `bunch_charge` is that of
-    all `count` macroparticles, `charge` (C) and `mass` (kg) those of one real particle. Ids start at `first_id`.
+    all `count` macroparticles, `species` tells charge and mass of one real particle. Ids start at `first_id`.
     """
     ids = _share(comm, count, first_id)
     position = np.asarray(centre) + np.asarray(sigma) * _normal(seed, POSITION, ids)
-    return _bunch(ids, count, position, momentum, momentum_sigma, bunch_charge, charge, mass, seed)
+    return _bunch(ids, count, position, momentum, momentum_sigma, bunch_charge, species, seed)
 
 
 def uniform_sphere(
@@ -52,8 +52,7 @@ def uniform_sphere(
     centre: Vector,
     radius: float,
     bunch_charge: float,
-    charge: float,
-    mass: float,
+    species: Species,
     momentum: Vector = (0.0, 0.0, 0.0),
     momentum_sigma: float | Vector = 0.0,
     seed: int = 0,
@@ -66,15 +65,14 @@ def uniform_sphere(
     sine = np.sqrt(1 - cosine**2)
     directions = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine]).T
     position = np.asarray(centre) + distance[:, None] * directions
-    return _bunch(ids, count, position, momentum, momentum_sigma, bunch_charge, charge, mass, seed)
+    return _bunch(ids, count, position, momentum, momentum_sigma, bunch_charge, species, seed)
 
 
 def from_arrays(
     comm: MPI.Comm,
     position: np.ndarray,
     *,
-    charge: float,
-    mass: float,
+    species: Species,
     bunch_charge: float | None = None,
     weight: np.ndarray | None = None,
     momentum: np.ndarray | None = None,
@@ -98,10 +96,9 @@ def from_arrays(
     return Particles(
         position[own],
         np.zeros((len(ids), 3)) if momentum is None else momentum[own],
-        _equal_weights(ids, count, bunch_charge, charge) if weight is None else weight[own],
+        _equal_weights(ids, count, bunch_charge, species.charge) if weight is None else weight[own],
         ids,
-        charge,
-        mass,
+        SpeciesTable((species,)),
     )
 
 
@@ -140,12 +137,12 @@ def _bunch(
     momentum: Vector,
     momentum_sigma: float | Vector,
     bunch_charge: float,
-    charge: float,
-    mass: float,
+    species: Species,
     seed: int,
 ) -> Particles:
     spread = np.asarray(momentum_sigma)
     momenta = np.tile(np.asarray(momentum, dtype=np.float64), (len(ids), 1))
     if spread.any():
         momenta += spread * _normal(seed, MOMENTUM, ids)
-    return Particles(position, momenta, _equal_weights(ids, count, bunch_charge, charge), ids, charge, mass)
+    weight = _equal_weights(ids, count, bunch_charge, species.charge)
+    return Particles(position, momenta, weight, ids, SpeciesTable((species,)))

@@ -8,37 +8,12 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, GetJsonSchemaHandler, model_validator
-from pydantic_core import CoreSchema
+from pydantic import Field, model_validator
 
-from .complaints import close_match
 from .errors import InputError
 from .section import Section, refuse_negative
-from .units import SPECIES, Charge, Index3, Length, Length3, Mass, Momentum3, Velocity3, complaint
-
-
-class Species(Section):
-    """One real particle; momentum and weight of the macroparticles refer to it."""
-
-    charge: Charge = Field(description="Charge of one real particle, C.")
-    mass: Mass = Field(gt=0, description="Mass of one real particle, kg; motion divides by it.")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_name(cls, data: Any) -> Any:
-        if not isinstance(data, str):
-            return data
-        if data not in SPECIES:
-            raise complaint(
-                "is not a known species",
-                f"give its charge and mass, or a name; {close_match(data, SPECIES)}",
-                found=data,
-            )
-        return dict(zip(("charge", "mass"), SPECIES[data], strict=True))
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        return {"anyOf": [{"enum": list(SPECIES)}, handler(schema)]}
+from .species import Species
+from .units import Charge, Index3, Length, Length3, Momentum3, Velocity3, complaint
 
 
 class Bunch(Section):
@@ -46,7 +21,7 @@ class Bunch(Section):
 
     name: str = Field(default="", description="A name of your own, kept in the outputs.")
     species: Species = Field(
-        default=Species(charge=SPECIES["proton"][0], mass=SPECIES["proton"][1]),
+        default=Species.model_validate("proton"),
         description="A name, or charge (C) and mass (kg) of one real particle. The default is a proton: "
         "only motion depends on the species, the field on the charge of the bunch alone.",
     )

@@ -17,8 +17,14 @@ def deposit(particles: Particles, hierarchy: Hierarchy) -> Field:
     """
     sorting = particles.sorted_on(hierarchy)
     density = Field(hierarchy, unit="C/m^3")
+    position, momentum, weight, id = particles.arrays
+    charge = float(particles.species.charges[0])
+    if len(particles.species.kinds) > 1:
+        weight, charge = weight * particles.charge, 1.0
     try:
-        _native.deposit(particle_mesh(hierarchy), *particles.arrays, sorting.starts, particles.charge, density.native)
+        _native.deposit(
+            particle_mesh(hierarchy), position, momentum, weight, id, sorting.starts, charge, density.native
+        )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return density

@@ -114,9 +114,10 @@ def potential_energy(rho: Field, phi: Field) -> float:
 def kinetic_energy(comm: MPI.Comm, particles: Particles) -> float:
     """Return the kinetic energy of all real particles in J. Collective."""
     square = np.einsum("ij,ij->i", particles.momentum, particles.momentum)
-    gamma = np.sqrt(1 + square / (particles.mass * SPEED_OF_LIGHT) ** 2)
+    mass = particles.mass
+    gamma = np.sqrt(1 + square / (mass * SPEED_OF_LIGHT) ** 2)
     # p² / (m (γ + 1)) equals (γ - 1) m c² and loses no digits when the particles are slow.
-    return float(comm.allreduce(float(np.sum(particles.weight * square / (gamma + 1))))) / particles.mass
+    return float(comm.allreduce(float(np.sum(particles.weight * square / (mass * (gamma + 1))))))
 
 
 @dataclass(frozen=True)
@@ -130,17 +131,17 @@ class Moments:
 
 def moments(comm: MPI.Comm, particles: Particles) -> Moments:
     """Return the second moments of all particles, weighted by the real ones that they stand for. Collective."""
-    x, p, weight = particles.position, particles.momentum, particles.weight
-    first = comm.allreduce(np.array([weight.sum(), *(weight @ x), *(weight @ p)]))
+    x, weight = particles.position, particles.weight
+    u = particles.spread(1 / (particles.species.masses * SPEED_OF_LIGHT))[:, None] * particles.momentum
+    first = comm.allreduce(np.array([weight.sum(), *(weight @ x), *(weight @ u)]))
     if not first[0] > 0:
         nothing = np.full(3, np.nan)
         return Moments(nothing, nothing, nothing)
-    mean_x, mean_p = first[1:4] / first[0], first[4:7] / first[0]
+    mean_x, mean_u = first[1:4] / first[0], first[4:7] / first[0]
     # About the mean, which is known by now: a difference of large squares would lose the size of a far-off bunch.
-    dx, dp = x - mean_x, p - mean_p
-    sums = comm.allreduce(np.array([weight @ dx**2, weight @ dp**2, weight @ (dx * dp)])) / first[0]
-    area = np.sqrt(np.maximum(sums[0] * sums[1] - sums[2] ** 2, 0))
-    return Moments(mean_x, np.sqrt(sums[0]), area / (particles.mass * SPEED_OF_LIGHT))
+    dx, du = x - mean_x, u - mean_u
+    sums = comm.allreduce(np.array([weight @ dx**2, weight @ du**2, weight @ (dx * du)])) / first[0]
+    return Moments(mean_x, np.sqrt(sums[0]), np.sqrt(np.maximum(sums[0] * sums[1] - sums[2] ** 2, 0)))
 
 
 def peak_memory(comm: MPI.Comm) -> int:

@@ -22,10 +22,10 @@ def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Part
     plan = _native.Migration(particle_mesh(hierarchy), *particles.arrays)
     if bad := hierarchy.comm.allreduce(len(plan.not_finite)):
         raise_together(hierarchy.comm, _complaint(particles, plan.not_finite, bad), ParticleError)
-    here = Particles.allocate(plan.arriving, particles.charge, particles.mass)
+    here = Particles.allocate(plan.arriving, particles.species)
     starts = np.empty(particle_mesh(hierarchy).slots + 1, dtype=np.int64)
     plan.finish(*here.arrays, starts)
-    arrived = Particles(*here.arrays, here.charge, here.mass, Sorting(hierarchy, starts))
+    arrived = Particles(*here.arrays, here.species, Sorting(hierarchy, starts))
     return arrived, particles.select(plan.lost)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,6 +14,7 @@ from . import _native
 from .errors import ParticleError
 from .hierarchy import Hierarchy
 from .parallel import global_sum
+from .species import SpeciesTable
 
 CACHE_LINE = 8  # doubles
 
@@ -30,7 +32,7 @@ class Sorting:
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """Macroparticles of one kind on this rank; a value that stages take and return.
+    """Macroparticles on this rank; a value that stages take and return.
 
     Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change.
     Raises ParticleError if the arrays do not fit together.
@@ -40,8 +42,7 @@ class Particles:
     momentum: np.ndarray  # (n, 3) kg m/s, of one real particle
     weight: np.ndarray  # (n,) real particles per macroparticle
     id: np.ndarray  # (n,) int64, unique over all ranks
-    charge: float  # C, of one real particle
-    mass: float  # kg, of one real particle
+    species: SpeciesTable  # of all ids, the same on all ranks
     sorting: Sorting | None = None
 
     def __post_init__(self) -> None:
@@ -56,16 +57,16 @@ class Particles:
                 raise ParticleError(f"particles have {count} positions but {len(getattr(self, name))} values of {name}")
 
     @staticmethod
-    def allocate(count: int, charge: float, mass: float) -> Particles:
+    def allocate(count: int, species: SpeciesTable) -> Particles:
         """Particles whose values are yet to be set."""
         return Particles(
-            empty_columns(count), empty_columns(count), np.empty(count), np.empty(count, dtype=np.int64), charge, mass
+            empty_columns(count), empty_columns(count), np.empty(count), np.empty(count, dtype=np.int64), species
         )
 
     @staticmethod
-    def empty(charge: float, mass: float) -> Particles:
+    def empty(species: SpeciesTable) -> Particles:
         """No particles."""
-        return Particles.allocate(0, charge, mass)
+        return Particles.allocate(0, species)
 
     def __len__(self) -> int:
         return len(self.weight)
@@ -75,10 +76,29 @@ class Particles:
         """Position, momentum, weight and id, as the native kernels take them."""
         return self.position, self.momentum, self.weight, self.id
 
+    @cached_property
+    def kind(self) -> np.ndarray:
+        """(n,) index of each particle's species in `species.kinds`."""
+        return self.species.find(self.id)
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """One value per species as one per particle (n,); takes no memory if there is one species. Not to be written to."""
+        return np.broadcast_to(values[0], len(self)) if len(values) == 1 else values[self.kind]
+
+    @property
+    def charge(self) -> np.ndarray:
+        """(n,) C, of one real particle."""
+        return self.spread(self.species.charges)
+
+    @property
+    def mass(self) -> np.ndarray:
+        """(n,) kg, of one real particle."""
+        return self.spread(self.species.masses)
+
     def select(self, chosen: np.ndarray | slice) -> Particles:
         """The particles that an index array, a mask or a slice names."""
         position, momentum, weight, id = (a[chosen] for a in self.arrays)
-        return Particles(position, momentum, weight, id, self.charge, self.mass)
+        return Particles(position, momentum, weight, id, self.species)
 
     def replace(self, position: np.ndarray | None = None, momentum: np.ndarray | None = None) -> Particles:
         """The same particles elsewhere, or with other momenta; what is not given is shared."""
@@ -87,8 +107,7 @@ class Particles:
             self.momentum if momentum is None else momentum,
             self.weight,
             self.id,
-            self.charge,
-            self.mass,
+            self.species,
             self.sorting if position is None else None,
         )
 
@@ -106,19 +125,18 @@ class Particles:
 
     def total_charge(self, comm: MPI.Comm) -> float:
         """Charge on all ranks in C. Collective."""
-        return self.charge * global_sum(comm, float(self.weight.sum()))
+        return global_sum(comm, float((self.weight * self.charge).sum()))
 
 
 def concatenate(parts: Sequence[Particles]) -> Particles:
-    """One value with the particles of all parts, in order; the parts must be of one kind."""
-    first = parts[0]
+    """One value with the particles of all parts, in order; the parts must have one table of species."""
+    species = parts[0].species
     for part in parts:
-        if (part.charge, part.mass) != (first.charge, first.mass):
+        if part.species != species:
             raise ParticleError(
-                f"particles of charge {part.charge} C and mass {part.mass} kg cannot join particles of {first.charge} C "
-                f"and {first.mass} kg; keep one kind per simulation"
+                f"particles of the species {part.species} cannot join those of {species}; give all one table of species"
             )
-    out = Particles.allocate(sum(map(len, parts)), first.charge, first.mass)
+    out = Particles.allocate(sum(map(len, parts)), species)
     for target, *sources in zip(out.arrays, *(part.arrays for part in parts), strict=True):
         np.concatenate(sources, out=target)
     return out

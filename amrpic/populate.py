@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,21 @@ from .errors import InputError
 from .parallel import together
 from .particles import Particles, concatenate
 from .scene import Scene
+from .species import Species, SpeciesTable
 
 
 def make_particles(comm: MPI.Comm, scene: Scene) -> Particles:
     """Return this rank's share of all bunches, wherever they lie. Collective; InputError, ParticleError on all ranks."""
-    species = scene.bunches[0].species if scene.bunches else None
-    charge, mass = (species.charge, species.mass) if species is not None else (1.0, 1.0)
-    parts, first_id = [Particles.empty(charge, mass)], 0
+    parts: list[Particles] = []
+    runs, first_id = [(0, Species(charge=1.0, mass=1.0))] if not scene.bunches else [], 0
     for bunch in scene.bunches:
         with together(comm, InputError):
             made = _bunch(comm, scene, bunch, first_id)
         parts += made
+        runs.append((first_id, bunch.species))
         first_id += comm.allreduce(sum(map(len, made)))
-    return concatenate(parts)
+    species = SpeciesTable.of_runs(runs)
+    return concatenate([Particles.empty(species), *(replace(part, species=species) for part in parts)])
 
 
 def _bunch(comm: MPI.Comm, scene: Scene, bunch: Bunch, first_id: int) -> list[Particles]:
@@ -44,8 +47,7 @@ def _one(comm: MPI.Comm, scene: Scene, bunch: Train, place: tuple[float, float, 
     common: dict[str, Any] = {
         "centre": place,
         "bunch_charge": bunch.bunch_charge,
-        "charge": bunch.species.charge,
-        "mass": bunch.species.mass,
+        "species": bunch.species,
         "momentum": bunch.mean_momentum,
         "momentum_sigma": bunch.momentum_spread,
         "seed": scene.seed,
@@ -64,12 +66,10 @@ def _from_arrays(comm: MPI.Comm, bunch: ArrayBunch, first_id: int) -> Particles:
     if momenta is None:
         momenta = np.broadcast_to(np.array(bunch.mean_momentum), position.shape)
     total = None if weight is not None else bunch.charge_of(len(position))
-    species = bunch.species
     return beam.from_arrays(
         comm,
         position,
-        charge=species.charge,
-        mass=species.mass,
+        species=bunch.species,
         bunch_charge=total,
         weight=weight,
         momentum=momenta,
@@ -89,8 +89,7 @@ def _lattice(comm: MPI.Comm, scene: Scene, bunch: LatticeBunch, first_id: int) -
     return beam.from_arrays(
         comm,
         position,
-        charge=bunch.species.charge,
-        mass=bunch.species.mass,
+        species=bunch.species,
         bunch_charge=bunch.bunch_charge,
         momentum=np.broadcast_to(np.array(bunch.mean_momentum), position.shape),
         first_id=first_id,

@@ -12,14 +12,14 @@ RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from othe
 
 def kick(particles: Particles, efield: np.ndarray, dt: float) -> Particles:
     """Return the particles after a time dt (s) in the field (n, 3) in V/m: p += q E dt."""
-    momentum = (particles.charge * dt) * efield
+    momentum = particles.spread(dt * particles.species.charges)[:, None] * efield
     momentum += particles.momentum
     return particles.replace(momentum=momentum)
 
 
 def drift(particles: Particles, dt: float) -> Particles:
     """Return the particles after a flight of dt (s), non-relativistic: x += p dt / m. Let `migrate` follow."""
-    position = (dt / particles.mass) * particles.momentum
+    position = particles.spread(dt / particles.species.masses)[:, None] * particles.momentum
     position += particles.position
     return particles.replace(position=position)
 

@@ -23,6 +23,7 @@ from .migrate import migrate
 from .particles import Particles
 from .poisson import SolveReport
 from .scene import Scene
+from .species import SpeciesTable
 from .step import Lost, State
 
 COLUMNS = ("position", "momentum", "weight", "id")
@@ -44,7 +45,7 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
         owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
         weights=hierarchy.weights,
         about=about(scene),
-        extra={"charge": particles.charge, "mass": particles.mass, "report": vars(report)},
+        extra={"species": particles.species.to_dict(), "report": vars(report)},
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
     tables = {"particles": _columns(particles), "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
@@ -71,7 +72,8 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
 
 def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
     extra, lost = held.header.extra, held.tables["lost"]
-    particles, _ = migrate(_particles(held.tables["particles"], extra), hierarchy)
+    species = SpeciesTable.from_dict(extra["species"])
+    particles, _ = migrate(_particles(held.tables["particles"], species), hierarchy)
     units = {"rho": "C/m^3", "phi": "V"}
     fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():
@@ -84,7 +86,7 @@ def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
         phi=fields["phi"],
         efield=VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"]),
         force=None,
-        lost=Lost(_particles(lost, extra), lost["time"]),
+        lost=Lost(_particles(lost, species), lost["time"]),
         step=held.header.step,
         time=held.header.time,
         report=SolveReport(**extra["report"]),
@@ -101,9 +103,9 @@ def _columns(particles: Particles) -> dict[str, np.ndarray]:
     return {name: getattr(particles, name) for name in COLUMNS}
 
 
-def _particles(columns: Mapping[str, np.ndarray], kind: Mapping[str, Any]) -> Particles:
+def _particles(columns: Mapping[str, np.ndarray], species: SpeciesTable) -> Particles:
     position, momentum, weight, number = (columns[name] for name in COLUMNS)
-    return Particles(position, momentum, weight, number, kind["charge"], kind["mass"])
+    return Particles(position, momentum, weight, number, species)
 
 
 def _require_same_mesh(scene: Scene, header: Header, path: Path) -> None:

@@ -354,7 +354,6 @@ class Scene(Section):
         self._check_boxes()
         self._check_places()
         self._check_balance()
-        self._check_species()
         self._check_stretch()
         return self
 
@@ -429,16 +428,6 @@ class Scene(Section):
                 path="background",
                 found=self.background,
             )
-
-    def _check_species(self) -> None:
-        for number, bunch in enumerate(self.bunches):
-            if bunch.species != self.bunches[0].species:
-                raise complaint(
-                    "differs from the first bunch's; a scene holds one species",
-                    "give all bunches the same species",
-                    path=f"bunches.{number}.species",
-                    found=bunch.species.model_dump(),
-                )
 
     def _check_stretch(self) -> None:
         if isinstance(self.motion, Leapfrog) and self.solver.stretch != (1.0, 1.0, 1.0):

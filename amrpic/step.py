@@ -84,7 +84,7 @@ def begin(plan: Plan) -> State:
         particles, gone = migrate(made, base)
     _require_some_inside(plan.comm, particles, made)
     particles, hierarchy = follow(particles, base, plan)
-    lost = Lost(Particles.empty(made.charge, made.mass), np.zeros(0)).joined(gone, 0.0)
+    lost = Lost(Particles.empty(made.species), np.zeros(0)).joined(gone, 0.0)
     nothing = Field(hierarchy)
     unsolved = SolveReport(False, 0, [], {}, "not solved yet", 0.0)
     state = State(

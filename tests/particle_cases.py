@@ -10,8 +10,10 @@ from mpi4py import MPI
 import amrpic
 import hierarchies
 from amrpic.particles import Particles
+from amrpic.species import Species, SpeciesTable
 
 CHARGE, MASS = -1.5e-19, 9e-31
+ONE_KIND = SpeciesTable((Species(charge=CHARGE, mass=MASS),))
 
 
 def hierarchy_of(case: hierarchies.Case, comm: MPI.Comm) -> amrpic.Hierarchy:
@@ -25,7 +27,7 @@ def scattered(hierarchy: amrpic.Hierarchy, count: int, seed: int = 0) -> Particl
     lower, upper = np.array(hierarchy.domain.lower), np.array(hierarchy.domain.upper)
     position = lower + (upper - lower) * rng.random((count, 3))
     particles = Particles(
-        position, rng.normal(size=(count, 3)), rng.random(count), np.arange(count, dtype=np.int64), CHARGE, MASS
+        position, rng.normal(size=(count, 3)), rng.random(count), np.arange(count, dtype=np.int64), ONE_KIND
     )
     return particles.select(slice(hierarchy.comm.rank, None, hierarchy.comm.size))
 

@@ -11,9 +11,11 @@ from mpi4py import MPI
 from amrpic import beam
 from amrpic.errors import ParticleError
 from amrpic.particles import Particles
+from amrpic.species import Species
 from particle_cases import everywhere
 
-KIND: dict[str, Any] = {"bunch_charge": 1e-11, "charge": 1.6e-19, "mass": 9.1e-31}
+KIND: dict[str, Any] = {"bunch_charge": 1e-11, "species": Species(charge=1.6e-19, mass=9.1e-31)}
+UNIT = Species(charge=1.0, mass=2.0)
 CENTRE, SIGMA = np.array([0.1, -0.2, 0.05]), np.array([2.5e-3, 1e-3, 5e-3])
 COUNT = 100_000
 
@@ -65,7 +67,7 @@ def test_bunch_is_the_same_on_any_number_of_ranks_and_spread_over_them(comm):
 @pytest.mark.mpi(ranks=(1, 2, 3))
 def test_bunch_carries_its_charge(comm):
     assert gaussian(comm).total_charge(comm) == pytest.approx(1e-11, rel=1e-13)
-    electrons = gaussian(comm, bunch_charge=-1e-11, charge=-1.6e-19)
+    electrons = gaussian(comm, bunch_charge=-1e-11, species=Species(charge=-1.6e-19, mass=9.1e-31))
     assert electrons.total_charge(comm) == pytest.approx(-1e-11, rel=1e-13)
     assert (electrons.weight > 0).all()
 
@@ -91,19 +93,19 @@ def test_no_particles_and_no_size_are_legal(comm):
 def test_arrays_are_shared_out(comm):
     rng = np.random.default_rng(0)
     position, momentum, weight = rng.normal(size=(100, 3)), rng.normal(size=(100, 3)), rng.random(100)
-    share = beam.from_arrays(comm, position, momentum=momentum, weight=weight, charge=1.0, mass=2.0, first_id=50)
+    share = beam.from_arrays(comm, position, momentum=momentum, weight=weight, species=UNIT, first_id=50)
     whole = everywhere(comm, share)
     assert np.array_equal(whole["position"], position)
     assert np.array_equal(whole["momentum"], momentum)
     assert np.array_equal(whole["weight"], weight)
     assert whole["id"].tolist() == list(range(50, 150))
-    equal = beam.from_arrays(comm, position, bunch_charge=3.0, charge=1.0, mass=2.0)
+    equal = beam.from_arrays(comm, position, bunch_charge=3.0, species=UNIT)
     assert everywhere(comm, equal)["weight"] == pytest.approx(np.full(100, 0.03), rel=1e-15)
     assert not equal.momentum.any()
 
 
 def test_arrays_need_either_weights_or_a_charge(comm):
     with pytest.raises(ParticleError, match="either"):
-        beam.from_arrays(comm, np.zeros((2, 3)), charge=1.0, mass=1.0)
+        beam.from_arrays(comm, np.zeros((2, 3)), species=UNIT)
     with pytest.raises(ParticleError, match="3 values of weight"):
-        beam.from_arrays(comm, np.zeros((2, 3)), weight=np.ones(3), charge=1.0, mass=1.0)
+        beam.from_arrays(comm, np.zeros((2, 3)), weight=np.ones(3), species=UNIT)

@@ -183,7 +183,7 @@ def edited(path: Path) -> None:
 
 def from_the_future(path: Path) -> None:
     text = (path / manifest.MANIFEST).read_text()
-    (path / manifest.MANIFEST).write_text(text.replace('"format_version": 1', '"format_version": 99'))
+    (path / manifest.MANIFEST).write_text(text.replace('"format_version": 2', '"format_version": 99'))
 
 
 DAMAGES = {

@@ -13,7 +13,17 @@ from amrpic.errors import ParticleError
 from amrpic.gather import gather
 from amrpic.migrate import migrate
 from amrpic.particles import Particles
-from particle_cases import CHARGE, Mesh, dense, deposit_by_hand, everywhere, gather_by_hand, hierarchy_of, scattered
+from particle_cases import (
+    CHARGE,
+    ONE_KIND,
+    Mesh,
+    dense,
+    deposit_by_hand,
+    everywhere,
+    gather_by_hand,
+    hierarchy_of,
+    scattered,
+)
 
 CASES = list(hierarchies.all_cases().values())
 
@@ -148,10 +158,10 @@ def test_gather_is_the_adjoint_of_deposit_on_one_level(comm):
 def test_overhang_is_folded_onto_the_wall_cell(comm):
     domain = amrpic.Domain((0, 0, 0), (8, 8, 8), (8, 8, 8), "dirichlet")
     hierarchy = amrpic.Hierarchy(comm, domain)
-    at_wall = Particles(np.array([[0.0, 7.75, 0.5]]), np.zeros((1, 3)), np.ones(1), np.zeros(1), 1.0, 1.0)
+    at_wall = Particles(np.array([[0.0, 7.75, 0.5]]), np.zeros((1, 3)), np.ones(1), np.zeros(1), ONE_KIND)
     density = dense(deposit(migrate(at_wall, hierarchy)[0], hierarchy), 0)
-    assert density[0, 7, 0] == 1.0
-    assert density.sum() == 1.0
+    assert density[0, 7, 0] == CHARGE
+    assert density.sum() == CHARGE
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
@@ -170,10 +180,10 @@ def test_particles_on_one_rank_only_are_ordinary(comm):
     spot = comm.bcast(spot)
     count = 10 if comm.rank == 0 else 0
     particles = Particles(
-        np.repeat(spot, count, axis=0), np.zeros((count, 3)), np.ones(count), np.arange(count), 1.0, 1.0
+        np.repeat(spot, count, axis=0), np.zeros((count, 3)), np.ones(count), np.arange(count), ONE_KIND
     )
     particles, _ = migrate(particles, hierarchy)
-    assert deposit(particles, hierarchy).integral() == pytest.approx(10, rel=1e-14)
+    assert deposit(particles, hierarchy).integral() == pytest.approx(10 * CHARGE, rel=1e-14)
 
 
 def test_particles_that_have_not_migrated_are_refused(comm):

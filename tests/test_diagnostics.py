@@ -7,9 +7,11 @@ import pytest
 
 from amrpic import Domain, Field, Hierarchy, VectorField, diagnostics
 from amrpic.particles import Particles
-from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+from amrpic.species import Species, SpeciesTable
+from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 DOMAIN = Domain(lower=(-1, -1, -2), upper=(1, 1, 2), cells=(16, 16, 32), boundary="dirichlet")
+ELECTRONS = SpeciesTable((Species.model_validate("electron"),))
 LEVELS = [[((8, 8, 8), (23, 23, 47))]]
 
 
@@ -24,7 +26,7 @@ def uniform(hierarchy, value):
 
 def electrons(comm, position, momentum, weight):
     position, momentum, weight = (share(comm, v) for v in (position, momentum, weight))
-    return Particles(position, momentum, weight, np.arange(len(weight)), -ELEMENTARY_CHARGE, ELECTRON_MASS)
+    return Particles(position, momentum, weight, np.arange(len(weight)), ELECTRONS)
 
 
 @pytest.mark.mpi(ranks=(1, 2))
@@ -69,7 +71,7 @@ def test_kinetic_energy_is_exact_for_slow_and_fast_particles(comm):
 def test_a_state_without_particles_can_be_measured(comm):
     hierarchy = Hierarchy(comm, DOMAIN, LEVELS, max_grid_size=16, blocking_factor=8)
     nothing = Field(hierarchy)
-    beam = Particles.empty(-ELEMENTARY_CHARGE, ELECTRON_MASS)
+    beam = Particles.empty(ELECTRONS)
     seconds = {"solve": 1.0 + comm.rank}
     row = diagnostics.measure(beam, beam, nothing, nothing, VectorField(nothing, nothing, nothing), seconds)
     assert (row["particles"], row["charge"], row["field_energy"], row["kinetic_energy"]) == (0, 0, 0, 0)

@@ -12,7 +12,8 @@ from amrpic.errors import ParticleError
 from amrpic.migrate import migrate, particles_per_box
 from amrpic.particles import Particles, concatenate
 from amrpic.push import RANDOM_WALK, drift, kick, random_walk
-from particle_cases import CHARGE, MASS, Mesh, everywhere, hierarchy_of, scattered
+from amrpic.species import Species, SpeciesTable
+from particle_cases import CHARGE, MASS, ONE_KIND, Mesh, everywhere, hierarchy_of, scattered
 
 CASES = list(hierarchies.all_cases().values())
 
@@ -21,7 +22,7 @@ def at(positions: list | np.ndarray, ids: int = 0) -> Particles:
     """Particles at rest at the positions."""
     position = np.array(positions, dtype=float).reshape(-1, 3)
     count = len(position)
-    return Particles(position, np.zeros((count, 3)), np.ones(count), np.arange(ids, ids + count), CHARGE, MASS)
+    return Particles(position, np.zeros((count, 3)), np.ones(count), np.arange(ids, ids + count), ONE_KIND)
 
 
 def periodic_box(comm: MPI.Comm) -> amrpic.Hierarchy:
@@ -65,7 +66,7 @@ def test_particles_are_sorted_by_box_cell_and_id(comm):
     ids = rng.permutation(4000)[comm.rank :: comm.size]
     position = np.random.default_rng(2).random((4000, 3))[ids]
     count = len(ids)
-    particles = Particles(position, np.zeros((count, 3)), np.ones(count), ids, CHARGE, MASS)
+    particles = Particles(position, np.zeros((count, 3)), np.ones(count), ids, ONE_KIND)
     particles, _ = migrate(particles, hierarchy)
     keys, slot = [], 0
     for level in range(hierarchy.levels):
@@ -190,7 +191,7 @@ def test_kick_and_drift_are_newtons(comm):
 @pytest.mark.mpi(ranks=(1, 2, 3))
 def test_no_particles_migrate_and_move(comm):
     hierarchy = periodic_box(comm)
-    particles, lost = migrate(Particles.empty(CHARGE, MASS), hierarchy)
+    particles, lost = migrate(Particles.empty(ONE_KIND), hierarchy)
     assert len(particles) == len(lost) == 0
     moved = random_walk(drift(kick(particles, np.empty((0, 3)), 1.0), 1.0), 1.0, 0, 0)
     assert len(migrate(moved, hierarchy)[0]) == 0
@@ -204,11 +205,11 @@ def test_particles_join_in_order():
     assert joined.id.tolist() == [0, 1, 2, 3, 4]
     assert joined.position[:, 0].tolist() == [0, 0, 0, 1, 1]
     with pytest.raises(ParticleError, match="cannot join"):
-        concatenate([one, Particles.empty(CHARGE, 2 * MASS)])
+        concatenate([one, Particles.empty(SpeciesTable((Species(charge=CHARGE, mass=2 * MASS),)))])
 
 
 def test_arrays_that_do_not_fit_together_are_refused():
     with pytest.raises(ParticleError, match=r"\(n, 3\)"):
-        Particles(np.zeros((3, 2)), np.zeros((3, 3)), np.ones(3), np.arange(3), CHARGE, MASS)
+        Particles(np.zeros((3, 2)), np.zeros((3, 3)), np.ones(3), np.arange(3), ONE_KIND)
     with pytest.raises(ParticleError, match="4 values of weight"):
-        Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(4), np.arange(3), CHARGE, MASS)
+        Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(4), np.arange(3), ONE_KIND)

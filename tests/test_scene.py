@@ -140,7 +140,6 @@ def test_bad_override_names_itself(assignment):
         ({"bunches": [{**BUNCH, "species": "electron"}]}, ["bunches.0.charge", "sign"]),
         ({"bunches": [{**BUNCH, "count": 3}]}, ["bunches.0.spacing", "missing"]),
         ({"bunches": [{**BUNCH, "distribution": "gauss"}]}, ["distribution", 'did you mean "gaussian"']),
-        ({"bunches": [BUNCH, {**BUNCH, "species": "positron"}]}, ["bunches.1.species", "one species"]),
         ({"motion": {"kind": "leapfrog"}}, ["motion.dt", "missing"]),
         ({"schedule": {"steps": 3, "solves": 3}}, ["schedule.solves", "keep one"]),
         ({"solver": {"tolerance": 0}}, ["solver.tolerance", "greater than 0"]),

@@ -17,7 +17,7 @@ from .collect import one_line
 from .provenance import Provenance
 
 FORMAT = "amrpic checkpoint"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 MANIFEST = "manifest.json"
 REMEDY = "restart from another checkpoint"
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from .deposit import deposit
 from .field import VectorField
 from .hierarchy import Hierarchy
 from .limits import require_room
+from .memory import base_boxes
 from .migrate import migrate, particles_per_box
 from .particles import Particles
 from .plan import Plan
@@ -21,7 +20,7 @@ from .tag import Tags, by_density, by_field, static_boxes, tagged
 def make_base(plan: Plan) -> Hierarchy:
     """Return the hierarchy of the base level alone, if the machine can hold it with the particles. Collective."""
     scene = plan.scene
-    require_room(plan.comm, scene, math.prod(scene.domain.cells), scene.particle_count(), "domain.cells")
+    require_room(plan.comm, scene, base_boxes(scene), scene.particle_count(), "domain.cells")
     refinement = scene.refinement
     return Hierarchy(plan.comm, scene.domain.value, (), refinement.max_grid_size, refinement.blocking_factor)
 
@@ -86,8 +85,8 @@ def _refined(particles: Particles, hierarchy: Hierarchy, tags: Tags, plan: Plan)
     made = regrid(hierarchy, tags, settings, _static(plan.scene))
     if made is hierarchy:
         return hierarchy
-    cells = sum(made.cells(level) for level in range(made.levels))
-    require_room(plan.comm, plan.scene, cells, particles.global_count(plan.comm), "the refined hierarchy")
+    boxes = [made.boxes(level) for level in range(made.levels)]
+    require_room(plan.comm, plan.scene, boxes, particles.global_count(plan.comm), "the refined hierarchy")
     return balance(made, particles_per_box(particles, made))
 
 

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import math
 import resource
+from collections.abc import Sequence
 from pathlib import Path, PurePath
 
 from mpi4py import MPI
 
+from .boxes import Array, cells_of
 from .errors import SceneError
+from .memory import base_boxes, run_memory
 from .scene import LARGEST_INDEX, Scene
-
-BYTES_PER_CELL = 650  # fields, sparse operators and multigrid vectors; 600 were measured with CRS operators
-BYTES_PER_PARTICLE = 250  # a particle, its field, and the copies that moving and sorting make
-
-
-def required_memory(cells: int, particles: int) -> int:
-    """Return an estimate of the bytes that a run takes over all ranks."""
-    return cells * BYTES_PER_CELL + particles * BYTES_PER_PARTICLE
 
 
 def available_memory() -> int:
@@ -35,17 +30,16 @@ def machine_memory(comm: MPI.Comm) -> int:
     return comm.allreduce(free + _resident())
 
 
-def cells_memory_error(
-    cells: int, particles: int, available: int | None = None, where: str = "the hierarchy"
+def memory_error(
+    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, available: int, where: str = "the hierarchy"
 ) -> str | None:
-    """Return why so many cells and particles do not fit into memory, None if they do."""
-    available = available_memory() if available is None else available
-    need = required_memory(cells, particles)
+    """Return why a run with these boxes per level does not fit into memory, None if it does."""
+    need = sum(run_memory(scene, boxes, particles, ranks).values())
     if need <= available:
         return None
     return (
-        f"{where}: {cells} cells and {particles} particles take about {need / 2**30:.3g} GiB of memory, and "
-        f"{available / 2**30:.3g} GiB are free; use fewer cells or particles, or more machines"
+        f"{where}: {_cells(boxes)} cells and {particles} particles on {ranks} ranks take about {need / 2**30:.3g} GiB of "
+        f"memory, and {available / 2**30:.3g} GiB are free; use fewer cells or particles, or more machines"
     )
 
 
@@ -64,18 +58,26 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
 
     Refined levels are not known yet; a run looks at them when they are.
     """
-    _refuse(scene, math.prod(scene.domain.cells), scene.particle_count(), ranks, available, "domain.cells")
+    _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
 
 
-def require_room(comm: MPI.Comm, scene: Scene, cells: int, particles: int, where: str) -> None:
-    """Raise SceneError on all ranks if the machines cannot hold so many cells and particles. Collective."""
-    _refuse(scene, cells, particles, comm.size, machine_memory(comm), where)
+def require_room(comm: MPI.Comm, scene: Scene, boxes: Sequence[Array], particles: int, where: str) -> None:
+    """Raise SceneError on all ranks if the machines cannot hold these boxes per level and particles. Collective."""
+    _refuse(scene, boxes, particles, comm.size, machine_memory(comm), where)
 
 
-def _refuse(scene: Scene, cells: int, particles: int, ranks: int, available: int | None, where: str) -> None:
-    problem = rank_cells_error(cells, ranks, where) or cells_memory_error(cells, particles, available, where)
+def _refuse(
+    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, available: int | None, where: str
+) -> None:
+    free = available_memory() if available is None else available
+    problem = rank_cells_error(_cells(boxes), ranks, where)
+    problem = problem or memory_error(scene, boxes, particles, ranks, free, where)
     if problem is not None:
         raise SceneError(f"{scene.name}: {problem}")
+
+
+def _cells(boxes: Sequence[Array]) -> int:
+    return sum(int(cells_of(level).sum()) for level in boxes)
 
 
 def _resident() -> int:

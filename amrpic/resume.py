@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from .boxes import cells_of
 from .errors import InputError
 from .field import Field, VectorField
 from .hierarchy import Hierarchy
@@ -61,8 +60,7 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     header = manifest.header
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     _require_same_mesh(scene, header, path)
-    cells = sum(int(cells_of(boxes).sum()) for boxes in header.boxes)
-    require_room(comm, scene, cells, sum(manifest.rows["particles"]), f"checkpoint {path}")
+    require_room(comm, scene, header.boxes, sum(manifest.rows["particles"]), f"checkpoint {path}")
     refinement = scene.refinement
     sizes = refinement.max_grid_size, refinement.blocking_factor
     hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from amrpic.errors import InputError, SceneError
-from amrpic.limits import cells_memory_error, check_scene, rank_cells_error
+from amrpic.limits import check_scene, memory_error, rank_cells_error
+from amrpic.memory import base_boxes
 from amrpic.scene import RefusedScene, Scene
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, UNITS, to_si
 
@@ -193,9 +194,10 @@ def test_particles_are_read_from_a_file_beside_the_scene(tmp_path):
 
 
 def test_memory_and_index_limits_state_both_numbers():
-    message = cells_memory_error(10**9, 10**6, available=8 * 2**30)
+    small, large = (scene(domain={"lower": -1, "upper": 1, "cells": n}) for n in (96, 1024))
+    message = memory_error(large, base_boxes(large), 10**6, 1, available=8 * 2**30)
     assert message is not None and "8 GiB are free" in message and "GiB of memory" in message
-    assert cells_memory_error(10**6, 10**6, available=8 * 2**30) is None
+    assert memory_error(small, base_boxes(small), 10**6, 1, available=8 * 2**30) is None
     message = rank_cells_error(2**33, 2)
     assert message is not None and str(2**31 - 1) in message and "at least 5 ranks" in message
     with pytest.raises(SceneError, match="32 bits"):

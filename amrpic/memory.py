@@ -1,0 +1,89 @@
+"""How much memory a run takes: the bytes of what it holds at its fullest, as its structures are laid out.
+
+Operators are compressed rows. What is counted is what a whole run holds at once; the few numbers that were measured say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .boxes import Array, cells_of, outer_faces
+from .scene import Leapfrog, NoMotion, Scene
+
+MIB = 2**20
+PROCESS = 130 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
+MESSAGES = 20 * MIB  # measured: buffers of a process that has others to talk to
+DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
+
+ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a number of a field
+NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
+PARTICLE = 8 * NUMBER  # position, momentum, weight, id
+
+# Entries that a fine face at the edge of a level adds: nine coarse cells for its ghost, in the Laplacian and in E; and a
+# quarter of what its coarse cell takes instead of one neighbour, eight fine cells and as many coarse ones, likewise twice.
+INTERFACE = 2 * 9 + 2 * (8 + 8) // 4
+
+
+def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> dict[str, int]:
+    """Return the bytes that a run takes over all ranks at its fullest, by what takes them.
+
+    `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later.
+    """
+    cells = [int(cells_of(level).sum()) for level in boxes]
+    covered = [n // CHILDREN for n in cells[1:]] + [0]
+    faces = sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
+    total, uncovered = sum(cells), sum(cells) - sum(covered)
+    below = cells[0] // (CHILDREN - 1)  # multigrid levels under the base, each covered by the next: 1/8 + 1/64 + …
+    operators = _operators(scene, below, below) + sum(
+        _operators(scene, *one) for one in zip(cells, covered, strict=True)
+    )
+    return {
+        "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0)),
+        "operators": operators + INTERFACE * ENTRY * faces,
+        "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered),
+        "multigrid": (total + below) * (3 * NUMBER + 4 + 1) + total * 2 * NUMBER,  # vectors, colours, covered or not
+        "fields": total * NUMBER * _fields(scene),
+        "particles": particles * _particle(scene),
+        "pictures": DRAWING if "pictures" in scene.output.write else 0,
+    }
+
+
+def _operators(scene: Scene, cells: int, covered: int) -> int:
+    """Bytes of the operators of a level but that of E, away from its edges."""
+    coarse = CHILDREN if scene.solver.prolongation == "trilinear" else 1
+    laplacian = cells * (ROW + NEIGHBOURS * ENTRY)
+    from_coarser = cells * (2 * ROW + coarse * ENTRY)  # coarse_boundary, prolongation
+    if covered == 0:
+        return laplacian + from_coarser
+    composite = cells * ROW + (cells - covered) * NEIGHBOURS * ENTRY
+    from_finer = cells * 2 * ROW + covered * CHILDREN * ENTRY  # fine_boundary, restriction
+    return laplacian + from_coarser + composite + from_finer
+
+
+def _fields(scene: Scene) -> int:
+    """Numbers per cell in the fields that live at the same time."""
+    state = 5  # charge density, potential, field
+    if scene.schedule.last_step == 0:
+        return state + 2  # what energies are summed up from
+    regrids = scene.refinement.levels > 0 and scene.refinement.regrid_every > 0
+    return 2 * state + (1 if regrids else 0)  # the step before, and its potential carried over
+
+
+def _particle(scene: Scene) -> int:
+    """Bytes per particle in the arrays that live at the same time."""
+    vector = 3 * NUMBER
+    if scene.schedule.last_step == 0:
+        return PARTICLE + 3 * vector  # moments: deviations and their squares
+    match scene.motion:
+        case NoMotion():
+            return 2 * PARTICLE
+        case Leapfrog():  # position and momentum on the way, the force before and after, the last momentum
+            return 2 * PARTICLE + 5 * vector
+    return 2 * PARTICLE + vector
+
+
+def base_boxes(scene: Scene) -> list[Array]:
+    """Return the base level alone, as one box."""
+    return [np.array([[0, 0, 0, *(n - 1 for n in scene.domain.cells)]])]

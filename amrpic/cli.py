@@ -59,11 +59,29 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument("--resolved", action="store_true", help="print the scene with all defaults filled in, as TOML")
 
     plot = _command(commands, "plot", _plot, "draw pictures of a run that was written")
-    plot.add_argument("path", metavar="PATH", help="directory of a run, or a fields file")
-    plot.add_argument("--axis", choices=tuple("xyz"), default="z", help="normal of the slices; default z")
+    plot.add_argument("path", metavar="PATH", help="directory of a run, a fields file or a checkpoint")
     plot.add_argument(
-        "--position", type=float, metavar="M", help="of the slices along it, m; default through the charge"
+        "--quantity",
+        metavar="NAME",
+        action="append",
+        help="phi, rho, |E|, Ex, Ey or Ez, several if repeated; default an overview in four pictures",
     )
+    plot.add_argument(
+        "--kind", choices=("slice", "projection", "line"), help="of pictures; default slice of a quantity"
+    )
+    plot.add_argument(
+        "--axis",
+        choices=tuple("xyz"),
+        help="normal of slices, direction of the rest; default z, lines follow the charge",
+    )
+    plot.add_argument(
+        "--position", metavar="LENGTH", help='of slices along it, m or such as "2.5 mm"; default through the charge'
+    )
+    plot.add_argument(
+        "--level", type=int, metavar="N", help="show this level alone; default the finest cells everywhere"
+    )
+    plot.add_argument("--scale", choices=("auto", "linear", "symmetric", "log"), default="auto", help="of the colours")
+    plot.add_argument("--no-boxes", dest="boxes", action="store_false", help="leave out the outlines of boxes")
     plot.add_argument("--output", metavar="DIR", help="where to put the pictures; default beside what they show")
 
     schema = _command(commands, "schema", _schema, "print what a scene may hold, as a JSON schema for editors")
@@ -156,19 +174,28 @@ def _check(chosen: argparse.Namespace) -> int:
 
 
 def _plot(chosen: argparse.Namespace) -> int:
+    from dataclasses import replace
+
     from mpi4py import MPI
 
     from .errors import OutputError
     from .parallel import together
-    from .plot import plot
-    from .record import latest_fields
+    from .plot import OVERVIEW, View, plot
+    from .units import to_metres
 
-    path = Path(chosen.path)
     folder = None if chosen.output is None else Path(chosen.output)
     with together(MPI.COMM_WORLD, OutputError):
         if MPI.COMM_WORLD.rank == 0:
-            dump = latest_fields(path) if path.is_dir() else path
-            print(*plot(dump, folder, chosen.axis, chosen.position), sep="\n")
+            views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
+            views = views or [view for view in OVERVIEW if chosen.kind in (None, view.kind)]
+            how = {
+                "axis": None if chosen.axis is None else "xyz".index(chosen.axis),
+                "position": None if chosen.position is None else to_metres(chosen.position),
+                "level": chosen.level,
+                "scale": chosen.scale,
+                "boxes": chosen.boxes,
+            }
+            print(*plot(Path(chosen.path), folder, [replace(view, **how) for view in views]), sep="\n")
     return 0
 
 

@@ -1,8 +1,9 @@
-"""Pictures of a field dump: slices, a projection of the charge and profiles along a line, with the boxes drawn."""
+"""Pictures of a dump: slices, projections and profiles along a line, with the boxes drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,20 +11,23 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm, Normalize, SymLogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from .errors import OutputError
+from .errors import InputError, OutputError
 from .hierarchy import AXES
 from .io.collect import one_line
-from .io.dump import Dump
+from .io.dump import Dump, open_dump
 from .io.durable import publish, temporary
 from .raster import Line, Raster, Spread, cut_by, line_through, line_values, projection, slice_through, spread_of
 
 Array = NDArray[Any]
-Colours = Callable[[Array], tuple[Normalize, Colormap]]
+Colouring = tuple[Normalize, Colormap]
 
+SYMBOLS = {"phi": "φ", "rho": "ρ"}
+INTEGRALS = {"C/m^3": "C/m^2", "V/m": "V"}  # units of integrals along a line
+LINES = {"phi": "C0", "E": "C3", "rho": "C2"}  # colours of profiles
 PREFIXES = {1e9: "G", 1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f"}
 LEVEL_COLOURS = ("#9a9a9a", "#ffffff", "#7fe3ff", "#ffb3de", "#b7f58f", "#ffe08a")  # light: they lie on dark data
 ONE_SIGN = colormaps["inferno"]
@@ -33,103 +37,194 @@ ROUNDING = 1e-12  # of the mean charge per area
 DPI = 150
 
 
-def plot(path: Path, directory: Path | None = None, axis: str = "z", position: float | None = None) -> list[Path]:
-    """Draw a field dump and return the pictures' paths. Serial: for one rank.
+@dataclass(frozen=True)
+class View:
+    """What a picture shows of a dump."""
 
-    Slices are normal to `axis`, at `position` (m) or through the middle of the charge. Pictures go beside the dump
-    unless `directory` is given. Raises InputError for what is no dump, OutputError if a picture cannot be written.
-    """
-    path, normal = Path(path), AXES.index(axis)
-    with Dump(path) as dump:
-        spread = spread_of(dump)
-        place = float(spread.centre[normal]) if position is None else position
-        line = line_through(dump, spread)
-        pictures = {
-            f"phi_{axis}": slice_picture(dump, "phi", "φ", normal, place),
-            f"E_{axis}": slice_picture(dump, "E", "|E|", normal, place),
-            f"rho_{axis}": projection_picture(dump, normal, spread),
-            "line": line_picture(dump, line),
+    quantity: str  # a field of the dump, or "|E|", "Ex", "Ey", "Ez"; profiles may be of several, with blanks between
+    kind: str = "slice"  # in a plane; or "projection": the integral along the axis; or "line": the profile along it
+    axis: int | None = None  # normal of slices, direction of the rest; None: z, and lines follow the charge
+    position: float | None = None  # of a slice along the axis, m; None: through the middle of the charge
+    level: int | None = None  # None: everywhere the finest cells
+    scale: str = "auto"  # or one of SCALES
+    boxes: bool = True  # whether they are outlined
+
+    @property
+    def normal(self) -> int:
+        return AXES.index("z") if self.axis is None else self.axis
+
+    @property
+    def name(self) -> str:
+        """A name for its file."""
+        axis, quantity = AXES[self.normal], self.quantity.strip("|").replace(" ", "_")
+        along = "" if self.axis is None else f"_along_{axis}"
+        names = {
+            "slice": f"{quantity}_{axis}",
+            "projection": f"{quantity}_along_{axis}",
+            "line": f"{quantity}_line{along}",
         }
-    folder = path.parent if directory is None else Path(directory)
-    return [_save(figure, folder / f"{path.stem}_{name}.png") for name, figure in pictures.items()]
+        return names[self.kind] + ("" if self.level is None else f"_level{self.level}")
 
 
-def slice_picture(dump: Dump, name: str, symbol: str, axis: int, position: float) -> Figure:
+OVERVIEW = (View("phi"), View("|E|"), View("rho", "projection"), View("phi E rho", "line"))
+
+
+def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVERVIEW) -> list[Path]:
+    """Draw a dump, or the latest one in the folder of a run, and return the pictures' paths. Serial: for one rank.
+
+    Pictures go beside the dump unless `directory` is given. Raises InputError for what is no dump or not in it, OutputError
+    if a picture cannot be written.
+    """
+    with open_dump(path) as dump:
+        spread = spread_of(dump)
+        folder = dump.path.parent if directory is None else Path(directory)
+        return [_save(draw(dump, spread, view), folder / f"{dump.path.stem}_{view.name}.png") for view in views]
+
+
+def draw(dump: Dump, spread: Spread, view: View) -> Figure:
+    """Return a picture. Raises InputError if the dump does not hold what it shall show."""
+    for name in view.quantity.split():
+        dump.unit(name)
+    _require_level(dump, view.level)
+    if view.kind == "line":
+        return profiles(dump, line_through(dump, spread, view.axis), view.quantity.split(), view.level)
+    return _projection(dump, spread, view) if view.kind == "projection" else _slice(dump, spread, view)
+
+
+def _require_level(dump: Dump, level: int | None) -> None:
+    if level is not None and not 0 <= level < len(dump.levels):
+        raise InputError(f"level {level} does not exist in {dump.path}; it has levels 0 to {len(dump.levels) - 1}")
+
+
+def _slice(dump: Dump, spread: Spread, view: View) -> Figure:
     """Return the picture of a field in a plane."""
-    raster = slice_through(dump, name, axis, position)
+    axis = view.normal
+    position = float(spread.centre[axis]) if view.position is None else view.position
+    lower, upper = dump.lower[axis], dump.upper[axis]
+    if not lower <= position <= upper:
+        raise InputError(
+            f"position {position:g} m lies outside the domain of {dump.path}, {lower:g} to {upper:g} m along {AXES[axis]}; "
+            "choose one inside"
+        )
+    raster = slice_through(dump, view.quantity, axis, position, view.level)
+    if np.isnan(raster.values).all():
+        raise InputError(
+            f"level {view.level} of {dump.path} has no cells at {AXES[axis]} = {position:g} m; choose another position"
+        )
+    symbol = SYMBOLS.get(view.quantity, view.quantity)
     title = f"{symbol} at {AXES[axis]} = {quantity(position, 'm', reach(dump))}"
-    return _picture(dump, raster, raster.values, symbol, dump.units[name], linear_colours, title)
+    return _picture(dump, raster, symbol, dump.unit(view.quantity), view, title)
 
 
-def projection_picture(dump: Dump, axis: int, spread: Spread) -> Figure:
-    """Return the picture of the charge per area, seen along an axis."""
-    raster = projection(dump, "rho", axis)
+def _projection(dump: Dump, spread: Spread, view: View) -> Figure:
+    """Return the picture of the integral of a field along an axis."""
+    axis = view.normal
+    raster = projection(dump, view.quantity, axis, view.level)
+    symbol = f"∫{SYMBOLS.get(view.quantity, view.quantity)} d{AXES[axis]}"
+    unit = INTEGRALS.get(dump.unit(view.quantity), f"{dump.unit(view.quantity)} m")
+    if view.quantity != "rho":
+        return _picture(dump, raster, symbol, unit, view, symbol)
     # Opposite charges that cancel along the line of sight leave rounding, which is not to be shown.
     mean = spread.charge / float(np.prod(raster.upper - raster.lower))
-    values = np.where(np.abs(raster.values) > ROUNDING * mean, raster.values, 0.0)
-    sign, symbol = (-1.0, f"−∫ρ d{AXES[axis]}") if values.max() <= 0 > values.min() else (1.0, f"∫ρ d{AXES[axis]}")
-    title = f"charge per area along {AXES[axis]}"
-    return _picture(dump, raster, sign * values, symbol, "C/m²", logarithmic_colours, title)
+    values = np.where(np.abs(raster.values) <= ROUNDING * mean, 0.0, raster.values)
+    view = replace(view, scale="log") if view.scale == "auto" else view
+    if np.nanmax(values) <= 0 > np.nanmin(values):
+        values, symbol = -values, f"−{symbol}"
+    return _picture(dump, replace(raster, values=values), symbol, unit, view, f"charge per area along {AXES[axis]}")
 
 
-def linear_colours(values: Array) -> tuple[Normalize, Colormap]:
+def linear_colours(values: Array) -> Colouring:
     """Return norm and colour map: from zero for values of one sign, symmetric about zero for both."""
-    low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
+    low, high = min(float(np.nanmin(values)), 0.0), max(float(np.nanmax(values)), 0.0)
     most = max(-low, high) or 1.0
     if min(-low, high) > 0.02 * most:
-        return Normalize(-most, most), BOTH_SIGNS
+        return symmetric_colours(values)
     return (Normalize(0, most), ONE_SIGN) if high >= -low else (Normalize(-most, 0), ONE_SIGN.reversed())
 
 
-def logarithmic_colours(values: Array) -> tuple[Normalize, Colormap]:
-    """Return norm and colour map of the largest decades; linear ones if values have both signs or are all zero."""
-    most = float(values.max())
-    if most <= 0 or values.min() < -(10.0**-DECADES) * most:
+def symmetric_colours(values: Array) -> Colouring:
+    """Return norm and colour map symmetric about zero, which is dark."""
+    most = float(np.nanmax(np.abs(values))) or 1.0
+    return Normalize(-most, most), BOTH_SIGNS
+
+
+def logarithmic_colours(values: Array) -> Colouring:
+    """Return norm and colour map of the largest decades; linear about zero below them if values have both signs."""
+    most = float(np.nanmax(np.abs(values)))
+    least = 10.0**-DECADES * most
+    if most == 0:
         return linear_colours(values)
-    return LogNorm(10.0**-DECADES * most, most, clip=True), ONE_SIGN
+    if np.nanmin(values) < -least:
+        return SymLogNorm(least, vmin=-most, vmax=most), BOTH_SIGNS
+    return LogNorm(least, most, clip=True), ONE_SIGN
 
 
-def _picture(dump: Dump, raster: Raster, values: Array, symbol: str, unit: str, colours: Colours, title: str) -> Figure:
-    """Return a picture of a raster with the boxes of all levels over it."""
+SCALES: dict[str, Callable[[Array], Colouring]] = {
+    "linear": linear_colours,
+    "symmetric": symmetric_colours,
+    "log": logarithmic_colours,
+}
+
+
+def _picture(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, title: str) -> Figure:
+    """Return a picture of a raster, of the part of it that holds values, with the boxes over it if they are wanted."""
     length, length_prefix = prefix_of(reach(dump))
-    scale, prefix = prefix_of(float(np.abs(values).max()))
-    norm, colour_map = colours(values / scale)
+    scale, prefix = prefix_of(float(np.nanmax(np.abs(raster.values))))
+    norm, colour_map = SCALES.get(view.scale, linear_colours)(raster.values / scale)
     corners = np.stack([raster.lower, raster.upper], axis=1) / length
-    figure, panel, bar = _canvas(corners)
+    seen = _seen(raster) / length
+    figure, panel, bar = _canvas(seen)
     image = panel.imshow(
-        (values / scale).T,
+        (raster.values / scale).T,
         origin="lower",
         extent=(corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]),
         norm=norm,
         cmap=colour_map,
         interpolation="nearest",
-        aspect="equal" if _moderate(corners) else "auto",
+        aspect="equal" if _moderate(seen) else "auto",
     )
-    _draw_boxes(panel, dump, raster, length)
+    panel.set_facecolor("#808080")  # where a level has no cells
+    if view.boxes:
+        _draw_boxes(panel, dump, raster, length, view.level)
     panel.set(
         xlabel=f"{AXES[raster.axes[0]]} / {length_prefix}m",
         ylabel=f"{AXES[raster.axes[1]]} / {length_prefix}m",
-        xlim=corners[0],
-        ylim=corners[1],
+        xlim=seen[0],
+        ylim=seen[1],
     )
-    panel.set_title(f"{title}, step {dump.step}, t = {quantity(dump.time, 's')}", fontsize="medium")
+    level = "" if view.level is None else f", level {view.level}"
+    panel.set_title(f"{title}{level}, step {dump.step}, t = {quantity(dump.time, 's')}", fontsize="medium")
     figure.colorbar(image, cax=bar, label=f"{symbol} / {_in(prefix, unit)}")
-    # Outside: every place in the panel may hold a bunch. On dark ground, as the light lines need it.
-    figure.legend(
-        loc="lower center",
-        ncols=8,
-        fontsize="x-small",
-        labelcolor="white",
-        facecolor="black",
-        framealpha=1,
-    )
+    if view.boxes:
+        # Outside: every place in the panel may hold a bunch. On dark ground, as the light lines need it.
+        figure.legend(
+            loc="lower center",
+            ncols=8,
+            fontsize="x-small",
+            labelcolor="white",
+            facecolor="black",
+            framealpha=1,
+        )
     return figure
 
 
-def _draw_boxes(panel: Axes, dump: Dump, raster: Raster, length: float) -> None:
+def _seen(raster: Raster) -> Array:
+    """Return the corners (2, 2) in m of what a raster shows, the first axis first."""
+    held = np.isfinite(raster.values)
+    out = []
+    for d in range(2):
+        pixels = np.flatnonzero(held.any(axis=1 - d))
+        edges = np.array([pixels[0], pixels[-1] + 1]) / held.shape[d]
+        out.append(raster.lower[d] + edges * (raster.upper[d] - raster.lower[d]))
+    return np.array(out)
+
+
+def _draw_boxes(panel: Axes, dump: Dump, raster: Raster, length: float, only: int | None) -> None:
     """Outline the boxes that a plane cuts, or all of them, in a light colour per level."""
     axes = list(raster.axes)
     for level, description in enumerate(dump.levels):
+        if only not in (None, level):
+            continue
         boxes = description.boxes
         if raster.position is not None:
             boxes = boxes[cut_by(dump, level, raster.axis, raster.position)]
@@ -143,27 +238,32 @@ def _draw_boxes(panel: Axes, dump: Dump, raster: Raster, length: float) -> None:
         panel.plot([], [], color=colour, label=f"level {level}")
 
 
-def line_picture(dump: Dump, line: Line) -> Figure:
-    """Return the profiles of φ, of E along the line and of ρ."""
-    profiles = {
-        "φ": (line_values(dump, "phi", line), dump.units["phi"]),
-        "E along the line": (line_values(dump, "E", line) @ line.direction, dump.units["E"]),
-        "ρ": (line_values(dump, "rho", line), dump.units["rho"]),
-    }
+def profiles(dump: Dump, line: Line, quantities: Sequence[str], level: int | None = None) -> Figure:
+    """Return the profiles of fields along a line; of a vector, what points along it."""
     length, length_prefix = prefix_of(float(np.abs(line.along).max()))
-    figure = Figure(figsize=(8, 7.5), layout="constrained")
-    panels = figure.subplots(3, 1, sharex=True)
-    for panel, (symbol, (values, unit)), colour in zip(panels, profiles.items(), ("C0", "C3", "C2"), strict=True):
-        scale, prefix = prefix_of(float(np.abs(values).max()))
-        panel.plot(line.along / length, values / scale, color=colour, linewidth=1.0, drawstyle="steps-mid")
-        panel.set_ylabel(f"{symbol} / {_in(prefix, unit)}")
+    figure = Figure(figsize=(8, 2.5 * len(quantities) if len(quantities) > 1 else 3.6), layout="constrained")
+    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, name in zip(panels, quantities, strict=True):
+        values = line_values(dump, name, line, level)
+        symbol = SYMBOLS.get(name, name)
+        if values.ndim > 1:
+            values, symbol = values @ line.direction, f"{symbol} along the line"
+        if np.isnan(values).all():
+            raise InputError(f"the line meets no cells of level {level} of {dump.path}; choose another axis or level")
+        scale, prefix = prefix_of(float(np.nanmax(np.abs(values))))
+        panel.plot(
+            line.along / length, values / scale, color=LINES.get(name, "C0"), linewidth=1.0, drawstyle="steps-mid"
+        )
+        panel.set_ylabel(f"{symbol} / {_in(prefix, dump.unit(name))}")
         panel.grid(alpha=0.3)
         panel.margins(x=0)
     panels[-1].set_xlabel(f"distance from the centre of charge / {length_prefix}m")
     centre = ", ".join(quantity(x, "m", reach(dump)) for x in line.centre)
     direction = ", ".join(f"{x:.3g}" for x in line.direction).replace("-", "−")
+    of = "" if level is None else f", level {level}"
     panels[0].set_title(
-        f"through ({centre}) along ({direction}), step {dump.step}, t = {quantity(dump.time, 's')}", fontsize="medium"
+        f"through ({centre}) along ({direction}){of}, step {dump.step}, t = {quantity(dump.time, 's')}",
+        fontsize="medium",
     )
     return figure
 
@@ -208,7 +308,7 @@ def _canvas(corners: Array) -> tuple[Figure, Axes, Axes]:
     """
     width, height = corners[:, 1] - corners[:, 0]
     panel = (5.6, 5.6 * (float(height / width) if _moderate(corners) else 0.6))  # inches
-    left, bottom, right, top = 0.8, 0.85, 1.1, 0.4
+    left, bottom, right, top = 0.8, 0.8, 1.1, 0.4
     size = left + panel[0] + right, bottom + panel[1] + top
     figure = Figure(figsize=size)
     axes = figure.add_axes((left / size[0], bottom / size[1], panel[0] / size[0], panel[1] / size[1]))

@@ -36,32 +36,39 @@ def others(axis: int) -> tuple[int, int]:
     return first, second
 
 
-def slice_through(dump: Dump, name: str, axis: int, position: float) -> Raster:
-    """Return a field in the plane normal to `axis` at `position` (m); the length of a vector field.
+def slice_through(dump: Dump, name: str, axis: int, position: float, level: int | None = None) -> Raster:
+    """Return a scalar in the plane normal to `axis` at `position` (m): from the finest cells, or those of one level.
 
-    A plane between two cells shows the upper ones.
+    A plane between two cells shows the upper ones. Where a level has no cells, the raster holds nan.
     """
-    grid = _Pixels(dump, axis)
+    grid = _Pixels(dump, axis, level)
     values = np.full(grid.shape, np.nan)
-    for level, cells in enumerate(dump.levels):
-        index = cell_at(dump, level, axis, position)
-        for box in cut_by(dump, level, axis, position):
-            cut = dump.values(name, level, box).take(index - cells.boxes[box, axis], axis=axis)
-            window, inside = grid.locate(level, box)
-            values[window] = (cut if cut.ndim == 2 else np.sqrt(np.sum(cut**2, axis=-1)))[inside]
+    for number in range(len(dump.levels)) if level is None else [level]:
+        index = cell_at(dump, number, axis, position)
+        for box in cut_by(dump, number, axis, position):
+            cut = dump.values(name, number, box).take(index - dump.levels[number].boxes[box, axis], axis=axis)
+            window, inside = grid.locate(number, box)
+            values[window] = cut[inside]
     return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
 
 
-def projection(dump: Dump, name: str, axis: int) -> Raster:
-    """Return the integral of a scalar field along `axis`, each place counted once, on its finest level."""
-    grid = _Pixels(dump, axis)
+def projection(dump: Dump, name: str, axis: int, level: int | None = None) -> Raster:
+    """Return the integral of a scalar along `axis`: each place once, on its finest level, or all cells of one level.
+
+    Where a level has no cells, the raster holds nan.
+    """
+    grid = _Pixels(dump, axis, level)
     values = np.zeros(grid.shape)
-    for level, description in enumerate(dump.levels):
-        for box in range(len(description.boxes)):
-            cells = np.where(dump.covered(level, box), 0.0, dump.values(name, level, box))
-            window, inside = grid.locate(level, box)
-            values[window] += (cells.sum(axis=axis) * description.spacing[axis])[inside]
-    return Raster(grid.shown(values), axis, grid.axes, None, *grid.corners)
+    seen = np.zeros(grid.shape, dtype=bool)
+    for number in range(len(dump.levels)) if level is None else [level]:
+        for box in range(len(dump.levels[number].boxes)):
+            cells = dump.values(name, number, box)
+            if level is None:
+                cells = np.where(dump.covered(number, box), 0.0, cells)
+            window, inside = grid.locate(number, box)
+            values[window] += (cells.sum(axis=axis) * dump.levels[number].spacing[axis])[inside]
+            seen[window] = True
+    return Raster(grid.shown(np.where(seen, values, np.nan)), axis, grid.axes, None, *grid.corners)
 
 
 def cut_by(dump: Dump, level: int, axis: int, position: float) -> Array:
@@ -80,12 +87,12 @@ def cell_at(dump: Dump, level: int, axis: int, position: float) -> int:
 class _Pixels:
     """The pixels of the plane normal to an axis, over the whole domain."""
 
-    def __init__(self, dump: Dump, axis: int) -> None:
+    def __init__(self, dump: Dump, axis: int, level: int | None) -> None:
         self._dump = dump
         self._axes = list(others(axis))
         extent = (dump.upper - dump.lower)[self._axes]
         self.axes = others(axis) if extent[0] >= extent[1] else others(axis)[::-1]
-        finest = np.rint(extent / dump.levels[-1].spacing[self._axes])
+        finest = np.rint(extent / dump.levels[-1 if level is None else level].spacing[self._axes])
         self.shape = tuple(np.maximum(finest * min(1.0, MOST_PIXELS / finest.max()), 1).astype(int))
         self._widths = extent / self.shape
 
@@ -127,12 +134,13 @@ class Line:
         return self.centre + self.along[:, None] * self.direction
 
 
-def line_values(dump: Dump, name: str, line: Line) -> Array:
-    """Return a field in the finest cells along a line: (n,), or (n, 3) of a vector."""
+def line_values(dump: Dump, name: str, line: Line, level: int | None = None) -> Array:
+    """Return a field along a line, in the finest cells or those of one level: (n,), or (n, 3) of a vector; else nan."""
     points = line.points
     vector = dump.values(name, 0, 0).ndim == 4
     out = np.full((len(points), 3) if vector else len(points), np.nan)
-    for level, description in enumerate(dump.levels):
+    for number in range(len(dump.levels)) if level is None else [level]:
+        description = dump.levels[number]
         shape = np.rint((dump.upper - dump.lower) / description.spacing).astype(np.int64)
         index = np.clip(np.floor((points - dump.lower) / description.spacing).astype(np.int64), 0, shape - 1)
         first, last = index.min(axis=0), index.max(axis=0)
@@ -141,7 +149,7 @@ def line_values(dump: Dump, name: str, line: Line) -> Array:
             lower, upper = description.boxes[box, :3], description.boxes[box, 3:]
             inside = np.all((index >= lower) & (index <= upper), axis=1)
             if inside.any():
-                out[inside] = dump.values(name, level, box)[tuple((index[inside] - lower).T)]
+                out[inside] = dump.values(name, number, box)[tuple((index[inside] - lower).T)]
     return out
 
 
@@ -184,14 +192,9 @@ def spread_of(dump: Dump, name: str = "rho") -> Spread:
 LONG = 3.0  # variance along a train over that across it, from which on its own direction is taken
 
 
-def line_through(dump: Dump, spread: Spread) -> Line:
-    """Return the line through the charge: along a train of bunches, or else along x."""
-    sizes, directions = np.linalg.eigh(spread.covariance)
-    direction = np.array([1.0, 0.0, 0.0])
-    if sizes[2] > LONG * max(sizes[1], 0.0) and sizes[2] > 0:
-        direction = directions[:, 2] * np.sign(directions[np.argmax(np.abs(directions[:, 2])), 2])
-        direction[np.abs(direction) < 1e-3] = 0.0  # bunches of particles are never quite straight
-        direction /= np.linalg.norm(direction)
+def line_through(dump: Dump, spread: Spread, axis: int | None = None) -> Line:
+    """Return the line through the middle of the charge: along an axis, or along a train of bunches, or else along x."""
+    direction = direction_of(spread) if axis is None else np.eye(3)[axis]
     with np.errstate(divide="ignore"):
         walls = np.stack([dump.lower - spread.centre, dump.upper - spread.centre]) / direction
     walls = np.where(direction == 0, [[-np.inf], [np.inf]], np.sort(walls, axis=0))
@@ -199,3 +202,14 @@ def line_through(dump: Dump, spread: Spread) -> Line:
     step = 0.5 * float(dump.levels[-1].spacing.min())
     count = int(np.clip((stop - start) / step, 2, 20_000))
     return Line(spread.centre, direction, start + (np.arange(count) + 0.5) * (stop - start) / count)
+
+
+def direction_of(spread: Spread) -> Array:
+    """Return the direction of a train of bunches, or x."""
+    sizes, directions = np.linalg.eigh(spread.covariance)
+    direction = np.array([1.0, 0.0, 0.0])
+    if sizes[2] > LONG * max(sizes[1], 0.0) and sizes[2] > 0:
+        direction = directions[:, 2] * np.sign(directions[np.argmax(np.abs(directions[:, 2])), 2])
+        direction[np.abs(direction) < 1e-3] = 0.0  # bunches of particles are never quite straight
+        direction /= np.linalg.norm(direction)
+    return direction

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import time
-from pathlib import Path
 from types import TracebackType
 
 from mpi4py import MPI
 
 from .diagnostics import measure, quantities
-from .errors import InputError, OutputError
+from .errors import OutputError
 from .field import Field, VectorField
 from .io import checkpoint, fields
 from .io.series import Series
@@ -39,14 +38,6 @@ def prepare(comm: MPI.Comm, scene: Scene) -> None:
     problem = comm.bcast(problem)
     if problem is not None:
         raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
-
-
-def latest_fields(directory: Path) -> Path:
-    """Return the field dump of the latest step in a run's folder; InputError if there is none."""
-    found = sorted(directory.glob("fields_*.vtkhdf"))
-    if not found:
-        raise InputError(f"{directory} holds no fields_*.vtkhdf; name a folder that a run wrote fields into, or a file")
-    return found[-1]
 
 
 class Recorder:

@@ -135,6 +135,14 @@ def to_seconds(text: str) -> float:
         ) from None
 
 
+def to_metres(text: str) -> float:
+    """Return a length in m, written as "2.5 mm" or a number of metres. Raises InputError."""
+    try:
+        return to_si(float(text) if re.fullmatch(_NUMBER, text) else text, "length")
+    except PydanticCustomError:
+        raise InputError(f'"{text}" is not a length; write it as "2.5 mm" or a number of metres') from None
+
+
 def _spread(value: Any) -> Any:
     if isinstance(value, (int, float, str)):
         return (value, value, value)

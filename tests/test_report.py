@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import io
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from amrpic import Domain, Field, Hierarchy, VectorField, plot, raster
+from amrpic import Domain, Field, Hierarchy, Scene, Simulation, VectorField, plot, raster
 from amrpic.errors import InputError, OutputError
 from amrpic.io import fields
-from amrpic.io.dump import Dump
+from amrpic.io.dump import CheckpointDump, Dump, open_dump
 from amrpic.io.provenance import Provenance
 from amrpic.report import RunLog, step_line
 
@@ -109,7 +110,7 @@ def test_a_slice_holds_the_finest_cells_in_their_places(comm, tmp_path, axis):
     place = float(DOMAIN.lower[axis] + (48.25 if axis == 2 else 32.25) * finest[axis])  # cuts all three levels
     with Dump(dumped(comm, tmp_path, cloud)) as dump:
         shown = raster.slice_through(dump, "phi", axis, place)
-        strength = raster.slice_through(dump, "E", axis, place)
+        strength = raster.slice_through(dump, "|E|", axis, place)
     a, b = shown.axes
     assert DOMAIN.upper[a] - DOMAIN.lower[a] >= DOMAIN.upper[b] - DOMAIN.lower[b]
     assert shown.values.shape == (4 * DOMAIN.cells[a], 4 * DOMAIN.cells[b])
@@ -187,10 +188,18 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         return save(figure, path)
 
     monkeypatch.setattr(plot, "_save", watched)
-    pictures = plot.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", axis)
-    assert [p.name for p in pictures] == [
-        f"fields_00000003_{n}.png" for n in (f"phi_{axis}", f"E_{axis}", f"rho_{axis}", "line")
-    ]
+    views = [replace(view, axis="xyz".index(axis)) for view in plot.OVERVIEW]
+    views += [plot.View("Ez", "projection", scale="symmetric", boxes=False), plot.View("rho", scale="log", level=1)]
+    pictures = plot.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", views)
+    names = (
+        f"phi_{axis}",
+        f"E_{axis}",
+        f"rho_along_{axis}",
+        f"phi_E_rho_line_along_{axis}",
+        "Ez_along_z",
+        "rho_z_level1",
+    )
+    assert [p.name for p in pictures] == [f"fields_00000003_{n}.png" for n in names]
     for path, figure in zip(pictures, figures, strict=True):
         assert path.read_bytes().startswith(b"\x89PNG")
         box = figure.get_tightbbox(FigureCanvasAgg(figure).get_renderer())
@@ -199,12 +208,69 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         assert 0 <= box.y0 < box.y1 <= height
 
 
+@pytest.mark.parametrize(
+    ("view", "message"),
+    [
+        (plot.View("Q"), "holds no Q; choose among E, phi, rho"),
+        (plot.View("phi", level=3), "level 3 does not exist in .*; it has levels 0 to 2"),
+        (
+            plot.View("phi", axis=2, position=0.2),
+            "position 0.2 m lies outside the domain of .*, 0.01 to 0.17 m along z",
+        ),
+        (
+            plot.View("phi", axis=0, position=-0.019, level=2),
+            "level 2 of .* has no cells at x = -0.019 m; choose another",
+        ),
+    ],
+)
+def test_a_view_of_what_is_not_there_is_refused_in_one_sentence(comm, tmp_path, view, message):
+    with pytest.raises(InputError, match=message):
+        plot.plot(dumped(comm, tmp_path, cloud), views=[view])
+
+
 def test_what_cannot_be_drawn_is_named(comm, tmp_path):
     with pytest.raises(InputError, match="No such file"):
         plot.plot(tmp_path / "fields_00000001.vtkhdf")
+    with pytest.raises(InputError, match=r"holds neither fields_\*.vtkhdf nor checkpoint_\*; name a folder"):
+        plot.plot(tmp_path)
     (tmp_path / "pictures").write_text("in the way")
     with pytest.raises(OutputError, match=r"cannot write picture .*: File exists; choose another output folder"):
         plot.plot(dumped(comm, tmp_path, cloud), tmp_path / "pictures")
+
+
+def test_a_level_by_itself_shows_its_own_cells(comm, tmp_path):
+    with Dump(dumped(comm, tmp_path, cloud)) as dump:
+        shown = raster.slice_through(dump, "phi", 2, 0.07, level=1)
+        seen = raster.projection(dump, "rho", 2, level=1)
+        everywhere = raster.slice_through(dump, "phi", 2, 0.07)
+    inside = np.isfinite(shown.values)
+    assert inside.sum() == 16 * 16 and np.array_equal(inside, np.isfinite(seen.values))
+    # Level 2 covers the middle: its cells are half as wide, and level 1 holds the plane of its parents there.
+    assert np.nanmax(np.abs(shown.values - everywhere.values[::2, ::2])) <= (DOMAIN.spacing * [1, 10, 100]).sum() / 2
+    assert not np.array_equal(shown.values[inside], everywhere.values[::2, ::2][inside])
+
+
+@pytest.mark.mpi(ranks=(2,))
+@pytest.mark.parametrize("writers", [1, 2])
+def test_a_checkpoint_shows_what_the_field_file_of_its_step_shows(comm, tmp_path, writers):
+    scene = Scene.from_dict(
+        {
+            "domain": {"lower": -1, "upper": 1, "cells": 16},
+            "bunches": [{"distribution": "gaussian", "sigma": 0.15, "charge": "1 nC", "particles": 2000}],
+            "refinement": {"levels": 1, "max_grid_size": 8},
+            "output": {"directory": str(tmp_path), "writers": writers, "write": ["fields", "checkpoint"]},
+        }
+    )
+    Simulation(comm, scene).run()
+    if comm.rank == 0:
+        with open_dump(tmp_path / "checkpoint_00000000") as kept, open_dump(tmp_path) as written:
+            assert isinstance(kept, CheckpointDump) and not isinstance(written, CheckpointDump)
+            assert (kept.step, kept.time) == (written.step, written.time)
+            for name in ("phi", "rho", "|E|", "Ex", "Ez"):
+                assert kept.unit(name) == written.unit(name)
+                for level in (None, 0, 1):
+                    one, other = (raster.slice_through(dump, name, 1, 0.01, level) for dump in (kept, written))
+                    np.testing.assert_array_equal(one.values, other.values)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..boxes import cells_of
 from ..errors import InputError
 from .collect import one_line
 from .provenance import Provenance
@@ -63,6 +64,17 @@ class Manifest:
     def ranks(self) -> int:
         """Number of ranks that wrote."""
         return self.parts[-1].end_rank
+
+    def places(self, level: int) -> tuple[Array, Array]:
+        """Return the part that holds the cells of each box of a level, and the row of its first cell there."""
+        cells, writers = cells_of(self.header.boxes[level]), self.header.owners[level]
+        part = np.searchsorted([p.end_rank for p in self.parts], writers, side="right")
+        order = np.lexsort((np.arange(len(cells)), writers))  # as written: by rank, then in box order
+        start = np.empty_like(cells)
+        start[order] = np.cumsum(cells[order]) - cells[order]
+        first = np.full(len(self.parts), np.iinfo(np.int64).max)
+        np.minimum.at(first, part, start)
+        return part, start - first[part]
 
 
 def encode(manifest: Manifest) -> str:

@@ -145,8 +145,8 @@ def _read_share(comm: MPI.Comm, path: Path, manifest: Manifest, owners: Sequence
     fields: dict[str, list[Array]] = {name: [] for name in manifest.fields}
     tables: dict[str, dict[str, Array]] = {}
     with _Parts(path, manifest.parts) as parts:
-        for level, boxes in enumerate(header.boxes):
-            runs = _box_runs(boxes, header.owners[level], np.flatnonzero(owners[level] == comm.rank), manifest.parts)
+        for level in range(len(header.boxes)):
+            runs = _box_runs(manifest, level, np.flatnonzero(owners[level] == comm.rank))
             for name in manifest.fields:
                 fields[name].append(parts.rows(f"level{level}/{name}", runs))
         for table, rows in manifest.rows.items():
@@ -159,16 +159,9 @@ def _redistributed(header: Header, owners: Sequence[Array]) -> Header:
     return Header(**{**vars(header), "owners": list(owners)})
 
 
-def _box_runs(boxes: Array, writers: Array, wanted: Array, parts: Sequence[Part]) -> list[Run]:
-    """Return where the cells of the `wanted` boxes lie, given the rank that wrote each box."""
-    cells = cells_of(boxes)
-    part = np.searchsorted([p.end_rank for p in parts], writers, side="right")
-    order = np.lexsort((np.arange(len(boxes)), writers))  # as written: by rank, then in box order
-    start = np.empty_like(cells)
-    start[order] = np.cumsum(cells[order]) - cells[order]
-    for p in range(len(parts)):
-        inside = part == p
-        start[inside] -= start[inside].min(initial=np.iinfo(np.int64).max)
+def _box_runs(manifest: Manifest, level: int, wanted: Array) -> list[Run]:
+    """Return where the cells of the `wanted` boxes of a level lie."""
+    cells, (part, start) = cells_of(manifest.header.boxes[level]), manifest.places(level)
     return _merged([(int(part[b]), int(start[b]), int(cells[b])) for b in wanted])
 
 

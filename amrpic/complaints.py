@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
-
-# What pydantic puts into the place of an error for the chosen member of a union; no key has such a name.
-_UNION_TAGS = {
-    *("gaussian", "sphere", "lattice", "arrays"),
-    *("charge-density", "field-strength", "static"),
-    *("none", "leapfrog", "random-walk"),
-}
 
 
 def close_match(word: str, known: Iterable[str]) -> str:
@@ -24,16 +17,15 @@ def close_match(word: str, known: Iterable[str]) -> str:
     return f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(choices)}"
 
 
-def sentences(refused: ValidationError, source: str) -> list[str]:
-    """Return a sentence for each error; `source` names the file or object that holds the scene."""
-    return [_sentence(error, source) for error in refused.errors(include_url=False)]
+def sentences(refused: ValidationError, source: str, model: type[BaseModel]) -> list[str]:
+    """Return a sentence for each error of a model; `source` names the file or object that was to be read."""
+    schema = model.model_json_schema()
+    return [_sentence(error, source, schema) for error in refused.errors(include_url=False)]
 
 
-def _sentence(error: ErrorDetails, source: str) -> str:
+def _sentence(error: ErrorDetails, source: str, schema: dict[str, Any]) -> str:
     context = error.get("ctx") or {}
-    path = ".".join([str(part) for part in error["loc"] if part not in _UNION_TAGS] + [context.get("path", "")]).strip(
-        "."
-    )
+    path = ".".join([*_keys(error["loc"], schema), context.get("path", "")]).strip(".")
     found = context.get("found") if error["type"] == "amrpic" else None
     found = error["input"] if found is None else found
     if error["type"] == "amrpic":
@@ -42,6 +34,29 @@ def _sentence(error: ErrorDetails, source: str) -> str:
         what, remedy, found = _pydantic(error, path, found)
     value = "" if found == "" else f" ({_brief(found)})"
     return f"{source}: {path or 'the scene'}{value} {what}; {remedy}"
+
+
+def _keys(place: tuple[str | int, ...], schema: dict[str, Any]) -> Iterator[str]:
+    """Yield the keys of a place as users wrote them: without the names of union members that pydantic puts in between."""
+    node: dict[str, Any] = schema
+    for part in place:
+        here = list(_resolved(node, schema))
+        members = [one["discriminator"]["mapping"].get(part) for one in here if "discriminator" in one]
+        if any(members):
+            node = {"$ref": next(filter(None, members))}
+            continue
+        yield str(part)
+        below = (one.get("items") if isinstance(part, int) else one.get("properties", {}).get(part) for one in here)
+        node = next(filter(None, below), {})
+
+
+def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a part of a schema, or those that it names, references followed."""
+    if "$ref" in node:
+        node = schema["$defs"][node["$ref"].removeprefix("#/$defs/")]
+    yield node
+    for part in [*node.get("anyOf", []), *node.get("allOf", [])]:
+        yield from _resolved(part, schema)
 
 
 def _pydantic(error: ErrorDetails, path: str, found: Any) -> tuple[str, str, Any]:

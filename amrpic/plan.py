@@ -12,7 +12,7 @@ from .errors import SolverError
 from .field import Field
 from .hierarchy import Hierarchy
 from .poisson import PoissonSolver, SolveReport
-from .scene import Leapfrog, Scene, StaticRule
+from .scene import Leapfrog, Scene
 
 
 class Plan:
@@ -59,10 +59,9 @@ class Plan:
         return phi, report
 
     def regrids_at(self, step: int) -> bool:
-        """Whether the mesh follows the particles in this step."""
+        """Whether the mesh follows the particles in this step, whatever they do."""
         refinement = self.scene.refinement
-        moving = refinement.levels > 0 and not isinstance(refinement.rule, StaticRule)
-        return moving and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
+        return refinement.follows and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
 
     def remark(self, sentence: str) -> None:
         """Note something that is legal and yet may not be meant, once."""

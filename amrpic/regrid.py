@@ -37,18 +37,21 @@ def regrid(
     tags: Sequence[np.ndarray],
     settings: Regridding,
     static: Sequence[np.ndarray] = (),
+    kept: Sequence[np.ndarray] = (),
 ) -> Hierarchy:
     """Return the hierarchy that refines all tagged cells; `hierarchy` itself if its boxes are those. Collective.
 
     `tags[l]` is a bool per cell of this rank on level l, in the order of `Field.array(l)`; levels left out are not
-    tagged. `static[k]` lists index boxes (n, 6) of level k + 1 that must exist in any case; they are aligned outward to
-    the blocking factor, wrapped where periodic and clipped at walls. Tags add one level per call; static boxes come at
-    once. The refined region depends neither on the number of ranks nor on `max_grid_size`.
+    tagged. Of what `kept`, tags as well, would refine, that stays which is refined already. `static[k]` lists index boxes
+    (n, 6) of level k + 1 that must exist in any case; they are aligned outward to the blocking factor, wrapped where
+    periodic and clipped at walls. Tags add one level per call; static boxes come at once. The refined region depends
+    neither on the number of ranks nor on `max_grid_size`.
 
     Raises HierarchyError, alike on all ranks, for tags that do not fit the cells and for static boxes that are empty or
     of a level above `max_levels`.
     """
-    raise_together(hierarchy.comm, _misfit(hierarchy, tags), HierarchyError)
+    for given in tags, kept:
+        raise_together(hierarchy.comm, _misfit(hierarchy, given), HierarchyError)
     if len(static) >= settings.max_levels:
         raise HierarchyError(
             f"static boxes are given for level {len(static)}, but max_levels is {settings.max_levels}, the base "
@@ -59,7 +62,7 @@ def regrid(
             if np.any(box[3:] < box[:3]):
                 raise HierarchyError(f"static box {box.tolist()} of level {level} is empty; swap its corners")
     fixed = [np.ascontiguousarray(boxes, dtype=np.int32).reshape(-1, 6) for boxes in static]
-    marks = [np.ascontiguousarray(level, dtype=bool).view(np.uint8) for level in tags]
+    marks = _marks(tags, kept)
     try:
         levels = _native.refine(
             hierarchy.native, marks, fixed, settings.max_levels, settings.buffer, settings.nesting, settings.efficiency
@@ -68,6 +71,16 @@ def regrid(
         raise HierarchyError(str(refused)) from None
     made = Hierarchy(hierarchy.comm, hierarchy.domain, levels, hierarchy.max_grid_size, hierarchy.blocking_factor)
     return hierarchy if made.same_mesh(hierarchy) else made
+
+
+def _marks(tags: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return a byte per cell: bit 0 for tagged, bit 1 for kept cells."""
+    if not kept:
+        return [np.ascontiguousarray(level, dtype=bool).view(np.uint8) for level in tags]
+    return [
+        np.asarray(wanted, dtype=np.uint8) + 2 * np.asarray(stays, dtype=np.uint8)
+        for wanted, stays in zip(tags, kept, strict=True)
+    ]
 
 
 def _misfit(hierarchy: Hierarchy, tags: Sequence[np.ndarray]) -> str | None:

@@ -15,8 +15,9 @@ from .bunches import ArrayBunch, GaussianBunch, LatticeBunch, SphereBunch
 from .complaints import close_match, sentences
 from .errors import HierarchyError, SceneError
 from .hierarchy import AXES, BOUNDARIES, Domain
+from .refinement import Refinement, StaticBox, StaticRule, every_rule
 from .section import Section
-from .units import ChargeDensity, FieldStrength, Index3, Length, Length3, Time, complaint
+from .units import Index3, Length, Length3, Time, complaint
 from .walls import Function, Potentials, Slopes, require_kind, wall_function
 
 LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
@@ -120,121 +121,6 @@ def _per_face(value: Any) -> Any:
                 found=value[axis],
             )
     return {axis: pairs.get(axis, ("open", "open")) for axis in AXES}
-
-
-class Threshold(Section):
-    """Tag where the magnitude of a quantity exceeds a threshold."""
-
-    relative: float | None = Field(
-        default=None, ge=0, description="Threshold as a part of the largest magnitude anywhere."
-    )
-
-    @model_validator(mode="after")
-    def _one_threshold(self) -> Self:
-        absolute = getattr(self, "absolute", None)
-        if (absolute is None) == (self.relative is None):
-            raise complaint(
-                "must be given, or else absolute", "keep one of the two", path="relative", found=self.relative
-            )
-        return self
-
-
-class ChargeDensityRule(Threshold):
-    """Refine where |ρ| is large: there is the source of the field."""
-
-    kind: Literal["charge-density"] = "charge-density"
-    absolute: ChargeDensity | None = Field(ge=0, default=None, description="Threshold, C/m³.")
-
-
-class FieldStrengthRule(Threshold):
-    """Refine where |E| is large; costs a solve for each level that is made at the start."""
-
-    kind: Literal["field-strength"] = "field-strength"
-    absolute: FieldStrength | None = Field(ge=0, default=None, description="Threshold, V/m.")
-
-
-class StaticBox(Section):
-    """A cuboid to refine, in metres or in cells."""
-
-    level: int = Field(ge=1, description="Level of the cells inside the box; 1 is the first refined one.")
-    lower: Length3 | None = Field(default=None, description="Lower corner, m; rounded outwards to the blocking factor.")
-    upper: Length3 | None = Field(default=None, description="Upper corner, m.")
-    first: Index3 | None = Field(
-        default=None, description="First cell per axis in the index space of the level, exact."
-    )
-    last: Index3 | None = Field(default=None, description="Last cell per axis, inclusive.")
-
-    @model_validator(mode="after")
-    def _one_pair(self) -> Self:
-        metres: tuple[Any, Any] = (self.lower, self.upper)
-        cells: tuple[Any, Any] = (self.first, self.last)
-        pairs = [pair for pair in (metres, cells) if pair != (None, None)]
-        if len(pairs) != 1 or None in pairs[0]:
-            raise complaint("needs its corners", "give lower and upper in metres, or first and last in cells", found="")
-        if (
-            any(a >= b for a, b in zip(*metres, strict=True))
-            if metres[0]
-            else any(a > b for a, b in zip(*cells, strict=True))
-        ):
-            raise complaint("has no volume", "put its upper corner above the lower one", found=pairs[0])
-        return self
-
-
-class StaticRule(Section):
-    """Refine given boxes, and keep them."""
-
-    kind: Literal["static"] = "static"
-    boxes: list[StaticBox] = Field(min_length=1, description="The boxes of all refined levels.")
-
-
-class Refinement(Section):
-    """Where finer levels lie and how they are cut into boxes."""
-
-    levels: int = Field(
-        default=0, ge=0, le=20, description="Refined levels above the base, each of half the cell width."
-    )
-    max_grid_size: int = Field(
-        default=32,
-        ge=2,
-        description="Most cells of a box along an axis: small boxes balance the ranks, large ones are faster.",
-    )
-    blocking_factor: int = Field(
-        default=8, ge=2, description="Boxes begin and end at multiples of it; a power of two, so that they coarsen."
-    )
-    rule: Annotated[ChargeDensityRule | FieldStrengthRule | StaticRule, Field(discriminator="kind")] = Field(
-        default=ChargeDensityRule(relative=1e-3),
-        description="What is refined. The default follows a Gaussian bunch out to 3.7 σ.",
-    )
-    regrid_every: int = Field(default=5, ge=0, description="Steps between regrids; 0 keeps the first boxes.")
-    buffer: int = Field(
-        default=2,
-        ge=0,
-        description="Cells around tagged ones that are refined too: 2 keep dense charge 4 fine cells off the faces.",
-    )
-    efficiency: float = Field(default=0.7, gt=0, le=1, description="Least part of a clustered box that is tagged.")
-    nesting: int = Field(default=2, ge=1, description="Least cells of a level around the next finer one.")
-
-    @model_validator(mode="after")
-    def _sizes(self) -> Self:
-        block, size = self.blocking_factor, self.max_grid_size
-        if block & (block - 1):
-            below = 2 ** (block.bit_length() - 1)
-            raise complaint("is not a power of two", f"use {below} or {2 * below}", path="blocking_factor", found=block)
-        if size % block:
-            near = f"{size // block * block} or {(size // block + 1) * block}" if size > block else f"{block}"
-            raise complaint(
-                f"is not a multiple of the blocking factor {block}", f"use {near}", path="max_grid_size", found=size
-            )
-        if isinstance(self.rule, StaticRule):
-            for index, box in enumerate(self.rule.boxes):
-                if box.level > self.levels:
-                    raise complaint(
-                        f"lies above the {self.levels} refined levels of the scene",
-                        f"set refinement.levels to {box.level} or more, or leave the box out",
-                        path=f"rule.boxes.{index}.level",
-                        found=box.level,
-                    )
-        return self
 
 
 class Solver(Section):
@@ -384,18 +270,21 @@ class Scene(Section):
             )
 
     def _check_boxes(self) -> None:
-        rule, periodic = self.refinement.rule, self.domain.value.periodic
-        for number, box in enumerate(rule.boxes if isinstance(rule, StaticRule) else ()):
-            for axis in range(3):
-                last = self.domain.cells[axis] * 2**box.level - 1
-                outside = box.first and box.last and (box.first[axis] < 0 or box.last[axis] > last)
-                if outside and not periodic[axis]:
-                    raise complaint(
-                        f"leaves the domain, whose cells of level {box.level} reach from 0 to {last} along {AXES[axis]}",
-                        "move it inside",
-                        path=f"refinement.rule.boxes.{number}",
-                        found=[box.first, box.last],
-                    )
+        for path, rule in every_rule(self.refinement.rule, "refinement.rule"):
+            for number, box in enumerate(rule.boxes if isinstance(rule, StaticRule) else ()):
+                self._check_box(box, f"{path}.boxes.{number}")
+
+    def _check_box(self, box: StaticBox, path: str) -> None:
+        for axis in range(3):
+            last = self.domain.cells[axis] * 2**box.level - 1
+            outside = box.first and box.last and (box.first[axis] < 0 or box.last[axis] > last)
+            if outside and not self.domain.value.periodic[axis]:
+                raise complaint(
+                    f"leaves the domain, whose cells of level {box.level} reach from 0 to {last} along {AXES[axis]}",
+                    "move it inside",
+                    path=path,
+                    found=[box.first, box.last],
+                )
 
     def _check_places(self) -> None:
         for number, bunch in enumerate(self.bunches):
@@ -462,7 +351,7 @@ class Scene(Section):
         try:
             return cls.model_validate(data)
         except ValidationError as refused:
-            problems = sentences(refused, source)
+            problems = sentences(refused, source, cls)
             more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
             raise RefusedScene(problems[0] + more, problems) from None
 

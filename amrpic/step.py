@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from mpi4py import MPI
 
-from .deposit import deposit
 from .errors import InputError
 from .field import Field, VectorField
-from .follow import follow, make_base
+from .follow import follow, make_base, outrun
 from .gather import gather
 from .hierarchy import Hierarchy
 from .migrate import migrate
@@ -19,7 +18,7 @@ from .plan import Plan
 from .poisson import SolveReport
 from .populate import make_particles
 from .push import drift, kick, random_walk
-from .regrid import carry_over
+from .quantities import Quantities
 from .scene import Leapfrog, RandomWalk
 
 
@@ -66,13 +65,11 @@ def advance(state: State, plan: Plan) -> State:
         moved = set_off(state, plan)
     with plan.clock("migrate"):
         particles, gone = migrate(moved, state.hierarchy)
-    hierarchy, guess = state.hierarchy, state.phi
-    if plan.regrids_at(step):
-        particles, hierarchy = follow(particles, hierarchy, plan, state.efield)
-        with plan.clock("regrid"):
-            guess = carry_over(state.phi, hierarchy) if hierarchy is not state.hierarchy else state.phi
-    state = replace(state, particles=particles, lost=state.lost.joined(gone, now), step=step, time=now)
-    return arrive(with_field(state, hierarchy, guess, plan), plan)
+    seen = Quantities(particles, state.hierarchy, plan, (state.phi, state.efield))
+    if plan.regrids_at(step) or outrun(seen):
+        seen = follow(seen, plan.scene.refinement.hysteresis)
+    state = replace(state, lost=state.lost.joined(gone, now), step=step, time=now)
+    return arrive(with_field(state, seen, seen.phi), plan)
 
 
 def begin(plan: Plan) -> State:
@@ -83,14 +80,13 @@ def begin(plan: Plan) -> State:
         made = make_particles(plan.comm, scene)
         particles, gone = migrate(made, base)
     _require_some_inside(plan.comm, particles, made)
-    particles, hierarchy = follow(particles, base, plan)
+    seen = follow(Quantities(particles, base, plan))
     lost = Lost(Particles.empty(made.species), np.zeros(0)).joined(gone, 0.0)
-    nothing = Field(hierarchy)
+    nothing = Field(seen.hierarchy)
     unsolved = SolveReport(False, 0, [], {}, "not solved yet", 0.0)
-    state = State(
-        particles, hierarchy, nothing, nothing, VectorField(nothing, nothing, nothing), None, lost, 0, 0.0, unsolved
-    )
-    state = with_field(state, hierarchy, None, plan)
+    none = VectorField(nothing, nothing, nothing)
+    state = State(seen.particles, seen.hierarchy, nothing, nothing, none, None, lost, 0, 0.0, unsolved)
+    state = with_field(state, seen, None)
     return replace(with_force(state, plan), seconds=plan.clock.take())
 
 
@@ -115,17 +111,18 @@ def arrive(state: State, plan: Plan) -> State:
     return replace(state, seconds=plan.clock.take())
 
 
-def with_field(state: State, hierarchy: Hierarchy, guess: Field | None, plan: Plan) -> State:
-    """Return the state with the field of its particles, which must be sorted on the hierarchy. Collective.
+def with_field(state: State, seen: Quantities, guess: Field | None) -> State:
+    """Return the state with what is seen now and the field of that. Collective.
 
     Raises SolverError if the solve does not converge.
     """
-    with plan.clock("deposit"):
-        rho = deposit(state.particles, hierarchy)
+    plan, rho = seen.plan, seen.rho
     with plan.clock("solve"):
         phi, report = plan.solve(rho, guess)
-        efield = plan.poisson(hierarchy).electric_field(phi)
-    return replace(state, hierarchy=hierarchy, rho=rho, phi=phi, efield=efield, report=report)
+        efield = plan.poisson(seen.hierarchy).electric_field(phi)
+    return replace(
+        state, particles=seen.particles, hierarchy=seen.hierarchy, rho=rho, phi=phi, efield=efield, report=report
+    )
 
 
 def with_force(state: State, plan: Plan) -> State:

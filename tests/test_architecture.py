@@ -46,6 +46,7 @@ GROUPS = {
         "expression",
         "limits",
         "memory",
+        "refinement",
         "schema",
         "section",
         "species",
@@ -55,7 +56,17 @@ GROUPS = {
     "stages": {"beam", "tag", "regrid", "migrate", "deposit", "poisson", "gather", "push"},
     "reductions": {"diagnostics"},
     "output": {"io", "plot", "raster", "report"},
-    "order": {"step", "follow", "plan", "populate", "record", "resume", "simulation"},  # compose stages and output
+    "order": {
+        "step",
+        "follow",
+        "plan",
+        "populate",
+        "quantities",
+        "record",
+        "resume",
+        "rules",
+        "simulation",
+    },  # compose stages and output
     "machine": {"doctor"},
     "surface": {"cli", "__init__", "__main__"},
 }

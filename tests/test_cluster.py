@@ -10,7 +10,8 @@ from amrpic import Domain, Hierarchy, _native
 from amrpic.errors import HierarchyError
 from amrpic.hierarchy import BoundarySpec
 from amrpic.regrid import Regridding, regrid
-from amrpic.tag import by_density, static_boxes
+from amrpic.tag import magnitude, static_boxes
+from regions import coarser, finer, grown, mask
 
 CELLS = (32, 24, 40)
 
@@ -98,33 +99,6 @@ def grow_mesh(hierarchy: Hierarchy, shape, settings: Regridding) -> Hierarchy:
 
 
 # ---- the laws, by brute force on arrays over the whole domain ----
-def mask(hierarchy: Hierarchy, level: int) -> np.ndarray:
-    """How many boxes of a level cover each of its cells."""
-    out = np.zeros(np.array(CELLS) * 2**level, dtype=int)
-    for a, b, c, d, e, f in hierarchy.boxes(level):
-        out[a : d + 1, b : e + 1, c : f + 1] += 1
-    return out
-
-
-def grown(marks: np.ndarray, by: int, periodic: tuple[bool, bool, bool]) -> np.ndarray:
-    for axis in range(3):
-        widths = [(by, by) if d == axis else (0, 0) for d in range(3)]
-        padded = np.pad(marks, widths, mode="wrap") if periodic[axis] else np.pad(marks, widths)
-        n = marks.shape[axis]
-        marks = np.logical_or.reduce([padded.take(range(s, s + n), axis=axis) for s in range(2 * by + 1)])
-    return marks
-
-
-def finer(marks: np.ndarray) -> np.ndarray:
-    return marks.repeat(2, 0).repeat(2, 1).repeat(2, 2)
-
-
-def coarser(marks: np.ndarray) -> np.ndarray:
-    """Groups of eight of which any is marked."""
-    a, b, c = (n // 2 for n in marks.shape)
-    return np.asarray(marks.reshape(a, 2, b, 2, c, 2).any(axis=(1, 3, 5)))
-
-
 def check_laws(hierarchy: Hierarchy, tags: list[np.ndarray], settings: Regridding) -> None:
     """`tags`: over the whole domain, per level; only those on cells of the level count."""
     periodic = hierarchy.domain.periodic
@@ -307,4 +281,4 @@ def test_density_that_is_not_finite_is_refused_on_all_ranks(comm):
     if comm.rank == comm.size - 1:
         rho.array(0)[0] = np.nan
     with pytest.raises(HierarchyError, match="not finite"):
-        by_density(rho, 1.0)
+        magnitude(rho, "charge density")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import Domain, Field, Hierarchy, VectorField
+from amrpic import Domain, Field, Hierarchy
 from amrpic.errors import HierarchyError
 from amrpic.hierarchy import BoundarySpec
 from amrpic.regrid import Regridding, balance, carry_over, regrid
-from amrpic.tag import by_density, by_field, either, tagged
+from amrpic.tag import beyond, magnitude
 
 CELLS = (24, 16, 32)
 
@@ -160,7 +160,8 @@ def test_fifty_regrids_in_a_row_do_not_drift(comm):
     for _ in range(50):
         place, shape = rng.random(3) * (1.5, 1.0, 2.0), Field(hierarchy)
         shape.fill(gaussian(place))
-        new = regrid(hierarchy, by_density(shape, 0.5), settings)
+        values = magnitude(shape, "shape")
+        new = regrid(hierarchy, beyond(values, np.full(len(values), 0.5)), settings)
         mesh_changes += new is not hierarchy
         field, hierarchy = carry_over(field, new), new
     assert mesh_changes > 40
@@ -173,26 +174,6 @@ def test_carrying_over_to_another_domain_is_refused(comm):
     other = Hierarchy(comm, domain("periodic"), (), 16, 4)
     with pytest.raises(HierarchyError, match="another domain"):
         carry_over(Field(random_mesh(comm, 1)), other)
-
-
-@pytest.mark.mpi(ranks=(1, 2, 3))
-def test_tags_follow_thresholds_absolute_and_relative(comm):
-    hierarchy = random_mesh(comm, 1)
-    rho = Field(hierarchy).fill(lambda x, y, z: -8.0 * x)  # |rho| counts
-    most = comm.allreduce(max(np.abs(rho.array(l)).max(initial=0.0) for l in range(3)), op=MPI.MAX)
-    for level, (absolute, relative) in enumerate(zip(by_density(rho, 6.0), by_density(rho, 0.5, True), strict=True)):
-        assert np.array_equal(absolute, np.abs(rho.array(level)) > 6.0)
-        assert np.array_equal(relative, np.abs(rho.array(level)) > 0.5 * most)
-    efield = VectorField(
-        *(Field(hierarchy).fill(f) for f in (lambda x, y, z: 3 * x, lambda x, y, z: 4 * x, lambda *_: 0))
-    )
-    for level, strong in enumerate(by_field(efield, 2.5)):
-        assert np.array_equal(strong, np.hypot(efield.x.array(level), efield.y.array(level)) > 2.5)
-    either_one = either(by_density(rho, 6.0), by_field(efield, 2.5))
-    counts = tagged(comm, either_one)
-    assert counts == [comm.allreduce(int(values.sum())) for values in either_one] and len(counts) == hierarchy.levels
-    zero = Field(hierarchy)
-    assert tagged(comm, by_density(zero, 1e-3, relative=True)) == [0, 0, 0]
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))

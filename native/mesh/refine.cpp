@@ -82,14 +82,16 @@ Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, i
   return out;
 }
 
-/// Blocks of the next finer level that this rank's tags on a level ask for.
-std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, Lattice const& lattice, int buffer,
-                               int edge) {
+/// Blocks of the next finer level that this rank's tags of one kind reach.
+std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std::uint8_t kind, Lattice const& lattice,
+                               int buffer, int edge) {
   std::vector<Key> out;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Window<char> marks(level.box(b), 0);
     std::uint8_t const* first = tags + level.local_offset(b);
-    std::copy(first, first + level.box(b).cells(), marks.values().begin());
+    auto const last = first + level.box(b).cells();
+    if (std::none_of(first, last, [&](std::uint8_t tag) { return tag & kind; })) continue;
+    std::transform(first, last, marks.values().begin(), [&](std::uint8_t tag) { return (tag & kind) != 0; });
     // A cube around a tag is the product of intervals, so the axes can be grown one after the other.
     for (int axis = 0; axis < 3; ++axis) marks = grow_and_coarsen(marks, axis, buffer, edge);
     for_each_cell(marks.box(), [&](Index3 const& block) {
@@ -98,6 +100,16 @@ std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, Lat
   }
   sort_unique(out);
   return out;
+}
+
+/// The blocks that a level has, of the given ones.
+std::vector<Key> existing(std::vector<Key> keys, Level const& level, int edge) {
+  auto missing = [&](Key key) {
+    Index3 const block = from_key(key);
+    return level.find({block[0] * edge, block[1] * edge, block[2] * edge}) < 0;
+  };
+  keys.erase(std::remove_if(keys.begin(), keys.end(), missing), keys.end());
+  return keys;
 }
 
 std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, int edge) {
@@ -123,7 +135,15 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
     std::vector<Key> blocks;
     if (l - 1 < tagged) {
       std::vector<Key> mine;
-      if (tags[l - 1]) mine = tagged_blocks(hierarchy.level(l - 1), tags[l - 1], lattice, options.buffer, edge / 2);
+      auto reached = [&](std::uint8_t kind) {
+        return tagged_blocks(hierarchy.level(l - 1), tags[l - 1], kind, lattice, options.buffer, edge / 2);
+      };
+      if (tags[l - 1]) {
+        mine = reached(wanted);
+        if (l < hierarchy.level_count())
+          for (Key key : existing(reached(kept), hierarchy.level(l), edge)) mine.push_back(key);
+        sort_unique(mine);
+      }
       blocks = all_gather(hierarchy.comm(), mine).values;
     }
     if (l <= int(fixed.size()))

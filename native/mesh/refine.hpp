@@ -14,13 +14,16 @@ struct RefineOptions {
   Real efficiency;  ///< least share of a box's blocks that must be refined, unless it is a single block
 };
 
+/// What the tag of a cell says; one may say both.
+constexpr std::uint8_t wanted = 1;  ///< its children, and those of the cells in the buffer around it, shall exist
+constexpr std::uint8_t kept = 2;    ///< they shall stay where they exist already
+
 /// Boxes of levels 1, 2, ... that refine all tagged cells and hold all `fixed` boxes, properly nested. Collective.
 ///
-/// `tags[l]` points to one byte per cell of this rank on level l, nonzero where level l + 1 is wanted; null or missing:
-/// nowhere. `fixed[k]` lists boxes of level k + 1 in its own indices; they are aligned outward to the blocking factor,
+/// `tags[l]` points to one byte per cell of this rank on level l; null or missing: no tags. `fixed[k]` lists boxes of level k + 1 in its own indices; they are aligned outward to the blocking factor,
 /// wrapped where periodic and clipped elsewhere. The boxes are aligned, disjoint and inside the domain, they depend on
-/// tags and `fixed` alone, not on how the present levels are cut or distributed, and the list ends before the first
-/// empty level.
+/// tags, `fixed` and, for kept cells, where levels lie at present, not on how they are cut or distributed, and the list
+/// ends before the first empty level.
 std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std::uint8_t const*> const& tags,
                                      std::vector<std::vector<Box>> const& fixed, RefineOptions const& options);
 

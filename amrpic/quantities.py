@@ -1,0 +1,73 @@
+"""What particles and mesh tell about the cells, each made when it is first asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from .deposit import deposit
+from .field import Field, VectorField
+from .hierarchy import Hierarchy
+from .migrate import migrate
+from .particles import Particles
+from .plan import Plan
+from .regrid import carry_over
+from .tag import count
+
+
+class Quantities:
+    """Fields of particles that are sorted on a hierarchy. All ranks ask for the same ones: the first time is collective.
+
+    Potential and field are carried over from `known`, those of the step before; without it they are solved for.
+    """
+
+    def __init__(
+        self,
+        particles: Particles,
+        hierarchy: Hierarchy,
+        plan: Plan,
+        known: tuple[Field, VectorField] | None = None,
+    ) -> None:
+        self.particles, self.hierarchy, self.plan, self.known = particles, hierarchy, plan, known
+
+    def on(self, hierarchy: Hierarchy) -> Quantities:
+        """Return the quantities of the same particles on another hierarchy. Collective."""
+        with self.plan.clock("migrate"):
+            particles, _ = migrate(self.particles, hierarchy)
+        return Quantities(particles, hierarchy, self.plan, self.known)
+
+    @cached_property
+    def rho(self) -> Field:
+        """Charge density, C/m³."""
+        with self.plan.clock("deposit"):
+            return deposit(self.particles, self.hierarchy)
+
+    @cached_property
+    def phi(self) -> Field:
+        """Potential, V."""
+        if self.known is not None:
+            return self._carried(self.known[0])
+        rho = self.rho
+        with self.plan.clock("solve"):
+            return self.plan.solve(rho, None)[0]
+
+    @cached_property
+    def efield(self) -> VectorField:
+        """Electric field, V/m."""
+        if self.known is not None:
+            x, y, z = map(self._carried, self.known[1].components)
+            return VectorField(x, y, z)
+        phi = self.phi
+        with self.plan.clock("solve"):
+            return self.plan.poisson(self.hierarchy).electric_field(phi)
+
+    @cached_property
+    def particles_per_cell(self) -> Field:
+        """Macroparticles in each cell, in covered cells those of their children."""
+        with self.plan.clock("regrid"):
+            return count(self.particles, self.hierarchy)
+
+    def _carried(self, field: Field) -> Field:
+        if field.hierarchy is self.hierarchy:
+            return field
+        with self.plan.clock("regrid"):
+            return carry_over(field, self.hierarchy)

@@ -1,0 +1,233 @@
+"""Each rule refines the cells that plain NumPy asks for, on any number of ranks, and refuses what makes no sense."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from amrpic.follow import follow, make_base
+from amrpic.migrate import migrate
+from amrpic.plan import Plan
+from amrpic.quantities import Quantities
+from amrpic.regrid import Regridding, regrid
+from amrpic.rules import apart, index_boxes, tags_of
+from amrpic.scene import Scene
+from particle_cases import dense, everywhere
+from regions import coarser, mask, wanted_blocks
+
+CELLS = 16
+DOMAIN = {"lower": -0.1, "upper": 0.1, "cells": CELLS, "boundary": "dirichlet"}
+
+
+def scene(rule: Any, **refinement: Any) -> Scene:
+    """A scene with a rule for two bunches, one of them at rest, the other fast, and a thin halo."""
+    rng = np.random.default_rng(8)
+    position = np.concatenate(
+        [
+            rng.normal((-0.04, -0.04, 0), 0.008, (300, 3)),
+            rng.normal((0.05, 0.03, 0), 0.004, (200, 3)),
+            rng.uniform(-0.09, 0.09, (100, 3)),
+        ]
+    )
+    momenta = np.concatenate(
+        [rng.normal(0, 1e-22, (300, 3)), rng.normal((5e-22, 0, 0), 1e-22, (200, 3)), np.zeros((100, 3))]
+    )
+    bunch = {"distribution": "arrays", "position": position, "momenta": momenta, "charge": 1e-11}
+    sizes = {"levels": 2, "blocking_factor": 4, "max_grid_size": 64, **refinement}
+    data = {"domain": DOMAIN, "bunches": [bunch], "refinement": {"rule": rule, **sizes}, "output": {"write": []}}
+    return Scene.from_dict(data)
+
+
+def on_base(comm: MPI.Comm, given: Scene) -> Quantities:
+    from amrpic.populate import make_particles
+
+    plan = Plan(comm, given)
+    base = make_base(plan)
+    return Quantities(migrate(make_particles(comm, given), base)[0], base, plan)
+
+
+class World:
+    """What the cells of all ranks hold, as dense arrays per level; nan, or nothing, where a level has no cells."""
+
+    def __init__(self, seen: Quantities, fields: bool) -> None:
+        levels = range(seen.hierarchy.levels)
+        self.exists = [mask(seen.hierarchy, level) == 1 for level in levels]
+        self.rho = [np.abs(dense(seen.rho, level)) for level in levels]
+        if fields:
+            self.phi = [np.abs(dense(seen.phi, level)) for level in levels]
+            components = [[dense(c, level) for c in seen.efield.components] for level in levels]
+            self.e = [np.linalg.norm(parts, axis=0) for parts in components]
+        all_ = everywhere(seen.plan.comm, seen.particles)
+        speed = np.linalg.norm(all_["momentum"], axis=1)
+        self.fastest, self.number, self.momentum = float(speed.max()), [], []
+        for level in levels:
+            cell = tuple(np.floor((all_["position"] + 0.1) / (0.2 / CELLS / 2**level)).astype(int).T)
+            number, momentum = np.zeros(self.exists[level].shape), np.zeros(self.exists[level].shape)
+            np.add.at(number, cell, 1)
+            np.maximum.at(momentum, cell, speed)
+            self.number.append(np.where(self.exists[level], number, 0))
+            self.momentum.append(np.where(self.exists[level], momentum, 0))
+
+    def x(self, level: int) -> np.ndarray:
+        n = CELLS * 2**level
+        return ((np.arange(n) + 0.5) * 0.2 / n - 0.1)[:, None, None]
+
+
+def whole(values: list[np.ndarray]) -> float:
+    return max(float(np.nanmax(v)) for v in values)
+
+
+CHARGE = {"kind": "charge-density", "relative": 0.1}
+FAST = {"kind": "momentum", "absolute": "0.9 keV/c"}
+BOX = {"kind": "static", "boxes": [{"level": 1, "lower": [-0.1, -0.1, -0.05], "upper": [0, 0.025, 0.05]}]}
+KEV_C = 1.602176634e-16 / 299792458.0
+
+
+def in_box(w: World, level: int) -> np.ndarray:
+    """The cells that touch the box of level 1, whose corners are faces of level 0; the box bounds no deeper level."""
+    out = np.zeros(w.exists[level].shape, dtype=bool)
+    if level == 0:
+        out[0:8, 0:10, 4:12] = True
+    return out
+
+
+def by_hand(x, level, rho, efield, particles_per_cell):
+    return (x < 0.01 * level) & (np.abs(rho) > 1e-7) | (particles_per_cell > 8) | (np.abs(efield[0]) > 1e9)
+
+
+Oracle = Callable[[World, int], np.ndarray]
+CASES: dict[str, tuple[dict[str, Any], Oracle]] = {
+    "charge": (CHARGE, lambda w, l: w.rho[l] > 0.1 * whole(w.rho)),
+    "charge of level": (
+        {**CHARGE, "relative_to": "level"},
+        lambda w, l: w.rho[l] > 0.1 * np.nanmax(w.rho[l]),
+    ),
+    "potential": ({"kind": "potential", "relative": 0.5}, lambda w, l: w.phi[l] > 0.5 * whole(w.phi)),
+    "field": ({"kind": "field-strength", "relative": 0.4}, lambda w, l: w.e[l] > 0.4 * whole(w.e)),
+    "field of level": (
+        {"kind": "field-strength", "relative": 0.6, "relative_to": "level"},
+        lambda w, l: w.e[l] > 0.6 * np.nanmax(w.e[l]),
+    ),
+    "momentum": ({"kind": "momentum", "relative": 0.8}, lambda w, l: w.momentum[l] > 0.8 * w.fastest),
+    "momentum absolute": (FAST, lambda w, l: w.momentum[l] > 0.9 * KEV_C),
+    "at most": (
+        {"kind": "particles-per-cell", "at_most": 1, "levels": [0]},
+        lambda w, l: (w.number[l] == 1) & (l == 0),
+    ),
+    "between": (
+        {"kind": "particles-per-cell", "at_least": 3, "at_most": 9},
+        lambda w, l: (w.number[l] >= 3) & (w.number[l] <= 9),
+    ),
+    "function": (
+        {"kind": "callable", "function": by_hand},
+        lambda w, l: (w.x(l) < 0.01 * l) & (w.rho[l] > 1e-7) | (w.number[l] > 8),
+    ),
+    "any": (
+        {"kind": "any", "of": [{**CHARGE, "levels": [0]}, {**FAST, "levels": [1]}]},
+        lambda w, l: w.rho[l] > 0.1 * whole(w.rho) if l == 0 else w.momentum[l] > 0.9 * KEV_C,
+    ),
+    "all": (
+        {"kind": "all", "of": [CHARGE, {"kind": "particles-per-cell", "at_least": 2}]},
+        lambda w, l: (w.rho[l] > 0.1 * whole(w.rho)) & (w.number[l] >= 2),
+    ),
+    "all inside a box": (
+        {"kind": "all", "of": [{"kind": "any", "of": [CHARGE, FAST]}, BOX]},
+        lambda w, l: ((w.rho[l] > 0.1 * whole(w.rho)) | (w.momentum[l] > 0.9 * KEV_C)) & in_box(w, l),
+    ),
+    "any or a box": ({"kind": "any", "of": [FAST, BOX]}, lambda w, l: w.momentum[l] > 0.9 * KEV_C),
+}
+BOX_CELLS = [[[0, 0, 8, 15, 19, 23]]]  # of level 1
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=120)
+@pytest.mark.parametrize("name", CASES)
+def test_rule_refines_the_cells_that_numpy_asks_for(comm, name):
+    """With full boxes the refined region is that of the tags, their buffer and the room around finer levels, exactly."""
+    rule, oracle = CASES[name]
+    given = scene(rule, efficiency=1.0)
+    settings = Regridding(3, given.refinement.buffer, given.refinement.nesting, 1.0)
+    seen = on_base(comm, given)
+    static = BOX_CELLS if name == "any or a box" else []
+    for _ in range(2):
+        world = World(seen, fields=name.startswith(("potential", "field")))
+        tags = [oracle(world, level) & world.exists[level] for level in range(min(seen.hierarchy.levels, 2))]
+        assert tags[0].any() and not tags[0].all()
+        expected = wanted_blocks(seen.hierarchy, tags, settings, static=static)
+        seen = seen.on(refined(seen, settings))
+        for level, blocks in enumerate(expected, start=1):
+            assert np.array_equal(coarser(mask(seen.hierarchy, level) == 1, 4), blocks)
+    followed = follow(on_base(comm, given))
+    assert followed.hierarchy.same_mesh(seen.hierarchy) and seen.hierarchy.levels == (2 if name in ONE_LEVEL else 3)
+
+
+ONE_LEVEL = {"at most", "all inside a box"}
+
+
+def refined(seen: Quantities, settings: Regridding):
+    rule, static = apart(seen.plan.scene.refinement.rule)
+    assert rule is not None
+    return regrid(seen.hierarchy, tags_of(rule, seen), settings, index_boxes(static, seen.hierarchy.domain))
+
+
+@pytest.mark.mpi(ranks=(2, 4))
+@pytest.mark.parametrize("name", ["charge", "momentum"])
+def test_boxes_are_those_of_one_rank_and_as_full_as_asked(comm, name):
+    rule, oracle = CASES[name]
+    given = scene(rule)
+    together, alone = follow(on_base(comm, given)), follow(on_base(MPI.COMM_SELF, given))
+    assert together.hierarchy.same_mesh(alone.hierarchy)
+    world, settings = World(together, fields=name == "field"), Regridding(3)
+    tags = [oracle(world, level) & world.exists[level] for level in range(2)]
+    # The mesh as it is asks for itself: what is wanted is there, and boxes hold enough of it.
+    made = refined(together, settings)
+    blocks = wanted_blocks(together.hierarchy, tags, settings)
+    for level in (1, 2):
+        assert not np.any(blocks[level - 1] & ~coarser(mask(made, level) == 1, 4))
+    for box in made.boxes(2) // 4:
+        part = blocks[1][box[0] : box[3] + 1, box[1] : box[4] + 1, box[2] : box[5] + 1]
+        assert part.mean() >= settings.efficiency or part.size == 1
+
+
+FULL = Regridding(max_levels=3, buffer=1, efficiency=1.0)
+ELSEWHERE = {
+    "kind": "static",
+    "boxes": [{"level": 1, "first": 4, "last": 19}, {"level": 2, "first": 16, "last": 31}],
+}
+
+#: Rules, and what they tag with thresholds taken as strict as `p` says.
+LOOSENED = {
+    "charge": ({**CHARGE, "relative": 0.3}, lambda w, l, p: w.rho[l] > p * 0.3 * whole(w.rho)),
+    "between": (
+        {"kind": "particles-per-cell", "at_least": 6, "at_most": 6},
+        lambda w, l, p: (w.number[l] >= p * 6) & (w.number[l] <= 6 / p),
+    ),
+    "function": (
+        {"kind": "callable", "function": lambda rho, hysteresis: np.abs(rho) > 1e-6 * hysteresis},
+        lambda w, l, p: w.rho[l] > p * 1e-6,
+    ),
+    "all": (
+        {"kind": "all", "of": [CHARGE, {"kind": "particles-per-cell", "at_least": 8}]},
+        lambda w, l, p: (w.rho[l] > p * 0.1 * whole(w.rho)) & (w.number[l] >= p * 8),
+    ),
+}
+
+
+@pytest.mark.mpi(ranks=(1, 3))
+@pytest.mark.parametrize("name", LOOSENED)
+def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
+    """On a mesh that was refined for something else; what loosened thresholds ask for elsewhere does not come."""
+    rule, oracle = LOOSENED[name]
+    old = follow(on_base(comm, scene(ELSEWHERE)))
+    seen = Quantities(old.particles, old.hierarchy, Plan(comm, scene(rule, efficiency=1.0)))
+    world = World(seen, fields=False)
+    strict, loose = ([oracle(world, level, part) & world.exists[level] for level in range(2)] for part in (1, 0.25))
+    kept, plain = (wanted_blocks(seen.hierarchy, strict, FULL, stays) for stays in (loose, []))
+    asked = seen.plan.scene.refinement.rule
+    made = regrid(seen.hierarchy, tags_of(asked, seen), FULL, kept=tags_of(asked, seen, 0.25))
+    for level in (1, 2):
+        assert np.array_equal(coarser(mask(made, level) == 1, 4), kept[level - 1])
+    assert any(np.any(a & ~b) for a, b in zip(kept, plain, strict=True)), "nothing was kept"

@@ -1,4 +1,4 @@
-"""Bunches of particles from distributions and from arrays.
+"""Bunches of particles from distributions, on lattices, and from arrays.
 
 Particle number i of a bunch is made from the seed and its id alone, so a bunch is the same on any number of ranks. Each rank
 makes a contiguous run of ids, wherever these particles lie; `migrate` brings them home.
@@ -6,66 +6,68 @@ makes a contiguous run of ids, wherever these particles lie; `migrate` brings th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from mpi4py import MPI
-from scipy.special import ndtri
 
-from . import _native
 from .errors import ParticleError
+from .parallel import share
 from .particles import Particles
+from .phase_space import PhaseSpace
+from .sampling import Sampling, draw
 from .species import Species, SpeciesTable
-
-POSITION, MOMENTUM = 2, 3  # streams of the counter-based generator; the random walk draws from another
 
 Vector = Sequence[float] | np.ndarray
 
 
-def gaussian(
+def sampled(
     comm: MPI.Comm,
     count: int,
+    distribution: Callable[[np.ndarray], np.ndarray],
+    space: PhaseSpace,
     *,
-    centre: Vector,
-    sigma: float | Vector,
     bunch_charge: float,
     species: Species,
-    momentum: Vector = (0.0, 0.0, 0.0),
-    momentum_sigma: float | Vector = 0.0,
+    sampling: Sampling = "random",
     seed: int = 0,
     first_id: int = 0,
 ) -> Particles:
-    """Return this rank's share of a bunch with normal distributions along each axis.
+    """Return this rank's share of a bunch of `count` macroparticles, which have `bunch_charge` (C) together.
 
-    `centre` and `sigma` in m, `momentum` (mean) and `momentum_sigma` in kg m/s of one real particle; `bunch_charge` is that of
-    all `count` macroparticles, `species` tells charge and mass of one real particle. Ids start at `first_id`.
+    `distribution` is one of `distributions`, or alike; `space` gives it its place, sizes and momenta. Ids start at `first_id`.
     """
-    ids = _share(comm, count, first_id)
-    position = np.asarray(centre) + np.asarray(sigma) * _normal(seed, POSITION, ids)
-    return _bunch(ids, count, position, momentum, momentum_sigma, bunch_charge, species, seed)
+    numbers = draw(sampling, seed, first_id, *share(comm, count))
+    position, momentum = space.place(distribution(numbers))
+    return _joined(comm, count, position, momentum, _equal_weight(bunch_charge, count, species), species, first_id)
 
 
-def uniform_sphere(
+def lattice(
     comm: MPI.Comm,
-    count: int,
+    per_axis: Sequence[int],
+    lower: Vector,
+    upper: Vector,
     *,
-    centre: Vector,
-    radius: float,
     bunch_charge: float,
     species: Species,
+    displacement: Vector = (0.0, 0.0, 0.0),
+    waves: Sequence[int] = (1, 1, 1),
     momentum: Vector = (0.0, 0.0, 0.0),
-    momentum_sigma: float | Vector = 0.0,
-    seed: int = 0,
     first_id: int = 0,
 ) -> Particles:
-    """Return this rank's share of a bunch of uniform density in a sphere; `radius` in m, the rest as for `gaussian`."""
-    ids = _share(comm, count, first_id)
-    volume, height, angle = _uniform(seed, POSITION, ids)[:3]
-    distance, cosine, azimuth = radius * np.cbrt(volume), 2 * height - 1, 2 * np.pi * angle
-    sine = np.sqrt(1 - cosine**2)
-    directions = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine]).T
-    position = np.asarray(centre) + distance[:, None] * directions
-    return _bunch(ids, count, position, momentum, momentum_sigma, bunch_charge, species, seed)
+    """Return this rank's share of particles that fill a cuboid (m) evenly, z fastest.
+
+    They are shifted along each axis by a sine of amplitude `displacement` (m) with so many `waves` across the cuboid.
+    """
+    count = int(np.prod([int(n) for n in per_axis], dtype=object))
+    places = np.unravel_index(np.arange(*share(comm, count)), tuple(per_axis)) if count else (np.empty(0, int),) * 3
+    position = np.empty((3, len(places[0])))
+    for axis, place in enumerate(places):
+        offset = (place + 0.5) / max(per_axis[axis], 1)
+        shift = displacement[axis] * np.sin(2 * np.pi * waves[axis] * offset)
+        position[axis] = lower[axis] + (upper[axis] - lower[axis]) * offset + shift
+    weight = _equal_weight(bunch_charge, count, species)
+    return _joined(comm, count, position.T, np.array(momentum, dtype=float), weight, species, first_id)
 
 
 def from_arrays(
@@ -75,74 +77,44 @@ def from_arrays(
     species: Species,
     bunch_charge: float | None = None,
     weight: np.ndarray | None = None,
-    momentum: np.ndarray | None = None,
+    momentum: np.ndarray | Vector = (0.0, 0.0, 0.0),
     first_id: int = 0,
 ) -> Particles:
-    """Return this rank's share of particles given as arrays: position (n, 3) m, momentum (n, 3) kg m/s, weight (n,).
+    """Return this rank's share of particles given as arrays: position (n, 3) m, momentum (n, 3) or (3,) kg m/s, weight (n,).
 
     All ranks pass the same whole arrays, which may be memory-mapped: a rank reads its share only. Without `weight` the
     particles share `bunch_charge` equally. Raises ParticleError if the arrays do not fit together.
     """
     if (weight is None) == (bunch_charge is None):
         raise ParticleError("particles from arrays need either their weights or the charge of the bunch")
-    count = len(position)
-    for name, values in (("momentum", momentum), ("weight", weight)):
+    count, momenta = len(position), np.asanyarray(momentum)
+    for name, values in (("momentum", momenta if momenta.ndim == 2 else None), ("weight", weight)):
         if values is not None and len(values) != count:
             raise ParticleError(
                 f"particles have {count} positions but {len(values)} values of {name}; give one for each"
             )
-    ids = _share(comm, count, first_id)
-    own = slice(*_run(comm, count))
-    return Particles(
-        position[own],
-        np.zeros((len(ids), 3)) if momentum is None else momentum[own],
-        _equal_weights(ids, count, bunch_charge, species.charge) if weight is None else weight[own],
-        ids,
-        SpeciesTable((species,)),
-    )
+    own = slice(*share(comm, count))
+    if momenta.ndim == 2:
+        momenta = momenta[own]
+    equal = _equal_weight(bunch_charge or 0.0, count, species)
+    return _joined(comm, count, position[own], momenta, equal if weight is None else weight[own], species, first_id)
 
 
-def _run(comm: MPI.Comm, count: int) -> tuple[int, int]:
-    """This rank's run of particle numbers."""
-    return count * comm.rank // comm.size, count * (comm.rank + 1) // comm.size
+def _equal_weight(bunch_charge: float, count: int, species: Species) -> float:
+    return bunch_charge / (count * species.charge) if count else 0.0
 
 
-def _share(comm: MPI.Comm, count: int, first_id: int) -> np.ndarray:
-    start, stop = _run(comm, count)
-    return np.arange(first_id + start, first_id + stop, dtype=np.int64)
-
-
-def _uniform(seed: int, stream: int, ids: np.ndarray) -> np.ndarray:
-    """Numbers in (0, 1), (4, n)."""
-    out = np.empty((4, len(ids)))
-    _native.uniforms(seed, stream, 0, ids, out)
-    return out
-
-
-def _normal(seed: int, stream: int, ids: np.ndarray) -> np.ndarray:
-    """Standard normal numbers, (n, 3)."""
-    return ndtri(_uniform(seed, stream, ids)[:3]).T
-
-
-def _equal_weights(ids: np.ndarray, count: int, bunch_charge: float | None, charge: float) -> np.ndarray:
-    if count == 0 or bunch_charge is None:
-        return np.zeros(len(ids))
-    return np.full(len(ids), bunch_charge / (count * charge))
-
-
-def _bunch(
-    ids: np.ndarray,
+def _joined(
+    comm: MPI.Comm,
     count: int,
     position: np.ndarray,
-    momentum: Vector,
-    momentum_sigma: float | Vector,
-    bunch_charge: float,
+    momentum: np.ndarray,
+    weight: np.ndarray | float,
     species: Species,
-    seed: int,
+    first_id: int,
 ) -> Particles:
-    spread = np.asarray(momentum_sigma)
-    momenta = np.tile(np.asarray(momentum, dtype=np.float64), (len(ids), 1))
-    if spread.any():
-        momenta += spread * _normal(seed, MOMENTUM, ids)
-    weight = _equal_weights(ids, count, bunch_charge, species.charge)
-    return Particles(position, momenta, weight, ids, SpeciesTable((species,)))
+    """Return this rank's share of a bunch from the rows of its share, or from values that all rows have."""
+    start, stop = share(comm, count)
+    ids = np.arange(first_id + start, first_id + stop, dtype=np.int64)
+    momenta = np.broadcast_to(momentum, position.shape)
+    return Particles(position, momenta, np.broadcast_to(weight, len(ids)), ids, SpeciesTable((species,)))

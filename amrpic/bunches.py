@@ -1,25 +1,56 @@
-"""The bunches of a scene: how many particles of which charge lie where, and how they move."""
+"""The bunches of a scene: how many particles of which charge there are, in which places, and how they move."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Mapping
-from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from .errors import InputError
+from .phase_space import Plane
+from .sampling import Sampling
 from .section import Section, refuse_negative
 from .species import Species
-from .units import Charge, Index3, Length, Length3, Momentum3, Velocity3, complaint
+from .units import Charge, Index3, Length3, Momentum3, Velocity3, complaint
 
 
 class Bunch(Section):
-    """What all bunches have; a train repeats it along a straight line or at given places."""
+    """What all bunches have."""
 
     name: str = Field(default="", description="A name of your own, kept in the outputs.")
+
+    @property
+    def number(self) -> int:
+        """Macroparticles of one bunch; 0 if that is known only once a file is read."""
+        raise NotImplementedError
+
+    @property
+    def in_file(self) -> bool:
+        """Whether the particles are yet to be read."""
+        return False
+
+    @property
+    def bunch_charge(self) -> float:
+        """Charge of one bunch in C; 0 if that is known only once a file is read."""
+        return 0.0
+
+    def places(self) -> list[tuple[float, float, float]]:
+        """Centres of the bunches of the train in m."""
+        return []
+
+    @property
+    def copies(self) -> int:
+        """Bunches of this kind."""
+        return max(len(self.places()), 1)
+
+    def zero_size(self) -> bool:
+        """Whether all particles of a bunch sit in one point, line or plane."""
+        return False
+
+
+class DescribedBunch(Bunch):
+    """A bunch of which the scene tells species, charge and mean momentum."""
+
     species: Species = Field(
         default=Species.model_validate("proton"),
         description="A name, or charge (C) and mass (kg) of one real particle. The default is a proton: "
@@ -57,11 +88,6 @@ class Bunch(Section):
         return self
 
     @property
-    def number(self) -> int:
-        """Macroparticles of one bunch."""
-        raise NotImplementedError
-
-    @property
     def bunch_charge(self) -> float:
         """Charge of one bunch in C."""
         return self.charge_of(self.number)
@@ -78,21 +104,8 @@ class Bunch(Section):
         x, y, z = self.velocity or (0.0, 0.0, 0.0)
         return (x * self.species.mass, y * self.species.mass, z * self.species.mass)
 
-    def places(self) -> list[tuple[float, float, float]]:
-        """Centres of the bunches of the train in m."""
-        return []
 
-    @property
-    def copies(self) -> int:
-        """Bunches of this kind."""
-        return max(len(self.places()), 1)
-
-    def zero_size(self) -> bool:
-        """Whether all particles of a bunch sit in one point, line or plane."""
-        return False
-
-
-class Train(Bunch):
+class Train(DescribedBunch):
     """A bunch with a centre, or several of them."""
 
     particles: int = Field(ge=0, description="Macroparticles per bunch; the noise of ρ falls with its root.")
@@ -105,6 +118,12 @@ class Train(Bunch):
     momentum_spread: Momentum3 = Field(
         default=(0.0, 0.0, 0.0),
         description="Standard deviation of the momentum per axis, kg m/s; 0 is cold.",
+    )
+
+    sampling: Sampling = Field(
+        default="random",
+        description="How particles are drawn: at random, or quiet by the quasi-random numbers of sobol (best for a power of "
+        "two particles) or halton, whose noise falls about as 1/N. Random is the default because real bunches are noisy.",
     )
 
     @model_validator(mode="after")
@@ -136,39 +155,26 @@ class Train(Bunch):
         middle = (self.count - 1) / 2
         return [tuple(self.centre[d] + (b - middle) * step[d] for d in range(3)) for b in range(self.count)]  # type: ignore[misc]
 
+    @property
+    def planes(self) -> tuple[Plane, Plane, Plane]:
+        """Size and momenta of a bunch along x, y, z."""
+        raise NotImplementedError
 
-class GaussianBunch(Train):
-    """Normal distribution along each axis."""
+    def unit(self, u: np.ndarray) -> np.ndarray:
+        """The distribution in unit form: see `distributions`."""
+        raise NotImplementedError
 
-    distribution: Literal["gaussian"]
-    sigma: Length3 = Field(description="Standard deviation per axis, m; 0 is legal.")
-
-    @model_validator(mode="after")
-    def _size(self) -> Self:
-        for axis, sigma in enumerate(self.sigma):
-            refuse_negative(f"sigma.{axis}", sigma, "m")
-        return self
-
-    def zero_size(self) -> bool:
-        return self.particles > 0 and min(self.sigma) == 0
-
-
-class SphereBunch(Train):
-    """Constant density in a sphere."""
-
-    distribution: Literal["sphere"]
-    radius: Length = Field(description="Radius, m; 0 is legal.")
-
-    @model_validator(mode="after")
-    def _size(self) -> Self:
-        refuse_negative("radius", self.radius, "m")
-        return self
+    @property
+    def rms(self) -> tuple[float, float, float]:
+        """Rms size of a bunch along x, y, z in m."""
+        x, y, z = (plane.size for plane in self.planes)
+        return (x, y, z)
 
     def zero_size(self) -> bool:
-        return self.particles > 0 and self.radius == 0
+        return self.particles > 0 and min(self.rms) == 0
 
 
-class LatticeBunch(Bunch):
+class LatticeBunch(DescribedBunch):
     """Particles on a regular lattice that fills the domain, shifted by a sine wave: a cold plasma without noise."""
 
     distribution: Literal["lattice"]
@@ -190,130 +196,3 @@ class LatticeBunch(Bunch):
     @property
     def number(self) -> int:
         return int(np.prod([int(n) for n in self.per_axis], dtype=object))
-
-
-class ArrayBunch(Bunch):
-    """Particles given one by one: arrays from Python, or an .npz file that holds them.
-
-    The arrays themselves are no part of the resolved scene, which keeps their number and digest instead.
-    """
-
-    distribution: Literal["arrays"]
-    file: str | None = Field(
-        default=None, description="An .npz file with position, and momentum and weight if need be."
-    )
-    position: Any = Field(default=None, exclude=True, repr=False, description="Positions (n, 3), m.")
-    momenta: Any = Field(
-        default=None, exclude=True, repr=False, description="Momenta of one real particle each (n, 3), kg m/s."
-    )
-    weight: Any = Field(default=None, exclude=True, repr=False, description="Real particles per macroparticle (n,).")
-    particles: int | None = Field(default=None, ge=0, description="Number of particles; filled in.")
-    digest: str | None = Field(default=None, description="SHA-256 of the arrays; filled in.")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _note_arrays(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping) or data.get("position") is None:
-            return data
-        arrays = {
-            "position": _array(data, "position", (-1, 3)),
-            "momenta": _array(data, "momenta", (-1, 3)),
-            "weight": _array(data, "weight", (-1,)),
-        }
-        count = len(data["position"])
-        for key, array in arrays.items():
-            if array is not None and len(array) != count:
-                raise complaint(
-                    f"holds {len(array)} particles, position {count}", "give one row per particle", path=key, found=""
-                )
-        return {**data, **arrays, "particles": count, "digest": _digest(arrays.values())}
-
-    @model_validator(mode="after")
-    def _source(self) -> Self:
-        if self.file is None and self.position is None and self.digest is None:
-            raise complaint(
-                "is missing",
-                "give arrays from Python, or file = an .npz that holds them",
-                path="position",
-                found="nothing",
-            )
-        if self.position is not None and (self.weight is None) == (
-            self.charge is None and self.particle_charge is None
-        ):
-            raise complaint(
-                "must be given, or else charge", "keep one of the two", path="weight", found="both or neither"
-            )
-        return self
-
-    @property
-    def number(self) -> int:
-        return self.particles or 0
-
-    def arrays(self) -> dict[str, np.ndarray | None]:
-        """Return position, momenta and weight, read from the file if one is named.
-
-        Raises InputError if they are nowhere to be found, or not finite.
-        """
-        if self.position is not None:
-            found = {"position": self.position, "momenta": self.momenta, "weight": self.weight}
-        elif self.file is not None:
-            found = _read_arrays(Path(self.file))
-            if found["weight"] is None and self.charge is None and self.particle_charge is None:
-                raise InputError(f"{self.file} holds no weight and the scene names no charge; add one of the two")
-        else:
-            raise InputError(
-                f"a bunch of {self.particles} particles was given as arrays from Python, not kept by scene files; "
-                "pass the arrays again, or restart from a checkpoint"
-            )
-        where = self.file or "arrays given from Python"
-        for key, array in found.items():
-            if array is not None and not np.isfinite(array).all():
-                bad = int((~np.isfinite(array).reshape(len(array), -1).all(axis=1)).sum())
-                raise InputError(f"{key} of {bad} particles in {where} is NaN or infinite; remove or mend these rows")
-        weight = found["weight"]
-        if weight is not None and not (weight > 0).all():
-            bad = int((weight <= 0).sum())
-            raise InputError(f"weight of {bad} particles in {where} is zero or negative; remove or mend these rows")
-        return found
-
-    def __eq__(self, other: object) -> bool:
-        # NumPy arrays do not compare to one truth value; the digest stands for them.
-        return isinstance(other, ArrayBunch) and self.model_dump() == other.model_dump()
-
-    def __hash__(self) -> int:
-        return hash((self.file, self.digest))
-
-
-def _array(data: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndarray | None:
-    value = data.get(key)
-    if value is None:
-        return None
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise complaint("is not an array of numbers", "give a NumPy array of floats", path=key, found="") from None
-    if array.ndim != len(shape) or array.shape[1:] != shape[1:]:
-        wanted = "(n, 3)" if len(shape) == 2 else "(n,)"
-        raise complaint(f"has the shape {array.shape}", f"give an array of shape {wanted}", path=key, found="")
-    return array
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray | None]:
-    if not path.exists():
-        raise InputError(f"particle file {path} does not exist; mend the path (relative ones start at the scene file)")
-    try:
-        with np.load(path) as content:
-            raw = {"position": content["position"], "momenta": content.get("momentum"), "weight": content.get("weight")}
-            return {key: _array(raw, key, (-1,) if key == "weight" else (-1, 3)) for key in raw}
-    except Exception as reason:
-        raise InputError(
-            f"particle file {path} cannot be read ({reason}); write it by "
-            "np.savez(path, position=(n, 3), momentum=(n, 3), weight=(n,))"
-        ) from None
-
-
-def _digest(arrays: Iterable[np.ndarray | None]) -> str:
-    total = hashlib.sha256()
-    for array in arrays:
-        total.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())
-    return total.hexdigest()

@@ -1,4 +1,4 @@
-"""The communicator's few habits: sums over ranks, and errors that all ranks raise together."""
+"""The communicator's few habits: shares of rows, sums over ranks, and errors that all ranks raise together."""
 
 from __future__ import annotations
 
@@ -40,6 +40,11 @@ def together(comm: MPI.Comm, error: type[Exception] = AmrpicError) -> Iterator[N
     message = str(failure) if isinstance(failure, AmrpicError) else f"{type(failure).__name__}: {failure}"
     kind, message = comm.bcast((kind, message), root=failing)
     raise kind(message) from failure
+
+
+def share(comm: MPI.Comm, count: int) -> tuple[int, int]:
+    """Return where this rank's equal share of so many rows starts and stops."""
+    return count * comm.rank // comm.size, count * (comm.rank + 1) // comm.size
 
 
 def global_sum(comm: MPI.Comm, value: float) -> float:

@@ -1,4 +1,4 @@
-"""What a run writes, and when: series, field dumps, checkpoints, pictures, and a line per step."""
+"""What a run writes, and when: series, field dumps, particles, checkpoints, pictures, and a line per step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mpi4py import MPI
 from .diagnostics import measure, quantities
 from .errors import OutputError
 from .field import Field, VectorField
-from .io import checkpoint, fields
+from .io import checkpoint, fields, openpmd
 from .io.series import Series
 from .parallel import together
 from .plan import Clock
@@ -89,6 +89,8 @@ class Recorder:
             output = self._scene.output
             if "fields" in self._wanted and output.fields_every and state.step % output.fields_every == 0:
                 self._write_fields(state)
+            if output.particles_every and state.step % output.particles_every == 0:
+                self._write_particles(state)
             if output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0:
                 self._write_checkpoint(state)
 
@@ -96,6 +98,7 @@ class Recorder:
         """Write what the end of a run leaves."""
         if self._wanted & {"fields", "pictures"}:
             self._write_fields(state)
+        self._write_particles(state)
         self._write_checkpoint(state)
         if "pictures" in self._wanted:
             self._draw(state)
@@ -126,6 +129,13 @@ class Recorder:
         content: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield}
         path = fields.path_of(self._scene.directory, state.step)
         fields.write(path, state.hierarchy, content, state.step, state.time, self._about, self._scene.output.writers)
+
+    def _write_particles(self, state: State) -> None:
+        if "particles" not in self._wanted or self._written.get("particles") == state.step:
+            return
+        self._written["particles"] = state.step
+        path = openpmd.path_of(self._scene.directory, state.step)
+        openpmd.write(self._comm, path, state.particles, state.step, state.time, self._about)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""

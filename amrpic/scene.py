@@ -11,7 +11,17 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
 from . import toml
-from .bunches import ArrayBunch, GaussianBunch, LatticeBunch, SphereBunch
+from .bunch_data import ArrayBunch, OpenPMDBunch
+from .bunch_shapes import (
+    GaussianBunch,
+    HaloBunch,
+    HollowBunch,
+    KVBunch,
+    ParabolicBunch,
+    SphereBunch,
+    WaterbagBunch,
+)
+from .bunches import LatticeBunch
 from .complaints import close_match, sentences
 from .errors import HierarchyError, SceneError
 from .hierarchy import AXES, BOUNDARIES, Domain
@@ -201,8 +211,9 @@ class Output(Section):
     """What a run leaves behind."""
 
     directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
-    write: list[Literal["checkpoint", "fields", "series", "pictures"]] = Field(
-        default=["checkpoint", "fields", "series", "pictures"], description="The kinds of output wanted."
+    write: list[Literal["checkpoint", "fields", "particles", "series", "pictures"]] = Field(
+        default=["checkpoint", "fields", "series", "pictures"],
+        description="The kinds of output wanted; particles are openPMD files, which a restart does without.",
     )
     checkpoint_every: int = Field(
         default=10, ge=0, description="Steps between checkpoints; 0 writes the last one only."
@@ -214,6 +225,9 @@ class Output(Section):
         default=1, ge=0, description="Ranks that write a checkpoint, each a part of its own; 0 lets all of them."
     )
     fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
+    particles_every: int = Field(
+        default=0, ge=0, description="Steps between particle files; 0 writes the last one only."
+    )
 
 
 class Scene(Section):
@@ -226,7 +240,19 @@ class Scene(Section):
     )
     domain: DomainSection
     bunches: list[
-        Annotated[GaussianBunch | SphereBunch | LatticeBunch | ArrayBunch, Field(discriminator="distribution")]
+        Annotated[
+            GaussianBunch
+            | SphereBunch
+            | WaterbagBunch
+            | KVBunch
+            | ParabolicBunch
+            | HollowBunch
+            | HaloBunch
+            | LatticeBunch
+            | ArrayBunch
+            | OpenPMDBunch,
+            Field(discriminator="distribution"),
+        ]
     ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
     refinement: Refinement = Refinement()
     solver: Solver = Solver()
@@ -384,9 +410,7 @@ class Scene(Section):
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""
         out = []
-        if self.bunches and all(isinstance(b, ArrayBunch) and b.file is not None for b in self.bunches):
-            pass  # their number is known once the files are read
-        elif self.particle_count() == 0:
+        if self.particle_count() == 0 and not any(bunch.in_file for bunch in self.bunches):
             out.append("the scene has zero particles; the field is that of the boundary alone")
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:

@@ -10,13 +10,13 @@ from mpi4py import MPI
 
 from .field import Field, VectorField
 from .hierarchy import Hierarchy
-from .io import checkpoint
+from .io import checkpoint, openpmd
 from .parallel import install_abort_hook
 from .particles import Particles
 from .plan import Plan
 from .poisson import SolveReport
 from .record import Recorder
-from .resume import load, snapshot
+from .resume import about, load, snapshot
 from .scene import Scene
 from .step import Lost, State, advance, begin, with_force
 from .stop import Stop
@@ -87,6 +87,11 @@ class Simulation:
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
         checkpoint.write(self.comm, Path(path), snapshot(self.state, self.scene), self.scene.output.writers)
+
+    def write_particles(self, path: str | Path) -> None:
+        """Write all particles into the openPMD file `path` for BeamPhysics and others. Collective; OutputError on all ranks."""
+        state = self.state
+        openpmd.write(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
 
     @property
     def remarks(self) -> list[str]:

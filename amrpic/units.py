@@ -32,6 +32,16 @@ _ENERGY = {
 # One table per kind of quantity; the first unit is the SI unit that plain numbers are in.
 UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "km": 1e3},
+    "emittance": {
+        "m rad": 1.0,
+        "mm mrad": 1e-6,
+        "um rad": 1e-6,
+        "nm rad": 1e-9,
+        "m": 1.0,
+        "mm": 1e-3,
+        "um": 1e-6,
+        "nm": 1e-9,
+    },
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "ps": 1e-12, "fs": 1e-15},
     "charge": {
         "C": 1.0,
@@ -170,6 +180,7 @@ def _example(kind: str) -> str:
 
 
 Length = Annotated[float, Quantity("length")]
+Emittance = Annotated[float, Quantity("emittance")]
 Time = Annotated[float, Quantity("time")]
 Charge = Annotated[float, Quantity("charge")]
 Mass = Annotated[float, Quantity("mass")]

@@ -37,10 +37,12 @@ CONFINED = {
 
 # ---- Python: module -> groups and modules it may import; a folder counts as one module ----
 GROUPS = {
-    "common": {"boxes", "errors", "failure", "parallel", "stop", "units"},
+    "common": {"boxes", "distributions", "errors", "failure", "parallel", "phase_space", "sampling", "stop", "units"},
     "native": {"_native"},
     "values": {"hierarchy", "field", "particles", "scene"},
     "scene parts": {
+        "bunch_data",
+        "bunch_shapes",
         "bunches",
         "complaints",
         "expression",

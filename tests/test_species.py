@@ -70,7 +70,9 @@ def test_charge_over_mass_tells_how_far_a_field_moves_each():
     particles = Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(3), ids, table)
     moved = drift(kick(particles, np.full((3, 3), 5.0), 1e-9), 2e-9)
     ratio = np.array([1 / PROTON_MASS, -1 / ELECTRON_MASS, -1 / ELECTRON_MASS])
-    assert moved.position == pytest.approx(np.outer(ELEMENTARY_CHARGE * ratio * 5e-9 * 2e-9, np.ones(3)), rel=1e-14)
+    assert moved.position == pytest.approx(
+        np.outer(ELEMENTARY_CHARGE * ratio * 5e-9 * 2e-9, np.ones(3)), rel=1e-14, abs=0
+    )
     assert moved.select(slice(0, 2)).charge.tolist() == [ELEMENTARY_CHARGE, -ELEMENTARY_CHARGE]
     assert concatenate([moved, particles]).mass.tolist() == 2 * [PROTON_MASS, ELECTRON_MASS, ELECTRON_MASS]
 
@@ -78,22 +80,23 @@ def test_charge_over_mass_tells_how_far_a_field_moves_each():
 @pytest.mark.mpi(ranks=(1, 2, 3))
 def test_both_species_are_measured_and_restarted(comm, tmp_path):
     simulation = Simulation(comm, scene())
-    assert simulation.rho.integral() == pytest.approx(-3e-12, rel=1e-13)
+    before = simulation.lost.particles.global_count(comm)
+    assert simulation.rho.integral() == pytest.approx(-3e-12 + 1e-14 * before, rel=1e-13, abs=0)
     simulation.on_step(lambda now: now.checkpoint(tmp_path / "two") if now.step == 2 else None)
     simulation.run()
     particles, lost = simulation.particles, simulation.lost.particles
-    assert lost.global_count(comm) > 0  # electrons of the third bunch, which flies at the wall
+    assert lost.global_count(comm) > before  # electrons of the third bunch, which flies at the wall
     assert set(lost.charge) <= {-ELEMENTARY_CHARGE}
-    assert lost.total_charge(comm) == pytest.approx(-1e-14 * lost.global_count(comm), rel=1e-12)
-    assert particles.total_charge(comm) + lost.total_charge(comm) == pytest.approx(-3e-12, rel=1e-13)
-    assert simulation.rho.integral() == pytest.approx(particles.total_charge(comm), rel=1e-12)
+    assert lost.total_charge(comm) == pytest.approx(-1e-14 * lost.global_count(comm), rel=1e-12, abs=0)
+    assert particles.total_charge(comm) + lost.total_charge(comm) == pytest.approx(-3e-12, rel=1e-13, abs=0)
+    assert simulation.rho.integral() == pytest.approx(particles.total_charge(comm), rel=1e-12, abs=0)
 
     all_of = everywhere(comm, particles)
     proton = (all_of["id"] >= 600) & (all_of["id"] < 900)
     mass = np.where(proton, PROTON_MASS, ELECTRON_MASS)
     u = all_of["momentum"] / (mass * SPEED_OF_LIGHT)[:, None]
     energy = (np.sqrt(1 + (u**2).sum(axis=1)) - 1) * mass * SPEED_OF_LIGHT**2
-    assert diagnostics.kinetic_energy(comm, particles) == pytest.approx(all_of["weight"] @ energy, rel=1e-9)
+    assert diagnostics.kinetic_energy(comm, particles) == pytest.approx(all_of["weight"] @ energy, rel=1e-6, abs=0)
     x = all_of["position"]
     area = [np.sqrt(np.linalg.det(np.cov(x[:, i], u[:, i], aweights=all_of["weight"], ddof=0))) for i in range(3)]
     np.testing.assert_allclose(diagnostics.moments(comm, particles).emittance, area, rtol=1e-9)

@@ -17,6 +17,11 @@ from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, UNITS, to_si
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.toml"))
 
+TWISS = {
+    "x": {"emittance": "1 um rad", "beta": "2 m"},
+    "y": {"emittance": "1 um rad", "sigma": "1 mm"},
+    "z": {"emittance": 0, "sigma": "1 mm"},
+}
 BUNCH = {"distribution": "gaussian", "sigma": "2.5 mm", "charge": "10 pC", "particles": 1000}
 
 
@@ -141,6 +146,20 @@ def test_bad_override_names_itself(assignment):
         ({"bunches": [{**BUNCH, "species": "electron"}]}, ["bunches.0.charge", "sign"]),
         ({"bunches": [{**BUNCH, "count": 3}]}, ["bunches.0.spacing", "missing"]),
         ({"bunches": [{**BUNCH, "distribution": "gauss"}]}, ["distribution", 'did you mean "gaussian"']),
+        ({"bunches": [{**BUNCH, "sigma": None}]}, ["bunches.0.sigma", "missing", "twiss"]),
+        ({"bunches": [{**BUNCH, "sampling": "sobel"}]}, ["bunches.0.sampling", 'did you mean "sobol"']),
+        ({"bunches": [{**BUNCH, "twiss": TWISS}]}, ["bunches.0.sigma", "as well as twiss"]),
+        ({"bunches": [{**BUNCH, "sigma": None, "twiss": TWISS}]}, ["twiss.x.beta", "needs a mean momentum"]),
+        (
+            {"bunches": [{**BUNCH, "sigma": None, "twiss": TWISS, "velocity": 1, "momentum_spread": 1}]},
+            ["bunches.0.momentum_spread", "as well as twiss"],
+        ),
+        (
+            {"bunches": [{**BUNCH, "sigma": None, "twiss": {**TWISS, "y": {"emittance": 1e-6}}}]},
+            ["twiss.y.beta", "or else sigma"],
+        ),
+        ({"bunches": [{**BUNCH, "distribution": "hollow", "inner": 1}]}, ["bunches.0.inner", "less than 1"]),
+        ({"bunches": [{"distribution": "openpmd"}]}, ["bunches.0.file", "missing"]),
         ({"motion": {"kind": "leapfrog"}}, ["motion.dt", "missing"]),
         ({"schedule": {"steps": 3, "solves": 3}}, ["schedule.solves", "keep one"]),
         ({"solver": {"tolerance": 0}}, ["solver.tolerance", "greater than 0"]),

@@ -196,12 +196,62 @@ class Prolongation(enum.Enum):
 
     trilinear = 1
 
+class Smoother(enum.Enum):
+    red_black = 0
+
+    jacobi = 1
+
+    gauss_seidel = 2
+
+    symmetric_gauss_seidel = 3
+
+    chebyshev = 4
+
+class Bottom(enum.Enum):
+    gmres = 0
+
+    cg = 1
+
+    bicgstab = 2
+
+    multigrid = 3
+
+    direct = 4
+
+class BottomPreconditioner(enum.Enum):
+    none = 0
+
+    jacobi = 1
+
+    gauss_seidel = 2
+
+    ilu = 3
+
+    smoothed_aggregation = 4
+
+    plain_aggregation = 5
+
+    brick_aggregation = 6
+
+    structured_aggregation = 7
+
+class Krylov(enum.Enum):
+    none = 0
+
+    fgmres = 1
+
+    bicgstab = 2
+
 class SolverOptions:
     def __init__(self) -> None: ...
     @property
     def tolerance(self) -> float: ...
     @tolerance.setter
     def tolerance(self, arg: float, /) -> None: ...
+    @property
+    def absolute_tolerance(self) -> float: ...
+    @absolute_tolerance.setter
+    def absolute_tolerance(self, arg: float, /) -> None: ...
     @property
     def norm(self) -> Norm: ...
     @norm.setter
@@ -210,6 +260,10 @@ class SolverOptions:
     def max_cycles(self) -> int: ...
     @max_cycles.setter
     def max_cycles(self, arg: int, /) -> None: ...
+    @property
+    def smoother(self) -> Smoother: ...
+    @smoother.setter
+    def smoother(self, arg: Smoother, /) -> None: ...
     @property
     def pre_sweeps(self) -> int: ...
     @pre_sweeps.setter
@@ -231,6 +285,22 @@ class SolverOptions:
     @stretch.setter
     def stretch(self, arg: Sequence[float], /) -> None: ...
     @property
+    def coarse_levels(self) -> int: ...
+    @coarse_levels.setter
+    def coarse_levels(self, arg: int, /) -> None: ...
+    @property
+    def bottom(self) -> Bottom: ...
+    @bottom.setter
+    def bottom(self, arg: Bottom, /) -> None: ...
+    @property
+    def bottom_preconditioner(self) -> BottomPreconditioner: ...
+    @bottom_preconditioner.setter
+    def bottom_preconditioner(self, arg: BottomPreconditioner, /) -> None: ...
+    @property
+    def krylov(self) -> Krylov: ...
+    @krylov.setter
+    def krylov(self, arg: Krylov, /) -> None: ...
+    @property
     def neutralize(self) -> bool: ...
     @neutralize.setter
     def neutralize(self, arg: bool, /) -> None: ...
@@ -249,13 +319,20 @@ class SolveReport:
     @property
     def seconds(self) -> dict[str, float]: ...
 
+class Reusable:
+    def __init__(self) -> None: ...
+
 class PoissonSolver:
-    def __init__(self, hierarchy: Hierarchy, options: SolverOptions) -> None: ...
+    def __init__(self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable) -> None: ...
     def solve(self, rho: Field, phi: Field) -> SolveReport: ...
     def electric_field(self, phi: Field, x: Field, y: Field, z: Field) -> None: ...
     def wall_faces(self, level: int) -> tuple: ...
     def wall_data(self, level: int) -> NDArray[numpy.float64]: ...
     def operators(self, level: int) -> LevelOperators: ...
+    @property
+    def reusable(self) -> Reusable: ...
+    @property
+    def bottom_setups(self) -> int: ...
     @property
     def assemblies(self) -> int: ...
     @property

@@ -24,24 +24,34 @@ class Plan:
         self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
         self.clock = Clock()
         self.remarks: list[str] = []
+        self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 
     def poisson(self, hierarchy: Hierarchy) -> PoissonSolver:
         """Return the solver of a hierarchy, set up at the first call. Collective."""
         if self._solver is None or self._solver.hierarchy is not hierarchy:
-            self._solver = None  # the old operators go before the new ones come
             options = self.scene.solver
+            kept = self._solver.base_setup if self._solver is not None and options.reuse else None
+            self._solver = None  # the old operators go before the new ones come
             self._solver = PoissonSolver(
                 hierarchy,
                 tolerance=options.tolerance,
                 norm=options.norm,
                 backend=options.backend,
+                absolute_tolerance=options.absolute_tolerance,
+                smoother=options.smoother,
+                relaxation=options.relaxation,
+                sweeps=options.sweeps,
                 prolongation=options.prolongation,
-                sweeps=(options.sweeps, options.sweeps),
+                coarse_levels=options.coarse_levels,
+                bottom=options.bottom,
+                bottom_preconditioner=options.bottom_preconditioner,
+                krylov=options.krylov,
                 max_cycles=options.max_cycles,
                 stretch=options.stretch,
                 background="neutralizing" if self.scene.background == "neutralizing" else None,
+                reuse=kept,
             )
         return self._solver
 
@@ -50,6 +60,7 @@ class Plan:
         phi, report = self.poisson(rho.hierarchy).solve(
             rho, guess=guess, boundary_values=self._potential, boundary_flux=self._slope
         )
+        self._solves.append(report)
         if not report.converged:
             reached = report.residuals[-1] if report.residuals else float("nan")
             raise SolverError(
@@ -57,6 +68,11 @@ class Plan:
                 f"({report.reason}); raise solver.tolerance or solver.max_cycles"
             )
         return phi, report
+
+    def take_solves(self) -> list[SolveReport]:
+        """Return how the solves since the latest call went, and forget them."""
+        solves, self._solves = self._solves, []
+        return solves
 
     def regrids_at(self, step: int) -> bool:
         """Whether the mesh follows the particles in this step, whatever they do."""

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, get_args
 
 import numpy as np
 from scipy import sparse
 
-from . import _native
+from . import _native, menu
 from .errors import SolverError
 from .field import Field, Function, VectorField
 from .hierarchy import BOUNDARIES, Hierarchy
 from .parallel import together
 
-NORMS = ("l1", "l2", "max")
-PROLONGATIONS = ("constant", "trilinear")
-BACKENDS = ("crs",)
 DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
 
 
@@ -36,12 +34,16 @@ class PoissonSolver:
     """Solves Δφ = −ρ/ε₀ over all levels of a hierarchy at once. Collective; set up once, solved many times.
 
     `tolerance` bounds the residual over the right-hand side (its boundary part included) in `norm`: "max", or "l1" or "l2"
-    weighted by volume, over uncovered cells. `background="neutralizing"` takes the mean charge away where all faces are
-    periodic or Neumann. With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives
-    φ and E of charge that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in
-    coordinates s_d x_d. The cycle is a V-cycle with `sweeps` (before, after) of over-relaxed red-black Gauss-Seidel.
+    weighted by volume, over uncovered cells; `absolute_tolerance` bounds the residual itself, in V/m² (times m³ for "l1",
+    m^1.5 for "l2"). `background="neutralizing"` takes the mean charge away where all faces are periodic or Neumann.
+    With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
+    that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
 
-    Raises SolverError for an option out of range.
+    The cycle is a V-cycle with `sweeps` (before, after) of a smoother over the levels of the hierarchy and `coarse_levels`
+    multigrid levels below its base, of which the coarsest is solved by the `bottom` method. `amrpic.scene.Solver` tells what
+    each choice does. `reuse` is the `base_setup` of the solver of an earlier hierarchy on the same domain.
+
+    Raises SolverError for an option out of range, or one that does not go with the others or the hierarchy.
     """
 
     def __init__(
@@ -51,43 +53,75 @@ class PoissonSolver:
         norm: str = "max",
         backend: str = "crs",
         *,
+        absolute_tolerance: float = 0.0,
+        smoother: str = "red-black",
+        relaxation: float | None = None,
+        sweeps: int | Sequence[int] = 2,
         prolongation: str = "trilinear",
-        sweeps: Sequence[int] = (2, 2),
-        relaxation: float = 1.25,
+        coarse_levels: int | None = None,
+        bottom: str = "gmres",
+        bottom_preconditioner: str | None = None,
+        krylov: str = "none",
         max_cycles: int = 100,
         background: str | None = None,
         stretch: Sequence[float] = (1.0, 1.0, 1.0),
+        reuse: BaseSetup | None = None,
     ) -> None:
-        _one_of("norm", norm, NORMS)
-        _one_of("backend", backend, BACKENDS)
-        _one_of("prolongation", prolongation, PROLONGATIONS)
+        _one_of("norm", norm, get_args(menu.Norm))
+        _one_of("backend", backend, get_args(menu.Backend))
+        _one_of("smoother", smoother, get_args(menu.Smoother))
+        _one_of("prolongation", prolongation, get_args(menu.Prolongation))
+        _one_of("bottom", bottom, get_args(menu.Bottom))
+        if bottom_preconditioner is not None:
+            _one_of("bottom_preconditioner", bottom_preconditioner, get_args(menu.BottomPreconditioner))
+        _one_of("krylov", krylov, get_args(menu.Krylov))
         if background is not None:
             _one_of("background", background, ("neutralizing",))
         if not 0 <= tolerance < 1:
             raise SolverError(f"tolerance is {tolerance}; give a number from 0 up to, not including, 1")
-        if len(sweeps) != 2 or min(sweeps) < 0 or sum(sweeps) == 0:
-            raise SolverError(
-                f"sweeps is {tuple(sweeps)}; give two numbers, before and after, at least one of them positive"
-            )
-        if not 0 < relaxation < 2:
+        if not absolute_tolerance >= 0:
+            raise SolverError(f"absolute_tolerance is {absolute_tolerance} V/m²; give zero or a positive number")
+        before_and_after = tuple(menu.both(sweeps))
+        if len(before_and_after) != 2:
+            raise SolverError(f"sweeps is {before_and_after}; give one number, or two, before and after")
+        if relaxation is not None and not 0 < relaxation < 2:
             raise SolverError(f"relaxation is {relaxation}; give a number between 0 and 2")
         if max_cycles < 1:
             raise SolverError(f"max_cycles is {max_cycles}; give at least 1")
         if len(stretch) != 3 or not all(0 < s < np.inf for s in stretch):
             raise SolverError(f"stretch is {tuple(stretch)}; give three positive numbers, such as (1, 1, gamma)")
+        if coarse_levels is not None and coarse_levels < 0:
+            raise SolverError(f"coarse_levels is {coarse_levels}; give zero or a positive number")
+        if wrong := menu.refusal(smoother, relaxation, before_and_after, bottom, bottom_preconditioner):
+            raise SolverError(f"{wrong.option} is {wrong.found!r}, which {wrong.what}; {wrong.remedy}")
         options = _native.SolverOptions()
         options.tolerance = tolerance
+        options.absolute_tolerance = absolute_tolerance
         options.norm = getattr(_native.Norm, norm)
+        options.smoother = _choice(_native.Smoother, smoother)
+        options.pre_sweeps, options.post_sweeps = before_and_after
+        options.relaxation = menu.RELAXATION[smoother] if relaxation is None else relaxation
         options.prolongation = getattr(_native.Prolongation, prolongation)
-        options.pre_sweeps, options.post_sweeps = (int(n) for n in sweeps)
-        options.relaxation = relaxation
+        if coarse_levels is not None:
+            options.coarse_levels = coarse_levels
+        options.bottom = _choice(_native.Bottom, bottom)
+        if bottom_preconditioner is not None:
+            options.bottom_preconditioner = _choice(_native.BottomPreconditioner, bottom_preconditioner)
+        options.krylov = _choice(_native.Krylov, krylov)
         options.max_cycles = int(max_cycles)
         options.neutralize = background is not None
         options.stretch = self.stretch = tuple(float(s) for s in stretch)
+        self._base = hierarchy.comm, hierarchy.domain, bottom, bottom_preconditioner, self.stretch
+        if reuse is not None and reuse.base != self._base:
+            raise SolverError(
+                "reuse comes from a solver of another domain, stretch or bottom; make this one without it"
+            )
         self.hierarchy = hierarchy
         self._walls: tuple[Function | None, Function | None] = (None, None)  # whose values the walls hold
         try:
-            self.native = _native.PoissonSolver(hierarchy.native, options)
+            self.native = _native.PoissonSolver(
+                hierarchy.native, options, reuse.native if reuse is not None else _native.Reusable()
+            )
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
 
@@ -120,6 +154,12 @@ class PoissonSolver:
         return phi, SolveReport(
             report.converged, report.cycles, report.residuals, report.seconds, report.reason, report.floor
         )
+
+    @property
+    def base_setup(self) -> BaseSetup:
+        """What the solver of another hierarchy on the same domain may `reuse`: the set-up of the bottom, if the coarsest level
+        comes out the same, and the tables of free space."""
+        return BaseSetup(self._base, self.native.reusable)
 
     def electric_field(self, phi: Field) -> VectorField:
         """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces; stretched as the equation. Collective.
@@ -154,6 +194,19 @@ class PoissonSolver:
                 # the native side works in stretched coordinates
                 data[kinds == NEUMANN] /= np.array(self.stretch)[axes[kinds == NEUMANN]]
         self._walls = values, flux
+
+
+@dataclass(frozen=True)
+class BaseSetup:
+    """What belongs to the base of a hierarchy alone, and lasts as long as it does."""
+
+    base: tuple  # communicator, domain, bottom and its preconditioner, stretch
+    native: _native.Reusable
+
+
+def _choice(kind: Any, name: str) -> Any:
+    """Return the member of a native enumeration."""
+    return getattr(kind, name.replace("-", "_"))
 
 
 def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:

@@ -4,23 +4,32 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from mpi4py import MPI
 
-from .diagnostics import measure, quantities
-from .errors import OutputError
+from .diagnostics import Quantity, measure, quantities
+from .errors import OutputError, SolverError
 from .field import Field, VectorField
 from .io import checkpoint, fields, openpmd
 from .io.series import Series
 from .parallel import together
-from .plan import Clock
+from .plan import Plan
 from .report import RunLog
 from .resume import about, snapshot
 from .scene import Scene
 from .step import State
 
 SERIES = "series.csv"
+RESIDUALS = "residuals.csv"
+HISTORY = (  # of the solves: a row for each guess and each cycle
+    Quantity("step", counts=True),
+    Quantity("time", "s"),
+    Quantity("solve", counts=True),  # of the step: more than one where the field decides on the mesh
+    Quantity("cycle", counts=True),
+    Quantity("residual"),  # in the solver's norm, relative to that of a zero potential
+)
 
 
 def prepare(comm: MPI.Comm, scene: Scene) -> None:
@@ -46,8 +55,9 @@ class Recorder:
     `resumed`: the first state is recorded there already, and whatever came after it is to be written anew.
     """
 
-    def __init__(self, comm: MPI.Comm, scene: Scene, state: State, clock: Clock, resumed: bool) -> None:
-        self._comm, self._scene, self._clock = comm, scene, clock
+    def __init__(self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool) -> None:
+        scene = plan.scene
+        self._comm, self._scene, self._plan, self._clock = comm, scene, plan, plan.clock
         self._wanted = set(scene.output.write)
         self._about = about(scene)
         self._levels = scene.refinement.levels + 1
@@ -55,14 +65,16 @@ class Recorder:
         self._told: set[str] = set()
         self._since = time.perf_counter() - sum(state.seconds.values())
         prepare(comm, scene)
-        self._series = self._open_series(state.step if resumed else None)
+        self._step, self._time = state.step, state.time
+        keep = state.step if resumed else None
+        self._series = self._open(SERIES, quantities(self._levels), keep)
+        self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._log = RunLog(comm, scene.schedule.last_step)
 
-    def _open_series(self, keep_to_step: int | None) -> Series | None:
+    def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:
             return None
-        path = self._scene.directory / SERIES
-        return Series(self._comm, path, quantities(self._levels), self._about, keep_to_step)
+        return Series(self._comm, self._scene.directory / name, columns, self._about, keep_to_step)
 
     def __enter__(self) -> Recorder:
         self._log.__enter__()
@@ -71,16 +83,21 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._series is not None:
-            self._series.close()
+        if kind is not None and issubclass(kind, SolverError):  # on all ranks, and of interest most of all
+            self._write_history(self._step + 1, self._time + self._plan.dt)
+        for series in (self._series, self._residuals):
+            if series is not None:
+                series.close()
         self._log.__exit__(kind, value, trace)
 
     def state(self, state: State, remarks: list[str]) -> None:
-        """Record a state: its row and line, and the files that are due."""
+        """Record a state: its row and line, the solves that led to it, and the files that are due."""
         with self._clock("output"):
             row = self._row(state)
             if self._series is not None:
                 self._series.append(row)
+            self._step, self._time = state.step, state.time
+            self._write_history(state.step, state.time)
             self._log.step(row)
             for remark in remarks:
                 if remark not in self._told:
@@ -122,6 +139,17 @@ class Recorder:
             "seconds": seconds,
         }
 
+    def _write_history(self, step: int, now: float) -> None:
+        solves = enumerate(self._plan.take_solves())
+        if self._residuals is not None:
+            self._residuals.append(
+                *(
+                    {"step": step, "time": now, "solve": solve, "cycle": cycle, "residual": residual}
+                    for solve, report in solves
+                    for cycle, residual in enumerate(report.residuals)
+                )
+            )
+
     def _write_fields(self, state: State) -> None:
         if self._written.get("fields") == state.step:
             return
@@ -149,8 +177,9 @@ class Recorder:
         if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:
             return
         self._written["checkpoint"] = state.step
-        if self._series is not None:
-            self._series.sync()  # a restart from the checkpoint relies on the rows before it
+        for series in (self._series, self._residuals):
+            if series is not None:
+                series.sync()  # a restart from the checkpoint relies on the rows before it
         directory, output = self._scene.directory, self._scene.output
         checkpoint.write(
             self._comm, checkpoint.path_of(directory, state.step), snapshot(state, self._scene), output.writers

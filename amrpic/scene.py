@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
-from . import toml
+from . import menu, toml
 from .bunch_data import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import (
     GaussianBunch,
@@ -142,13 +142,38 @@ class Solver(Section):
         lt=1,
         description="Residual relative to that of a zero potential at which the solve has converged.",
     )
-    norm: Literal["max", "l1", "l2"] = Field(
-        default="max", description="Norm of the residual; max sees every cell alike."
+    absolute_tolerance: float = Field(
+        default=0.0,
+        ge=0,
+        description="Residual at which the solve has converged as well, in V/m² (in V m for norm l1, V/m^0.5 for l2): for "
+        "scenes whose charge all but vanishes.",
     )
-    backend: Literal["crs"] = Field(
+    norm: menu.Norm = Field(
+        default="max",
+        description="Norm of the residual over uncovered cells, l1 and l2 weighted by volume; max sees every cell alike.",
+    )
+    backend: menu.Backend = Field(
         default="crs", description="How the operators are executed: as Tpetra's sparse matrices."
     )
-    prolongation: Literal["trilinear", "constant"] = Field(
+    smoother: menu.Smoother = Field(
+        default="red-black",
+        description="What damps the errors of a level. red-black (over-relaxed Gauss-Seidel) is the fastest measured, and the "
+        "same on any number of ranks; the others are Ifpack2's, of which the Gauss-Seidel ones relax each rank's cells "
+        "by themselves.",
+    )
+    relaxation: float | None = Field(
+        default=None,
+        gt=0,
+        lt=2,
+        description="Factor of a relaxation step; by default 1.25 for red-black, 6/7 for jacobi and 1 for Gauss-Seidel. "
+        "Refused for chebyshev, which has none.",
+    )
+    sweeps: Annotated[tuple[int, int], BeforeValidator(menu.both)] = Field(
+        default=(2, 2),
+        description="Smoothing sweeps before, and after, the coarse correction: one number for both, or two. For chebyshev "
+        "the degree of its polynomial.",
+    )
+    prolongation: menu.Prolongation = Field(
         default="trilinear", description="Interpolation of coarse corrections; trilinear saves cycles."
     )
     stretch: tuple[float, float, float] = Field(
@@ -156,10 +181,40 @@ class Solver(Section):
         description="Factors s on the lengths: the equation is Σ s⁻² ∂²φ/∂x² = −ρ/ε₀ and E = −s⁻² ∂φ/∂x. "
         "(1, 1, γ) gives φ and E, seen at rest, of a bunch that moves along z with the Lorentz factor γ.",
     )
-    sweeps: int = Field(
-        default=2, ge=1, description="Smoothing sweeps before, and as many after, the coarse correction."
+    coarse_levels: int | None = Field(
+        default=None,
+        ge=0,
+        description="Multigrid levels below the base; as many as its numbers of cells have factors of two if not given, "
+        "which is the fastest. 0 leaves the whole base to the bottom solver.",
+    )
+    bottom: menu.Bottom = Field(
+        default="gmres",
+        description="What solves the coarsest level, which each rank holds whole: Krylov iterations (Belos), MueLu's "
+        "multigrid alone, or direct (KLU2, up to 10 000 cells). gmres works for all; cg is refused unless the matrix is "
+        "symmetric.",
+    )
+    bottom_preconditioner: menu.BottomPreconditioner | None = Field(
+        default=None,
+        description="What helps the iterations of the bottom: a point method (Ifpack2), or multigrid by smoothed, plain, "
+        "brick or structured aggregation (MueLu). smoothed-aggregation if not given; refused for direct.",
+    )
+    krylov: menu.Krylov = Field(
+        default="none",
+        description="Krylov acceleration over all levels, with the cycle as its preconditioner: flexible GMRES or BiCGStab. "
+        "Without it is faster wherever the cycle converges well.",
     )
     max_cycles: int = Field(default=50, ge=1, description="Cycles after which a solve is given up as unconverged.")
+    reuse: bool = Field(
+        default=True,
+        description="Keep the set-up of the bottom, and the tables of open walls, when refined levels alone are made anew.",
+    )
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        wrong = menu.refusal(self.smoother, self.relaxation, self.sweeps, self.bottom, self.bottom_preconditioner)
+        if wrong:
+            raise complaint(wrong.what, wrong.remedy, path=wrong.option, found=wrong.found)
+        return self
 
     @model_validator(mode="after")
     def _positive_stretch(self) -> Self:

@@ -69,7 +69,7 @@ class Simulation:
         resumed, self._recorded = self._recorded, True
         with (
             Stop(self.comm, walltime) as stop,
-            Recorder(self.comm, self.scene, self.state, self._plan.clock, resumed) as record,
+            Recorder(self.comm, self.state, self._plan, resumed) as record,
         ):
             if not resumed:
                 record.state(self.state, self.remarks)

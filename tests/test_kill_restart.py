@@ -170,9 +170,12 @@ def arrays(state: Snapshot) -> dict[str, np.ndarray]:
 
 
 def rows(folder: Path) -> dict[str, np.ndarray]:
-    """The time series without what depends on the machine's mood."""
-    table = series.read(folder / "series.csv")
-    return {name: table[name] for name in table.dtype.names or () if not name.startswith(("seconds", "memory"))}
+    """The time series and the residuals, without what depends on the machine's mood."""
+    columns: dict[str, np.ndarray] = {}
+    for file in ("series.csv", "residuals.csv"):
+        table = series.read(folder / file)
+        columns |= {f"{file}/{name}": table[name] for name in table.dtype.names or ()}
+    return {name: c for name, c in columns.items() if not name.startswith(("series.csv/seconds", "series.csv/memory"))}
 
 
 def names(folder: Path) -> set[str]:

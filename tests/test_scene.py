@@ -175,7 +175,7 @@ def test_mistake_is_told_in_one_sentence(changes, words):
 
 def test_all_mistakes_are_kept():
     with pytest.raises(RefusedScene) as refused:
-        scene(solver={"tolerance": 0, "sweeps": 0})
+        scene(solver={"tolerance": 0, "max_cycles": 0})
     assert len(refused.value.problems) == 2
     assert "and 1 more" in str(refused.value)
 

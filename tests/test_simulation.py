@@ -236,7 +236,13 @@ def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_pa
     for name, values in everything(undisturbed).items():
         assert np.array_equal(values, everything(again)[name]), name
     if comm.rank == 0:
-        assert series.read(tmp_path / "out" / "series.csv")["step"].tolist() == [0, 1, 2, 3, 4]
+        table = series.read(tmp_path / "out" / "series.csv")
+        assert table["step"].tolist() == [0, 1, 2, 3, 4]
+        history = series.read(tmp_path / "out" / "residuals.csv")
+        for step, cycles, residual in zip(table["step"], table["cycles"], table["residual"], strict=True):
+            solve = history[history["step"] == step]
+            assert solve["cycle"].tolist() == list(range(int(cycles) + 1))
+            assert solve["residual"][-1] == residual
 
 
 @pytest.mark.mpi(ranks=1)
@@ -257,7 +263,7 @@ def test_outputs_are_those_that_the_scene_wants(comm, tmp_path):
         return {path.name for path in Path(folder).iterdir()}
 
     assert written() == set()
-    assert written("series") == {"series.csv"}
+    assert written("series") == {"series.csv", "residuals.csv"}
     assert written("checkpoint") == {"checkpoint_00000001", "checkpoint_00000002"}
     assert written("fields") == {"fields_00000000.vtkhdf", "fields_00000002.vtkhdf"}
     assert {name.rpartition(".")[2] for name in written("pictures")} == {"vtkhdf", "png"}

@@ -57,14 +57,15 @@ class Series:
         publish(self._path)
         self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
 
-    def append(self, row: Mapping[str, float]) -> None:
-        """Add a row, that of rank 0; what it lacks is zero. Collective; raises OutputError."""
+    def append(self, *rows: Mapping[str, float]) -> None:
+        """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
         attempts = self._attempts()
         if self._comm.rank == 0:
-            attempts.attempt(
-                self._write, ",".join(_text(row.get(column.name, 0), column) for column in self.columns) + "\n"
-            )
+            attempts.attempt(self._write, "".join(self._line(row) for row in rows))
         attempts.settle(self._comm)
+
+    def _line(self, row: Mapping[str, float]) -> str:
+        return ",".join(_text(row.get(column.name, 0), column) for column in self.columns) + "\n"
 
     def _write(self, line: str) -> None:
         if os.write(self._descriptor, line.encode()) < len(line):

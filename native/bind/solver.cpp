@@ -18,17 +18,48 @@ void bind_solver(nb::module_& m) {
   nb::enum_<Prolongation>(m, "Prolongation")
       .value("constant", Prolongation::constant)
       .value("trilinear", Prolongation::trilinear);
+  nb::enum_<SmootherKind>(m, "Smoother")
+      .value("red_black", SmootherKind::red_black)
+      .value("jacobi", SmootherKind::jacobi)
+      .value("gauss_seidel", SmootherKind::gauss_seidel)
+      .value("symmetric_gauss_seidel", SmootherKind::symmetric_gauss_seidel)
+      .value("chebyshev", SmootherKind::chebyshev);
+  nb::enum_<BottomKind>(m, "Bottom")
+      .value("gmres", BottomKind::gmres)
+      .value("cg", BottomKind::cg)
+      .value("bicgstab", BottomKind::bicgstab)
+      .value("multigrid", BottomKind::multigrid)
+      .value("direct", BottomKind::direct);
+  nb::enum_<BottomPreconditioner>(m, "BottomPreconditioner")
+      .value("none", BottomPreconditioner::none)
+      .value("jacobi", BottomPreconditioner::jacobi)
+      .value("gauss_seidel", BottomPreconditioner::gauss_seidel)
+      .value("ilu", BottomPreconditioner::ilu)
+      .value("smoothed_aggregation", BottomPreconditioner::smoothed_aggregation)
+      .value("plain_aggregation", BottomPreconditioner::plain_aggregation)
+      .value("brick_aggregation", BottomPreconditioner::brick_aggregation)
+      .value("structured_aggregation", BottomPreconditioner::structured_aggregation);
+  nb::enum_<KrylovKind>(m, "Krylov")
+      .value("none", KrylovKind::none)
+      .value("fgmres", KrylovKind::fgmres)
+      .value("bicgstab", KrylovKind::bicgstab);
 
   nb::class_<SolverOptions>(m, "SolverOptions")
       .def(nb::init<>())
       .def_rw("tolerance", &SolverOptions::tolerance)
+      .def_rw("absolute_tolerance", &SolverOptions::absolute_tolerance)
       .def_rw("norm", &SolverOptions::norm)
       .def_rw("max_cycles", &SolverOptions::max_cycles)
+      .def_rw("smoother", &SolverOptions::smoother)
       .def_rw("pre_sweeps", &SolverOptions::pre_sweeps)
       .def_rw("post_sweeps", &SolverOptions::post_sweeps)
       .def_rw("relaxation", &SolverOptions::relaxation)
       .def_rw("prolongation", &SolverOptions::prolongation)
       .def_rw("stretch", &SolverOptions::stretch)
+      .def_rw("coarse_levels", &SolverOptions::coarse_levels)
+      .def_rw("bottom", &SolverOptions::bottom)
+      .def_rw("bottom_preconditioner", &SolverOptions::bottom_preconditioner)
+      .def_rw("krylov", &SolverOptions::krylov)
       .def_rw("neutralize", &SolverOptions::neutralize);
 
   nb::class_<SolveReport>(m, "SolveReport")
@@ -39,14 +70,16 @@ void bind_solver(nb::module_& m) {
       .def_ro("reason", &SolveReport::reason)
       .def_ro("seconds", &SolveReport::seconds);
 
+  nb::class_<Reusable>(m, "Reusable").def(nb::init<>());
   nb::class_<PoissonSolver>(m, "PoissonSolver")
       .def(
           "__init__",
-          [](PoissonSolver* self, std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options) {
+          [](PoissonSolver* self, std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
+             Reusable const& reusable) {
             nb::gil_scoped_release release;
-            new (self) PoissonSolver(std::move(hierarchy), options);
+            new (self) PoissonSolver(std::move(hierarchy), options, reusable);
           },
-          "hierarchy"_a, "options"_a)
+          "hierarchy"_a, "options"_a, "reusable"_a)
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "electric_field",
@@ -81,6 +114,8 @@ void bind_solver(nb::module_& m) {
           },
           "level"_a)
       .def("operators", &PoissonSolver::operators_with_gradient, "level"_a, nb::rv_policy::reference_internal)
+      .def_prop_ro("reusable", &PoissonSolver::reusable, nb::rv_policy::copy)
+      .def_prop_ro("bottom_setups", &PoissonSolver::bottom_setups)
       .def_prop_ro("assemblies", &PoissonSolver::assemblies)
       .def_prop_ro("messages", &PoissonSolver::messages)
       .def_prop_ro("message_bytes", &PoissonSolver::message_bytes)

@@ -4,6 +4,7 @@
 #include <Tpetra_CrsMatrix.hpp>
 #include <Tpetra_Map.hpp>
 #include <Tpetra_MultiVector.hpp>
+#include <Tpetra_RowMatrix.hpp>
 #include <algorithm>
 
 #include "operators/operators.hpp"
@@ -18,6 +19,7 @@ struct TpetraTypes {
   using Node = Tpetra::Map<>::node_type;
   using Map = Tpetra::Map<LocalIndex, Global, Node>;
   using Matrix = Tpetra::CrsMatrix<Real, LocalIndex, Global, Node>;
+  using RowMatrix = Tpetra::RowMatrix<Real, LocalIndex, Global, Node>;
   using MultiVector = Tpetra::MultiVector<Real, LocalIndex, Global, Node>;
   using Operator = Tpetra::Operator<Real, LocalIndex, Global, Node>;
 };
@@ -71,14 +73,14 @@ inline Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(MPI_Comm comm, Crs const&
   return tpetra_matrix(crs, range, column_map(comm, columns), row_map(comm, columns), range);
 }
 
-/// Copy values into a vector's local part, and out of it.
+/// Copy values into a vector's local part, and out of it; values beyond it are left alone.
 inline void copy_in(std::vector<Real> const& values, TpetraTypes::MultiVector& vector) {
   auto const view = vector.getLocalViewHost(Tpetra::Access::OverwriteAll);
-  for (std::size_t i = 0; i < values.size(); ++i) view(i, 0) = values[i];
+  for (std::size_t i = 0; i < view.extent(0); ++i) view(i, 0) = values[i];
 }
 inline void copy_out(TpetraTypes::MultiVector const& vector, std::vector<Real>& values) {
   auto const view = vector.getLocalViewHost(Tpetra::Access::ReadOnly);
-  for (std::size_t i = 0; i < values.size(); ++i) values[i] = view(i, 0);
+  for (std::size_t i = 0; i < view.extent(0); ++i) values[i] = view(i, 0);
 }
 
 }  // namespace amrpic

@@ -1,7 +1,12 @@
 #include "solver/bottom.hpp"
 
+#include <Amesos2.hpp>
+#include <BelosBiCGStabSolMgr.hpp>
 #include <BelosBlockGmresSolMgr.hpp>
+#include <BelosFixedPointSolMgr.hpp>
+#include <BelosPseudoBlockCGSolMgr.hpp>
 #include <BelosTpetraAdapter.hpp>
+#include <Ifpack2_Factory.hpp>
 #include <MueLu_CreateTpetraPreconditioner.hpp>
 #include <Tpetra_CrsMatrix.hpp>
 #include <algorithm>
@@ -18,9 +23,23 @@ namespace {
 
 using MultiVector = TpetraTypes::MultiVector;
 using Operator = TpetraTypes::Operator;
+using Matrix = TpetraTypes::Matrix;
 
-/// The whole matrix of a level, columns in global numbers, alike on all ranks.
-Crs gather(MPI_Comm comm, LevelOperators const& operators) {
+constexpr GlobalIndex most_cells = 1 << 22;            // each rank holds all of them
+constexpr GlobalIndex most_cells_of_a_factor = 10000;  // KLU2 takes 11 s for 32^3, and grows with the square
+
+/// For each cell of a level its place in the order of the domain, x fastest: the library's aggregation along mesh lines
+/// asks for it.
+std::vector<LocalIndex> order_of_domain(Level const& level) {
+  std::vector<LocalIndex> out;
+  out.reserve(std::size_t(level.cells()));
+  for (Box const& box : level.boxes())
+    for_each_cell(box, [&](Index3 const& cell) { out.push_back(LocalIndex(level.domain().offset(cell))); });
+  return out;
+}
+
+/// The whole matrix of a level in the order of the domain, alike on all ranks; the diagonal comes first in each row.
+Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
   Crs const& local = operators.no_fine;
   GlobalIndex const first = operators.level->first_local_cell();
   auto const& ghosts = operators.halo.ghost_numbers();
@@ -29,98 +48,214 @@ Crs gather(MPI_Comm comm, LevelOperators const& operators) {
     columns.push_back(LocalIndex(c < local.rows() ? first + c : ghosts[std::size_t(c - local.rows())]));
   for (LocalIndex r = 0; r < local.rows(); ++r)
     lengths.push_back(LocalIndex(local.row_start[r + 1] - local.row_start[r]));
+  auto const column = all_gather(comm, columns).values;
+  auto const value = all_gather(comm, local.value).values;
+  auto const length = all_gather(comm, lengths).values;
 
+  std::vector<std::size_t> start(place.size());  // of each row of the domain's order, in the gathered arrays
   Crs whole;
-  whole.column = all_gather(comm, columns).values;
-  whole.value = all_gather(comm, local.value).values;
-  for (LocalIndex n : all_gather(comm, lengths).values)
-    whole.row_start.push_back(whole.row_start.back() + std::size_t(n));
+  whole.row_start.resize(place.size() + 1);
+  std::size_t at = 0;
+  for (std::size_t cell = 0; cell < place.size(); ++cell) {
+    start[std::size_t(place[cell])] = at;
+    whole.row_start[std::size_t(place[cell]) + 1] = std::size_t(length[cell]);
+    at += std::size_t(length[cell]);
+  }
+  std::partial_sum(whole.row_start.begin(), whole.row_start.end(), whole.row_start.begin());
+  for (std::size_t row = 0; row < place.size(); ++row)
+    for (std::size_t k = 0; k < whole.row_start[row + 1] - whole.row_start[row]; ++k) {
+      whole.column.push_back(place[std::size_t(column[start[row] + k])]);
+      whole.value.push_back(value[start[row] + k]);
+    }
   return whole;
 }
 
-/// Minus the matrix over its first diagonal entry: positive definite, of order one in any units. A singular one gets
-/// its first diagonal entry doubled: for a right-hand side without mean this picks the solution that vanishes there.
+/// The matrix over its first diagonal entry, which is negative as all are: positive definite, of order one in any
+/// units. A singular one gets its first diagonal entry doubled: for a right-hand side without mean this picks the
+/// solution that vanishes there.
 Real normalise(Crs& matrix, bool singular) {
-  Real const scale = -1 / matrix.value.front();
+  Real const scale = 1 / matrix.value.front();
   for (Real& v : matrix.value) v *= scale;
   if (singular) matrix.value.front() *= 2;
   return scale;
+}
+
+bool symmetric(Crs const& matrix) {
+  auto const entry = [&](LocalIndex row, LocalIndex column) {
+    Real sum = 0;
+    for (std::size_t k = matrix.row_start[row]; k < matrix.row_start[row + 1]; ++k)
+      if (matrix.column[k] == column) sum += matrix.value[k];
+    return sum;
+  };
+  for (LocalIndex row = 0; row < matrix.rows(); ++row)
+    for (std::size_t k = matrix.row_start[row]; k < matrix.row_start[row + 1]; ++k)
+      if (std::abs(entry(row, matrix.column[k]) - entry(matrix.column[k], row)) > 1e-12) return false;
+  return true;
+}
+
+/// The refusal of a matrix that the chosen method cannot solve; all ranks hold the same one.
+void require_fit(Crs const& matrix, SolverOptions const& options) {
+  std::string const cells = std::to_string(matrix.rows());
+  if (options.bottom == BottomKind::cg && !symmetric(matrix))
+    throw SolverError(
+        "bottom is \"cg\", but the coarsest level's matrix is not symmetric (it is the base level, whose Dirichlet "
+        "ghosts are quadratic); use \"gmres\" or \"bicgstab\", or more coarse_levels");
+  if (options.bottom == BottomKind::direct && matrix.rows() > most_cells_of_a_factor)
+    throw SolverError("bottom is \"direct\", but the coarsest level has " + cells + " cells, more than the " +
+                      std::to_string(most_cells_of_a_factor) +
+                      " that KLU2 factors in reasonable time; use \"gmres\", or more coarse_levels");
 }
 
 }  // namespace
 
 struct Bottom::Problem {
   using Linear = Belos::LinearProblem<Real, MultiVector, Operator>;
+  using Iterations = Belos::SolverManager<Real, MultiVector, Operator>;
 
   LocalIndex rows;
   Real scale;
-  Teuchos::RCP<TpetraTypes::Matrix> matrix;
+  Teuchos::RCP<Matrix> matrix;
   Teuchos::RCP<MultiVector> x, b;
   Teuchos::RCP<Linear> linear;
-  Teuchos::RCP<Belos::SolverManager<Real, MultiVector, Operator>> gmres;
+  Teuchos::RCP<Iterations> iterations;
+  Teuchos::RCP<Amesos2::Solver<Matrix, MultiVector>> factors;
   AtFinalize release{[this] {
-    gmres = Teuchos::null, linear = Teuchos::null, x = Teuchos::null, b = Teuchos::null, matrix = Teuchos::null;
+    factors = Teuchos::null, iterations = Teuchos::null, linear = Teuchos::null;
+    x = Teuchos::null, b = Teuchos::null, matrix = Teuchos::null;
   }};
 
-  Problem(Crs whole, bool singular) : rows(whole.rows()), scale(normalise(whole, singular)) {
+  Problem(Crs const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
+      : rows(whole.rows()), scale(scale) {
     auto const self = Teuchos::rcp(new Teuchos::MpiComm<int>(MPI_COMM_SELF));
     auto const map = Teuchos::rcp(new TpetraTypes::Map(Tpetra::global_size_t(rows), 0, self));
     matrix = tpetra_matrix(whole, map, map, map, map);
     x = Teuchos::rcp(new MultiVector(map, 1));
     b = Teuchos::rcp(new MultiVector(map, 1));
+    if (options.bottom == BottomKind::direct) {
+      factors = Amesos2::create<Matrix, MultiVector>("KLU2", matrix, x, b);
+      factors->symbolicFactorization().numericFactorization();
+      return;
+    }
+    linear = Teuchos::rcp(new Linear(matrix, x, b));
+    if (auto const preconditioner = made(options.bottom_preconditioner, cells); !preconditioner.is_null()) {
+      if (options.bottom == BottomKind::cg)
+        linear->setLeftPrec(preconditioner);
+      else
+        linear->setRightPrec(preconditioner);
+    }
+    iterations = made(options.bottom);
+  }
 
-    Teuchos::ParameterList amg;
-    amg.set("verbosity", "none");
-    amg.set("coarse: max size", 500);
-    auto const as_operator = Teuchos::rcp_implicit_cast<Operator>(matrix);
-    linear = Teuchos::rcp(new Linear(as_operator, x, b));
-    linear->setRightPrec(
-        MueLu::CreateTpetraPreconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>(as_operator, amg));
+  Teuchos::RCP<Operator> made(BottomPreconditioner kind, Index3 const& cells) const {
+    if (kind == BottomPreconditioner::none) return Teuchos::null;
+    if (aggregates(kind)) {
+      auto parameters = muelu_parameters(kind, cells);
+      if (kind == BottomPreconditioner::brick_aggregation)
+        parameters.sublist("user data").set("Coordinates", coordinates(cells));
+      return MueLu::CreateTpetraPreconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>(
+          Teuchos::rcp_implicit_cast<Operator>(matrix), parameters);
+    }
+    auto out = Ifpack2::Factory::create<TpetraTypes::RowMatrix>(ifpack2_name(kind), matrix);
+    out->setParameters(ifpack2_parameters(kind));
+    out->initialize();
+    out->compute();
+    return out;
+  }
 
-    auto krylov = Teuchos::rcp(new Teuchos::ParameterList);
-    krylov->set("Convergence Tolerance", 1e-8);  // far below what one cycle gains, so that the cycle does not notice
-    krylov->set("Maximum Iterations", 200);
-    krylov->set("Num Blocks", 50);
-    krylov->set("Verbosity", int(Belos::Errors));
-    gmres = Teuchos::rcp(new Belos::BlockGmresSolMgr<Real, MultiVector, Operator>(linear, krylov));
+  /// Cell indices: aggregates follow the mesh, whatever its spacing.
+  Teuchos::RCP<MultiVector> coordinates(Index3 const& cells) const {
+    auto const out = Teuchos::rcp(new MultiVector(matrix->getRowMap(), 3));
+    auto const view = out->getLocalViewHost(Tpetra::Access::OverwriteAll);
+    for (LocalIndex row = 0; row < rows; ++row) {
+      view(row, 0) = row % cells[0];
+      view(row, 1) = row / cells[0] % cells[1];
+      view(row, 2) = row / cells[0] / cells[1];
+    }
+    return out;
+  }
+
+  Teuchos::RCP<Iterations> made(BottomKind kind) const {
+    auto const parameters = Teuchos::rcp(new Teuchos::ParameterList(belos_parameters(kind)));
+    switch (kind) {
+      case BottomKind::cg:
+        return Teuchos::rcp(new Belos::PseudoBlockCGSolMgr<Real, MultiVector, Operator>(linear, parameters));
+      case BottomKind::bicgstab:
+        return Teuchos::rcp(new Belos::BiCGStabSolMgr<Real, MultiVector, Operator>(linear, parameters));
+      case BottomKind::multigrid:
+        return Teuchos::rcp(new Belos::FixedPointSolMgr<Real, MultiVector, Operator>(linear, parameters));
+      default:
+        return Teuchos::rcp(new Belos::BlockGmresSolMgr<Real, MultiVector, Operator>(linear, parameters));
+    }
+  }
+
+  bool has(Crs const& other) const {
+    auto const mine = matrix->getLocalMatrixHost();
+    return std::equal(other.row_start.begin(), other.row_start.end(), mine.graph.row_map.data()) &&
+           std::equal(other.column.begin(), other.column.end(), mine.graph.entries.data()) &&
+           std::equal(other.value.begin(), other.value.end(), mine.values.data());
   }
 
   void solve(std::vector<Real> const& right_hand_side, std::vector<Real>& solution) {
     copy_in(right_hand_side, *b);
     x->putScalar(0);
-    linear->setProblem();
-    // Whatever it reached is a correction; the residual of the whole problem tells whether it was good enough.
-    gmres->solve();
+    if (!factors.is_null()) {
+      factors->solve();
+    } else {
+      linear->setProblem();
+      // Whatever it reached is a correction; the residual of the whole problem tells whether it was good enough.
+      try {
+        iterations->solve();
+      } catch (Belos::BelosError const&) {  // such as CG's, when it hits on the exact solution and finds nothing left
+      }
+    }
     copy_out(*x, solution);
   }
 };
 
-Bottom::Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular)
+Bottom::Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, SolverOptions const& options)
     : comm_(comm),
       singular_(singular),
       rows_(operators.rows()),
       first_(operators.level->first_local_cell()),
       total_(operators.level->cells()) {
-  if (total_ > 1 << 22)  // each rank holds all of it
+  if (total_ > most_cells)
     throw SolverError("the coarsest level would have " + std::to_string(total_) +
-                      " cells; give the base numbers of cells with more factors of two");
+                      " cells; give the base numbers of cells with more factors of two, or more coarse_levels");
   int const ranks = operators.level->ranks();
   for (int r = 0; r < ranks; ++r) {
     starts_.push_back(int(operators.level->first_cell(r)));
     counts_.push_back(int(operators.level->first_cell(r + 1) - operators.level->first_cell(r)));
   }
+  place_ = order_of_domain(*operators.level);
+  gathered_.resize(std::size_t(total_));
   whole_right_hand_side_.resize(std::size_t(total_));
   whole_correction_.resize(std::size_t(total_));
-  problem_ = std::make_unique<Problem>(gather(comm, operators), singular);
+  Crs whole = gather(comm, operators, place_);
+  Real const scale = normalise(whole, singular);
+  require_fit(whole, options);
+  Box const& domain = operators.level->domain();
+  problem_ =
+      std::make_unique<Problem>(whole, scale, Index3{domain.extent(0), domain.extent(1), domain.extent(2)}, options);
 }
 
 Bottom::~Bottom() = default;
 
+bool Bottom::serves(LevelOperators const& operators) const {
+  for (int r = 0; r < int(counts_.size()); ++r)
+    if (operators.level->first_cell(r) != starts_[r]) return false;
+  if (operators.level->cells() != total_ || order_of_domain(*operators.level) != place_) return false;
+  Crs whole = gather(comm_, operators, place_);
+  Real const scale = normalise(whole, singular_);
+  return scale == problem_->scale && problem_->has(whole);
+}
+
 void Bottom::solve(std::vector<Real> const& right_hand_side, std::vector<Real>& correction) {
+  MPI_Allgatherv(right_hand_side.data(), rows_, MPI_DOUBLE, gathered_.data(), counts_.data(), starts_.data(),
+                 MPI_DOUBLE, comm_);
   auto& f = whole_right_hand_side_;
-  MPI_Allgatherv(right_hand_side.data(), rows_, MPI_DOUBLE, f.data(), counts_.data(), starts_.data(), MPI_DOUBLE,
-                 comm_);
-  Real const size = *std::max_element(f.begin(), f.end(), [](Real a, Real b) { return std::abs(a) < std::abs(b); });
+  for (std::size_t cell = 0; cell < place_.size(); ++cell) f[std::size_t(place_[cell])] = gathered_[cell];
+  Real const size =
+      std::abs(*std::max_element(f.begin(), f.end(), [](Real a, Real b) { return std::abs(a) < std::abs(b); }));
   if (size == 0) {
     std::fill(correction.begin(), correction.end(), 0.0);
     return;
@@ -135,7 +270,8 @@ void Bottom::solve(std::vector<Real> const& right_hand_side, std::vector<Real>& 
   Real const mean =
       singular_ ? std::accumulate(whole_correction_.begin(), whole_correction_.end(), 0.0) / Real(total_) : 0.0;
   for (LocalIndex row = 0; row < rows_; ++row)
-    correction[row] = (whole_correction_[std::size_t(first_ + row)] - mean) * size * problem_->scale;
+    correction[row] =
+        (whole_correction_[std::size_t(place_[std::size_t(first_ + row)])] - mean) * size * problem_->scale;
 }
 
 }  // namespace amrpic

@@ -6,21 +6,27 @@
 #include <vector>
 
 #include "operators/operators.hpp"
+#include "solver/options.hpp"
 
 namespace amrpic {
 
-/// The solve on the coarsest level: GMRES by Belos, preconditioned by MueLu.
+/// The solve on the coarsest level, by a method of Trilinos.
 ///
-/// Every rank gathers the whole (small) problem and solves it by itself, so the answer is the same on any number of
-/// ranks and no solver of the library runs on shared rows.
+/// Every rank gathers the whole problem, cells in the order of the domain, and solves it by itself: so the answer is
+/// the same for any decomposition, and no solver of the library runs on shared rows.
 class Bottom {
  public:
-  /// Collective. `singular`: constants are in the operator's null space.
-  Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular);
+  /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, alike on all ranks, for a
+  /// matrix that the method cannot solve.
+  Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, SolverOptions const& options);
   ~Bottom();
 
   /// Solve no_fine correction = right_hand_side for this rank's cells. Collective.
   void solve(std::vector<Real> const& right_hand_side, std::vector<Real>& correction);
+
+  /// Whether this is what would be set up for another level, which has the same cells: one whose matrix, owners
+  /// included, is equal. Collective.
+  bool serves(LevelOperators const& operators) const;
 
  private:
   struct Problem;
@@ -29,7 +35,8 @@ class Bottom {
   LocalIndex rows_;  ///< of this rank
   GlobalIndex first_, total_;
   std::vector<int> counts_, starts_;  ///< rows per rank
-  std::vector<Real> whole_right_hand_side_, whole_correction_;
+  std::vector<LocalIndex> place_;     ///< in the order of the domain, of each cell
+  std::vector<Real> gathered_, whole_right_hand_side_, whole_correction_;
   std::unique_ptr<Problem> problem_;
 };
 

@@ -35,10 +35,10 @@ std::shared_ptr<Level const> coarsened(Level const& level, Index3 const& ratio, 
 
 }  // namespace
 
-LevelStack coarsen_below(LevelStack stack, Domain const& domain, int max_grid_size) {
-  for (;;) {
+LevelStack coarsen_below(LevelStack stack, Domain const& domain, int max_grid_size, int most) {
+  while (int(stack.base) < most) {
     Index3 const ratio = coarsening_of(*stack.levels.front());
-    if (ratio == Index3{1, 1, 1}) return stack;
+    if (ratio == Index3{1, 1, 1}) break;
     auto const level = coarsened(*stack.levels.front(), ratio, max_grid_size);
     stack.ratio.front() = ratio;
     stack.ratio.insert(stack.ratio.begin(), Index3{1, 1, 1});
@@ -47,6 +47,7 @@ LevelStack coarsen_below(LevelStack stack, Domain const& domain, int max_grid_si
                        wall_ghosts(domain, [](Boundary kind, int) { return coarse_wall_ghost(kind); }));
     ++stack.base;
   }
+  return stack;
 }
 
 }  // namespace amrpic

@@ -6,6 +6,7 @@
 #include "operators/operators.hpp"
 #include "solver/bottom.hpp"
 #include "solver/options.hpp"
+#include "solver/smoother.hpp"
 #include "solver/stopwatch.hpp"
 
 namespace amrpic {
@@ -13,7 +14,8 @@ namespace amrpic {
 /// One level of the cycle: its operators, and vectors that are allocated once.
 class MultigridLevel {
  public:
-  MultigridLevel(LevelOperators const& operators, SolverOptions const& options);
+  /// The coarsest level needs no smoother.
+  MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother);
 
   /// From a zero correction: smooth, then leave the right-hand side of the coarser level. Collective.
   ///
@@ -30,21 +32,17 @@ class MultigridLevel {
   std::vector<Real> const& correction() const { return correction_; }
 
  private:
-  void smooth_from_zero();
-  void smooth(int sweeps);
-  void relax(std::vector<LocalIndex> const& rows);
-
   LevelOperators const& operators_;
-  int pre_sweeps_, post_sweeps_;
-  Real relaxation_;
-  std::array<std::vector<LocalIndex>, 2> colour_;  ///< rows with even and odd i + j + k
+  std::unique_ptr<Smoother> smoother_;
   std::vector<Real> right_hand_side_, correction_, residual_;
 };
 
 /// The V-cycle over refinement levels and multigrid levels alike, for corrections in residual form.
 class Multigrid {
  public:
-  Multigrid(MPI_Comm comm, std::vector<LevelOperators> const& operators, bool singular, SolverOptions const& options);
+  /// Collective.
+  Multigrid(MPI_Comm comm, std::vector<LevelOperators> const& operators, std::shared_ptr<Bottom> bottom,
+            SolverOptions const& options);
 
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
   std::size_t finest() const { return levels_.size() - 1; }
@@ -59,7 +57,7 @@ class Multigrid {
   void cycle(std::size_t l);
 
   std::vector<MultigridLevel> levels_;
-  Bottom bottom_;
+  std::shared_ptr<Bottom> bottom_;
   Stopwatch stopwatch_;
 };
 

@@ -4,21 +4,75 @@
 
 #include "stencil/intergrid.hpp"
 
+namespace Teuchos {
+class ParameterList;
+}
+
 namespace amrpic {
 
 enum class Norm { l1, l2, max };
 
+/// What relaxes the errors of a level.
+enum class SmootherKind { red_black, jacobi, gauss_seidel, symmetric_gauss_seidel, chebyshev };
+
+/// What solves the coarsest level: Krylov iterations by Belos, MueLu's cycles by themselves, or Amesos2's KLU2.
+enum class BottomKind { gmres, cg, bicgstab, multigrid, direct };
+
+/// What helps the bottom's iterations: Ifpack2's point methods, or MueLu by the way it aggregates.
+enum class BottomPreconditioner {
+  none,
+  jacobi,
+  gauss_seidel,  ///< forward and backward, hence symmetric
+  ilu,
+  smoothed_aggregation,
+  plain_aggregation,
+  brick_aggregation,
+  structured_aggregation
+};
+
+/// What accelerates the cycles, over all levels at once.
+enum class KrylovKind { none, fgmres, bicgstab };
+
+constexpr int as_many_as_possible = 1 << 30;
+
 /// What a solver is asked to do; the reasons for the defaults stand beside them.
 struct SolverOptions {
-  Real tolerance = 1e-10;  ///< residual over right-hand side, in `norm`
+  Real tolerance = 1e-10;       ///< residual over right-hand side, in `norm`
+  Real absolute_tolerance = 0;  ///< residual in `norm`, V/m^2 (times m^3 for l1, times m^1.5 for l2)
   Norm norm = Norm::max;
   int max_cycles = 100;
+  SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and alike on any decomposition
   int pre_sweeps = 2, post_sweeps = 2;
   Real relaxation = 1.25;  ///< of red-black Gauss-Seidel; within a cycle of the best for all cases measured
   Prolongation prolongation = Prolongation::trilinear;
   Real3 stretch{1, 1, 1};  ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
+  int coarse_levels = as_many_as_possible;  ///< multigrid levels below the base
+  BottomKind bottom = BottomKind::gmres;    ///< works for all matrices, those of the base included
+  BottomPreconditioner bottom_preconditioner = BottomPreconditioner::smoothed_aggregation;
+  KrylovKind krylov = KrylovKind::none;
   bool neutralize =
       false;  ///< take the mean of the charge away where the boundary leaves the potential's constant free
 };
+
+/// Whether a preconditioner is one of MueLu's.
+inline bool aggregates(BottomPreconditioner kind) { return kind >= BottomPreconditioner::smoothed_aggregation; }
+
+// ---- as Trilinos names it; no other file knows the keys ----
+
+/// Ifpack2's name of a smoother.
+std::string ifpack2_name(SmootherKind kind);
+
+/// Ifpack2's parameters of a smoother; `oscillating`: the smallest eigenvalue, over the diagonal, that it must damp.
+Teuchos::ParameterList ifpack2_parameters(SolverOptions const& options, int sweeps, bool from_zero, Real oscillating);
+
+/// Ifpack2's name of a preconditioner of the bottom, and its parameters.
+std::string ifpack2_name(BottomPreconditioner kind);
+Teuchos::ParameterList ifpack2_parameters(BottomPreconditioner kind);
+
+/// MueLu's parameters of a preconditioner, for a problem of the given numbers of cells.
+Teuchos::ParameterList muelu_parameters(BottomPreconditioner kind, Index3 const& cells);
+
+/// Belos' parameters of the bottom's iterations.
+Teuchos::ParameterList belos_parameters(BottomKind kind);
 
 }  // namespace amrpic

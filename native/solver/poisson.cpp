@@ -31,22 +31,43 @@ freespace::Lattice lattice_of(Hierarchy const& hierarchy) {
 
 }  // namespace
 
-PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options)
+PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
+                             Reusable const& reusable)
     : given_(std::move(hierarchy)),
       hierarchy_(given_->stretched(options.stretch)),
       options_(options),
-      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size())),
+      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size(),
+                           options.coarse_levels)),
       operators_(assemble(hierarchy_->comm(), stack_, options.prolongation)),
       transfer_(hierarchy_),
-      multigrid_(hierarchy_->comm(), operators_, hierarchy_->domain().singular(), options) {
+      reusable_(reusable),
+      multigrid_(hierarchy_->comm(), operators_, bottom(), options) {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    LevelOperators const& o = operators(l);
-    state_.push_back({std::vector<Real>(std::size_t(o.rows()) + std::size_t(o.halo.ghosts())),
-                      std::vector<Real>(std::size_t(o.rows()))});
+    right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
   }
-  if (hierarchy_->domain().has(Boundary::open))
-    free_space_ = std::make_unique<freespace::FreeSpace>(hierarchy_->comm(), lattice_of(*hierarchy_));
+  phi_ = zero();
+  if (!reusable_.free_space && hierarchy_->domain().has(Boundary::open))
+    reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), lattice_of(*hierarchy_));
+}
+
+/// The bottom that was handed on if it serves, else a new one.
+std::shared_ptr<Bottom> PoissonSolver::bottom() {
+  if (!reusable_.bottom || !reusable_.bottom->serves(operators_.front())) {
+    reusable_.bottom.reset();  // the old one goes before the new one comes
+    reusable_.bottom =
+        std::make_shared<Bottom>(hierarchy_->comm(), operators_.front(), hierarchy_->domain().singular(), options_);
+    ++bottom_setups_;
+  }
+  return reusable_.bottom;
+}
+
+/// Zeros on all levels, with room for ghosts.
+Composite PoissonSolver::zero() const {
+  Composite out;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.ghosts()));
+  return out;
 }
 
 template <class F>
@@ -84,7 +105,7 @@ Real PoissonSolver::composite_integral(bool magnitude) const {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     Real const volume = hierarchy_->level(l).cell_volume();
     for_each_uncovered(l, [&](LocalIndex row) {
-      Real const f = state_[l].right_hand_side[row];
+      Real const f = right_hand_side_[l][row];
       sum += volume * (magnitude ? std::abs(f) : f);
     });
   }
@@ -95,7 +116,7 @@ Real PoissonSolver::composite_integral(bool magnitude) const {
 Real PoissonSolver::largest_phi_term() const {
   return norm([&](int l, LocalIndex row) {
     Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
-    return diagonal * state_[l].phi[row];
+    return diagonal * phi_[l][row];
   });
 }
 
@@ -117,11 +138,11 @@ void PoissonSolver::set_open_walls(Field const& rho) {
       charges.push_back(std::move(charge));
     }
   }
-  free_space_->set_charges(charges);
+  reusable_.free_space->set_charges(charges);
 
   std::array<bool, 6> open;
   for (int face = 0; face < 6; ++face) open[face] = domain.boundary[face / 2][face % 2] == Boundary::open;
-  auto const planes = free_space_->wall_planes(open);
+  auto const planes = reusable_.free_space->wall_planes(open);
   std::vector<freespace::PointTarget> targets;
   std::vector<Real*> datum;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
@@ -137,13 +158,13 @@ void PoissonSolver::set_open_walls(Field const& rho) {
         datum.push_back(&walls_[l].datum[i]);
       }
     }
-  auto const values = free_space_->potential(targets);
+  auto const values = reusable_.free_space->potential(targets);
   for (std::size_t t = 0; t < values.size(); ++t) *datum[t] = values[t];
 }
 
 void PoissonSolver::set_right_hand_side(Field const& rho) {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    auto& f = state_[l].right_hand_side;
+    auto& f = right_hand_side_[l];
     auto const& density = rho.level(l);
     for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = -density[row] / vacuum_permittivity; });
     subtract_from_laplacian(walls_[l], operators(l).walls, hierarchy_->level(l).spacing(), f);
@@ -166,49 +187,84 @@ void PoissonSolver::remove_net_charge() {
   for (int pass = 0; pass < 2; ++pass) {
     Real const mean = composite_integral(false) / volume;
     for (int l = 0; l < hierarchy_->level_count(); ++l)
-      for (Real& f : state_[l].right_hand_side) f -= mean;
+      for (Real& f : right_hand_side_[l]) f -= mean;
   }
 }
 
 /// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
 /// face may be a covered one.
-void PoissonSolver::average_down_phi() {
+void PoissonSolver::average_down(Composite& x) const {
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     if (hierarchy_->has_finer(l)) {
       Crs const& restriction = operators(l).restriction;
       restriction.for_each_row([&](LocalIndex row) {
-        if (!operators(l).uncovered[row]) state_[l].phi[row] = restriction.dot(row, state_[l + 1].phi.data());
+        if (!operators(l).uncovered[row]) x[l][row] = restriction.dot(row, x[l + 1].data());
       });
     }
-    operators(l).halo.update(state_[l].phi.data());
+    operators(l).halo.update(x[l].data());
   }
+}
+
+/// f - A x in the uncovered cells of a level, zero in the others; x is averaged down.
+template <class F>
+void PoissonSolver::subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const {
+  LevelOperators const& o = operators(l);
+  Real const* const own = x[l].data();
+  for_rows(o.rows(),
+           [&, own](LocalIndex row) { out[row] = o.uncovered[row] ? f(row) - o.composite().dot(row, own) : 0.0; });
+  if (l > 0) add_multiply(-1.0, o.coarse_boundary, x[l - 1].data(), out.data());
+  if (hierarchy_->has_finer(l)) add_multiply(-1.0, o.fine_boundary, x[l + 1].data(), out.data());
 }
 
 /// Composite residual of the uncovered cells, into the right-hand sides of the cycle.
 void PoissonSolver::compute_residual() {
-  int const levels = hierarchy_->level_count();
-  average_down_phi();
-  for (int l = 0; l < levels; ++l) {
-    LevelOperators const& o = operators(l);
-    Real const* const phi = state_[l].phi.data();
-    auto const& f = state_[l].right_hand_side;
-    auto& r = cycle_level(l).right_hand_side();
-    for_rows(o.rows(),
-             [&, phi](LocalIndex row) { r[row] = o.uncovered[row] ? f[row] - o.composite().dot(row, phi) : 0.0; });
-    if (l > 0) add_multiply(-1.0, o.coarse_boundary, state_[l - 1].phi.data(), r.data());
-    if (l + 1 < levels) add_multiply(-1.0, o.fine_boundary, state_[l + 1].phi.data(), r.data());
-  }
+  average_down(phi_);
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    subtract(
+        l, [&](LocalIndex row) { return right_hand_side_[l][row]; }, phi_, cycle_level(l).right_hand_side());
 }
 
 Real PoissonSolver::residual_norm() {
   return norm([&](int l, LocalIndex row) { return cycle_level(l).right_hand_side()[row]; });
 }
 
-void PoissonSolver::correct() {
-  for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    auto& phi = state_[l].phi;
-    auto const& correction = cycle_level(l).correction();
-    for_rows(operators(l).rows(), [&](LocalIndex row) { phi[row] += correction[row]; });
+CompositeEquations PoissonSolver::equations() {
+  auto multiply = [this](Composite& x, Composite& out) {
+    average_down(x);
+    for (int l = 0; l < hierarchy_->level_count(); ++l) {
+      subtract(
+          l, [](LocalIndex) { return 0.0; }, x, out[l]);
+      for (Real& v : out[l]) v = -v;
+    }
+  };
+  auto dot = [this](Composite const& x, Composite const& y) {
+    Real sum = 0;
+    for (int l = 0; l < hierarchy_->level_count(); ++l)
+      for_each_uncovered(l, [&](LocalIndex row) { sum += x[l][row] * y[l][row]; });
+    return global(hierarchy_->comm(), sum, MPI_SUM);
+  };
+  return {[this] { return zero(); }, multiply, dot};
+}
+
+/// One cycle for the residual, and what it gives added to phi; `krylov` may be null.
+void PoissonSolver::improve(Krylov* krylov) {
+  std::size_t const levels = phi_.size();
+  Composite values(levels);
+  if (krylov) {
+    for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
+    Composite const& direction = krylov->direction(values);
+    for (std::size_t l = 0; l < levels; ++l)
+      std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
+  }
+  multigrid_.cycle();
+  if (krylov) {
+    for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).correction();
+    values = krylov->step(values);
+  }
+  for (std::size_t l = 0; l < levels; ++l) {
+    auto& phi = phi_[l];
+    auto const& correction = krylov ? values[l] : cycle_level(int(l)).correction();
+    for_rows(operators(int(l)).rows(), [&](LocalIndex row) { phi[row] += correction[row]; });
   }
 }
 
@@ -217,16 +273,16 @@ void PoissonSolver::fix_constant() {
   Real sum = 0, volume = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     for_each_uncovered(l, [&](LocalIndex row) {
-      sum += hierarchy_->level(l).cell_volume() * state_[l].phi[row];
+      sum += hierarchy_->level(l).cell_volume() * phi_[l][row];
       volume += hierarchy_->level(l).cell_volume();
     });
   Real const mean = global(hierarchy_->comm(), sum, MPI_SUM) / global(hierarchy_->comm(), volume, MPI_SUM);
-  for (auto& state : state_)
-    for (Real& phi : state.phi) phi -= mean;
+  for (auto& level : phi_)
+    for (Real& phi : level) phi -= mean;
 }
 
 void PoissonSolver::iterate(SolveReport& report) {
-  Real const size = norm([&](int l, LocalIndex row) { return state_[l].right_hand_side[row]; });
+  Real const size = norm([&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
   if (!std::isfinite(size))
     throw SolverError(
         "the charge density or the boundary data hold values that are not finite; look for the step that made them");
@@ -235,16 +291,18 @@ void PoissonSolver::iterate(SolveReport& report) {
     report.reason = std::move(reason);
   };
   if (size == 0) {
-    for (auto& state : state_) std::fill(state.phi.begin(), state.phi.end(), 0.0);
+    for (auto& level : phi_) std::fill(level.begin(), level.end(), 0.0);
     report.residuals.push_back(0);
     return finish(true, "the right-hand side is zero");
   }
+  auto const krylov = make_krylov(options_.krylov, equations());
   int slow = 0, stuck = 0;  // cycles in a row that halved the residual not even once, or hardly moved it
   for (;; ++report.cycles) {
     stopwatch_.time("residual", [&] { compute_residual(); });
     Real const residual = residual_norm() / size;
     report.residuals.push_back(residual);
     if (residual <= options_.tolerance) return finish(true, "tolerance reached");
+    if (residual * size <= options_.absolute_tolerance) return finish(true, "absolute tolerance reached");
     if (!std::isfinite(residual) && report.cycles == 0)
       throw SolverError("the guess holds values that are not finite; solve without one");
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
@@ -263,8 +321,7 @@ void PoissonSolver::iterate(SolveReport& report) {
     if (stuck >= 5) return finish(false, "the residual no longer falls");
     if (report.cycles == options_.max_cycles)
       return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
-    multigrid_.cycle();
-    correct();
+    improve(krylov.get());
   }
 }
 
@@ -272,19 +329,19 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi) {
   SolveReport report;
   stopwatch_.reset();
   multigrid_.stopwatch().reset();
-  if (free_space_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
+  if (reusable_.free_space) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   set_right_hand_side(rho);
   bool const singular = hierarchy_->domain().singular();
   if (singular) remove_net_charge();
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    std::copy(phi.level(l).begin(), phi.level(l).end(), state_[l].phi.begin());
+    std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
 
   iterate(report);
 
   if (singular) fix_constant();
-  average_down_phi();
+  average_down(phi_);
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    std::copy(state_[l].phi.begin(), state_[l].phi.begin() + operators(l).rows(), phi.level(l).begin());
+    std::copy(phi_[l].begin(), phi_[l].begin() + operators(l).rows(), phi.level(l).begin());
   report.seconds = stopwatch_.seconds();
   for (auto const& [stage, seconds] : multigrid_.stopwatch().seconds()) report.seconds[stage] = seconds;
   return report;
@@ -303,16 +360,16 @@ void PoissonSolver::electric_field(Field const& phi, std::vector<Field*> const& 
   int const levels = hierarchy_->level_count();
   operators_with_gradient(0);
   for (int l = 0; l < levels; ++l) {
-    std::copy(phi.level(l).begin(), phi.level(l).end(), state_[l].phi.begin());
-    operators(l).halo.update(state_[l].phi.data());
+    std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
+    operators(l).halo.update(phi_[l].data());
   }
   for (int axis = 0; axis < 3; ++axis) {
     for (int l = 0; l < levels; ++l) {
       LevelOperators const& o = operators(l);
       auto& e = components[axis]->level(l);
-      multiply(o.gradient[axis].own, state_[l].phi.data(), e.data());
-      if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, state_[l - 1].phi.data(), e.data());
-      if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, state_[l + 1].phi.data(), e.data());
+      multiply(o.gradient[axis].own, phi_[l].data(), e.data());
+      if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, phi_[l - 1].data(), e.data());
+      if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, phi_[l + 1].data(), e.data());
       add_to_field(walls_[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, e);
       if (options_.stretch[axis] != 1) for_rows(o.rows(), [&](LocalIndex row) { e[row] /= options_.stretch[axis]; });
     }

@@ -7,6 +7,7 @@
 #include "freespace/free_space.hpp"
 #include "mesh/field.hpp"
 #include "mesh/transfer.hpp"
+#include "solver/krylov.hpp"
 #include "solver/multigrid.hpp"
 #include "solver/walls.hpp"
 
@@ -24,13 +25,20 @@ struct SolveReport {
   std::map<std::string, Real> seconds;
 };
 
+/// What a solver can hand on to that of another hierarchy with the same base: the bottom, if its matrix is the same,
+/// and the tables of free space. Both hold for a run whose refined levels alone are made anew.
+struct Reusable {
+  std::shared_ptr<Bottom> bottom;
+  std::shared_ptr<freespace::FreeSpace> free_space;
+};
+
 /// Solves Laplace phi = -rho / eps0 over all levels of a hierarchy at once. Set up once per hierarchy, solved many
 /// times. With options.stretch = s the Laplacian is the sum of (1/s_d^2) d^2/dx_d^2: that of coordinates s_d x_d, in
 /// which everything below lives.
 class PoissonSolver {
  public:
-  /// Collective.
-  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options);
+  /// `reusable`, if any, comes from a solver of the same options. Collective.
+  PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options, Reusable const& reusable);
   PoissonSolver(PoissonSolver const&) = delete;  // the cycle refers to the operators
   PoissonSolver& operator=(PoissonSolver const&) = delete;
 
@@ -49,16 +57,14 @@ class PoissonSolver {
   LevelOperators const& operators(int level) const { return operators_[stack_.base + level]; }
   LevelOperators const& operators_with_gradient(int level);
 
-  std::int64_t assemblies() const { return assemblies_; }  ///< operator assemblies so far
-  std::int64_t messages() const;                           ///< halo messages sent by this rank so far
+  Reusable const& reusable() const { return reusable_; }
+  std::int64_t assemblies() const { return assemblies_; }        ///< operator assemblies so far
+  std::int64_t bottom_setups() const { return bottom_setups_; }  ///< 0 if the bottom was handed on, else 1
+  std::int64_t messages() const;                                 ///< halo messages sent by this rank so far
   std::int64_t message_bytes() const;
   std::size_t operator_bytes() const;  ///< of this rank's CRS storage
 
  private:
-  struct LevelState {
-    std::vector<Real> phi;              ///< own cells and ghosts
-    std::vector<Real> right_hand_side;  ///< f = -rho / eps0 minus what walls add
-  };
   MultigridLevel& cycle_level(int l) { return multigrid_.level(stack_.base + std::size_t(l)); }
   template <class F>
   void for_each_uncovered(int l, F&& f) const;
@@ -67,13 +73,18 @@ class PoissonSolver {
   Real composite_integral(bool magnitude) const;
   Real largest_phi_term() const;
 
+  std::shared_ptr<Bottom> bottom();
   void set_open_walls(Field const& rho);
   void set_right_hand_side(Field const& rho);
   void remove_net_charge();
-  void average_down_phi();
+  Composite zero() const;
+  void average_down(Composite& x) const;
+  template <class F>
+  void subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const;
   void compute_residual();
   Real residual_norm();
-  void correct();
+  void improve(Krylov* krylov);
+  CompositeEquations equations();
   void fix_constant();
   void iterate(SolveReport& report);
 
@@ -83,10 +94,12 @@ class PoissonSolver {
   LevelStack stack_;
   std::vector<LevelOperators> operators_;
   Transfer transfer_;
+  Reusable reusable_;
+  std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::vector<LevelState> state_;
+  Composite phi_;              ///< own cells and ghosts
+  Composite right_hand_side_;  ///< f = -rho / eps0 minus what walls add
   std::vector<Walls> walls_;
-  std::unique_ptr<freespace::FreeSpace> free_space_;
   Stopwatch stopwatch_;
   bool has_gradient_ = false;
   std::int64_t assemblies_ = 1;

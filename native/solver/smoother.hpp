@@ -1,0 +1,29 @@
+#pragma once
+
+#include <mpi.h>
+
+#include <memory>
+#include <vector>
+
+#include "operators/operators.hpp"
+#include "solver/options.hpp"
+
+namespace amrpic {
+
+/// Damps those errors of a level that the next coarser one cannot see, in no_fine x = f. Vectors x hold own cells and
+/// ghosts; only own cells of the result are valid.
+class Smoother {
+ public:
+  virtual ~Smoother() = default;
+
+  /// x from zero, by the sweeps before the coarse correction. Collective.
+  virtual void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) = 0;
+
+  /// x from what it holds, by the sweeps after the coarse correction. Collective.
+  virtual void smooth(std::vector<Real> const& f, std::vector<Real>& x) = 0;
+};
+
+/// The smoother that the options name, for a level whose operators outlive it. Collective.
+std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, SolverOptions const& options);
+
+}  // namespace amrpic

@@ -27,9 +27,9 @@ def follow(seen: Quantities, hysteresis: float = 1.0) -> Quantities:
     """Return the particles sorted on a mesh that is refined where the rule asks for it. Collective.
 
     What is refined already stays while the rule asks for it with thresholds down to `hysteresis` of themselves. Tags reach
-    one level up at a time, so it goes on until the mesh stays or each level has had its turn.
+    one level up at a time, and what cells hold changes with the mesh, so it goes on until the mesh stays.
     """
-    for _ in range(seen.plan.scene.refinement.levels):
+    for _ in range(2 * seen.plan.scene.refinement.levels):  # a rule that goes round in circles is not followed for ever
         made = _refined(seen, hysteresis)
         if made is seen.hierarchy:
             break

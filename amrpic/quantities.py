@@ -66,6 +66,11 @@ class Quantities:
         with self.plan.clock("regrid"):
             return count(self.particles, self.hierarchy)
 
+    @property
+    def guess(self) -> Field | None:
+        """A potential to start a solve from, if one is known."""
+        return self.phi if self.known is not None or "phi" in vars(self) else None
+
     def _carried(self, field: Field) -> Field:
         if field.hierarchy is self.hierarchy:
             return field

@@ -48,7 +48,7 @@ class Threshold(Rule):
     @model_validator(mode="after")
     def _one_threshold(self) -> Self:
         if self.absolute is None and self.relative is None:
-            raise complaint("must be given, or else absolute", "add one of the two", path="relative", found="neither")
+            raise complaint("must be given, or else absolute", "add one of the two", path="relative", found="")
         if self.absolute is not None and self.relative is not None:
             raise complaint("is given as well as absolute", "keep one of the two", path="relative", found=self.relative)
         if self.absolute is not None and self.relative_to == "level":
@@ -99,7 +99,7 @@ class ParticlesRule(Rule):
     @model_validator(mode="after")
     def _some_bound(self) -> Self:
         if self.at_least is None and self.at_most is None:
-            raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="neither")
+            raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
         if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
             raise complaint(
                 f"lies above at_most = {self.at_most}, so that no cell fits",

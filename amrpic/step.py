@@ -69,7 +69,7 @@ def advance(state: State, plan: Plan) -> State:
     if plan.regrids_at(step) or outrun(seen):
         seen = follow(seen, plan.scene.refinement.hysteresis)
     state = replace(state, lost=state.lost.joined(gone, now), step=step, time=now)
-    return arrive(with_field(state, seen, seen.phi), plan)
+    return arrive(with_field(state, seen), plan)
 
 
 def begin(plan: Plan) -> State:
@@ -86,7 +86,7 @@ def begin(plan: Plan) -> State:
     unsolved = SolveReport(False, 0, [], {}, "not solved yet", 0.0)
     none = VectorField(nothing, nothing, nothing)
     state = State(seen.particles, seen.hierarchy, nothing, nothing, none, None, lost, 0, 0.0, unsolved)
-    state = with_field(state, seen, None)
+    state = with_field(state, seen)
     return replace(with_force(state, plan), seconds=plan.clock.take())
 
 
@@ -111,14 +111,14 @@ def arrive(state: State, plan: Plan) -> State:
     return replace(state, seconds=plan.clock.take())
 
 
-def with_field(state: State, seen: Quantities, guess: Field | None) -> State:
+def with_field(state: State, seen: Quantities) -> State:
     """Return the state with what is seen now and the field of that. Collective.
 
     Raises SolverError if the solve does not converge.
     """
     plan, rho = seen.plan, seen.rho
     with plan.clock("solve"):
-        phi, report = plan.solve(rho, guess)
+        phi, report = plan.solve(rho, seen.guess)
         efield = plan.poisson(seen.hierarchy).electric_field(phi)
     return replace(
         state, particles=seen.particles, hierarchy=seen.hierarchy, rho=rho, phi=phi, efield=efield, report=report

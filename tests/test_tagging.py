@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -9,13 +11,16 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from amrpic.errors import InputError, SceneError
 from amrpic.follow import follow, make_base
+from amrpic.hierarchy import Hierarchy
 from amrpic.migrate import migrate
 from amrpic.plan import Plan
 from amrpic.quantities import Quantities
 from amrpic.regrid import Regridding, regrid
 from amrpic.rules import apart, index_boxes, tags_of
 from amrpic.scene import Scene
+from amrpic.simulation import Simulation
 from particle_cases import dense, everywhere
 from regions import coarser, mask, wanted_blocks
 
@@ -150,18 +155,17 @@ def test_rule_refines_the_cells_that_numpy_asks_for(comm, name):
     rule, oracle = CASES[name]
     given = scene(rule, efficiency=1.0)
     settings = Regridding(3, given.refinement.buffer, given.refinement.nesting, 1.0)
-    seen = on_base(comm, given)
     static = BOX_CELLS if name == "any or a box" else []
-    for _ in range(2):
-        world = World(seen, fields=name.startswith(("potential", "field")))
-        tags = [oracle(world, level) & world.exists[level] for level in range(min(seen.hierarchy.levels, 2))]
+    seen, followed = on_base(comm, given), follow(on_base(comm, given))
+    assert followed.hierarchy.levels == (2 if name in ONE_LEVEL else 3)
+    for now in seen, followed:  # what the first mesh makes of the base, and the one that stays
+        world = World(now, fields=name.startswith(("potential", "field")))
+        tags = [oracle(world, level) & world.exists[level] for level in range(min(now.hierarchy.levels, 2))]
         assert tags[0].any() and not tags[0].all()
-        expected = wanted_blocks(seen.hierarchy, tags, settings, static=static)
-        seen = seen.on(refined(seen, settings))
-        for level, blocks in enumerate(expected, start=1):
-            assert np.array_equal(coarser(mask(seen.hierarchy, level) == 1, 4), blocks)
-    followed = follow(on_base(comm, given))
-    assert followed.hierarchy.same_mesh(seen.hierarchy) and seen.hierarchy.levels == (2 if name in ONE_LEVEL else 3)
+        made = refined(now, settings)
+        for level, blocks in enumerate(wanted_blocks(now.hierarchy, tags, settings, static=static), start=1):
+            assert np.array_equal(coarser(mask(made, level) == 1, 4), blocks)
+    assert made is followed.hierarchy
 
 
 ONE_LEVEL = {"at most", "all inside a box"}
@@ -231,3 +235,190 @@ def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
     for level in (1, 2):
         assert np.array_equal(coarser(mask(made, level) == 1, 4), kept[level - 1])
     assert any(np.any(a & ~b) for a, b in zip(kept, plain, strict=True)), "nothing was kept"
+
+
+# ---- a mesh in motion ----
+def meshes(comm: MPI.Comm, hysteresis: float, charges: list[float]) -> list[Hierarchy]:
+    """The meshes that follow particles whose charge changes, each made from the one before."""
+    given = scene({"kind": "charge-density", "absolute": "200 nC/m^3"})
+    seen, out = on_base(comm, given), list[Hierarchy]()
+    weight = np.array(seen.particles.weight)
+    for charge in charges:
+        particles = dataclasses.replace(seen.particles, weight=weight * charge)
+        particles, _ = migrate(particles, seen.hierarchy)
+        seen = follow(Quantities(particles, seen.hierarchy, seen.plan), hysteresis if out else 1.0)
+        weight = np.array(seen.particles.weight) / charge
+        out.append(seen.hierarchy)
+    return out
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_charge_that_swings_about_the_threshold_makes_the_mesh_flicker_without_hysteresis_only(comm):
+    def changes(made: list[Hierarchy]) -> int:
+        return sum(not a.same_mesh(b) for a, b in itertools.pairwise(made))
+
+    swinging = [1.0, 1.3, 0.8] * 4
+    assert changes(meshes(comm, 1.0, swinging)) == len(swinging) - 1
+    assert changes(meshes(comm, 0.5, swinging)[2:]) == 0
+    assert changes(meshes(comm, 0.5, [1.0] * 4)) == 0
+    fading = meshes(comm, 0.5, [1.0, 0.3, 0.01])
+    assert changes(fading) == 2 and fading[-1].levels == 1  # what is no longer asked for goes
+
+
+@pytest.mark.mpi(ranks=(1, 3))
+@pytest.mark.parametrize("limit", [0.0, 0.3])
+def test_the_mesh_follows_a_drifting_bunch_when_and_only_when_it_outruns_its_level(comm, limit):
+    """A fifth of a base cell per step. Every cell with a particle is wanted fine, so particles elsewhere have outrun it."""
+    drift = {
+        "distribution": "sphere",
+        "radius": 0.008,
+        "centre": [-0.04, 0.003, 0.003],
+        "charge": 1e-25,
+        "particles": 300,
+        "velocity": [2.5e6, 0, 0],
+    }
+    given = Scene.from_dict(
+        {
+            "domain": DOMAIN,
+            "bunches": [drift],
+            "motion": {"kind": "leapfrog", "dt": "1 ns"},
+            "schedule": {"steps": 25},
+            "output": {"write": []},
+            "solver": {"tolerance": 1e-4},
+            "refinement": {
+                "levels": 2,
+                "blocking_factor": 4,
+                "buffer": 1,
+                "rule": {"kind": "particles-per-cell", "at_least": 1},
+                "regrid_every": 0,
+                "regrid_outrun": limit,
+            },
+        }
+    )
+    simulation = Simulation(comm, given)
+    meshes, followed = [simulation.hierarchy], []
+
+    def behind(hierarchy: Hierarchy) -> float:
+        """Share of the particles that are not on the finest level of a mesh."""
+        cell = np.floor((everywhere(comm, simulation.particles)["position"] + 0.1) / (0.2 / CELLS / 4)).astype(int)
+        return float(np.mean(mask(hierarchy, 2)[tuple(cell.T)] == 0))
+
+    def look(_: Simulation) -> None:
+        changed = not simulation.hierarchy.same_mesh(meshes[-1])
+        assert changed == (behind(meshes[-1]) > limit)
+        assert behind(simulation.hierarchy) <= limit
+        followed.append(changed)
+        meshes.append(simulation.hierarchy)
+
+    simulation.on_step(look)
+    simulation.run()
+    x = everywhere(comm, simulation.particles)["position"][:, 0].mean()
+    assert x == pytest.approx(-0.04 + 25 * 2.5e-3, abs=1e-3)
+    assert 2 <= sum(followed) <= 12
+
+
+# ---- what is refused ----
+DEEP = {"level": 1, "first": 0, "last": 7}
+STATIC = {"kind": "static", "boxes": [DEEP]}
+REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
+    "level too high": ({"rule": {**CHARGE, "levels": [0, 2]}}, ["rule.levels ([0, 2])", "2 refined levels", "below 2"]),
+    "level below 0": ({"rule": {**CHARGE, "levels": [-1]}}, ["rule.levels.0 (-1)"]),
+    "two thresholds": ({"rule": {**CHARGE, "absolute": 1}}, ["rule.relative (0.1)", "as well as absolute"]),
+    "no threshold": ({"rule": {"kind": "potential"}}, ["rule.relative", "or else absolute", "add one"]),
+    "relative to nothing": (
+        {"rule": {"kind": "momentum", "absolute": "1 eV/c", "relative_to": "level"}},
+        ["rule.relative_to ('level')", "beside absolute"],
+    ),
+    "wrong unit": ({"rule": {"kind": "momentum", "absolute": "1 V"}}, ["rule.absolute ('1 V')", "momentum", "eV/c"]),
+    "no count": ({"rule": {"kind": "particles-per-cell"}}, ["rule.at_least", "at_most"]),
+    "no cell fits": ({"rule": {"kind": "particles-per-cell", "at_least": 5, "at_most": 4}}, ["at_least (5)", "swap"]),
+    "any of nothing": ({"rule": {"kind": "any", "of": []}}, ["rule.of ([])", "names no rule"]),
+    "mistake inside": ({"rule": {"kind": "all", "of": [CHARGE, {"kind": "potential"}]}}, ["rule.of.1.relative must"]),
+    "unknown inside": (
+        {"rule": {"kind": "any", "of": [{"kind": "all", "of": [{"kind": "potental"}]}]}},
+        ["rule.of.0.of.0 ('potental')", 'did you mean "potential"'],
+    ),
+    "box too deep inside": (
+        {"levels": 1, "rule": {"kind": "all", "of": [CHARGE, {"kind": "static", "boxes": [{**DEEP, "level": 2}]}]}},
+        ["rule.of.1.boxes.0.level (2)", "1 refined levels"],
+    ),
+    "box outside inside": (
+        {"rule": {"kind": "any", "of": [{"kind": "static", "boxes": [{**DEEP, "last": 32}]}]}},
+        ["rule.of.0.boxes.0", "leaves the domain"],
+    ),
+    "no function": ({"rule": {"kind": "callable", "name": "where"}}, ["where is a Python function", "restart"]),
+    "not a function": ({"rule": {"kind": "callable", "function": 3}}, ["rule.function (3)", "not a function"]),
+    "unknown argument": (
+        {"rule": {"kind": "callable", "function": lambda x, roh: x > roh}},
+        ["parameter roh", 'did you mean "rho"'],
+    ),
+    "outrun boxes": ({"rule": STATIC, "regrid_outrun": 0.1}, ["regrid_outrun (0.1)", "never changes"]),
+    "hysteresis": ({"hysteresis": 0, "rule": CHARGE}, ["refinement.hysteresis (0)", "greater than 0"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_rule_without_sense_is_refused_in_one_sentence(name):
+    changes, words = REFUSED[name]
+    with pytest.raises(SceneError) as refused:
+        scene(**changes)
+    message = str(refused.value)
+    assert message.startswith("scene: refinement.") and "; " in message and "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_a_mistake_in_a_key_that_has_the_name_of_a_rule_is_told_with_its_place():
+    with pytest.raises(SceneError, match=r"bunches\.0\.momentum\.0 \('3 mm'\) "):
+        Scene.from_dict({"domain": DOMAIN, "bunches": [{**LONE, "momentum": "3 mm"}]})
+
+
+LONE = {"distribution": "gaussian", "sigma": 0.01, "charge": 1e-11, "particles": 500}
+
+
+def fails(rho):
+    if MPI.COMM_WORLD.rank == 1:
+        raise ZeroDivisionError("no such cell")
+    return rho > 1
+
+
+@pytest.mark.mpi(ranks=2)
+@pytest.mark.parametrize(
+    "function, words",
+    [
+        (fails, ["function fails of refinement.rule on level 0", "raised ZeroDivisionError: no such cell", "mend it"]),
+        (lambda rho: rho, ["values of type float64", "return bool"]),
+        (lambda rho: rho[:3] > 0, ["shape (3, 8, 8)", "(8, 8, 8)"]),
+        (lambda rho: rho.__setitem__(0, 1), ["raised ValueError", "read-only"]),
+    ],
+)
+def test_function_that_fails_on_one_rank_is_told_of_by_all(comm, function, words):
+    seen = on_base(comm, scene({"kind": "callable", "function": function}, max_grid_size=8))
+    with pytest.raises(InputError) as failed:
+        follow(seen)
+    (message,) = set(comm.allgather(str(failed.value)))
+    for word in words:
+        assert word in message
+
+
+@pytest.mark.mpi(ranks=2)
+def test_a_run_with_a_function_goes_on_from_a_checkpoint_once_it_is_given_again(comm, tmp_path):
+    def given(steps: int) -> Scene:
+        output = {"directory": str(tmp_path), "write": ["checkpoint"]}
+        rule = {"kind": "callable", "function": by_hand}
+        moves = {"motion": {"kind": "random-walk", "amplitude": "3 mm"}, "schedule": {"steps": steps}}
+        sizes = {"levels": 1, "blocking_factor": 4, "rule": rule, "regrid_every": 1}
+        return Scene.from_dict({"domain": DOMAIN, "bunches": [LONE], "refinement": sizes, "output": output, **moves})
+
+    first, whole_run = Simulation(comm, given(1)), Simulation(comm, given(2))
+    first.run()
+    path = tmp_path / "checkpoint_00000001"
+    with pytest.raises(
+        SceneError, match=r"by_hand is a Python function, which no file or checkpoint keeps; pass the scene"
+    ):
+        Simulation.restart(comm, path)
+    resumed = Simulation.restart(comm, path, given(2))
+    resumed.run()
+    whole_run.run()
+    assert resumed.hierarchy.levels == 2 and resumed.hierarchy.same_mesh(whole_run.hierarchy)
+    assert np.array_equal(resumed.phi.array(1), whole_run.phi.array(1))

@@ -37,7 +37,18 @@ CONFINED = {
 
 # ---- Python: module -> groups and modules it may import; a folder counts as one module ----
 GROUPS = {
-    "common": {"boxes", "distributions", "errors", "failure", "menu", "parallel", "phase_space", "sampling", "stop", "units"},
+    "common": {
+        "boxes",
+        "distributions",
+        "errors",
+        "failure",
+        "menu",
+        "parallel",
+        "phase_space",
+        "sampling",
+        "stop",
+        "units",
+    },
     "native": {"_native"},
     "values": {"hierarchy", "field", "particles", "scene"},
     "scene parts": {

@@ -30,8 +30,9 @@ run: setup  ## the main job: SCENE on RANKS ranks
 test: setup  ## all tests, JOBS files at a time; ARGS go to pytest
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
-verify: setup  ## the long forms of tests: ten bunches on 1 to 4 ranks, twenty kills
-	AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_decomposition.py tests/test_kill_restart.py $(ARGS)
+verify: setup  ## the long forms of tests: ten bunches on 1 to 4 ranks, twenty kills, memory of all examples
+	AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_decomposition.py tests/test_kill_restart.py \
+	  tests/test_memory.py $(ARGS)
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
 	@:

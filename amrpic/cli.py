@@ -58,6 +58,13 @@ def parser() -> argparse.ArgumentParser:
     check.add_argument("--ranks", type=_count, default=1, metavar="N", help="number of ranks it is meant for")
     check.add_argument("--resolved", action="store_true", help="print the scene with all defaults filled in, as TOML")
 
+    preview = _command(
+        commands, "preview", _preview, "show mesh, bunches, memory and pictures of a scene, without a solve"
+    )
+    _scene_arguments(preview)
+    preview.add_argument("--ranks", type=_count, metavar="N", help="ranks of the run; default those of the preview")
+    preview.add_argument("--output", metavar="DIR", help="where to put the pictures; default runs/<scene>")
+
     plot = _command(commands, "plot", _plot, "draw pictures of a run that was written")
     plot.add_argument("path", metavar="PATH", help="directory of a run, a fields file or a checkpoint")
     plot.add_argument(
@@ -170,6 +177,22 @@ def _check(chosen: argparse.Namespace) -> int:
     print(scene.to_toml() if chosen.resolved else scene.summary())
     for remark in scene.remarks():
         print(f"note: {remark}", file=sys.stderr)
+    return 0
+
+
+def _preview(chosen: argparse.Namespace) -> int:
+    from mpi4py import MPI
+
+    from .errors import InputError
+    from .parallel import together
+    from .preview import preview
+
+    comm = MPI.COMM_WORLD
+    with together(comm, InputError):
+        scene = _scene(chosen)
+    text = preview(comm, scene, chosen.ranks or comm.size)
+    if comm.rank == 0:
+        print(text)
     return 0
 
 

@@ -67,8 +67,7 @@ def _fields(scene: Scene) -> int:
     state = 5  # charge density, potential, field
     if scene.schedule.last_step == 0:
         return state + 2  # what energies are summed up from
-    regrids = scene.refinement.levels > 0 and scene.refinement.regrid_every > 0
-    return 2 * state + (1 if regrids else 0)  # the step before, and its potential carried over
+    return 2 * state + (1 if scene.refinement.follows else 0)  # the step before, and its potential carried over
 
 
 def _particle(scene: Scene) -> int:

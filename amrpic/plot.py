@@ -21,6 +21,7 @@ from .io.collect import one_line
 from .io.dump import Dump, open_dump
 from .io.durable import publish, temporary
 from .raster import Line, Raster, Spread, cut_by, line_through, line_values, projection, slice_through, spread_of
+from .units import prefix_of, quantity
 
 Array = NDArray[Any]
 Colouring = tuple[Normalize, Colormap]
@@ -28,7 +29,6 @@ Colouring = tuple[Normalize, Colormap]
 SYMBOLS = {"phi": "φ", "rho": "ρ"}
 INTEGRALS = {"C/m^3": "C/m^2", "V/m": "V"}  # units of integrals along a line
 LINES = {"phi": "C0", "E": "C3", "rho": "C2"}  # colours of profiles
-PREFIXES = {1e9: "G", 1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f"}
 LEVEL_COLOURS = ("#9a9a9a", "#ffffff", "#7fe3ff", "#ffb3de", "#b7f58f", "#ffe08a")  # light: they lie on dark data
 ONE_SIGN = colormaps["inferno"]
 BOTH_SIGNS = LinearSegmentedColormap.from_list("both signs", ["#b9e3ff", "#3d8bc9", "#0b0b14", "#c9553d", "#ffd0b9"])
@@ -266,22 +266,6 @@ def profiles(dump: Dump, line: Line, quantities: Sequence[str], level: int | Non
         fontsize="medium",
     )
     return figure
-
-
-def prefix_of(largest: float) -> tuple[float, str]:
-    """Return the SI prefix, as a factor and a letter, that brings the largest magnitude between 1 and 1000."""
-    for factor, letter in PREFIXES.items():
-        if abs(largest) >= 0.9995 * factor:
-            return factor, letter
-    return 1.0, ""
-
-
-def quantity(value: float, unit: str, like: float | None = None) -> str:
-    """Return a number with its unit, in the prefix that suits it, or `like`."""
-    factor, letter = prefix_of(value if like is None else like)
-    # To a thousandth of what it is compared with: the centre of a cloud of particles is not known better.
-    digits = 3 - len(f"{abs(value if like is None else like) / factor:.0f}")
-    return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}".replace("-", "−")
 
 
 def _in(prefix: str, unit: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from types import TracebackType
 from typing import TextIO
@@ -82,3 +82,17 @@ def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> 
             f"{row['memory'] / 2**20:.0f} MiB",
         ]
     )
+
+
+def columns(rows: Sequence[Sequence[object]]) -> list[str]:
+    """Return rows of cells as lines with aligned columns: numbers, and what heads them, to the right."""
+    cells = [[str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    is_text = [all(isinstance(row[k], str) for row in rows) for k in range(len(widths))]
+    return [
+        "  ".join(
+            cell.ljust(width) if text else cell.rjust(width)
+            for cell, width, text in zip(row, widths, is_text, strict=True)
+        ).rstrip()
+        for row in cells
+    ]

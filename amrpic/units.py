@@ -71,6 +71,8 @@ UNITS: dict[str, dict[str, float]] = {
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
 }
 
+PREFIXES = {1e9: "G", 1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f"}
+
 _NUMBER = r"[-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 
@@ -131,6 +133,22 @@ class Spread:
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         one = handler(schema)["prefixItems"][0]
         return {"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]}
+
+
+def prefix_of(largest: float) -> tuple[float, str]:
+    """Return the SI prefix, as a factor and a letter, that brings the largest magnitude between 1 and 1000."""
+    for factor, letter in PREFIXES.items():
+        if abs(largest) >= 0.9995 * factor:
+            return factor, letter
+    return 1.0, ""
+
+
+def quantity(value: float, unit: str, like: float | None = None) -> str:
+    """Return a number with its unit, in the prefix that suits it, or `like`."""
+    factor, letter = prefix_of(value if like is None else like)
+    # To a thousandth of what it is compared with: the centre of a cloud of particles is not known better.
+    digits = 3 - len(f"{abs(value if like is None else like) / factor:.0f}")
+    return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}".replace("-", "−")
 
 
 def to_seconds(text: str) -> float:

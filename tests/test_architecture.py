@@ -74,6 +74,7 @@ GROUPS = {
         "follow",
         "plan",
         "populate",
+        "preview",
         "quantities",
         "record",
         "resume",

@@ -1,0 +1,229 @@
+"""What a scene would be like to run: its mesh, how particles and mesh fit, its memory, and pictures; without a solve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from .errors import OutputError
+from .field import Field
+from .follow import follow, make_base
+from .hierarchy import AXES, Hierarchy
+from .io import fields
+from .limits import machine_memory
+from .memory import MIB, run_memory
+from .migrate import migrate
+from .parallel import together
+from .particles import Particles
+from .plan import Plan
+from .populate import make_particles
+from .quantities import Quantities
+from .record import prepare
+from .refinement import (
+    AnyKind,
+    CallableRule,
+    ChargeDensityRule,
+    Combination,
+    FieldStrengthRule,
+    PotentialRule,
+)
+from .report import columns
+from .resume import about
+from .scene import Scene
+from .tag import cells_of_particles
+from .units import quantity
+
+FILE = "preview.vtkhdf"
+IN_PLACE = 1e-3  # relative density that stands for rules that ask for the field: as by default
+
+
+def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
+    """Return the text of a preview; pictures go into the folder of the scene's run. Collective.
+
+    `ranks` are those that the run is meant for. Raises what making particles and mesh may raise, and OutputError.
+    """
+    prepare(comm, scene)
+    plan, notes = _plan_without_solves(comm, scene)
+    base = make_base(plan)
+    made = make_particles(comm, scene)
+    particles, gone = migrate(made, base)
+    seen = follow(Quantities(particles, base, plan))
+    count, lost = made.global_count(comm), gone.global_count(comm)
+    if lost:
+        notes.append(f"{lost} of {count} particles lie outside the domain and would be lost")
+    paragraphs = [
+        [scene.summary()],
+        _levels(seen.particles, seen.hierarchy),
+        _bunches(comm, scene, seen.hierarchy),
+        _memory(comm, scene, seen.hierarchy, count, ranks),
+        [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *notes]],
+        list(map(str, _pictures(comm, scene, seen.rho))),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
+
+
+def _plan_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Plan, list[str]]:
+    """Return the plan of a scene whose rule asks for nothing that must be solved for, and what was changed for that."""
+    asked: list[str] = []
+    rule = _without_field(scene.refinement.rule, asked)
+    if not asked:
+        return Plan(comm, scene), []
+    refinement = scene.refinement.model_copy(update={"rule": rule})
+    note = (
+        f"refinement.rule asks for the field ({', '.join(asked)}), which a preview does not solve for; in its place cells "
+        f"are refined by charge-density, relative = {IN_PLACE:g}"
+    )
+    return Plan(comm, scene.model_copy(update={"refinement": refinement})), [note]
+
+
+def _without_field(rule: AnyKind, asked: list[str]) -> AnyKind:
+    """Return a rule with charge density in place of what needs a solve; `asked` grows by the kinds of these."""
+    match rule:
+        case Combination():
+            return rule.model_copy(update={"of": [_without_field(one, asked) for one in rule.of]})
+        case PotentialRule() | FieldStrengthRule():
+            pass
+        case CallableRule() if {"phi", "efield"} & set(rule.arguments):
+            pass
+        case _:
+            return rule
+    asked.append(rule.kind)
+    return ChargeDensityRule(relative=IN_PLACE, levels=rule.levels)
+
+
+# ---- tables ----
+
+LEVELS = ("level", "boxes", "cells", "cell width", "particles", "mean in a cell", "median", "most")
+
+
+def _levels(particles: Particles, hierarchy: Hierarchy) -> list[str]:
+    """Return the table of levels; mean, median and most are over the cells that hold particles. Collective."""
+    rows: list[Sequence[object]] = [LEVELS]
+    for level, (_, cells) in enumerate(cells_of_particles(particles, hierarchy)):
+        held = Histogram.of(hierarchy.comm, np.unique(cells, return_counts=True)[1])
+        rows.append(
+            [
+                level,
+                len(hierarchy.boxes(level)),
+                hierarchy.cells(level),
+                _widths(hierarchy.spacing(level)),
+                held.total,
+                f"{held.mean:.3g}",
+                held.median,
+                held.most,
+            ]
+        )
+    return columns(rows)
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """How often each number occurs, over all ranks."""
+
+    values: np.ndarray  # ascending
+    times: np.ndarray
+
+    @classmethod
+    def of(cls, comm: MPI.Comm, numbers: np.ndarray) -> Histogram:
+        """Return that of the whole numbers of all ranks. Collective."""
+        parts = comm.allgather(np.unique(numbers, return_counts=True))
+        values, place = np.unique(np.concatenate([part for part, _ in parts]), return_inverse=True)
+        return cls(
+            values, np.bincount(place, np.concatenate([times for _, times in parts]), len(values)).astype(np.int64)
+        )
+
+    @property
+    def total(self) -> int:
+        return int(self.values @ self.times)
+
+    @property
+    def mean(self) -> float:
+        return self.total / max(int(self.times.sum()), 1)
+
+    @property
+    def median(self) -> int:
+        """The lower one of two."""
+        below = np.cumsum(self.times)
+        return int(self.values[np.searchsorted(below, (below[-1] + 1) // 2)]) if len(below) else 0
+
+    @property
+    def most(self) -> int:
+        return int(self.values[-1]) if len(self.values) else 0
+
+
+def _bunches(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy) -> list[str]:
+    """Return the table of bunches, with their size over the cell width on each level along their narrowest axis. Collective."""
+    levels = range(hierarchy.levels)
+    rows: list[Sequence[object]] = [
+        ("bunches", "number", "particles of each", "charge of each", "sigma x, y, z", *(f"sigma/h {l}" for l in levels))
+    ]
+    for number, bunch in enumerate(scene.bunches):
+        particles = make_particles(comm, scene.model_copy(update={"bunches": [bunch]}))
+        count = particles.global_count(comm)
+        size = _size(comm, particles, count // bunch.copies)
+        rows.append(
+            [
+                f"{number} {bunch.name or bunch.distribution}",
+                bunch.copies,
+                count // bunch.copies,
+                quantity(particles.total_charge(comm) / bunch.copies, "C"),
+                ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size),
+                *(f"{(size / hierarchy.spacing(level)).min():.2g}" for level in levels),
+            ]
+        )
+    return columns(rows) if len(rows) > 1 else []
+
+
+def _size(comm: MPI.Comm, particles: Particles, each: int) -> np.ndarray:
+    """Return the rms size (3,) in m of bunches of `each` particles with consecutive ids from 0, on average. Collective."""
+    if each == 0:
+        return np.zeros(3)
+    copy = particles.id // each
+    copies = comm.allreduce(int(copy.max(initial=0)) + 1, op=MPI.MAX)
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        return comm.allreduce(np.array([np.bincount(copy, particles.weight * v, copies) for v in values]))
+
+    weight = summed(np.ones((1, len(particles))))
+    mean = summed(particles.position.T) / weight
+    about = particles.position.T - mean[:, copy]
+    return np.sqrt((summed(about**2) / weight).mean(axis=1))
+
+
+def _widths(spacing: np.ndarray) -> str:
+    """Return the cell widths, one if they are equal."""
+    equal = np.ptp(spacing) < 1e-9 * spacing[0]
+    return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
+
+
+def _memory(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, particles: int, ranks: int) -> list[str]:
+    """Return how much memory a run takes, and by what. Collective."""
+    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
+    parts = run_memory(scene, boxes, particles, ranks)
+    grows = "; more if the mesh grows" if scene.schedule.last_step > 0 and scene.refinement.follows else ""
+    of = "1 rank" if ranks == 1 else f"{ranks} ranks"
+    return [
+        f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest on this mesh{grows}; "
+        f"{machine_memory(comm) / MIB:.0f} MiB are free here",
+        *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
+    ]
+
+
+# ---- pictures ----
+
+
+def _pictures(comm: MPI.Comm, scene: Scene, rho: Field) -> list[Path]:
+    """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
+    path = scene.directory / FILE
+    fields.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene))
+    drawn: list[Path] = []
+    with together(comm, OutputError):
+        if comm.rank == 0:
+            from .plot import View, plot
+
+            drawn = plot(path, views=[View("rho", "projection", axis) for axis in range(len(AXES))])
+    return comm.bcast([path, *drawn])

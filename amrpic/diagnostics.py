@@ -41,6 +41,7 @@ def quantities(levels: int) -> list[Quantity]:
         Quantity("field_energy", "J"),
         Quantity("potential_energy", "J"),
         Quantity("kinetic_energy", "J"),
+        *(Quantity(f"momentum_{axis}", "kg m/s") for axis in AXES),
         *(Quantity(f"mean_{axis}", "m") for axis in AXES),
         *(Quantity(f"rms_{axis}", "m") for axis in AXES),
         *(Quantity(f"emittance_{axis}", "m rad") for axis in AXES),
@@ -78,6 +79,7 @@ def measure(
         "field_energy": field_energy(efield),
         "potential_energy": potential_energy(rho, phi),
         "kinetic_energy": kinetic_energy(comm, particles),
+        **{f"momentum_{axis}": value for axis, value in zip(AXES, total_momentum(comm, particles), strict=True)},
         **{f"mean_{axis}": beam.mean[i] for i, axis in enumerate(AXES)},
         **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
         **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
@@ -118,6 +120,11 @@ def kinetic_energy(comm: MPI.Comm, particles: Particles) -> float:
     gamma = np.sqrt(1 + square / (mass * SPEED_OF_LIGHT) ** 2)
     # p² / (m (γ + 1)) equals (γ - 1) m c² and loses no digits when the particles are slow.
     return float(comm.allreduce(float(np.sum(particles.weight * square / (mass * (gamma + 1))))))
+
+
+def total_momentum(comm: MPI.Comm, particles: Particles) -> np.ndarray:
+    """Return the momentum of all real particles along x, y, z in kg m/s. Collective."""
+    return comm.allreduce(particles.weight @ particles.momentum)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ run: setup  ## the main job: SCENE on RANKS ranks
 test: setup  ## all tests, JOBS files at a time; ARGS go to pytest
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
-verify: setup  ## the long forms of tests: ten bunches on 1 to 4 ranks, twenty kills, memory of all examples
+verify: setup  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
+	mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs
 	AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_decomposition.py tests/test_kill_restart.py \
 	  tests/test_memory.py $(ARGS)
 

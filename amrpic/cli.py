@@ -95,6 +95,12 @@ def parser() -> argparse.ArgumentParser:
     schema.add_argument("--markdown", action="store_true", help="as a reference for people, in Markdown")
     schema.add_argument("--output", metavar="FILE", help="write it into a file")
 
+    verify = _command(
+        commands, "verify", _verify, "measure accuracy against exact answers; under mpiexec on many ranks"
+    )
+    verify.add_argument("topics", nargs="*", metavar="TOPIC", help="such as convergence; default all of them")
+    verify.add_argument("--output", metavar="DIR", help="write verification.md and its pictures there")
+
     _command(commands, "doctor", _doctor, "check this machine and tell how to mend what is wrong")
     return top
 
@@ -237,6 +243,27 @@ def _schema(chosen: argparse.Namespace) -> int:
     except OSError as reason:
         raise OutputError(f"cannot write {chosen.output}: {reason.strerror}; choose another --output") from None
     return 0
+
+
+def _verify(chosen: argparse.Namespace) -> int:
+    from mpi4py import MPI
+
+    from .errors import OutputError
+    from .parallel import together
+    from .verify import verify, write
+
+    comm, found = MPI.COMM_WORLD, []
+    for topic, table in verify(comm, chosen.topics):
+        found.append((topic, table))
+        if comm.rank == 0:
+            print(f"{table.title} ({topic})\n{table.markdown()}\n", flush=True)
+    with together(comm, OutputError):
+        if comm.rank == 0 and chosen.output is not None:
+            write(found, Path(chosen.output))
+    missed = [f"{topic}: {table.title}" for topic, table in found if not table.met]
+    if comm.rank == 0:
+        print("all goals are met" if not missed else f"goals are missed in {'; '.join(missed)}")
+    return 0 if not missed else 1
 
 
 def _doctor(chosen: argparse.Namespace) -> int:

@@ -82,6 +82,7 @@ GROUPS = {
         "simulation",
     },  # compose stages and output
     "machine": {"doctor"},
+    "proof": {"verify"},
     "surface": {"cli", "__init__", "__main__"},
 }
 IMPORTS = {
@@ -94,7 +95,19 @@ IMPORTS = {
     "output": {"common", "native", "values", "scene parts", "reductions", "output"},
     "order": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order"},
     "machine": {"common", "native", "values", "poisson"},
-    "surface": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order", "machine"},
+    "proof": {"common", "values", "stages", "order", "proof"},
+    "surface": {
+        "common",
+        "native",
+        "values",
+        "scene parts",
+        "stages",
+        "reductions",
+        "output",
+        "order",
+        "machine",
+        "proof",
+    },
 }
 
 

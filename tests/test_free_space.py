@@ -10,9 +10,10 @@ import itertools
 import numpy as np
 import pytest
 import scipy.fft
-from scipy.special import erf, ive
+from scipy.special import erf
 
 from amrpic._native import FreeSpace, lattice_green, multipole_moments, translate_moments
+from amrpic.verify.lattice import FreeLattice
 
 ALL_OPEN = [True] * 6
 
@@ -20,59 +21,9 @@ ALL_OPEN = [True] * 6
 # ---- the reference ----
 
 
-def green(reach, spacing=(1.0, 1.0, 1.0)):
-    """Lattice Green's function over the cell volume, offsets 0 .. reach: the integral of three heat kernels over time."""
-    x, w = np.polynomial.legendre.leggauss(12)
-    x, w = (x + 1) / 2, w / 2
-    h = np.asarray(spacing)
-    enough = 4 * max((n + 1) * d for n, d in zip(reach, h, strict=True)) ** 2 + 64 * max(h) ** 2
-    times, weights = [], []
-    start, length = 0.0, 0.25 * min(h) ** 2
-    while start < enough:
-        times.append(start + length * x)
-        weights.append(length * w)
-        start, length = start + length, start + length
-    tail = start**-0.5 * x
-    time = np.concatenate([*times, tail**-2])
-    weight = np.concatenate([*weights, start**-0.5 * w * 2 * tail**-3])
-    kernels = [heat_kernel(n, 2 * time / d**2) for n, d in zip(reach, h, strict=True)]
-    plane = np.einsum("jt,kt->jkt", kernels[1], kernels[2] * weight)
-    return np.tensordot(kernels[0], plane, axes=(1, 2)) / np.prod(h)
-
-
-def heat_kernel(reach, x):
-    """exp(-x) I_n(x) for n = 0 .. reach, (reach + 1, x.size); by its asymptotic series where ive loses its digits."""
-    n = np.arange(reach + 1)[:, None]
-    far = x > max(1e4, 20.0 * reach**2)
-    series, term = np.ones((reach + 1, x.size)), np.ones((reach + 1, x.size))
-    for k in range(1, 16):
-        term = term * -(4.0 * n**2 - (2 * k - 1) ** 2) / (8 * k * np.maximum(x, 1e3))
-        series += term
-    return np.where(far, series / np.sqrt(2 * np.pi * x), ive(n, np.where(far, 1.0, x)))
-
-
-class Exact:
-    """Potential of charges on the cells of a box, on these cells and the ghost cells around them."""
-
-    def __init__(self, cells, spacing=(1.0, 1.0, 1.0)):
-        self.cells = cells
-        self.shape = [scipy.fft.next_fast_len(2 * n + 4, real=True) for n in cells]
-        offsets = [
-            np.minimum(np.minimum(i := np.arange(m), m - i), n + 1) for m, n in zip(self.shape, cells, strict=True)
-        ]
-        table = green([n + 1 for n in cells], spacing)
-        self.kernel = scipy.fft.rfftn(table[np.ix_(*offsets)])
-
-    def __call__(self, charges):
-        padded = np.zeros(self.shape)
-        padded[tuple(slice(1, n + 1) for n in self.cells)] = charges
-        potential = scipy.fft.irfftn(scipy.fft.rfftn(padded) * self.kernel, s=self.shape)
-        return potential[tuple(slice(0, n + 2) for n in self.cells)]
-
-
 @pytest.fixture(scope="module")
 def exact_48():
-    return Exact((48, 48, 48))
+    return FreeLattice((48, 48, 48))
 
 
 def ghost_planes(potential):
@@ -196,7 +147,7 @@ def test_wall_values_are_those_of_the_infinite_lattice(source, exact_48):
 
 def test_wall_values_of_a_train_on_a_finer_lattice():
     charges = SOURCES["train on the diagonal"](96)
-    expected = Exact((96, 96, 96))(charges)
+    expected = FreeLattice((96, 96, 96))(charges)
     assert greatest_difference(walls(charges), ghost_planes(expected)) < 6e-5 * np.abs(expected).max()
 
 
@@ -244,7 +195,7 @@ def test_only_open_walls_are_computed():
 @pytest.mark.parametrize("cells", [(2, 3, 5), (20, 33, 50), (8, 100, 17)])
 def test_boxes_of_any_shape(cells):
     charges = np.random.default_rng(2).random(cells) ** 4
-    expected = Exact(cells)(charges)
+    expected = FreeLattice(cells)(charges)
     assert greatest_difference(walls(charges), ghost_planes(expected)) < 5e-5 * np.abs(expected).max()
 
 
@@ -254,7 +205,7 @@ def test_cells_that_are_not_cubes(spacing):
     charges = np.zeros(cells)
     charges[3:20, 5:15, 10:30] = np.random.default_rng(4).random((17, 10, 20))
     charges[0, 3, 39] = 30
-    expected = Exact(cells, spacing)(charges)
+    expected = FreeLattice(cells, spacing)(charges)
     assert greatest_difference(walls(charges, spacing), ghost_planes(expected)) < 2e-4 * np.abs(expected).max()
 
 
@@ -310,7 +261,7 @@ def test_patch_at_the_wall_agrees_with_a_lattice_that_is_fine_everywhere():
     space.set_charges(positions, charges, levels)
 
     margin = 4
-    around = Exact((2 * n + 2 * margin,) * 3)(np.pad(fine, margin)) * 2 * n
+    around = FreeLattice((2 * n + 2 * margin,) * 3)(np.pad(fine, margin)) * 2 * n
     around = around[1:-1, 1:-1, 1:-1]
     scale = np.abs(around).max()
     wall = slice(margin, -margin)

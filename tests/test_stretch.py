@@ -15,7 +15,7 @@ from amrpic.scene import Scene
 from exact import Gaussian
 
 GAMMA = 8.0
-BUNCH = Gaussian(sigma=0.06, centre=(0.5, 0.5, 0.45))
+BUNCH = Gaussian((0.06,) * 3, (0.5, 0.5, 0.45))
 REFINED = [[((8, 8, 4), (23, 23, 19))]]
 
 

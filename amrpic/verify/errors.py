@@ -1,0 +1,71 @@
+"""How far fields are from exact ones, over the uncovered cells of all levels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from ..field import Field
+
+Exact = Callable[[np.ndarray, np.ndarray, np.ndarray], "np.ndarray | tuple[np.ndarray, ...]"]
+
+
+def errors(fields: Sequence[Field], exact: Exact, shift: bool = False) -> tuple[float, float]:
+    """The L2 error over the L2 norm of the exact field, and the largest error over the largest exact value. Collective.
+
+    Several fields are the components of a vector, as `exact` then gives them. With `shift` the mean error counts as none: where
+    no face fixes a potential, it is known up to a constant only.
+    """
+    squares, largest = _measured(fields, exact, _mean_error(fields[0], exact) if shift else 0.0)
+    wrong, right = squares.sum(axis=0)
+    return float(np.sqrt(wrong / right)), float(np.sqrt(largest[:, 0].max() / largest[:, 1].max()))
+
+
+def level_errors(fields: Sequence[Field], exact: Exact) -> list[tuple[float, float]]:
+    """The same per level: L2 relative to the level's own norm, max to the largest exact value of all levels. Collective."""
+    squares, largest = _measured(fields, exact, 0.0)
+    top = largest[:, 1].max()
+    return [
+        (float(np.sqrt(wrong / right)), float(np.sqrt(worst / top)))
+        for (wrong, right), (worst, _) in zip(squares, largest, strict=True)
+    ]
+
+
+def _measured(fields: Sequence[Field], exact: Exact, offset: float) -> tuple[np.ndarray, np.ndarray]:
+    """Per level (error, exact): volume integrals of the squares, and largest squares."""
+    levels, comm = fields[0].hierarchy.levels, fields[0].comm
+    squares, largest = np.zeros((levels, 2)), np.zeros((levels, 2))
+    for i, patch in enumerate(fields[0].patches):
+        use, volume = ~patch.covered, np.prod(patch.hierarchy.spacing(patch.level))
+        there = [np.broadcast_to(e, patch.data.shape)[use] for e in _components(exact, patch.centres())]
+        wrong = sum((f.patches[i].data[use] - offset - t) ** 2 for f, t in zip(fields, there, strict=True))
+        right = sum(t**2 for t in there)
+        squares[patch.level] += volume * np.array([np.sum(wrong), np.sum(right)])
+        top = [np.max(wrong, initial=0.0), np.max(right, initial=0.0)]
+        largest[patch.level] = np.maximum(largest[patch.level], top)
+    comm.Allreduce(MPI.IN_PLACE, squares, op=MPI.SUM)
+    comm.Allreduce(MPI.IN_PLACE, largest, op=MPI.MAX)
+    return squares, largest
+
+
+def _components(exact: Exact, places: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    values = exact(*places)
+    return values if isinstance(values, tuple) else (values,)
+
+
+def _mean_error(field: Field, exact: Exact) -> float:
+    total = np.zeros(2)
+    for patch in field.patches:
+        use, volume = ~patch.covered, np.prod(patch.hierarchy.spacing(patch.level))
+        (expected,) = _components(exact, patch.centres())
+        wrong = (patch.data - expected)[use]
+        total += volume * np.array([wrong.sum(), wrong.size])
+    total = field.comm.allreduce(total, op=MPI.SUM)
+    return float(total[0] / total[1])
+
+
+def observed_order(cells: Sequence[int], error: Sequence[float]) -> float:
+    """Slope of the error over the cell width, by least squares of the logarithms."""
+    return -float(np.polyfit(np.log(cells), np.log(error), 1)[0])

@@ -155,8 +155,18 @@ def count_per_box(
     weight: NDArray[numpy.float64],
     id: NDArray[numpy.int64],
 ) -> list: ...
+
+class Shape(enum.Enum):
+    nearest_grid_point = 0
+
+    cloud_in_cell = 1
+
+    triangular = 2
+
 def deposit(
     mesh: ParticleMesh,
+    shape: Shape,
+    matched: bool,
     position: NDArray[numpy.float64],
     momentum: NDArray[numpy.float64],
     weight: NDArray[numpy.float64],
@@ -167,6 +177,8 @@ def deposit(
 ) -> None: ...
 def gather(
     mesh: ParticleMesh,
+    shape: Shape,
+    matched: bool,
     x: Field,
     y: Field,
     z: Field,
@@ -241,6 +253,11 @@ class Krylov(enum.Enum):
     fgmres = 1
 
     bicgstab = 2
+
+class CoveredField(enum.Enum):
+    mean = 0
+
+    difference = 1
 
 class SolverOptions:
     def __init__(self) -> None: ...
@@ -325,7 +342,7 @@ class Reusable:
 class PoissonSolver:
     def __init__(self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable) -> None: ...
     def solve(self, rho: Field, phi: Field) -> SolveReport: ...
-    def electric_field(self, phi: Field, x: Field, y: Field, z: Field) -> None: ...
+    def electric_field(self, phi: Field, covered: CoveredField, x: Field, y: Field, z: Field) -> None: ...
     def wall_faces(self, level: int) -> tuple: ...
     def wall_data(self, level: int) -> NDArray[numpy.float64]: ...
     def operators(self, level: int) -> LevelOperators: ...

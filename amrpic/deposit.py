@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from . import _native
+from .clouds import PLAIN, Clouds
 from .errors import ParticleError
 from .field import Field
 from .hierarchy import Hierarchy
 from .particles import Particles, particle_mesh
 
 
-def deposit(particles: Particles, hierarchy: Hierarchy) -> Field:
-    """Return the charge density of the particles in C/m^3, by clouds of one cell width. Collective.
+def deposit(particles: Particles, hierarchy: Hierarchy, clouds: Clouds = PLAIN) -> Field:
+    """Return the charge density of the particles in C/m^3. Collective.
 
     Total charge is conserved to rounding, also across coarse-fine faces; what overhangs a wall is folded onto the wall cell.
     Particles must live on the ranks that own their cells; `migrate` sees to that.
@@ -22,9 +23,8 @@ def deposit(particles: Particles, hierarchy: Hierarchy) -> Field:
     if len(particles.species.kinds) > 1:
         weight, charge = weight * particles.charge, 1.0
     try:
-        _native.deposit(
-            particle_mesh(hierarchy), position, momentum, weight, id, sorting.starts, charge, density.native
-        )
+        mesh = particle_mesh(hierarchy)
+        _native.deposit(mesh, *clouds.native, position, momentum, weight, id, sorting.starts, charge, density.native)
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return density

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
+import numpy as np
 from mpi4py import MPI
 
+from .clouds import EQUAL_PARTICLES, Clouds, matched_pays
+from .diagnostics import moments
 from .errors import SolverError
 from .field import Field
 from .hierarchy import Hierarchy
+from .particles import Particles
 from .poisson import PoissonSolver, SolveReport
 from .scene import Leapfrog, Scene
 
@@ -73,6 +77,30 @@ class Plan:
         """Return how the solves since the latest call went, and forget them."""
         solves, self._solves = self._solves, []
         return solves
+
+    @property
+    def clouds(self) -> Clouds:
+        """The clouds of the particles."""
+        particles = self.scene.particles
+        return Clouds(particles.shape, matched=particles.interface == "matched")
+
+    def settle_interface(self, bunches: Sequence[Particles]) -> None:
+        """Put into the scene what `interface = "auto"` means for these bunches; matched clouds are remarked. Collective."""
+        scene, levels = self.scene, self.scene.refinement.levels
+        if scene.particles.interface != "auto":
+            return
+        few = levels > 0 and any(self._is_small(bunch, scene.domain.value.spacing / 2**levels) for bunch in bunches)
+        self.scene = scene.with_interface("matched" if few else "own-level")
+        if few:
+            self.remark(
+                'particles.interface = "auto" takes matched clouds at coarse-fine faces, because a bunch has at most '
+                f"{EQUAL_PARTICLES} (σ/h)² particles; own-level ones see the field finer but push themselves"
+            )
+
+    def _is_small(self, bunch: Particles, widths: np.ndarray) -> bool:
+        """Whether a bunch is better off with matched clouds where cells have these widths (m). Collective."""
+        total, square = self.comm.allreduce(np.array([bunch.weight.sum(), bunch.weight @ bunch.weight]))
+        return bool(total > 0) and matched_pays(total**2 / square, moments(self.comm, bunch).rms / widths)
 
     def regrids_at(self, step: int) -> bool:
         """Whether the mesh follows the particles in this step, whatever they do."""

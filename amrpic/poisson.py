@@ -15,6 +15,7 @@ from .field import Field, Function, VectorField
 from .hierarchy import BOUNDARIES, Hierarchy
 from .parallel import together
 
+COVERED = ("mean", "difference")
 DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
 
 
@@ -161,14 +162,17 @@ class PoissonSolver:
         comes out the same, and the tables of free space."""
         return BaseSetup(self._base, self.native.reusable)
 
-    def electric_field(self, phi: Field) -> VectorField:
+    def electric_field(self, phi: Field, covered: str = "mean") -> VectorField:
         """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces; stretched as the equation. Collective.
 
-        Walls count with the data of the latest solve.
+        Walls count with the data of the latest solve. In cells that a finer level covers stands the mean of the children, or,
+        for `covered="difference"`, the central difference of the mean potentials, as matched clouds need it (see `Clouds`).
         """
         self._require_home("phi", phi)
+        _one_of("covered", covered, COVERED)
         field = VectorField(*(Field(self.hierarchy, "V/m") for _ in range(3)))
-        self.native.electric_field(phi.native, *(c.native for c in field.components))
+        kind = getattr(_native.CoveredField, covered)
+        self.native.electric_field(phi.native, kind, *(c.native for c in field.components))
         return field
 
     def operators(self, level: int) -> LevelOperators:

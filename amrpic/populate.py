@@ -23,6 +23,14 @@ NO_SPECIES = Species(charge=1.0, mass=1.0)  # of scenes without bunches
 
 def make_particles(comm: MPI.Comm, scene: Scene) -> Particles:
     """Return this rank's share of all bunches, wherever they lie. Collective; InputError, ParticleError on all ranks."""
+    return concatenate(make_bunches(comm, scene))
+
+
+def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
+    """Return this rank's share of each bunch, those of trains one by one, after an empty one that knows the species.
+
+    Collective; InputError, ParticleError on all ranks.
+    """
     parts, first_id = [Particles.empty(SpeciesTable((NO_SPECIES,)))], 0
     runs: list[tuple[int, Species]] = []
     for bunch in scene.bunches:
@@ -32,7 +40,7 @@ def make_particles(comm: MPI.Comm, scene: Scene) -> Particles:
         runs.append((first_id, made[0].species.kinds[0]))
         first_id += comm.allreduce(sum(map(len, made)))
     table = SpeciesTable.of_runs(runs or [(0, NO_SPECIES)])
-    return concatenate([replace(part, species=table) for part in parts])
+    return [replace(part, species=table) for part in parts]
 
 
 def _bunch(comm: MPI.Comm, scene: Scene, bunch: Bunch, first_id: int) -> list[Particles]:

@@ -39,7 +39,7 @@ class Quantities:
     def rho(self) -> Field:
         """Charge density, C/m³."""
         with self.plan.clock("deposit"):
-            return deposit(self.particles, self.hierarchy)
+            return deposit(self.particles, self.hierarchy, self.plan.clouds)
 
     @cached_property
     def phi(self) -> Field:

@@ -59,6 +59,8 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     manifest = verify(comm, path)
     header = manifest.header
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
+    if scene.particles.interface == "auto":
+        scene = scene.with_interface(header.about.scene["particles"]["interface"])
     _require_same_mesh(scene, header, path)
     require_room(comm, scene, header.boxes, sum(manifest.rows["particles"]), f"checkpoint {path}")
     refinement = scene.refinement

@@ -22,6 +22,7 @@ from .bunch_shapes import (
     WaterbagBunch,
 )
 from .bunches import LatticeBunch
+from .clouds import Shape
 from .complaints import close_match, sentences
 from .errors import HierarchyError, SceneError
 from .hierarchy import AXES, BOUNDARIES, Domain
@@ -131,6 +132,23 @@ def _per_face(value: Any) -> Any:
                 found=value[axis],
             )
     return {axis: pairs.get(axis, ("open", "open")) for axis in AXES}
+
+
+class ParticlesSection(Section):
+    """How particles meet the mesh: their clouds, in deposit and gather alike."""
+
+    shape: Shape = Field(
+        default="cloud-in-cell",
+        description="Cloud of a particle: nearest-grid-point touches its own cell alone and is noisy, cloud-in-cell two cells "
+        "per axis, triangular-shaped-cloud three, smoother and about twice as dear. All keep the charge exactly.",
+    )
+    interface: Literal["auto", "matched", "own-level"] = Field(
+        default="auto",
+        description="Particles less than two fine cells inside a coarse-fine face. own-level: clouds of the fine cells; such "
+        "a particle pushes itself by up to 0.6 q²/(4πε₀h²). matched: clouds of the coarse cells, which bring that below 0.02 "
+        "but see the field as the coarse level does. auto: matched unless every bunch has more than 140 (σ/h)² particles, "
+        "σ its rms size and h the cell width of the finest level; the scene in the outputs says which was taken.",
+    )
 
 
 class Solver(Section):
@@ -310,6 +328,7 @@ class Scene(Section):
         ]
     ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
     refinement: Refinement = Refinement()
+    particles: ParticlesSection = ParticlesSection()
     solver: Solver = Solver()
     motion: Annotated[NoMotion | Leapfrog | RandomWalk, Field(discriminator="kind")] = NoMotion()
     schedule: Schedule = Schedule()
@@ -443,6 +462,10 @@ class Scene(Section):
     def to_toml(self) -> str:
         """Return the resolved scene as the text of a TOML file."""
         return toml.dumps(self.to_dict())
+
+    def with_interface(self, interface: str) -> Self:
+        """Return the scene with `particles.interface` as given."""
+        return self.model_copy(update={"particles": self.particles.model_copy(update={"interface": interface})})
 
     @property
     def directory(self) -> Path:

@@ -16,7 +16,7 @@ from .migrate import migrate
 from .particles import Particles, concatenate
 from .plan import Plan
 from .poisson import SolveReport
-from .populate import make_particles
+from .populate import make_bunches
 from .push import drift, kick, random_walk
 from .quantities import Quantities
 from .scene import Leapfrog, RandomWalk
@@ -74,10 +74,11 @@ def advance(state: State, plan: Plan) -> State:
 
 def begin(plan: Plan) -> State:
     """Return the state before the first step: particles made, mesh refined to fit them, field solved. Collective."""
-    scene = plan.scene
     base = make_base(plan)
     with plan.clock("beam"):
-        made = make_particles(plan.comm, scene)
+        bunches = make_bunches(plan.comm, plan.scene)
+        plan.settle_interface(bunches)
+        made = concatenate(bunches)
         particles, gone = migrate(made, base)
     _require_some_inside(plan.comm, particles, made)
     seen = follow(Quantities(particles, base, plan))
@@ -119,7 +120,7 @@ def with_field(state: State, seen: Quantities) -> State:
     plan, rho = seen.plan, seen.rho
     with plan.clock("solve"):
         phi, report = plan.solve(rho, seen.guess)
-        efield = plan.poisson(seen.hierarchy).electric_field(phi)
+        efield = plan.poisson(seen.hierarchy).electric_field(phi, covered=plan.clouds.covered)
     return replace(
         state, particles=seen.particles, hierarchy=seen.hierarchy, rho=rho, phi=phi, efield=efield, report=report
     )
@@ -130,7 +131,7 @@ def with_force(state: State, plan: Plan) -> State:
     if not isinstance(plan.scene.motion, Leapfrog):
         return state
     with plan.clock("gather"):
-        return replace(state, force=gather(state.efield, state.particles))
+        return replace(state, force=gather(state.efield, state.particles, plan.clouds))
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:

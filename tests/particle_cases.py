@@ -5,10 +5,14 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import pytest
 from mpi4py import MPI
 
 import amrpic
 import hierarchies
+from amrpic.clouds import PLAIN, Clouds
+from amrpic.deposit import deposit
+from amrpic.migrate import migrate
 from amrpic.particles import Particles
 from amrpic.species import Species, SpeciesTable
 
@@ -32,6 +36,13 @@ def scattered(hierarchy: amrpic.Hierarchy, count: int, seed: int = 0) -> Particl
     return particles.select(slice(hierarchy.comm.rank, None, hierarchy.comm.size))
 
 
+def placed(case: hierarchies.Case, comm: MPI.Comm, count: int) -> tuple[amrpic.Hierarchy, Particles]:
+    hierarchy = hierarchy_of(case, comm)
+    particles, lost = migrate(scattered(hierarchy, count), hierarchy)
+    assert len(lost) == 0
+    return hierarchy, particles
+
+
 def everywhere(comm: MPI.Comm, particles: Particles) -> dict[str, np.ndarray]:
     """Return the arrays of the particles of all ranks, in order of their ids, on every rank."""
     parts = comm.allgather(tuple(np.array(a) for a in particles.arrays))
@@ -48,6 +59,21 @@ def dense(field: amrpic.Field, level: int) -> np.ndarray:
     for lower, upper, data in itertools.chain(*hierarchy.comm.allgather(mine)):
         out[tuple(slice(a, b + 1) for a, b in zip(lower, upper, strict=True))] = data
     return out
+
+
+def random_field(hierarchy: amrpic.Hierarchy) -> amrpic.Field:
+    """A field of noise that does not depend on the ranks, covered cells the mean of their children."""
+    return amrpic.Field(hierarchy).fill(lambda x, y, z: np.sin(1e4 * x * (y + 2) + 3e4 * z)).average_down()
+
+
+# Share of a cell in a particle at `x`, in cell widths from the lower face of the cell.
+SPLINES = {
+    "nearest-grid-point": lambda x: float(0 <= x < 1),
+    "cloud-in-cell": lambda x: max(0.0, 1 - abs(x - 0.5)),
+    "triangular-shaped-cloud": lambda x: (
+        0.75 - (x - 0.5) ** 2 if abs(x - 0.5) < 0.5 else max(0.0, 1.5 - abs(x - 0.5)) ** 2 / 2
+    ),
+}
 
 
 class Mesh:
@@ -76,21 +102,36 @@ class Mesh:
         pairs = zip(cell, size, self.domain.periodic, strict=True)
         return tuple(int(c % n) if wraps else int(min(max(c, 0), n - 1)) for c, n, wraps in pairs)
 
-    def cloud(self, x: np.ndarray, level: int) -> list[tuple[np.ndarray, float]]:
-        """Return the eight cells that a particle touches, with its share in each."""
-        s = self.coordinate(x, level) - 0.5
-        low = np.floor(s).astype(int)
-        out = []
-        for corner in itertools.product((0, 1), repeat=3):
-            cell = low + corner
-            out.append((cell, float(np.prod(1 - np.abs(s - cell)))))
-        return out
+    def cloud_level(self, x: np.ndarray, clouds: Clouds) -> int:
+        """Return the level on which a particle is spread: matched clouds of particles that are less than one cell of the next
+        coarser level away from an unrefined cell of it belong to that level, and there it may be so again."""
+        level = self.finest(x)
+        while clouds.matched and level > 0 and self._distance_to_unrefined(x, level - 1) <= 1:
+            level -= 1
+        return level
+
+    def _distance_to_unrefined(self, x: np.ndarray, level: int) -> float:
+        """Return the largest of the distances along the axes, in cells of the level, up to two of them."""
+        s = self.coordinate(x, level)
+        nearest = 2.0
+        for step in itertools.product((-1, 0, 1), repeat=3):
+            cell = s.astype(int) + step
+            if not self.covered(level, self.inside(level, cell)):
+                nearest = min(nearest, float(np.maximum(np.maximum(cell - s, s - cell - 1), 0).max()))
+        return nearest
+
+    def cloud(self, x: np.ndarray, level: int, shape: str = "cloud-in-cell") -> list[tuple[np.ndarray, float]]:
+        """Return the cells that a particle touches, with its share in each."""
+        s = self.coordinate(x, level)
+        axes = [[(cell, SPLINES[shape](s[d] - cell)) for cell in int(s[d]) + np.array([-1, 0, 1])] for d in range(3)]
+        cloud = [(np.array(cells), np.prod(w)) for cells, w in (zip(*c, strict=True) for c in itertools.product(*axes))]
+        return [(cell, float(share)) for cell, share in cloud if share > 0]
 
     def covered(self, level: int, cell: tuple[int, ...]) -> bool:
         return level + 1 < len(self.exists) and bool(self.exists[level + 1][tuple(2 * c for c in cell)])
 
 
-def deposit_by_hand(mesh: Mesh, particles: dict[str, np.ndarray]) -> list[np.ndarray]:
+def deposit_by_hand(mesh: Mesh, particles: dict[str, np.ndarray], clouds: Clouds = PLAIN) -> list[np.ndarray]:
     """Return the charge per cell of each level, uncovered cells only."""
     charge = [np.zeros(mask.shape) for mask in mesh.exists]
 
@@ -105,13 +146,13 @@ def deposit_by_hand(mesh: Mesh, particles: dict[str, np.ndarray]) -> list[np.nda
             charge[level][place] += share
 
     for x, weight in zip(particles["position"], particles["weight"], strict=True):
-        level = mesh.finest(x)
-        for cell, share in mesh.cloud(x, level):
+        level = mesh.cloud_level(x, clouds)
+        for cell, share in mesh.cloud(x, level, clouds.shape):
             give(level, cell, share * weight * CHARGE)
     return charge
 
 
-def gather_by_hand(mesh: Mesh, values: list[np.ndarray], position: np.ndarray) -> np.ndarray:
+def gather_by_hand(mesh: Mesh, values: list[np.ndarray], position: np.ndarray, clouds: Clouds = PLAIN) -> np.ndarray:
     """Return a field, given dense on each level, at the positions."""
 
     def at(level: int, cell: np.ndarray) -> float:
@@ -126,6 +167,22 @@ def gather_by_hand(mesh: Mesh, values: list[np.ndarray], position: np.ndarray) -
 
     out = np.empty(len(position))
     for n, x in enumerate(position):
-        level = mesh.finest(x)
-        out[n] = sum(share * at(level, cell) for cell, share in mesh.cloud(x, level))
+        level = mesh.cloud_level(x, clouds)
+        out[n] = sum(share * at(level, cell) for cell, share in mesh.cloud(x, level, clouds.shape))
     return out
+
+
+def assert_as_by_hand(
+    hierarchy: amrpic.Hierarchy, particles: Particles, case: hierarchies.Case, clouds: Clouds = PLAIN
+) -> None:
+    density, mesh = deposit(particles, hierarchy, clouds), Mesh(hierarchy)
+    expected = deposit_by_hand(mesh, everywhere(hierarchy.comm, particles), clouds)
+    scale = abs(particles.total_charge(hierarchy.comm))
+    for level in reversed(range(hierarchy.levels)):
+        if level + 1 < hierarchy.levels:  # covered cells hold the sum of their children
+            nx, ny, nz = expected[level].shape
+            expected[level] += expected[level + 1].reshape(nx, 2, ny, 2, nz, 2).sum(axis=(1, 3, 5))
+        found = dense(density, level) * np.prod(hierarchy.spacing(level))
+        exists = mesh.exists[level]
+        assert np.array_equal(~np.isnan(found), exists)
+        assert found[exists] == pytest.approx(expected[level][exists], rel=0, abs=1e-14 * scale), (case.name, clouds)

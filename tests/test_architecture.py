@@ -50,7 +50,7 @@ GROUPS = {
         "units",
     },
     "native": {"_native"},
-    "values": {"hierarchy", "field", "particles", "scene"},
+    "values": {"clouds", "hierarchy", "field", "particles", "scene"},
     "scene parts": {
         "bunch_data",
         "bunch_shapes",

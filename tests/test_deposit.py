@@ -17,27 +17,16 @@ from particle_cases import (
     CHARGE,
     ONE_KIND,
     Mesh,
+    assert_as_by_hand,
     dense,
-    deposit_by_hand,
-    everywhere,
     gather_by_hand,
     hierarchy_of,
+    placed,
+    random_field,
     scattered,
 )
 
 CASES = list(hierarchies.all_cases().values())
-
-
-def placed(case: hierarchies.Case, comm: MPI.Comm, count: int) -> tuple[amrpic.Hierarchy, Particles]:
-    hierarchy = hierarchy_of(case, comm)
-    particles, lost = migrate(scattered(hierarchy, count), hierarchy)
-    assert len(lost) == 0
-    return hierarchy, particles
-
-
-def random_field(hierarchy: amrpic.Hierarchy) -> amrpic.Field:
-    """A field of noise that does not depend on the ranks, covered cells the mean of their children."""
-    return amrpic.Field(hierarchy).fill(lambda x, y, z: np.sin(1e4 * x * (y + 2) + 3e4 * z)).average_down()
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3), timeout=120)
@@ -46,20 +35,6 @@ def test_deposit_keeps_the_total_charge(comm):
         hierarchy, particles = placed(case, comm, 5000)
         total = particles.total_charge(comm)
         assert deposit(particles, hierarchy).integral() == pytest.approx(total, rel=1e-13), case.name
-
-
-def assert_as_by_hand(hierarchy: amrpic.Hierarchy, particles: Particles, case: hierarchies.Case) -> None:
-    density, mesh = deposit(particles, hierarchy), Mesh(hierarchy)
-    expected = deposit_by_hand(mesh, everywhere(hierarchy.comm, particles))
-    scale = abs(particles.total_charge(hierarchy.comm))
-    for level in reversed(range(hierarchy.levels)):
-        if level + 1 < hierarchy.levels:  # covered cells hold the sum of their children
-            nx, ny, nz = expected[level].shape
-            expected[level] += expected[level + 1].reshape(nx, 2, ny, 2, nz, 2).sum(axis=(1, 3, 5))
-        found = dense(density, level) * np.prod(hierarchy.spacing(level))
-        exists = mesh.exists[level]
-        assert np.array_equal(~np.isnan(found), exists)
-        assert found[exists] == pytest.approx(expected[level][exists], rel=0, abs=1e-14 * scale), case.name
 
 
 @pytest.mark.mpi(ranks=(1, 3), timeout=120)

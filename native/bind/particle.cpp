@@ -84,24 +84,32 @@ void bind_particle(nb::module_& m) {
       },
       "hierarchy"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a);
 
+  nb::enum_<Shape>(m, "Shape")
+      .value("nearest_grid_point", Shape::nearest_grid_point)
+      .value("cloud_in_cell", Shape::cloud_in_cell)
+      .value("triangular", Shape::triangular);
+
   m.def(
       "deposit",
-      [](ParticleMesh const& mesh, ConstColumns position, ConstColumns momentum, Row<Real const> weight,
-         Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge, Field& density) {
+      [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum,
+         Row<Real const> weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
+         Field& density) {
         nb::gil_scoped_release release;
-        deposit(mesh, view(position, momentum, weight, id), starts.data(), charge, density);
+        deposit(mesh, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
       },
-      "mesh"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "charge"_a, "density"_a);
+      "mesh"_a, "shape"_a, "matched"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "charge"_a,
+      "density"_a);
 
   m.def(
       "gather",
-      [](ParticleMesh const& mesh, Field const& x, Field const& y, Field const& z, ConstColumns position,
-         ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         Columns out) {
+      [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
+         ConstColumns position, ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id,
+         Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
-        gather(mesh, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
+        gather(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
       },
-      "mesh"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "out"_a);
+      "mesh"_a, "shape"_a, "matched"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
+      "out"_a);
 
   m.def(
       "uniforms",

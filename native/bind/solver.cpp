@@ -44,6 +44,10 @@ void bind_solver(nb::module_& m) {
       .value("fgmres", KrylovKind::fgmres)
       .value("bicgstab", KrylovKind::bicgstab);
 
+  nb::enum_<CoveredField>(m, "CoveredField")
+      .value("mean", CoveredField::mean)
+      .value("difference", CoveredField::difference);
+
   nb::class_<SolverOptions>(m, "SolverOptions")
       .def(nb::init<>())
       .def_rw("tolerance", &SolverOptions::tolerance)
@@ -83,11 +87,11 @@ void bind_solver(nb::module_& m) {
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "electric_field",
-          [](PoissonSolver& solver, Field const& phi, Field& x, Field& y, Field& z) {
+          [](PoissonSolver& solver, Field const& phi, CoveredField covered, Field& x, Field& y, Field& z) {
             nb::gil_scoped_release release;
-            solver.electric_field(phi, {&x, &y, &z});
+            solver.electric_field(phi, {&x, &y, &z}, covered);
           },
-          "phi"_a, "x"_a, "y"_a, "z"_a)
+          "phi"_a, "covered"_a, "x"_a, "y"_a, "z"_a)
       .def(
           "wall_faces",
           [](PoissonSolver& solver, int level) {

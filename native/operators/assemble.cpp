@@ -64,9 +64,9 @@ class PlainRows {
 };
 
 /// E along an axis: minus the mean of the two face derivatives, of which the lower one points outward against the axis.
-void gradient_row(Neighbourhood const& n, Index3 const& cell, int axis, Terms& terms) {
-  outward_gradient(n, cell, axis, 0, Execution::composite, 0.5, terms);
-  outward_gradient(n, cell, axis, 1, Execution::composite, -0.5, terms);
+void gradient_row(Neighbourhood const& n, Index3 const& cell, int axis, Execution execution, Terms& terms) {
+  outward_gradient(n, cell, axis, 0, execution, 0.5, terms);
+  outward_gradient(n, cell, axis, 1, execution, -0.5, terms);
 }
 
 std::vector<GlobalIndex> joined(std::vector<std::vector<GlobalIndex> const*> const& lists) {
@@ -319,7 +319,7 @@ void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& ope
             if (is_plain)
               plain.put_gradient(row, d, own[d]);
             else if (!n.covered(cell))
-              gradient_row(n, cell, d, terms);
+              gradient_row(n, cell, d, Execution::composite, terms);
             if (!is_plain) own[d].put(terms.own_row);
             coarse[d].put(terms.coarse_row);
             fine[d].put(terms.fine_row);
@@ -337,6 +337,32 @@ void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& ope
     pass();
     for (int d = 0; d < 3; ++d) operators[l].gradient[d] = {own[d].take(), coarse[d].take(), fine[d].take()};
   }
+}
+
+std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators) {
+  Level const& level = *stack.levels[l];
+  LocalIndex const rows = level.local_cells();
+  std::array<CrsBuilder, 3> axes{CrsBuilder(rows, level), CrsBuilder(rows, level), CrsBuilder(rows, level)};
+  Terms terms;
+  auto pass = [&] {
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      // Levels nest, so the neighbours of a covered cell are cells of its level or lie beyond a wall.
+      Neighbourhood const n = look_around(level.box(b), level, nullptr, nullptr, stack.walls[l]);
+      LocalIndex row = level.local_offset(b);
+      for_each_cell(level.box(b), [&](Index3 const& cell) {
+        for (int d = 0; d < 3; ++d) {
+          terms.clear();
+          if (!operators.uncovered[row]) gradient_row(n, cell, d, Execution::without_finer, terms);
+          axes[d].put(terms.own_row);
+        }
+        ++row;
+      });
+    }
+  };
+  pass();
+  for (CrsBuilder& axis : axes) axis.start_filling(operators.halo);
+  pass();
+  return {axes[0].take(), axes[1].take(), axes[2].take()};
 }
 
 std::size_t LevelOperators::bytes() const {

@@ -61,4 +61,8 @@ std::vector<LevelOperators> assemble(MPI_Comm comm, LevelStack const& stack, Pro
 /// Add the three axes of the gradient to the operators of a stack. Local.
 void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& operators);
 
+/// The three axes of E = -grad phi in the covered cells of level l, by differences between cells of that level alone;
+/// other rows are empty. Local.
+std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators);
+
 }  // namespace amrpic

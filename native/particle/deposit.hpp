@@ -1,6 +1,7 @@
 #pragma once
 
 #include "mesh/field.hpp"
+#include "particle/clouds.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
 
@@ -13,7 +14,7 @@ namespace amrpic {
 /// Where a cloud leaves its level, the coarser cell there takes the share; the share of a covered cell is dealt out
 /// equally to its children; what overhangs a wall is folded onto the wall cell. So the total charge is kept to
 /// rounding. Throws std::out_of_range, on all ranks, if a particle lies outside the box it is sorted into.
-void deposit(ParticleMesh const& mesh, ParticleView const& particles, std::int64_t const* starts, Real charge,
-             Field& density);
+void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& particles, std::int64_t const* starts,
+             Real charge, Field& density);
 
 }  // namespace amrpic

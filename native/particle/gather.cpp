@@ -1,6 +1,5 @@
 #include "particle/gather.hpp"
 
-#include "particle/shape.hpp"
 #include "particle/tile.hpp"
 
 namespace amrpic {
@@ -82,21 +81,30 @@ void fill_shell(Hierarchy const& hierarchy, Surroundings const& at, VectorCells 
   });
 }
 
+void fill_coarse(CoarseCells const& at, VectorCells const& cells, Tile<lanes>& tile) {
+  Real* value = tile.values();
+  for (LocalIndex place : at.place) {
+    if (place >= 0) cells.get(place, value);
+    value += lanes;
+  }
+}
+
 /// Average the tile over the clouds of particles [first, last).
 template <class Shape>
-void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int64_t first, std::int64_t last,
+void read_clouds(TileFrame const frame, ParticleView const particles, std::int64_t first, std::int64_t last,
                  Tile<lanes> const& tile, std::array<Real*, 3> const& out) {
+  constexpr int width = decltype(Shape::at(0))::width;
   std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
   for (std::int64_t n = first; n < last; ++n) {
     Real3 const s = frame.inside(particles, n);
     auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
     Real const* const corner = tile.values() + lanes * x.first + y.first * stride_y + z.first * stride_z;
     std::array<Real, lanes> sum{};
-    for (int k = 0; k < Shape::width; ++k)
-      for (int j = 0; j < Shape::width; ++j) {
+    for (int k = 0; k < width; ++k)
+      for (int j = 0; j < width; ++j) {
         Real const share = z.share[k] * y.share[j];
         Real const* const row = corner + j * stride_y + k * stride_z;
-        for (int i = 0; i < Shape::width; ++i)
+        for (int i = 0; i < width; ++i)
           for (int c = 0; c < lanes; ++c) sum[c] += share * x.share[i] * row[lanes * i + c];
       }
     for (int c = 0; c < 3; ++c) out[c][n] = sum[c];
@@ -105,19 +113,33 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int
 
 }  // namespace
 
-void gather(ParticleMesh const& mesh, std::array<Field const*, 3> const& field, ParticleView const& particles,
-            std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
+void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+            ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
   Hierarchy const& hierarchy = mesh.hierarchy();
-  std::vector<VectorCells> cells;
-  for (int l = 0; l < hierarchy.level_count(); ++l) cells.push_back(with_ghosts(field, l, mesh.exchange(l)));
+  BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
+  std::vector<VectorCells> own, coarse;
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    own.push_back(with_ghosts(field, l, mesh.exchange(l)));
+    if (zone) coarse.push_back(with_ghosts(field, l, zone->exchange(l)));
+  }
 
-  Tile<lanes> tile;
-  for_each_occupied_box(mesh, starts, [&](Surroundings const& at, TileFrame const& frame, auto first, auto last) {
+  std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
+  for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
+    Surroundings const& at = mesh.boxes()[slot];
+    BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
-    tile.reset(level.box(at.box));
-    fill_interior(level, at.box, cells[at.level], tile);
-    fill_shell(hierarchy, at, cells[at.level], cells[std::max(0, at.level - 1)], tile);
-    read_clouds<CloudInCell>(frame, particles, first, last, tile, at_particles);
+    tiles[0].reset(level.box(at.box));
+    fill_interior(level, at.box, own[at.level], tiles[0]);
+    fill_shell(hierarchy, at, own[at.level], own[std::max(0, at.level - 1)], tiles[0]);
+    for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
+      CoarseCells const& c = buffer->coarse[r - 1];
+      tiles[r].reset(c.box);
+      fill_coarse(c, coarse[c.level], tiles[r]);
+    }
+    for_each_run(mesh, at, buffer, particles, first, last, [&](int rise, TileFrame const& frame, auto from, auto to) {
+      with_shape(clouds.shape,
+                 [&](auto s) { read_clouds<decltype(s)>(frame, particles, from, to, tiles[rise], at_particles); });
+    });
   });
 }
 

@@ -33,7 +33,7 @@ bool Locator::wrap(Real3& x) const {
 
 Home Locator::find(Real3 const& x, Home const& hint) {
   auto const cell_on = [&](int level) {
-    Real3 const s = coordinate(x, level);
+    Real3 const s = coordinates(level)(x);
     return Index3{int(s[0]), int(s[1]), int(s[2])};
   };
   Home home{hint.level, hint.box, -1};

@@ -14,6 +14,17 @@ struct Home {
   LocalIndex cell = -1;
 };
 
+/// A level's coordinates: cell widths from the lower corner of the domain.
+struct LevelCoordinates {
+  Real3 lower, cells_per_metre;
+
+  Real3 operator()(Real3 const& x) const {
+    Real3 out;
+    for (int d = 0; d < 3; ++d) out[d] = (x[d] - lower[d]) * cells_per_metre[d];
+    return out;
+  }
+};
+
 /// Finds the homes of points.
 ///
 /// A point on a face belongs to the cell above it. All levels take their cells from the same base coordinate, scaled by
@@ -30,12 +41,9 @@ class Locator {
   /// Home of a point inside the domain. `hint` is tried first: neighbours in memory are mostly neighbours in space.
   Home find(Real3 const& x, Home const& hint = {});
 
-  /// A point's coordinate on a level in cell widths, from the lower corner of the domain.
-  Real3 coordinate(Real3 const& x, int level) const {
+  LevelCoordinates coordinates(int level) const {
     Real const scale = Real(1 << level);
-    Real3 out;
-    for (int d = 0; d < 3; ++d) out[d] = (x[d] - lower_[d]) * cells_per_metre_[d] * scale;
-    return out;
+    return {lower_, {cells_per_metre_[0] * scale, cells_per_metre_[1] * scale, cells_per_metre_[2] * scale}};
   }
 
  private:

@@ -92,4 +92,9 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
   }
 }
 
+BufferZone const& ParticleMesh::buffer_zone() {
+  if (!buffer_zone_) buffer_zone_ = std::make_unique<BufferZone const>(*hierarchy_);
+  return *buffer_zone_;
+}
+
 }  // namespace amrpic

@@ -1,52 +1,15 @@
 #pragma once
 
-#include <algorithm>
 #include <memory>
 #include <vector>
 
 #include "mesh/exchange.hpp"
 #include "mesh/transfer.hpp"
+#include "particle/buffer_zone.hpp"
+#include "particle/geometry.hpp"
 #include "particle/locate.hpp"
 
 namespace amrpic {
-
-/// Cells around a box that the clouds of its particles can touch; cloud shapes of a larger reach need wider nesting.
-constexpr int tile_reach = 1;
-
-/// Call `f(first, last, j, k)` for each row part of `box` grown by `tile_reach` that lies outside `box`, x ascending
-/// fastest.
-template <class F>
-void for_each_shell_row(Box const& box, F&& f) {
-  Box const tile = box.grow(tile_reach);
-  for (int k = tile.lower[2]; k <= tile.upper[2]; ++k)
-    for (int j = tile.lower[1]; j <= tile.upper[1]; ++j) {
-      if (j >= box.lower[1] && j <= box.upper[1] && k >= box.lower[2] && k <= box.upper[2]) {
-        f(tile.lower[0], box.lower[0] - 1, j, k);
-        f(box.upper[0] + 1, tile.upper[0], j, k);
-      } else {
-        f(tile.lower[0], tile.upper[0], j, k);
-      }
-    }
-}
-
-/// The cell inside the domain that stands for `cell` beyond a wall: the part of a cloud that overhangs a wall is folded
-/// onto the wall cell, and the field there is that of the wall cell. Periodic axes are left alone.
-inline Index3 fold_at_walls(Index3 cell, Level const& level) {
-  for (int d = 0; d < 3; ++d)
-    if (!level.periodic()[d]) cell[d] = std::max(level.domain().lower[d], std::min(level.domain().upper[d], cell[d]));
-  return cell;
-}
-
-inline Index3 cell_parent(Index3 const& cell) {
-  return {floor_divide(cell[0], 2), floor_divide(cell[1], 2), floor_divide(cell[2], 2)};
-}
-
-/// Along each axis, the neighbour of a cell's parent on the side where the cell lies.
-inline Index3 nearest_other_parent(Index3 const& cell) {
-  Index3 out = cell_parent(cell);
-  for (int d = 0; d < 3; ++d) out[d] += 2 * out[d] == cell[d] ? -1 : 1;
-  return out;
-}
 
 /// What lies around one box of this rank.
 struct Surroundings {
@@ -72,6 +35,9 @@ class ParticleMesh {
   Exchange const& exchange(int level) const { return exchanges_[level]; }
   Transfer const& transfer() const { return transfer_; }
 
+  /// Which particles are treated as matched at coarse-fine faces. Collective at the first call.
+  BufferZone const& buffer_zone();
+
   /// This rank's boxes, level by level. Their numbers are called slots.
   std::vector<Surroundings> const& boxes() const { return boxes_; }
   int slot(int level, int local_box) const {
@@ -85,6 +51,7 @@ class ParticleMesh {
   std::vector<Exchange> exchanges_;  ///< per level: ghosts are all cells of other ranks that `boxes_` names
   std::vector<Surroundings> boxes_;
   std::vector<int> first_slot_;
+  std::unique_ptr<BufferZone const> buffer_zone_;  ///< none until asked for
 };
 
 }  // namespace amrpic

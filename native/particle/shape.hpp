@@ -1,31 +1,64 @@
 // The clouds that particles are spread into. A shape gives, along one axis, the cells that a particle touches and the
 // share of each; deposit and gather use the same shares, so that a particle does not push itself on a uniform grid.
+// No shape reaches further than one cell beyond the particle's own, see `tile_reach`.
 #pragma once
 
 #include <array>
 #include <cmath>
+#include <utility>
 
 #include "base/types.hpp"
 
 namespace amrpic {
 
+/// Cells that a cloud touches along an axis, and the share of each.
+template <int cells>
+struct Shares {
+  static constexpr int width = cells;
+  int first;                      ///< leftmost cell touched
+  std::array<Real, cells> share;  ///< sum to one
+};
+
+// Each shape: the shares of a particle at `x`, in cell widths from the lower face of cell 0.
+
+/// All charge in the particle's own cell; the field it feels jumps from cell to cell.
+struct NearestGridPoint {
+  static Shares<1> at(Real x) { return {int(std::floor(x)), {1}}; }
+};
+
 /// Uniform cloud of one cell width (linear weighting).
 struct CloudInCell {
-  static constexpr int width = 2;  ///< cells touched along an axis
-  static constexpr int reach = 1;  ///< how far these lie from the particle's own cell
-
-  struct Shares {
-    int first;                      ///< leftmost cell touched
-    std::array<Real, width> share;  ///< sum to one
-  };
-
-  /// Shares of a particle at `x`, in cell widths from the lower face of cell 0.
-  static Shares at(Real x) {
+  static Shares<2> at(Real x) {
     Real const s = x - Real(0.5);  // in cell widths from the centre of cell 0
     Real const left = std::floor(s);
     Real const right_share = s - left;
     return {int(left), {1 - right_share, right_share}};
   }
 };
+
+/// Triangular cloud of two cell widths (quadratic weighting): the field it feels has a continuous slope.
+struct TriangularCloud {
+  static Shares<3> at(Real x) {
+    Real const own = std::floor(x);
+    Real const s = x - own;  // in [0, 1), from the lower face of the particle's own cell
+    Real const left = Real(0.5) * (1 - s) * (1 - s), right = Real(0.5) * s * s;
+    return {int(own) - 1, {left, 1 - left - right, right}};
+  }
+};
+
+enum class Shape { nearest_grid_point, cloud_in_cell, triangular };
+
+/// Call f with the struct of a shape, so that kernels are compiled once per shape.
+template <class F>
+void with_shape(Shape shape, F&& f) {
+  switch (shape) {
+    case Shape::nearest_grid_point:
+      return f(NearestGridPoint{});
+    case Shape::cloud_in_cell:
+      return f(CloudInCell{});
+    case Shape::triangular:
+      return f(TriangularCloud{});
+  }
+}
 
 }  // namespace amrpic

@@ -42,12 +42,11 @@ struct Stray {
 /// One box's place in space, and what brings a particle's position into its tile.
 class TileFrame {
  public:
-  TileFrame(Hierarchy const& hierarchy, Locator const& locator, Surroundings const& at)
-      : locator_(locator), box_(hierarchy.level(at.level).box(at.box)), level_(at.level) {}
+  TileFrame(LevelCoordinates const& coordinates, Box const& box) : coordinates_(coordinates), box_(box) {}
 
   /// Coordinate in cell widths from the lower corner of the tile. Throws Stray if the particle lies outside the box.
   Real3 inside(ParticleView const& particles, std::int64_t n) const {
-    Real3 s = locator_.coordinate(particles.at(n), level_);
+    Real3 s = coordinates_(particles.at(n));
     bool in = true;
     for (int d = 0; d < 3; ++d) {
       in = in && s[d] >= box_.lower[d] && s[d] < box_.upper[d] + 1;
@@ -57,13 +56,38 @@ class TileFrame {
     return s;
   }
 
+  /// The cell of the box's level that holds a particle. Throws Stray if the particle lies outside the box.
+  Index3 cell(ParticleView const& particles, std::int64_t n) const {
+    Real3 const s = inside(particles, n);
+    Index3 out;
+    for (int d = 0; d < 3; ++d) out[d] = int(s[d]) + box_.lower[d] - tile_reach;
+    return out;
+  }
+
  private:
-  Locator const& locator_;
+  LevelCoordinates coordinates_;
   Box box_;
-  int level_;
 };
 
-/// Call f(surroundings, frame, first, last) for each box of this rank that holds particles, [first, last) of them. If
+/// Call f(rise, frame, first, last) for each run of a box's particles whose clouds lie on one level: `rise` levels
+/// coarser than the box, in a tile that `frame` describes. Without a buffer all of them lie on the box's own level.
+template <class F>
+void for_each_run(ParticleMesh const& mesh, Surroundings const& at, BoxBuffer const* buffer,
+                  ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
+  TileFrame const own(mesh.locator().coordinates(at.level), mesh.hierarchy().level(at.level).box(at.box));
+  if (!buffer) return f(0, own, first, last);
+  std::vector<TileFrame> frames{own};
+  for (CoarseCells const& c : buffer->coarse) frames.emplace_back(mesh.locator().coordinates(c.level), c.box);
+  while (first < last) {
+    int const rise = buffer->rise_of(own.cell(particles, first));
+    std::int64_t next = first + 1;
+    while (next < last && buffer->rise_of(own.cell(particles, next)) == rise) ++next;
+    f(rise, frames[rise], first, next);
+    first = next;
+  }
+}
+
+/// Call f(slot, first, last) for each box of this rank that holds particles, [first, last) of them. If
 /// it throws a Stray on some ranks, all throw std::out_of_range, so that none waits for another. Collective.
 template <class F>
 void for_each_occupied_box(ParticleMesh const& mesh, std::int64_t const* starts, F&& f) {
@@ -71,8 +95,7 @@ void for_each_occupied_box(ParticleMesh const& mesh, std::int64_t const* starts,
   std::int64_t lowest = none;
   try {
     for (std::size_t s = 0; s < mesh.boxes().size(); ++s)
-      if (starts[s] < starts[s + 1])
-        f(mesh.boxes()[s], TileFrame(mesh.hierarchy(), mesh.locator(), mesh.boxes()[s]), starts[s], starts[s + 1]);
+      if (starts[s] < starts[s + 1]) f(s, starts[s], starts[s + 1]);
   } catch (Stray const& stray) {
     lowest = stray.id;
   }

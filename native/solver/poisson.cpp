@@ -356,7 +356,7 @@ LevelOperators const& PoissonSolver::operators_with_gradient(int level) {
   return operators(level);
 }
 
-void PoissonSolver::electric_field(Field const& phi, std::vector<Field*> const& components) {
+void PoissonSolver::electric_field(Field const& phi, std::vector<Field*> const& components, CoveredField covered) {
   int const levels = hierarchy_->level_count();
   operators_with_gradient(0);
   for (int l = 0; l < levels; ++l) {
@@ -370,11 +370,31 @@ void PoissonSolver::electric_field(Field const& phi, std::vector<Field*> const& 
       multiply(o.gradient[axis].own, phi_[l].data(), e.data());
       if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, phi_[l - 1].data(), e.data());
       if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, phi_[l + 1].data(), e.data());
-      add_to_field(walls_[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, e);
-      if (options_.stretch[axis] != 1) for_rows(o.rows(), [&](LocalIndex row) { e[row] /= options_.stretch[axis]; });
+      add_to_field(walls_[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, true, e);
     }
   }
   transfer_.average_down(components);
+  if (covered == CoveredField::difference) difference_covered(components);
+  for (int axis = 0; axis < 3; ++axis)
+    for (int l = 0; l < levels && options_.stretch[axis] != 1; ++l)
+      for (Real& e : components[axis]->level(l)) e /= options_.stretch[axis];
+}
+
+/// The field in covered cells from the potentials in `phi_`, whose ghosts are up to date; not yet stretched.
+void PoissonSolver::difference_covered(std::vector<Field*> const& components) {
+  if (covered_gradient_.empty())
+    for (int l = 0; hierarchy_->has_finer(l); ++l)
+      covered_gradient_.push_back(assemble_covered_gradient(stack_, stack_.base + std::size_t(l), operators(l)));
+  for (int l = 0; hierarchy_->has_finer(l); ++l)
+    for (int axis = 0; axis < 3; ++axis) {
+      LevelOperators const& o = operators(l);
+      auto& e = components[axis]->level(l);
+      Crs const& gradient = covered_gradient_[l][axis];
+      gradient.for_each_row([&](LocalIndex row) {
+        if (!o.uncovered[row]) e[row] = gradient.dot(row, phi_[l].data());
+      });
+      add_to_field(walls_[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, false, e);
+    }
 }
 
 std::int64_t PoissonSolver::messages() const {

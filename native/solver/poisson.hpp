@@ -15,6 +15,12 @@ namespace amrpic {
 
 constexpr Real vacuum_permittivity = 8.8541878188e-12;  ///< F/m, CODATA 2022
 
+/// What E holds in covered cells.
+enum class CoveredField {
+  mean,       ///< of the children, as in all fields
+  difference  ///< of phi, whose covered cells hold the means: what clouds as wide as these cells feel
+};
+
 /// How a solve went.
 struct SolveReport {
   bool converged = false;
@@ -51,7 +57,7 @@ class PoissonSolver {
 
   /// Fill the three components of E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve.
   /// Collective.
-  void electric_field(Field const& phi, std::vector<Field*> const& components);
+  void electric_field(Field const& phi, std::vector<Field*> const& components, CoveredField covered);
 
   Hierarchy const& hierarchy() const { return *given_; }
   LevelOperators const& operators(int level) const { return operators_[stack_.base + level]; }
@@ -87,6 +93,7 @@ class PoissonSolver {
   CompositeEquations equations();
   void fix_constant();
   void iterate(SolveReport& report);
+  void difference_covered(std::vector<Field*> const& components);
 
   std::shared_ptr<Hierarchy const> given_;
   std::shared_ptr<Hierarchy const> hierarchy_;  ///< the given one in stretched coordinates
@@ -102,6 +109,7 @@ class PoissonSolver {
   std::vector<Walls> walls_;
   Stopwatch stopwatch_;
   bool has_gradient_ = false;
+  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for
   std::int64_t assemblies_ = 1;
 };
 

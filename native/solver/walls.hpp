@@ -29,8 +29,8 @@ Walls find_walls(Domain const& domain, Level const& level);
 /// f -= what the data add to the Laplacian.
 void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, std::vector<Real>& f);
 
-/// e += what the data add to -grad phi along an axis, in cells where `uncovered`.
+/// e += what the data add to -grad phi along an axis, in cells whose entry in `uncovered` is `which`.
 void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
-                  std::vector<char> const& uncovered, std::vector<Real>& e);
+                  std::vector<char> const& uncovered, bool which, std::vector<Real>& e);
 
 }  // namespace amrpic

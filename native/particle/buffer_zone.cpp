@@ -1,0 +1,94 @@
+#include "particle/buffer_zone.hpp"
+
+#include <algorithm>
+#include <stdexcept>
+
+namespace amrpic {
+
+namespace {
+
+/// The cell that holds `cell` so many levels up.
+Index3 ancestor(Index3 const& cell, int levels) {
+  int const scale = 1 << levels;
+  return {floor_divide(cell[0], scale), floor_divide(cell[1], scale), floor_divide(cell[2], scale)};
+}
+
+/// 1 for the cells of `region` that have an uncovered cell among their 26 neighbours inside the domain.
+Window<char> beside_uncovered(Level const& level, Level const& finer, Box const& region) {
+  auto const covered = covered_cells(finer, refinement_ratio, region.grow(1));
+  Window<char> out(region, 0);
+  for_each_cell(region, [&](Index3 const& cell) {
+    for_each_cell(Box{cell, cell}.grow(1), [&](Index3 const& other) {
+      if (!covered(fold_at_walls(other, level))) out(cell) = 1;
+    });
+  });
+  return out;
+}
+
+/// Mark the buffer cells of box b of level l; true if there are any.
+bool mark(Hierarchy const& hierarchy, int l, int b, Window<char>& rise) {
+  Box region = hierarchy.level(l).box(b);
+  rise = Window<char>(region.coarsen(refinement_ratio), 0);
+  bool any = true;
+  for (int r = 1; r <= l && any; ++r) {
+    region = region.coarsen(refinement_ratio);
+    auto const edge = beside_uncovered(hierarchy.level(l - r), hierarchy.level(l - r + 1), region);
+    any = false;
+    for_each_cell(rise.box(), [&](Index3 const& parent) {
+      if (rise(parent) == r - 1 && edge(ancestor(parent, r - 1))) rise(parent) = char(r), any = true;
+    });
+  }
+  auto const& values = rise.values();
+  return std::any_of(values.begin(), values.end(), [](char r) { return r > 0; });
+}
+
+/// Numbers of the cells of level l - r that clouds r levels coarser touch, in the box grown by the reach; `no_cell`
+/// where none does. What overhangs a wall is folded onto the wall cell.
+std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, Window<char> const& rise, int r) {
+  Window<char> wanted(box.grow(tile_reach), 0);
+  for_each_cell(rise.box(), [&](Index3 const& parent) {
+    if (rise(parent) != r) return;
+    Index3 const at = ancestor(parent, r - 1);
+    for_each_cell(Box{at, at}.grow(tile_reach), [&](Index3 const& cell) { wanted(cell) = 1; });
+  });
+  auto const numbers = cell_numbers(coarse, wanted.box());
+  std::vector<GlobalIndex> out;
+  out.reserve(wanted.values().size());
+  for_each_cell(wanted.box(), [&](Index3 const& cell) {
+    out.push_back(wanted(cell) ? numbers(fold_at_walls(cell, coarse)) : no_cell);
+    if (wanted(cell) && out.back() == no_cell)
+      throw std::logic_error("cell " + to_string(cell) + " beside a covered one does not exist, although levels nest");
+  });
+  return out;
+}
+
+}  // namespace
+
+BufferZone::BufferZone(Hierarchy const& hierarchy) {
+  int const levels = hierarchy.level_count();
+  std::vector<std::vector<std::vector<GlobalIndex>>> numbers;  // like boxes_[].coarse[].place
+  std::vector<std::vector<GlobalIndex>> read(static_cast<std::size_t>(levels));
+  for (int l = 0; l < levels; ++l)
+    for (int b = hierarchy.level(l).first_local_box(); b < hierarchy.level(l).last_local_box(); ++b) {
+      BoxBuffer& buffer = boxes_.emplace_back();
+      numbers.emplace_back();
+      if (l == 0 || !mark(hierarchy, l, b, buffer.rise)) continue;
+      auto const& rises = buffer.rise.values();
+      Box box = hierarchy.level(l).box(b);
+      for (int r = 1; r <= *std::max_element(rises.begin(), rises.end()); ++r) {
+        box = box.coarsen(refinement_ratio);
+        buffer.coarse.push_back({l - r, box, {}});
+        numbers.back().push_back(touched(hierarchy.level(l - r), box, buffer.rise, r));
+        read[l - r].insert(read[l - r].end(), numbers.back().back().begin(), numbers.back().back().end());
+      }
+    }
+  for (int l = 0; l < levels; ++l)
+    exchanges_.emplace_back(hierarchy.comm(), hierarchy.level(l), remote_cells(hierarchy.level(l), std::move(read[l])));
+  for (std::size_t s = 0; s < boxes_.size(); ++s)
+    for (std::size_t r = 0; r < boxes_[s].coarse.size(); ++r) {
+      CoarseCells& coarse = boxes_[s].coarse[r];
+      for (GlobalIndex n : numbers[s][r]) coarse.place.push_back(n == no_cell ? -1 : exchanges_[coarse.level].local(n));
+    }
+}
+
+}  // namespace amrpic

@@ -1,0 +1,48 @@
+#pragma once
+
+#include "mesh/exchange.hpp"
+#include "mesh/hierarchy.hpp"
+#include "mesh/window.hpp"
+#include "particle/geometry.hpp"
+
+namespace amrpic {
+
+/// The cells of a coarser level that the clouds of one box's buffer particles touch.
+struct CoarseCells {
+  int level;
+  Box box;  ///< the box coarsened to that level; clouds reach `tile_reach` cells beyond it
+  /// For each cell of `box` grown by the reach: its place in [own | ghosts] of the level, -1: not touched.
+  std::vector<LocalIndex> place;
+};
+
+/// One box of this rank in the matched treatment of coarse-fine faces.
+struct BoxBuffer {
+  /// For each parent of the box's cells: how many levels coarser than the box the clouds of its particles are.
+  Window<char> rise{Box{}, 0};
+  std::vector<CoarseCells> coarse;  ///< coarse[r - 1] for the clouds that are r levels coarser; empty: none are
+
+  int rise_of(Index3 const& cell) const { return rise(cell_parent(cell)); }
+};
+
+/// Where particles of a refined level lie so close to its edge that they deposit and gather with the cloud of the next
+/// coarser level; made once per hierarchy.
+///
+/// The buffer is one coarse cell deep: a particle lies in it if the parent of its cell has an unrefined cell among its
+/// 26 neighbours, which is to say that its distance to the unrefined region, the largest along the three axes, is below
+/// two fine cells. So all particles of a cell are treated alike. Walls are no edge, periodic faces are passed through.
+/// If the parent lies itself in the buffer of its level, the cloud is coarser still.
+class BufferZone {
+ public:
+  /// Collective.
+  explicit BufferZone(Hierarchy const& hierarchy);
+
+  /// The buffer in one of this rank's boxes, numbered level by level; null if it has none.
+  BoxBuffer const* box(std::size_t slot) const { return boxes_[slot].coarse.empty() ? nullptr : &boxes_[slot]; }
+  Exchange const& exchange(int level) const { return exchanges_[level]; }  ///< ghosts: remote cells that `box` names
+
+ private:
+  std::vector<BoxBuffer> boxes_;
+  std::vector<Exchange> exchanges_;
+};
+
+}  // namespace amrpic

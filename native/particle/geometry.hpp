@@ -1,0 +1,48 @@
+// How cells around a box are visited, folded and paired with their parents.
+#pragma once
+
+#include <algorithm>
+
+#include "mesh/level.hpp"
+
+namespace amrpic {
+
+/// Cells around a box that the clouds of its particles can touch; cloud shapes of a larger reach need wider nesting.
+constexpr int tile_reach = 1;
+
+/// Call `f(first, last, j, k)` for each row part of `box` grown by `tile_reach` that lies outside `box`, x ascending
+/// fastest.
+template <class F>
+void for_each_shell_row(Box const& box, F&& f) {
+  Box const tile = box.grow(tile_reach);
+  for (int k = tile.lower[2]; k <= tile.upper[2]; ++k)
+    for (int j = tile.lower[1]; j <= tile.upper[1]; ++j) {
+      if (j >= box.lower[1] && j <= box.upper[1] && k >= box.lower[2] && k <= box.upper[2]) {
+        f(tile.lower[0], box.lower[0] - 1, j, k);
+        f(box.upper[0] + 1, tile.upper[0], j, k);
+      } else {
+        f(tile.lower[0], tile.upper[0], j, k);
+      }
+    }
+}
+
+/// The cell inside the domain that stands for `cell` beyond a wall: the part of a cloud that overhangs a wall is folded
+/// onto the wall cell, and the field there is that of the wall cell. Periodic axes are left alone.
+inline Index3 fold_at_walls(Index3 cell, Level const& level) {
+  for (int d = 0; d < 3; ++d)
+    if (!level.periodic()[d]) cell[d] = std::max(level.domain().lower[d], std::min(level.domain().upper[d], cell[d]));
+  return cell;
+}
+
+inline Index3 cell_parent(Index3 const& cell) {
+  return {floor_divide(cell[0], 2), floor_divide(cell[1], 2), floor_divide(cell[2], 2)};
+}
+
+/// Along each axis, the neighbour of a cell's parent on the side where the cell lies.
+inline Index3 nearest_other_parent(Index3 const& cell) {
+  Index3 out = cell_parent(cell);
+  for (int d = 0; d < 3; ++d) out[d] += 2 * out[d] == cell[d] ? -1 : 1;
+  return out;
+}
+
+}  // namespace amrpic

@@ -8,13 +8,14 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ..errors import InputError
-from . import convergence, hard, openboundary, peers
+from . import conservation, convergence, hard, openboundary, peers
 from .table import Table
 
 TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "convergence": convergence.tables,
     "open-boundary": openboundary.tables,
     "peers": peers.tables,
+    "conservation": conservation.tables,
     "hard-cases": hard.tables,
 }
 

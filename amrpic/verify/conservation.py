@@ -11,7 +11,6 @@ from mpi4py import MPI
 from ..deposit import deposit
 from ..diagnostics import field_energy, kinetic_energy, potential_energy, total_momentum
 from ..field import Field
-from ..hierarchy import Hierarchy
 from ..plan import Plan
 from ..poisson import PoissonSolver
 from ..regrid import carry_over
@@ -31,8 +30,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of this topic. Collective."""
     yield Table(
         "Energy of the field",
-        "½ ∫ ρφ against ½ ε₀ ∫ E² inside open faces plus ½ ε₀ ∮ φ E·n over them (of the exact φ and E): an ellipsoidal Gaussian, "
-        "relative difference on the finest mesh, and its order.",
+        "½ ∫ ρφ against ½ ε₀ ∫ E² inside open faces plus ½ ε₀ ∮ φ E·n over them (of the exact φ and E): an ellipsoidal "
+        "Gaussian, relative difference on the finest mesh, and its order.",
         ("mesh", "difference", "order"),
         [[name, *_energies(comm, MESHES[name])] for name in ("uniform", "nested cubes", "patch at a face")],
     )

@@ -17,6 +17,7 @@ from .particles import Particles  # noqa: E402
 from .poisson import PoissonSolver, SolveReport  # noqa: E402
 from .scene import Scene  # noqa: E402
 from .simulation import Simulation  # noqa: E402
+from .species import Species, SpeciesTable  # noqa: E402
 
 __all__ = [
     "Domain",
@@ -27,5 +28,7 @@ __all__ = [
     "Scene",
     "Simulation",
     "SolveReport",
+    "Species",
+    "SpeciesTable",
     "VectorField",
 ]

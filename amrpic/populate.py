@@ -11,7 +11,7 @@ from . import beam
 from .bunch_data import ArrayBunch, OpenPMDBunch
 from .bunches import Bunch, LatticeBunch, Train
 from .errors import InputError
-from .io import openpmd
+from .io import bunch_file
 from .parallel import share, together
 from .particles import Particles, concatenate
 from .phase_space import PhaseSpace
@@ -53,7 +53,7 @@ def _bunch(comm: MPI.Comm, scene: Scene, bunch: Bunch, first_id: int) -> list[Pa
             return [_from_arrays(comm, bunch, first_id)]
         case OpenPMDBunch():
             return [
-                openpmd.read(bunch.file, partial(share, comm), bunch.iteration, bunch.group, bunch.species, first_id)
+                bunch_file.read(bunch.file, partial(share, comm), bunch.iteration, bunch.group, bunch.species, first_id)
             ]
         case LatticeBunch():
             return [_lattice(comm, scene, bunch, first_id)]

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from .diagnostics import Quantity, measure, quantities
 from .errors import OutputError, SolverError
 from .field import Field, VectorField
-from .io import checkpoint, fields, openpmd
+from .io import checkpoint, fields, particles
 from .io.series import Series
 from .parallel import together
 from .plan import Plan
@@ -162,8 +162,8 @@ class Recorder:
         if "particles" not in self._wanted or self._written.get("particles") == state.step:
             return
         self._written["particles"] = state.step
-        path = openpmd.path_of(self._scene.directory, state.step)
-        openpmd.write(self._comm, path, state.particles, state.step, state.time, self._about)
+        path = particles.path_of(self._scene.directory, state.step)
+        particles.write(self._comm, path, state.particles, state.step, state.time, self._about)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""

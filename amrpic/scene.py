@@ -480,9 +480,10 @@ class Scene(Section):
         """Return in one line what the scene is."""
         cells = "x".join(map(str, self.domain.cells))
         bunches = sum(bunch.copies for bunch in self.bunches)
+        more = " and those in files" if any(bunch.in_file for bunch in self.bunches) else ""
         return (
             f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} bunches of "
-            f"{self.particle_count()} particles in all, {self.schedule.last_step} steps after the first solve"
+            f"{self.particle_count()} particles in all{more}, {self.schedule.last_step} steps after the first solve"
         )
 
     def remarks(self) -> list[str]:

@@ -10,7 +10,8 @@ from mpi4py import MPI
 
 from .field import Field, VectorField
 from .hierarchy import Hierarchy
-from .io import checkpoint, openpmd
+from .io import checkpoint
+from .io.particles import write as write_particles
 from .parallel import install_abort_hook
 from .particles import Particles
 from .plan import Plan
@@ -91,7 +92,7 @@ class Simulation:
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others. Collective; OutputError on all ranks."""
         state = self.state
-        openpmd.write(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
+        write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
 
     @property
     def remarks(self) -> list[str]:

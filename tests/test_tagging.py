@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
+import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from mpi4py import MPI
 
+import amrpic
 from amrpic.errors import InputError, SceneError
+from amrpic.field import Field
 from amrpic.follow import follow, make_base
-from amrpic.hierarchy import Hierarchy
+from amrpic.hierarchy import Domain, Hierarchy
 from amrpic.migrate import migrate
 from amrpic.plan import Plan
 from amrpic.quantities import Quantities
+from amrpic.refinement import ARGUMENTS
 from amrpic.regrid import Regridding, regrid
 from amrpic.rules import apart, index_boxes, tags_of
 from amrpic.scene import Scene
 from amrpic.simulation import Simulation
+from amrpic.tag import inside
 from particle_cases import dense, everywhere
 from regions import coarser, mask, wanted_blocks
 
@@ -237,6 +244,28 @@ def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
     assert any(np.any(a & ~b) for a, b in zip(kept, plain, strict=True)), "nothing was kept"
 
 
+@pytest.mark.mpi(ranks=2)
+def test_cells_that_touch_boxes_are_found_across_periodic_faces(comm):
+    domain = Domain((0, 0, 0), (1, 1, 1), (8, 8, 16), {"x": "periodic", "y": "dirichlet", "z": "periodic"})
+    hierarchy = Hierarchy(comm, domain, [[((0, 0, 0), (15, 7, 15))]], 8, 4)
+    boxes = [np.array([[-3, 2, 30, 1, 9, 33]]), np.array([[5, 20, 7, 6, 27, 9], [60, 0, 0, 63, 0, 0]])]
+    marks = [np.zeros((8 * 2**level, 8 * 2**level, 16 * 2**level), dtype=bool) for level in range(3)]
+    for level, of_level in enumerate(boxes, start=1):
+        for box in of_level:
+            cells = np.ix_(*(np.arange(box[d], box[d + 3] + 1) % marks[level].shape[d] for d in range(3)))
+            for coarse in range(level):
+                inside_it = np.zeros_like(marks[level])
+                inside_it[cells] = True
+                marks[coarse] |= coarser(inside_it, 2 ** (level - coarse))
+    field = Field(hierarchy)
+    for level, found in enumerate(inside(hierarchy, boxes)):
+        field.array(level)[:] = found
+    for level in range(2):
+        exists = mask(hierarchy, level) == 1
+        assert np.array_equal(dense(field, level)[exists] == 1, marks[level][exists])
+        assert 0 < marks[level][exists].sum() < exists.sum()
+
+
 # ---- a mesh in motion ----
 def meshes(comm: MPI.Comm, hysteresis: float, charges: list[float]) -> list[Hierarchy]:
     """The meshes that follow particles whose charge changes, each made from the one before."""
@@ -252,7 +281,7 @@ def meshes(comm: MPI.Comm, hysteresis: float, charges: list[float]) -> list[Hier
     return out
 
 
-@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.mpi(ranks=2)
 def test_charge_that_swings_about_the_threshold_makes_the_mesh_flicker_without_hysteresis_only(comm):
     def changes(made: list[Hierarchy]) -> int:
         return sum(not a.same_mesh(b) for a, b in itertools.pairwise(made))
@@ -268,21 +297,21 @@ def test_charge_that_swings_about_the_threshold_makes_the_mesh_flicker_without_h
 @pytest.mark.mpi(ranks=(1, 3))
 @pytest.mark.parametrize("limit", [0.0, 0.3])
 def test_the_mesh_follows_a_drifting_bunch_when_and_only_when_it_outruns_its_level(comm, limit):
-    """A fifth of a base cell per step. Every cell with a particle is wanted fine, so particles elsewhere have outrun it."""
+    """Two fifths of a base cell per step. Every cell with a particle is wanted fine, so particles elsewhere have outrun it."""
     drift = {
         "distribution": "sphere",
         "radius": 0.008,
         "centre": [-0.04, 0.003, 0.003],
         "charge": 1e-25,
         "particles": 300,
-        "velocity": [2.5e6, 0, 0],
+        "velocity": [5e6, 0, 0],
     }
     given = Scene.from_dict(
         {
             "domain": DOMAIN,
             "bunches": [drift],
             "motion": {"kind": "leapfrog", "dt": "1 ns"},
-            "schedule": {"steps": 25},
+            "schedule": {"steps": 14},
             "output": {"write": []},
             "solver": {"tolerance": 1e-4},
             "refinement": {
@@ -313,7 +342,7 @@ def test_the_mesh_follows_a_drifting_bunch_when_and_only_when_it_outruns_its_lev
     simulation.on_step(look)
     simulation.run()
     x = everywhere(comm, simulation.particles)["position"][:, 0].mean()
-    assert x == pytest.approx(-0.04 + 25 * 2.5e-3, abs=1e-3)
+    assert x == pytest.approx(-0.04 + 14 * 5e-3, abs=1e-3)
     assert 2 <= sum(followed) <= 12
 
 
@@ -422,3 +451,28 @@ def test_a_run_with_a_function_goes_on_from_a_checkpoint_once_it_is_given_again(
     whole_run.run()
     assert resumed.hierarchy.levels == 2 and resumed.hierarchy.same_mesh(whole_run.hierarchy)
     assert np.array_equal(resumed.phi.array(1), whole_run.phi.array(1))
+
+
+# ---- what people read ----
+PAGE = (Path(__file__).parents[1] / "docs" / "refinement.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def test_examples_of_the_page_on_refinement_are_scenes():
+    for text in blocks("toml"):
+        Scene.from_dict({"domain": DOMAIN, **tomllib.loads(text)})
+    for text in blocks("python"):
+        names: dict[str, Any] = {"amrpic": amrpic}
+        exec(text, names)
+        rule = names["scene"].refinement.rule
+        assert (rule.name, rule.arguments) == ("near_the_axis", ["x", "y", "rho", "hysteresis"])
+    assert len(blocks("toml")) == 3 and len(blocks("python")) == 1
+
+
+def test_the_page_on_refinement_knows_all_kinds_and_arguments():
+    kinds = Scene.model_json_schema()["$defs"]["Refinement"]["properties"]["rule"]["discriminator"]["mapping"]
+    table = {name for row in PAGE.splitlines() if row.startswith("|") for name in re.findall("`([a-z_-]+)`", row)}
+    assert {*kinds, *ARGUMENTS} <= table

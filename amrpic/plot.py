@@ -159,6 +159,12 @@ def logarithmic_colours(values: Array) -> Colouring:
     return LogNorm(least, most, clip=True), ONE_SIGN
 
 
+def _decades(least: float, most: float) -> list[float]:
+    """Return zero and the decades on both sides of it, but for those that would crowd about it."""
+    decades = 10.0 ** np.arange(np.ceil(np.log10(least)) + 1, np.floor(np.log10(most)) + 1)
+    return [*-decades[::-1], 0.0, *decades]
+
+
 SCALES: dict[str, Callable[[Array], Colouring]] = {
     "linear": linear_colours,
     "symmetric": symmetric_colours,
@@ -194,7 +200,9 @@ def _picture(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, tit
     )
     level = "" if view.level is None else f", level {view.level}"
     panel.set_title(f"{title}{level}, step {dump.step}, t = {quantity(dump.time, 's')}", fontsize="medium")
-    figure.colorbar(image, cax=bar, label=f"{symbol} / {_in(prefix, unit)}")
+    colours = figure.colorbar(image, cax=bar, label=f"{symbol} / {_in(prefix, unit)}")
+    if isinstance(norm, SymLogNorm):
+        colours.set_ticks(_decades(norm.linthresh, float(norm.vmax or 1)))
     if view.boxes:
         # Outside: every place in the panel may hold a bunch. On dark ground, as the light lines need it.
         figure.legend(

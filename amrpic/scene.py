@@ -186,10 +186,12 @@ class Solver(Section):
         description="Factor of a relaxation step; by default 1.25 for red-black, 6/7 for jacobi and 1 for Gauss-Seidel. "
         "Refused for chebyshev, which has none.",
     )
-    sweeps: Annotated[tuple[int, int], BeforeValidator(menu.both)] = Field(
-        default=(2, 2),
-        description="Smoothing sweeps before, and after, the coarse correction: one number for both, or two. For chebyshev "
-        "the degree of its polynomial.",
+    sweeps: Annotated[tuple[int, int], BeforeValidator(menu.both, json_schema_input_type=int | tuple[int, int])] = (
+        Field(
+            default=(2, 2),
+            description="Smoothing sweeps before, and after, the coarse correction: one number for both, or two. For chebyshev "
+            "the degree of its polynomial.",
+        )
     )
     prolongation: menu.Prolongation = Field(
         default="trilinear", description="Interpolation of coarse corrections; trilinear saves cycles."

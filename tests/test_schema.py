@@ -47,6 +47,8 @@ RIGHT = [
     '[[refinement.rule.boxes]]\nlevel = 1\nlower = "-1 cm"\nupper = "1 cm"\n[refinement]\nlevels = 1\nrule.kind = "static"',
     '[motion]\nkind = "leapfrog"\ndt = "2 ps"\n[schedule]\nsteps = 3\n[output]\nwrite = ["series"]',
     '[solver]\ntolerance = 1e-8\nnorm = "l2"\nstretch = [1, 1, 30]',
+    "[solver]\nsweeps = 3",
+    "[solver]\nsweeps = [1, 2]",
 ]
 
 WRONG = [
@@ -64,6 +66,7 @@ WRONG = [
     "[solver]\ntolerance = 0",
     '[solver]\ntolerance = "1e-8"',
     "[solver]\nstretch = [1, 2]",
+    '[solver]\nsweeps = "2"',
     "[domain]\nlower = 0\ncells = 8",
     '[domain]\nlower = 0\nupper = "1 furlong"\ncells = 8',
     '[domain]\nlower = 0\nupper = "1"\ncells = 8',

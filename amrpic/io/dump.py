@@ -39,8 +39,8 @@ class Dump:
         try:
             self._h5 = h5py.File(self.path, "r", locking=False)
         except OSError as error:
-            reason = error.strerror if isinstance(error, FileNotFoundError) else one_line(error)
-            raise self._refusal(reason or "") from None
+            reason = one_line(error) if self.path.exists() else "No such file or directory"
+            raise self._refusal(reason) from None
         try:
             self._read_description()
         except (KeyError, AttributeError, TypeError, ValueError, OSError) as error:
@@ -51,7 +51,9 @@ class Dump:
             raise
 
     def _refusal(self, reason: str) -> InputError:
-        return InputError(f"{self.path} cannot be read: {reason}; give a fields_*.vtkhdf file that a run wrote")
+        return InputError(
+            f"{self.path} cannot be read: {reason}; give a fields_*.vtkhdf file or a checkpoint that a run wrote"
+        )
 
     def _read_description(self) -> None:
         root, ours = self._h5["VTKHDF"], self._h5["amrpic"]

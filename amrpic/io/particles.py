@@ -85,7 +85,6 @@ def _open(path: Path, step: int, time: float, about: Provenance) -> Hdf5Writer:
         "openPMD": "1.1.0",
         "basePath": "/data/%T/",
         "particlesPath": "particles/",
-        "meshesPath": "fields/",
         "iterationEncoding": "fileBased",
         "iterationFormat": name if "%08T" in name else "%T",
         "software": "amrpic",

@@ -21,10 +21,11 @@ MIXED = {"x": ("neumann", "dirichlet"), "y": "periodic", "z": ("dirichlet", "neu
 AGGREGATION = [name for name in get_args(menu.BottomPreconditioner) if name.endswith("aggregation")]
 
 
-def refined(comm: MPI.Comm, boundary: BoundarySpec, cells: int = 16, first: int = 8) -> amrpic.Hierarchy:
-    """The unit cube with one refined level, which touches a wall where `first` is 0."""
+def refined(comm: MPI.Comm, boundary: BoundarySpec, cells: int = 16, first: int | None = 8) -> amrpic.Hierarchy:
+    """The unit cube with one refined level, if any, which touches a wall where `first` is 0."""
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary)
-    return amrpic.Hierarchy(comm, domain, [[((first,) * 3, (first + 15,) * 3)]], max_grid_size=8, blocking_factor=4)
+    levels = [] if first is None else [[((first,) * 3, (first + 15,) * 3)]]
+    return amrpic.Hierarchy(comm, domain, levels, max_grid_size=8, blocking_factor=4)
 
 
 def charge(hierarchy: amrpic.Hierarchy) -> amrpic.Field:
@@ -214,3 +215,23 @@ def test_a_scene_hands_every_choice_to_the_solver():
     _, by_scene = Plan(MPI.COMM_SELF, scene).solve(charge(hierarchy), None)
     _, by_hand = PoissonSolver(hierarchy, max_cycles=50, **chosen).solve(charge(hierarchy))
     assert by_scene.residuals == by_hand.residuals
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.parametrize("boundary", ["dirichlet", "periodic", "neumann", "open", MIXED], ids=str)
+def test_long_and_flat_cells_converge_like_cubes_on_any_decomposition(boundary, comm):
+    """Cells of 1:1:10 took 100 cycles in a refined level, and 27 in a base, by a point smoother and linear ghosts alone."""
+    for first, stretch in ((None, (1, 1, 10)), (None, (1, 2.5, 10)), (8, (1, 1, 10)), (0, (1, 5, 1)), (8, (8, 8, 1))):
+        hierarchies = [refined(on, boundary, first=first) for on in (comm, MPI.COMM_SELF)]
+        (phi, report), (alone, single) = (solved(h, stretch=stretch) for h in hierarchies)
+        assert report.cycles <= (10 if first is None else 15), (stretch, report.cycles)
+        assert report.cycles == single.cycles
+        assert phi.sample(POINTS) == pytest.approx(alone.sample(POINTS), rel=1e-8, abs=1e-9 * alone.max_abs())
+
+
+@pytest.mark.parametrize("smoother", get_args(menu.Smoother))
+def test_every_smoother_serves_long_cells(smoother):
+    hierarchy = refined(MPI.COMM_SELF, "dirichlet")
+    phi, report = solved(hierarchy, smoother=smoother, stretch=(1, 1, 10))
+    assert report.cycles <= 30
+    assert difference(phi, solved(hierarchy, stretch=(1, 1, 10))[0]) < 1e-9

@@ -98,8 +98,9 @@ void require_fit(Crs const& matrix, SolverOptions const& options) {
   std::string const cells = std::to_string(matrix.rows());
   if (options.bottom == BottomKind::cg && !symmetric(matrix))
     throw SolverError(
-        "bottom is \"cg\", but the coarsest level's matrix is not symmetric (it is the base level, whose Dirichlet "
-        "ghosts are quadratic); use \"gmres\" or \"bicgstab\", or more coarse_levels");
+        "bottom is \"cg\", but the coarsest level's matrix is not symmetric, since Dirichlet ghosts are quadratic "
+        "along "
+        "axes that no multigrid level coarsens; use \"gmres\" or \"bicgstab\", or more coarse_levels");
   if (options.bottom == BottomKind::direct && matrix.rows() > most_cells_of_a_factor)
     throw SolverError("bottom is \"direct\", but the coarsest level has " + cells + " cells, more than the " +
                       std::to_string(most_cells_of_a_factor) +

@@ -43,8 +43,11 @@ LevelStack coarsen_below(LevelStack stack, Domain const& domain, int max_grid_si
     stack.ratio.front() = ratio;
     stack.ratio.insert(stack.ratio.begin(), Index3{1, 1, 1});
     stack.levels.insert(stack.levels.begin(), level);
-    stack.walls.insert(stack.walls.begin(),
-                       wall_ghosts(domain, [](Boundary kind, int) { return coarse_wall_ghost(kind); }));
+    WallGhosts walls = wall_ghosts(domain, [](Boundary kind, int) { return coarse_wall_ghost(kind); });
+    // Along an axis that keeps its cells, errors which oscillate meet the finer level's wall on every level below.
+    for (int d = 0; d < 3; ++d)
+      if (ratio[d] == 1) walls[d] = stack.walls.front()[d];
+    stack.walls.insert(stack.walls.begin(), walls);
     ++stack.base;
   }
   return stack;

@@ -1,6 +1,7 @@
 #include "solver/multigrid.hpp"
 
 #include "base/rows.hpp"
+#include "solver/local_cycle.hpp"
 
 namespace amrpic {
 
@@ -34,11 +35,19 @@ void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
   smoother_->smooth(right_hand_side_, correction_);
 }
 
-Multigrid::Multigrid(MPI_Comm comm, std::vector<LevelOperators> const& operators, std::shared_ptr<Bottom> bottom,
-                     SolverOptions const& options)
+Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, std::vector<LevelOperators> const& operators,
+                     std::shared_ptr<Bottom> bottom, SolverOptions const& options)
     : bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());
-  for (auto const& o : operators) levels_.emplace_back(o, levels_.empty() ? nullptr : make_smoother(comm, o, options));
+  for (std::size_t l = 0; l < operators.size(); ++l) {
+    LevelOperators const& o = operators[l];
+    std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
+    if (stack.refines(l))
+      smoother = make_refined_smoother(comm, o, correction_ghosts(o, stack.boundary), options);
+    else if (l > 0)
+      smoother = make_smoother(comm, o, options);
+    levels_.emplace_back(o, std::move(smoother));
+  }
 }
 
 void Multigrid::cycle(std::size_t l) {

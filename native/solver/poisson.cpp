@@ -41,7 +41,7 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
       operators_(assemble(hierarchy_->comm(), stack_, options.prolongation)),
       transfer_(hierarchy_),
       reusable_(reusable),
-      multigrid_(hierarchy_->comm(), operators_, bottom(), options) {
+      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(), options) {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));

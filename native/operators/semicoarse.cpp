@@ -1,0 +1,118 @@
+#include "operators/semicoarse.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "mesh/window.hpp"
+#include "operators/row.hpp"
+#include "stencil/interface.hpp"
+
+namespace amrpic {
+
+namespace {
+
+std::shared_ptr<Level const> coarsened(Level const& level, Index3 const& ratio) {
+  Real3 spacing = level.spacing();
+  for (int d = 0; d < 3; ++d) spacing[d] *= ratio[d];
+  std::vector<Box> boxes;
+  for (Box const& box : level.boxes()) boxes.push_back(box.coarsen(ratio));
+  std::vector<int> first;
+  for (int r = 0; r <= level.ranks(); ++r) first.push_back(level.first_box(r));
+  return std::make_shared<Level const>(level.domain().coarsen(ratio), level.periodic(), spacing, std::move(boxes),
+                                       std::move(first), level.rank());
+}
+
+/// The ghost of a correction that vanishes at a distance behind the face.
+WallGhost ghost(Real zero, Real spacing) {
+  return {std::isinf(zero) ? 1 : (zero - 0.5 * spacing) / (zero + 0.5 * spacing), 0, 0};
+}
+
+/// Along an axis that keeps its cells, errors which oscillate meet the level's own ghosts on every coarser copy; along
+/// the others the copies only say where corrections vanish.
+void coarsen(CorrectionGhosts& ghosts, Index3 const& ratio, Real3 const& spacing) {
+  for (int d = 0; d < 3; ++d) {
+    if (ratio[d] == 1) continue;
+    for (int side = 0; side < 2; ++side) ghosts.wall[d][side] = ghost(ghosts.wall_zero[d][side], spacing[d]);
+    ghosts.interface[d] = ghost(ghosts.interface_zero[d], spacing[d]);
+  }
+}
+
+}  // namespace
+
+CorrectionGhosts correction_ghosts(LevelOperators const& operators,
+                                   std::array<std::array<Boundary, 2>, 3> const& boundary) {
+  Real3 const& h = operators.level->spacing();
+  CorrectionGhosts out{operators.walls, {}, {}, h};  // beyond the level at the coarse cells' centres
+  out.interface.fill({interface_ghost::first, interface_ghost::second, 0});
+  for (int d = 0; d < 3; ++d)
+    for (int side = 0; side < 2; ++side) {
+      Boundary const kind = boundary[d][side];
+      out.wall_zero[d][side] = kind == Boundary::open      ? 0.5 * h[d]
+                               : kind == Boundary::neumann ? std::numeric_limits<Real>::infinity()
+                                                           : 0.0;
+    }
+  return out;
+}
+
+Index3 semicoarsening_of(Level const& level) {
+  Real3 const& h = level.spacing();
+  Real const finest = *std::min_element(h.begin(), h.end());
+  if (*std::max_element(h.begin(), h.end()) <= 2.01 * finest) return {1, 1, 1};
+  Index3 ratio{1, 1, 1};
+  for (int d = 0; d < 3; ++d)
+    if (h[d] <= 1.5 * finest) ratio[d] = 2;
+  for (int d = 0; d < 3; ++d) {
+    // red-black order needs an even number of cells around a periodic axis
+    if (level.domain().extent(d) % (level.periodic()[d] ? 2 * ratio[d] : ratio[d]) != 0) return {1, 1, 1};
+    for (Box const& box : level.boxes())
+      if (box.lower[d] % ratio[d] != 0 || box.extent(d) % ratio[d] != 0) return {1, 1, 1};
+  }
+  return ratio;
+}
+
+LevelOperators semicoarsened(MPI_Comm comm, Level const& fine, Index3 const& ratio, CorrectionGhosts& ghosts) {
+  LevelOperators out;
+  out.level = coarsened(fine, ratio);
+  coarsen(ghosts, ratio, out.level->spacing());
+  Level const& level = *out.level;
+  Real3 const& h = level.spacing();
+  CrsBuilder builder(level.local_cells(), level);
+  Row row;
+  auto pass = [&] {
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      auto const number = cell_numbers(level, level.box(b).grow(1));
+      for_each_cell(level.box(b), [&](Index3 const& cell) {
+        row.clear();
+        row.add(number(cell), 0);  // the diagonal comes first
+        for (int axis = 0; axis < 3; ++axis)
+          for (int side = 0; side < 2; ++side) {
+            Index3 other = cell, inner = cell;
+            other[axis] += side == 0 ? -1 : 1;
+            inner[axis] -= side == 0 ? -1 : 1;
+            bool const at_wall = !level.periodic()[axis] &&
+                                 (other[axis] < level.domain().lower[axis] || other[axis] > level.domain().upper[axis]);
+            Real const weight = 1 / h[axis] / h[axis];
+            if (number(other) != no_cell) {
+              row.add(number(cell), -weight);
+              row.add(number(other), weight);
+            } else {
+              WallGhost const& behind = at_wall ? ghosts.wall[axis][side] : ghosts.interface[axis];
+              row.add(number(cell), weight * (behind.first - 1));
+              if (behind.second != 0) row.add(number(inner), weight * behind.second);
+            }
+          }
+        builder.put(row);
+      });
+    }
+  };
+  pass();
+  out.halo = Exchange(comm, level, remote_cells(level, builder.remote()));
+  out.stencil_halo = Exchange(comm, level, out.halo.ghost_numbers());
+  builder.start_filling(out.halo);
+  pass();
+  out.no_fine = builder.take();
+  return out;
+}
+
+}  // namespace amrpic

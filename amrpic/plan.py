@@ -28,6 +28,7 @@ class Plan:
         self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
         self.clock = Clock()
         self.remarks: list[str] = []
+        self.notes: list[str] = []  # what the run settled by itself, for its log
         self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
         self._potential, self._slope = scene.domain.wall_functions()
@@ -85,17 +86,16 @@ class Plan:
         return Clouds(particles.shape, matched=particles.interface == "matched")
 
     def settle_interface(self, bunches: Sequence[Particles]) -> None:
-        """Put into the scene what `interface = "auto"` means for these bunches; matched clouds are remarked. Collective."""
+        """Put into the scene what `interface = "auto"` means for these bunches, and note it. Collective."""
         scene, levels = self.scene, self.scene.refinement.levels
         if scene.particles.interface != "auto":
             return
         few = levels > 0 and any(self._is_small(bunch, scene.domain.value.spacing / 2**levels) for bunch in bunches)
         self.scene = scene.with_interface("matched" if few else "own-level")
-        if few:
-            self.remark(
-                'particles.interface = "auto" takes matched clouds at coarse-fine faces, because a bunch has at most '
-                f"{EQUAL_PARTICLES} (σ/h)² particles; own-level ones see the field finer but push themselves"
-            )
+        if levels > 0:
+            why = "a bunch has at most" if few else "every bunch has more than"
+            taken = self.scene.particles.interface
+            self.notes.append(f"particles.interface: {taken} clouds, because {why} {EQUAL_PARTICLES} (σ/h)² particles")
 
     def _is_small(self, bunch: Particles, widths: np.ndarray) -> bool:
         """Whether a bunch is better off with matched clouds where cells have these widths (m). Collective."""

@@ -70,6 +70,8 @@ class Recorder:
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._log = RunLog(comm, scene.schedule.last_step)
+        for note in () if resumed else plan.notes:
+            self._log.note(note)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:

@@ -55,6 +55,10 @@ class RunLog:
         left = max(self._last_step - int(row["step"]), 0) * self._pace
         self._print(step_line(row, self._last_step, left), self._out or sys.stdout)
 
+    def note(self, text: str) -> None:
+        """Print a line that belongs to no step."""
+        self._print(text, self._out or sys.stdout)
+
     def warn(self, text: str) -> None:
         """Print a warning when it comes up first; how often it did is told at the end."""
         self._warned[text] += 1

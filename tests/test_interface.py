@@ -46,24 +46,27 @@ def test_matched_clouds_are_for_few_particles_in_a_large_bunch():
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-def test_auto_looks_at_each_bunch(comm):
+def test_auto_looks_at_each_bunch_and_says_what_it_took(comm, capsys):
     many, few = gaussian(1500, 1.5), gaussian(100, 1.5)  # 140 (σ/h)² is 315
     for bunches, taken in (([many], "own-level"), ([few], "matched"), ([many, few], "matched"), ([], "own-level")):
         simulation = Simulation(comm, scene(bunches))
         assert simulation.scene.particles.interface == taken
-        assert any("takes matched clouds" in remark for remark in simulation.remarks) == (taken == "matched")
+        simulation.run()
+        logged = capsys.readouterr().out
+        assert logged.count(f"particles.interface: {taken} clouds, because ") == (comm.rank == 0)
     # as one bunch they would be too wide for their number
     train = gaussian(400, 1, centres=[[-0.2] * 3, [0.2] * 3])
     assert Simulation(comm, scene([train])).scene.particles.interface == "own-level"
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-def test_interface_is_as_asked_for_and_stays_so_over_a_restart(comm, tmp_path):
+def test_interface_is_as_asked_for_and_stays_so_over_a_restart(comm, tmp_path, capsys):
     for interface in ("matched", "own-level"):
         assert Simulation(comm, scene([gaussian(9, 1)], interface)).scene.particles.interface == interface
     unrefined = Simulation(comm, scene([gaussian(9, 1)], refinement={"blocking_factor": 4}))
     assert unrefined.scene.particles.interface == "own-level"
-    assert not any("interface" in remark for remark in unrefined.remarks)
+    unrefined.run()
+    assert "interface" not in capsys.readouterr().out
 
     simulation = Simulation(comm, scene([gaussian(9, 1)]))
     simulation.checkpoint(tmp_path / "kept")

@@ -43,7 +43,8 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0)),
         "operators": operators + INTERFACE * ENTRY * faces,
         "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered),
-        "multigrid": (total + below) * (3 * NUMBER + 4 + 1) + total * 2 * NUMBER,  # vectors, colours, covered or not
+        "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene))
+        + total * 2 * NUMBER,  # vectors; covered or not
         "fields": total * NUMBER * _fields(scene),
         "particles": particles * _particle(scene),
         "pictures": DRAWING if "pictures" in scene.output.write else 0,
@@ -60,6 +61,11 @@ def _operators(scene: Scene, cells: int, covered: int) -> int:
     composite = cells * ROW + (cells - covered) * NEIGHBOURS * ENTRY
     from_finer = cells * 2 * ROW + covered * CHILDREN * ENTRY  # fine_boundary, restriction
     return laplacian + from_coarser + composite + from_finer
+
+
+def _smoother(scene: Scene) -> int:
+    """Bytes per cell of the smoother: colours, or what Ifpack2 holds, a matrix and vectors and index lists of its own."""
+    return 4 if scene.solver.smoother == "red-black" else ROW + NEIGHBOURS * ENTRY + 6 * NUMBER
 
 
 def _fields(scene: Scene) -> int:

@@ -21,6 +21,7 @@ from .parallel import together
 from .particles import Particles
 from .plan import Plan
 from .populate import make_particles
+from .push import random_walk
 from .quantities import Quantities
 from .record import prepare
 from .refinement import (
@@ -33,12 +34,13 @@ from .refinement import (
 )
 from .report import columns
 from .resume import about
-from .scene import Scene
+from .scene import RandomWalk, Scene
 from .tag import cells_of_particles
 from .units import quantity
 
 FILE = "preview.vtkhdf"
 IN_PLACE = 1e-3  # relative density that stands for rules that ask for the field: as by default
+FORESEEN = 1000  # steps of a random walk that are gone through for its last mesh
 
 
 def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
@@ -59,7 +61,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
         [scene.summary()],
         _levels(seen.particles, seen.hierarchy),
         _bunches(comm, scene, seen.hierarchy),
-        _memory(comm, scene, seen.hierarchy, count, ranks),
+        _memory(comm, scene, seen, count, ranks),
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *notes]],
         list(map(str, _pictures(comm, scene, seen.rho))),
     ]
@@ -194,20 +196,39 @@ def _size(comm: MPI.Comm, particles: Particles, each: int) -> np.ndarray:
     return np.sqrt((summed(about**2) / weight).mean(axis=1))
 
 
+def _last_mesh(seen: Quantities) -> tuple[Hierarchy, str]:
+    """Return the mesh of the last regrid, or else the first one, and which of them it is. Collective.
+
+    A random walk can be foreseen; in one leap, so that particles leave the domain and coarse cells behind only there.
+    """
+    plan, motion = seen.plan, seen.plan.scene.motion
+    regrids = [step for step in range(1, plan.scene.schedule.last_step + 1) if plan.regrids_at(step)]
+    if not isinstance(motion, RandomWalk) or not regrids or regrids[-1] > FORESEEN:
+        moves = plan.scene.schedule.last_step > 0 and plan.scene.refinement.follows
+        return seen.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
+    particles = seen.particles
+    for step in range(1, regrids[-1] + 1):
+        particles = random_walk(particles, motion.amplitude, plan.scene.seed, step)
+    particles, _ = migrate(particles, seen.hierarchy)
+    last = follow(Quantities(particles, seen.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
+    cells = sum(last.cells(level) for level in range(last.levels))
+    return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
+
+
 def _widths(spacing: np.ndarray) -> str:
     """Return the cell widths, one if they are equal."""
     equal = np.ptp(spacing) < 1e-9 * spacing[0]
     return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
 
 
-def _memory(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, particles: int, ranks: int) -> list[str]:
+def _memory(comm: MPI.Comm, scene: Scene, seen: Quantities, particles: int, ranks: int) -> list[str]:
     """Return how much memory a run takes, and by what. Collective."""
+    hierarchy, mesh = _last_mesh(seen)
     boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
     parts = run_memory(scene, boxes, particles, ranks)
-    grows = "; more if the mesh grows" if scene.schedule.last_step > 0 and scene.refinement.follows else ""
     of = "1 rank" if ranks == 1 else f"{ranks} ranks"
     return [
-        f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest on this mesh{grows}; "
+        f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "
         f"{machine_memory(comm) / MIB:.0f} MiB are free here",
         *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
     ]

@@ -29,11 +29,12 @@ def follow(seen: Quantities, hysteresis: float = 1.0) -> Quantities:
     What is refined already stays while the rule asks for it with thresholds down to `hysteresis` of themselves. Tags reach
     one level up at a time, and what cells hold changes with the mesh, so it goes on until the mesh stays.
     """
-    for _ in range(2 * seen.plan.scene.refinement.levels):  # a rule that goes round in circles is not followed for ever
-        made = _refined(seen, hysteresis)
-        if made is seen.hierarchy:
-            break
-        seen = seen.on(made)
+    with seen.plan.clock("regrid"):
+        for _ in range(2 * seen.plan.scene.refinement.levels):  # not for ever, where a rule goes round in circles
+            made = _refined(seen, hysteresis)
+            if made is seen.hierarchy:
+                break
+            seen = seen.on(made)
     return seen
 
 
@@ -42,8 +43,8 @@ def outrun(seen: Quantities) -> bool:
     plan, refinement = seen.plan, seen.plan.scene.refinement
     if refinement.regrid_outrun is None:
         return False
-    tags = tags_of(refinement.rule, seen)
     with plan.clock("regrid"):
+        tags = tags_of(refinement.rule, seen)
         where = cells_of_particles(seen.particles, seen.hierarchy)[: refinement.levels]
         slow = sum(int(np.count_nonzero(tags[level][cells])) for level, (_, cells) in enumerate(where))
         behind, all_ = plan.comm.allreduce(np.array([slow, len(seen.particles)]))
@@ -59,22 +60,18 @@ def _refined(seen: Quantities, hysteresis: float) -> Hierarchy:
     if rule is not None:
         _remark_on_tags(tags, seen)
     settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
-    with plan.clock("regrid"):
-        made = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
-        if made is hierarchy:
-            return hierarchy
-        boxes = [made.boxes(level) for level in range(made.levels)]
-        require_room(plan.comm, plan.scene, boxes, seen.particles.global_count(plan.comm), "the refined hierarchy")
-        return balance(made, particles_per_box(seen.particles, made))
+    made = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
+    if made is hierarchy:
+        return hierarchy
+    boxes = [made.boxes(level) for level in range(made.levels)]
+    require_room(plan.comm, plan.scene, boxes, seen.particles.global_count(plan.comm), "the refined hierarchy")
+    return balance(made, particles_per_box(seen.particles, made))
 
 
 def _remark_on_tags(tags: Tags, seen: Quantities) -> None:
-    plan = seen.plan
-    count = tagged(plan.comm, tags)[0]
-    where = "refinement.rule"
+    plan, count = seen.plan, tagged(seen.plan.comm, tags)[0]
+    rule, unless = "refinement.rule tags", "its thresholds if that is not meant"
     if count == 0 and seen.particles.global_count(plan.comm) > 0:
-        plan.remark(f"{where} tags no cell, so nothing is refined; lower its thresholds if that is not meant")
+        plan.remark(f"{rule} no cell, so nothing is refined; lower {unless}")
     elif count == seen.hierarchy.cells(0):
-        plan.remark(
-            f"{where} tags every cell, so all of the domain is refined; raise its thresholds if that is not meant"
-        )
+        plan.remark(f"{rule} every cell, so all of the domain is refined; raise {unless}")

@@ -25,12 +25,12 @@ from .push import random_walk
 from .quantities import Quantities
 from .record import prepare
 from .refinement import (
-    AnyKind,
     CallableRule,
     ChargeDensityRule,
     Combination,
     FieldStrengthRule,
     PotentialRule,
+    RuleKind,
 )
 from .report import columns
 from .resume import about
@@ -82,7 +82,7 @@ def _plan_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Plan, list[str]]
     return Plan(comm, scene.model_copy(update={"refinement": refinement})), [note]
 
 
-def _without_field(rule: AnyKind, asked: list[str]) -> AnyKind:
+def _without_field(rule: RuleKind, asked: list[str]) -> RuleKind:
     """Return a rule with charge density in place of what needs a solve; `asked` grows by the kinds of these."""
     match rule:
         case Combination():

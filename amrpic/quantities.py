@@ -63,16 +63,13 @@ class Quantities:
     @cached_property
     def particles_per_cell(self) -> Field:
         """Macroparticles in each cell, in covered cells those of their children."""
-        with self.plan.clock("regrid"):
-            return count(self.particles, self.hierarchy)
+        return count(self.particles, self.hierarchy)
 
     @property
     def guess(self) -> Field | None:
         """A potential to start a solve from, if one is known."""
-        return self.phi if self.known is not None or "phi" in vars(self) else None
+        with self.plan.clock("regrid"):
+            return self.phi if self.known is not None or "phi" in vars(self) else None
 
     def _carried(self, field: Field) -> Field:
-        if field.hierarchy is self.hierarchy:
-            return field
-        with self.plan.clock("regrid"):
-            return carry_over(field, self.hierarchy)
+        return field if field.hierarchy is self.hierarchy else carry_over(field, self.hierarchy)

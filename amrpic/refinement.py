@@ -203,7 +203,7 @@ class StaticRule(Section):
 class Combination(Rule):
     """A rule made of others."""
 
-    of: list[AnyKind] = Field(description="The rules.")
+    of: list[RuleKind] = Field(description="The rules.")
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:
@@ -226,7 +226,7 @@ class AllRule(Combination):
     kind: Literal["all"] = "all"
 
 
-AnyKind = Annotated[
+RuleKind = Annotated[
     ChargeDensityRule
     | PotentialRule
     | FieldStrengthRule
@@ -240,7 +240,7 @@ AnyKind = Annotated[
 ]
 
 
-def every_rule(rule: AnyKind, path: str = "rule") -> Iterator[tuple[str, AnyKind]]:
+def every_rule(rule: RuleKind, path: str = "rule") -> Iterator[tuple[str, RuleKind]]:
     """Yield a rule and all that it is made of, each with its path in the section."""
     yield path, rule
     if isinstance(rule, Combination):
@@ -262,7 +262,7 @@ class Refinement(Section):
     blocking_factor: int = Field(
         default=8, ge=2, description="Boxes begin and end at multiples of it; a power of two, so that they coarsen."
     )
-    rule: AnyKind = Field(
+    rule: RuleKind = Field(
         default=ChargeDensityRule(relative=1e-3),
         description="What is refined. The default follows a Gaussian bunch out to 3.7 σ.",
     )

@@ -12,7 +12,6 @@ from .hierarchy import Domain
 from .quantities import Quantities
 from .refinement import (
     AllRule,
-    AnyKind,
     AnyRule,
     CallableRule,
     ChargeDensityRule,
@@ -20,20 +19,21 @@ from .refinement import (
     MomentumRule,
     ParticlesRule,
     PotentialRule,
+    RuleKind,
     StaticRule,
     Threshold,
 )
 from .tag import Tags
 
 
-def tags_of(rule: AnyKind, seen: Quantities, part: float = 1.0) -> Tags:
+def tags_of(rule: RuleKind, seen: Quantities, part: float = 1.0) -> Tags:
     """Return the cells that a rule tags if its thresholds are taken `part` as strict. Collective."""
     tags = _tags(rule, seen, part)
     levels = None if isinstance(rule, StaticRule) else rule.levels
     return tags if levels is None else tag.on_levels(tags, levels)
 
 
-def _tags(rule: AnyKind, seen: Quantities, part: float) -> Tags:
+def _tags(rule: RuleKind, seen: Quantities, part: float) -> Tags:
     match rule:
         case StaticRule():
             return tag.inside(seen.hierarchy, index_boxes([rule], seen.hierarchy.domain))
@@ -71,7 +71,7 @@ def _thresholds(rule: Threshold, most: np.ndarray) -> np.ndarray:
     return rule.relative * (most if rule.relative_to == "level" else np.full(len(most), most.max()))
 
 
-def apart(rule: AnyKind) -> tuple[AnyKind | None, list[StaticRule]]:
+def apart(rule: RuleKind) -> tuple[RuleKind | None, list[StaticRule]]:
     """Return what a rule tags by what cells hold, None if nothing, and the static boxes that it adds to that.
 
     Boxes that are added exist at once and exactly; those below `all` bound tags, and so come with a buffer like these.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 from amrpic import scene as model
 from amrpic.io import series
+from amrpic.plan import Clock
 from amrpic.simulation import Simulation
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
 
@@ -297,3 +299,15 @@ def test_field_strength_refines_where_the_field_is(comm):
     simulation = run(comm, scene(refinement={"levels": 1, "blocking_factor": 4, "max_grid_size": 16, "rule": rule}))
     assert simulation.hierarchy.levels == 2
     assert 0 < simulation.hierarchy.cells(1) < 8 * 16**3
+
+
+def test_seconds_of_a_stage_within_another_count_once():
+    clock = Clock()
+    with clock("outer"):
+        with clock("inner"):
+            time.sleep(0.05)
+        with clock("inner"):
+            pass
+    seconds = clock.take()
+    assert seconds["inner"] >= 0.05 > 10 * seconds["outer"] > 0
+    assert clock.take() == {}

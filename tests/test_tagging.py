@@ -125,6 +125,10 @@ CASES: dict[str, tuple[dict[str, Any], Oracle]] = {
         lambda w, l: w.e[l] > 0.6 * np.nanmax(w.e[l]),
     ),
     "momentum": ({"kind": "momentum", "relative": 0.8}, lambda w, l: w.momentum[l] > 0.8 * w.fastest),
+    "momentum of level": (
+        {"kind": "momentum", "relative": 0.9, "relative_to": "level"},
+        lambda w, l: w.momentum[l] > 0.9 * w.momentum[l].max(),
+    ),
     "momentum absolute": (FAST, lambda w, l: w.momentum[l] > 0.9 * KEV_C),
     "at most": (
         {"kind": "particles-per-cell", "at_most": 1, "levels": [0]},
@@ -470,6 +474,12 @@ def test_examples_of_the_page_on_refinement_are_scenes():
         rule = names["scene"].refinement.rule
         assert (rule.name, rule.arguments) == ("near_the_axis", ["x", "y", "rho", "hysteresis"])
     assert len(blocks("toml")) == 3 and len(blocks("python")) == 1
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if name != "function"])
+def test_scene_with_a_rule_reads_back_equal(name):
+    given = scene(CASES[name][0])
+    assert Scene.from_dict(tomllib.loads(given.to_toml())) == given
 
 
 def test_the_page_on_refinement_knows_all_kinds_and_arguments():

@@ -40,8 +40,8 @@ class OpenPMDBunch(Bunch):
         return 0
 
     @property
-    def in_file(self) -> bool:
-        return True
+    def source(self) -> str | None:
+        return self.file
 
 
 class ArrayBunch(DescribedBunch):
@@ -102,8 +102,8 @@ class ArrayBunch(DescribedBunch):
         return self.particles or 0
 
     @property
-    def in_file(self) -> bool:
-        return self.file is not None
+    def source(self) -> str | None:
+        return self.file
 
     def arrays(self) -> dict[str, np.ndarray | None]:
         """Return position, momenta and weight, read from the file if one is named.
@@ -157,6 +157,8 @@ def _array(data: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndar
 def _read_arrays(path: Path) -> dict[str, np.ndarray | None]:
     if not path.exists():
         raise InputError(f"particle file {path} does not exist; mend the path (relative ones start at the scene file)")
+    if path.suffix in (".h5", ".hdf5"):
+        raise InputError(f'particle file {path} is no .npz file; give an openPMD file with distribution = "openpmd"')
     try:
         with np.load(path) as content:
             raw = {"position": content["position"], "momenta": content.get("momentum"), "weight": content.get("weight")}

@@ -25,9 +25,9 @@ class Bunch(Section):
         raise NotImplementedError
 
     @property
-    def in_file(self) -> bool:
-        """Whether the particles are yet to be read."""
-        return False
+    def source(self) -> str | None:
+        """The file that the particles are yet to be read from, if they are in one."""
+        return None
 
     @property
     def bunch_charge(self) -> float:

@@ -54,10 +54,16 @@ def rank_cells_error(cells: int, ranks: int, where: str = "domain.cells") -> str
 
 
 def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
-    """Raise SceneError if the base level and the particles of a scene cannot be held by so many ranks.
+    """Raise SceneError if files of a scene are missing, or its base level and particles cannot be held by so many ranks.
 
     Refined levels are not known yet; a run looks at them when they are.
     """
+    for number, bunch in enumerate(scene.bunches):
+        if bunch.source is not None and not Path(bunch.source).exists():
+            raise SceneError(
+                f"{scene.name}: bunches.{number}.file ({bunch.source}) does not exist; mend the path (relative ones start "
+                "at the scene file)"
+            )
     _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
 
 

@@ -482,7 +482,7 @@ class Scene(Section):
         """Return in one line what the scene is."""
         cells = "x".join(map(str, self.domain.cells))
         bunches = sum(bunch.copies for bunch in self.bunches)
-        more = " and those in files" if any(bunch.in_file for bunch in self.bunches) else ""
+        more = " and those in files" if any(bunch.source for bunch in self.bunches) else ""
         return (
             f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} bunches of "
             f"{self.particle_count()} particles in all{more}, {self.schedule.last_step} steps after the first solve"
@@ -491,7 +491,7 @@ class Scene(Section):
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""
         out = []
-        if self.particle_count() == 0 and not any(bunch.in_file for bunch in self.bunches):
+        if self.particle_count() == 0 and not any(bunch.source for bunch in self.bunches):
             out.append("the scene has zero particles; the field is that of the boundary alone")
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:

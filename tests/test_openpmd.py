@@ -193,6 +193,14 @@ def test_a_bad_file_is_refused_in_one_sentence_on_all_ranks(comm, tmp_path, how,
     assert comm.allgather(message) == [message] * comm.size
 
 
+def test_only_the_rows_asked_for_are_read(tmp_path):
+    broken(tmp_path / "bad.h5", "nan")  # in row 400
+    part = bunch_file.read(tmp_path / "bad.h5", lambda count: (100, 300), first_id=7)
+    assert part.id.tolist() == list(range(107, 307))
+    with pytest.raises(InputError, match="row 400 of 500"):
+        bunch_file.read(tmp_path / "bad.h5", lambda count: (300, 500))
+
+
 def test_what_cannot_be_written_is_told_and_leaves_nothing(comm, tmp_path):
     from amrpic.errors import OutputError
 

@@ -221,3 +221,8 @@ def test_memory_and_index_limits_state_both_numbers():
     assert message is not None and str(2**31 - 1) in message and "at least 5 ranks" in message
     with pytest.raises(SceneError, match="32 bits"):
         check_scene(scene(domain={"lower": -1, "upper": 1, "cells": 2**13}), ranks=1, available=10**18)
+
+
+def test_missing_particle_file_is_told_by_the_check():
+    with pytest.raises(SceneError, match=r"bunches\.1\.file \(nowhere\.h5\) does not exist"):
+        check_scene(scene(bunches=[BUNCH, {"distribution": "openpmd", "file": "nowhere.h5"}]), ranks=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import diagnostics
+from amrpic.deposit import deposit
+from amrpic.migrate import migrate
 from amrpic.particles import Particles, concatenate
 from amrpic.push import drift, kick
 from amrpic.scene import Scene
@@ -106,8 +109,24 @@ def test_both_species_are_measured_and_restarted(comm, tmp_path):
     again = Simulation.restart(comm, tmp_path / "two")
     assert again.particles.species == particles.species
     again.run()
-    for name, values in zip(("position", "momentum", "weight", "id"), particles.arrays, strict=True):
-        assert np.array_equal(getattr(again.particles, name), values), name
+    for after, before_it in ((again.particles, particles), (again.lost.particles, lost)):
+        assert all(np.array_equal(a, b) for a, b in zip(after.arrays, before_it.arrays, strict=True))
+        assert np.array_equal(after.charge, before_it.charge) and np.array_equal(after.mass, before_it.mass)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_density_is_the_sum_of_those_of_the_species(comm):
+    simulation = Simulation(comm, scene(schedule={"steps": 0}))
+    particles, hierarchy = simulation.particles, simulation.hierarchy
+    apart = []
+    for kind, species in enumerate(particles.species.kinds):
+        one = particles.select(particles.kind == kind)
+        apart.append(deposit(migrate(replace(one, species=SpeciesTable((species,))), hierarchy)[0], hierarchy))
+    for level in range(hierarchy.levels):
+        together = apart[0].array(level) + apart[1].array(level)
+        scale = 1e-13 * simulation.rho.max_abs()
+        np.testing.assert_allclose(simulation.rho.array(level), together, rtol=0, atol=scale)
+    assert apart[1].integral() > 0 > apart[0].integral()
 
 
 @pytest.mark.mpi(ranks=3)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from .phase_space import Plane
-from .sampling import Sampling
+from .sampling import BITS, Sampling
 from .section import Section, refuse_negative
 from .species import Species
 from .units import Charge, Index3, Length3, Momentum3, Velocity3, complaint
@@ -130,6 +130,13 @@ class Train(DescribedBunch):
     def _train(self) -> Self:
         for axis, spread in enumerate(self.momentum_spread):
             refuse_negative(f"momentum_spread.{axis}", spread, "kg m/s")
+        if self.sampling == "sobol" and self.particles > 2**BITS:
+            raise complaint(
+                f"are more than the {2**BITS} that Sobol numbers tell apart",
+                'use fewer, or sampling = "halton"',
+                path="particles",
+                found=self.particles,
+            )
         if self.charge is None and self.particle_charge is None:
             raise complaint(
                 "is missing", 'add the charge of one bunch, such as charge = "10 pC"', path="charge", found="nothing"

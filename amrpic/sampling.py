@@ -16,7 +16,7 @@ from .distributions import DRAWS
 Sampling = Literal["random", "sobol", "halton"]
 
 STREAMS = 2, 3  # of the counter-based generator; the random walk draws from another
-BITS = 32  # of a Sobol number: so many are as many as SciPy can skip ahead in, and let 2^32 particles be drawn
+BITS = 32  # of a Sobol number, the most that SciPy skips ahead in; there are 2^32 of them
 
 
 def draw(sampling: Sampling, seed: int, first_id: int, start: int, stop: int) -> np.ndarray:

@@ -147,6 +147,10 @@ def test_bad_override_names_itself(assignment):
         ({"bunches": [{**BUNCH, "count": 3}]}, ["bunches.0.spacing", "missing"]),
         ({"bunches": [{**BUNCH, "distribution": "gauss"}]}, ["distribution", 'did you mean "gaussian"']),
         ({"bunches": [{**BUNCH, "sigma": None}]}, ["bunches.0.sigma", "missing", "twiss"]),
+        (
+            {"bunches": [{**BUNCH, "sampling": "sobol", "particles": 2**33}]},
+            ["bunches.0.particles", str(2**32), "halton"],
+        ),
         ({"bunches": [{**BUNCH, "sampling": "sobel"}]}, ["bunches.0.sampling", 'did you mean "sobol"']),
         ({"bunches": [{**BUNCH, "twiss": TWISS}]}, ["bunches.0.sigma", "as well as twiss"]),
         ({"bunches": [{**BUNCH, "sigma": None, "twiss": TWISS}]}, ["twiss.x.beta", "needs a mean momentum"]),

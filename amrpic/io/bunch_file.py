@@ -171,4 +171,5 @@ class _Source:
 
 
 def _text(value: Any) -> str:
+    value = np.ravel(value)[0] if isinstance(value, np.ndarray) else value
     return value.decode() if isinstance(value, bytes) else str(value)

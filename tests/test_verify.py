@@ -73,7 +73,7 @@ def test_hard_cases_come_out_alike_on_any_number_of_ranks(comm, case):
 def test_a_missed_goal_is_marked_and_fails_the_command(monkeypatch, capsys, tmp_path):
     good, bad = Goal(2.0, 1.9, least=True), Goal(float("nan"), 1e-3)
     rows: list[list[str | float | Goal]] = [["here", good], ["there", bad]]
-    table = Table("Odd", "Nothing.", ("case", "value"), rows, {"here": ([8, 16], [0.1, 0.025])}, "E")
+    table = Table("Odd", "Nothing.", ("case", "value"), rows, {"here": ([8, 16], [0.1, 0.025])}, upwards="E")
     assert not table.met and good.met and not bad.met
     monkeypatch.setitem(TOPICS, "odd", lambda comm: iter([table]))
     with pytest.raises(SystemExit) as exit_:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
 from ..errors import InputError
-from . import conservation, convergence, hard, openboundary, peers
+from . import conservation, convergence, hard, openboundary, peers, selfforce
 from .table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "convergence": convergence.tables,
     "open-boundary": openboundary.tables,
     "peers": peers.tables,
+    "self-force": selfforce.tables,
     "conservation": conservation.tables,
     "hard-cases": hard.tables,
 }
@@ -46,32 +51,39 @@ def write(found: Sequence[tuple[str, Table]], folder: Path) -> Path:
         if table.curves:
             name = f"verify_{table.title.lower().replace(' ', '_')}.png"
             draw(table, pictures / name)
-            parts.append(f"![{table.title}: {table.curve}](pictures/{name})\n")
+            parts.append(f"![{table.title}: {table.upwards}](pictures/{name})\n")
     path = folder / "verification.md"
     path.write_text("\n".join(parts), encoding="utf-8")
     return path
 
 
 def draw(table: Table, path: Path) -> None:
-    """Draw the curves of a table: error over cells per axis, with the slope of second order beside them."""
+    """Draw the curves of a table, both axes logarithmic over resolutions, with the slope of second order beside them."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
-    from matplotlib.ticker import NullFormatter, ScalarFormatter
 
     figure, axes = pyplot.subplots(figsize=(8, 4.5), layout="constrained")
     markers = "os^vD<>phX*"
-    for number, (name, (cells, error)) in enumerate(table.curves.items()):
-        axes.loglog(cells, error, marker=markers[number % len(markers)], markersize=5, linewidth=1, label=name)
-    every = sorted({int(c) for cells, _ in table.curves.values() for c in cells})
-    top = max(error[0] for _, error in table.curves.values())
-    axes.loglog(every, [top * 1.5 * (every[0] / c) ** 2 for c in every], "k--", linewidth=1, label="second order")
-    axes.set_xticks(every, [str(c) for c in every])
-    axes.xaxis.set_major_formatter(ScalarFormatter())
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="base cells per axis", ylabel=f"relative error of {table.curve}", title=table.title)
+    for number, (name, (at, values)) in enumerate(table.curves.items()):
+        axes.plot(at, values, marker=markers[number % len(markers)], markersize=4, linewidth=1, label=name)
+    axes.set_yscale("log")
+    if table.across.startswith("base cells"):
+        _mark_resolutions(axes, table)
+    axes.set(xlabel=table.across, ylabel=table.upwards, title=table.title)
     axes.grid(which="major", alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
+
+
+def _mark_resolutions(axes: Axes, table: Table) -> None:
+    from matplotlib.ticker import NullFormatter
+
+    every = sorted({int(c) for cells, _ in table.curves.values() for c in cells})
+    top = max(error[0] for _, error in table.curves.values())
+    axes.plot(every, [top * 1.5 * (every[0] / c) ** 2 for c in every], "k--", linewidth=1, label="second order")
+    axes.set_xscale("log")
+    axes.set_xticks(every, [str(c) for c in every])
+    axes.xaxis.set_minor_formatter(NullFormatter())

@@ -104,7 +104,14 @@ def _table(comm: MPI.Comm, title: str, about: str, cases: dict[str, Case]) -> Ta
         error, cycles = _measured(comm, case)
         rows.append([name, *_row(case, error), cycles])
         curves[name] = list(case.cells), error[:, 2].tolist()
-    return Table(title, f"{about} Errors are those of the finest mesh, relative.", COLUMNS, rows, curves, "E, L2")
+    return Table(
+        title,
+        f"{about} Errors are those of the finest mesh, relative.",
+        COLUMNS,
+        rows,
+        curves,
+        upwards="relative error of E, L2",
+    )
 
 
 def _measured(comm: MPI.Comm, case: Case) -> tuple[np.ndarray, float]:

@@ -34,10 +34,9 @@ class Table:
     about: str  # what is measured and where the goals come from, a sentence or two
     columns: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(
-        default_factory=dict
-    )  # error over cells per axis
-    curve: str = ""  # what the curves show
+    curves: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
+    across: str = "base cells per axis"  # what the curves are drawn over
+    upwards: str = ""  # what they show
 
     def goals(self) -> Iterator[Goal]:
         return (cell for row in self.rows for cell in row if isinstance(cell, Goal))

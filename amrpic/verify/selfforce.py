@@ -1,0 +1,189 @@
+"""The force of a particle on itself near coarse-fine faces, edges and corners, and what it does to a bunch that crosses one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from ..clouds import Clouds
+from ..deposit import deposit
+from ..diagnostics import moments
+from ..gather import gather
+from ..hierarchy import Hierarchy
+from ..migrate import migrate
+from ..particles import Particles
+from ..plan import Plan
+from ..poisson import PoissonSolver
+from ..scene import Scene
+from ..species import Species, SpeciesTable
+from ..step import advance, begin
+from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
+from .meshes import Mesh
+from .sources import EPS0
+from .table import Cell, Goal, Table
+
+CELLS = 24
+FINE = 1 / (2 * CELLS)  # m, width of a fine cell
+DISTANCES = np.arange(-3, 5, 0.25)  # in fine cells; inside is positive
+OFFSETS = np.array([[0.0, 0.0], [0.25, 0.5], [0.5, 0.25], [0.5, 0.5], [0.75, 0.1]])  # along the face, in fine cells
+MODES: Mapping[str, Clouds] = {"own-level": Clouds(), "matched": Clouds(matched=True)}
+INSIDE = "distance inside, fine cells"
+UNIT = Species(charge=1.0, mass=1.0)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A spot on the edge of a refined region: where it is, which way is inside, and the bound for matched clouds."""
+
+    mesh: Mesh
+    at: tuple[float, float, float]  # m
+    inside: tuple[int, int, int]
+    bound: float | None  # of the force, in q²/(4πε₀h²) of the fine cells
+
+
+CUBE = Mesh(((((2, 2, 2), (6, 6, 6)),),))
+ELL = Mesh(((((2, 2, 2), (6, 4, 6)), ((2, 4, 2), (4, 6, 6))),))
+BITTEN = Mesh(((((2, 2, 2), (6, 6, 4)), ((2, 2, 4), (4, 6, 6)), ((4, 2, 4), (6, 4, 6))),))
+PLACES: Mapping[str, Place] = {
+    "face": Place(CUBE, (0.25, 0.5, 0.5), (1, 0, 0), 1.5e-2),
+    "edge": Place(CUBE, (0.25, 0.25, 0.5), (1, 1, 0), 2.5e-2),
+    "convex corner": Place(CUBE, (0.25, 0.25, 0.25), (1, 1, 1), 4e-2),
+    "concave edge": Place(ELL, (0.5, 0.5, 0.5), (-1, -1, 0), None),
+    "concave corner": Place(BITTEN, (0.5, 0.5, 0.5), (-1, -1, -1), None),
+}
+
+
+def tables(comm: MPI.Comm) -> Iterator[Table]:
+    """The tables of this topic. Collective."""
+    yield _map(comm)
+    fine = _end_of_flight(comm, "own-level", levels=0)
+    yield Table(
+        "A bunch that drifts across a coarse-fine face",
+        "40 000 electrons, quiet start, half a plasma period while the bunch crosses the face of a static box; against "
+        "the same run on a mesh that is fine everywhere. Change of the rms emittance, and of the mean momentum over its rms.",
+        ("clouds", "emittance x", "emittance y", "emittance z", "mean momentum"),
+        [[interface, *_crossing(comm, interface, fine)] for interface in ("auto", "matched")],
+    )
+
+
+def _map(comm: MPI.Comm) -> Table:
+    rows: list[list[Cell]] = []
+    curves = {}
+    for name, place in PLACES.items():
+        found = {mode: _along(comm, place, clouds) for mode, clouds in MODES.items()}
+        peak = {mode: float(force.max()) for mode, force in found.items()}
+        matched: Cell = peak["matched"] if place.bound is None else Goal(peak["matched"], place.bound)
+        deep = float(found["own-level"][DISTANCES >= 4].max())
+        rows.append([name, peak["own-level"], matched, deep])
+        for mode, force in found.items():
+            curves[f"{name}, {mode}"] = (DISTANCES.tolist(), force.tolist())
+    return Table(
+        "Force of a particle on itself",
+        "One particle, cloud-in-cell, at distances from -3 to 4.75 fine cells inside a refined region and at five places "
+        "along it: the largest force, in q²/(4πε₀h²) of the fine cells.",
+        ("beside", "own-level", "matched", "own-level, from 4 cells inside"),
+        rows,
+        curves,
+        INSIDE,
+        "force on itself, q²/(4πε₀h²)",
+    )
+
+
+def _along(comm: MPI.Comm, place: Place, clouds: Clouds) -> np.ndarray:
+    """The largest force over the offsets, per distance."""
+    hierarchy = place.mesh.hierarchy(comm, CELLS, "open")
+    solver = PoissonSolver(hierarchy, tolerance=1e-9)
+    inside = np.array(place.inside)
+    free = np.flatnonzero(inside == 0)
+    largest = []
+    for distance in DISTANCES:
+        forces = []
+        for offset in OFFSETS if len(free) else OFFSETS[:1]:
+            at = np.array(place.at) + inside * distance * FINE
+            at[free] += offset[: len(free)] * FINE
+            forces.append(_force(solver, hierarchy, at, clouds))
+        largest.append(max(forces))
+    return np.array(largest)
+
+
+def _force(solver: PoissonSolver, hierarchy: Hierarchy, at: np.ndarray, clouds: Clouds) -> float:
+    """Force of a unit charge on itself, in q²/(4πε₀h²). Collective."""
+    comm = hierarchy.comm
+    count = 1 if comm.rank == 0 else 0
+    made = Particles(
+        np.tile(at, (count, 1)),
+        np.zeros((count, 3)),
+        np.ones(count),
+        np.arange(count),
+        SpeciesTable((UNIT,)),
+    )
+    particles, _ = migrate(made, hierarchy)
+    phi, _ = solver.solve(deposit(particles, hierarchy, clouds))
+    field = gather(solver.electric_field(phi, covered=clouds.covered), particles, clouds)
+    strength = comm.allreduce(float(np.linalg.norm(field)), op=MPI.MAX)
+    return strength * 4 * np.pi * EPS0 * FINE**2
+
+
+def _crossing(comm: MPI.Comm, interface: str, fine: Flight) -> list[Cell]:
+    refined = _end_of_flight(comm, interface, levels=1)
+    emittance = np.abs(refined.emittance / fine.emittance - 1)
+    momentum = float(np.abs(refined.momentum - fine.momentum).max() / fine.rms_momentum)
+    return [*(Goal(float(e), 1e-2) for e in emittance), Goal(momentum, 1e-3)]
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A bunch at the end: rms emittance (m rad), mean momentum per axis and its rms (kg m/s)."""
+
+    emittance: np.ndarray
+    momentum: np.ndarray
+    rms_momentum: float
+
+
+def _end_of_flight(comm: MPI.Comm, interface: str, levels: int) -> Flight:
+    sigma, electrons, number, steps = 1e-3, 1e7, 40_000, 40
+    density = electrons / ((2 * np.pi) ** 1.5 * sigma**3)
+    frequency = np.sqrt(density * ELEMENTARY_CHARGE**2 / (ELECTRON_MASS * EPS0))
+    period = 2 * np.pi / frequency
+    velocity = 6 * sigma / (period / 2)  # from 3 sigma before the face to 3 sigma behind it
+    spread = 0.05 * sigma * frequency * ELECTRON_MASS
+    bunch = {
+        "distribution": "gaussian",
+        "sampling": "sobol",
+        "species": "electron",
+        "sigma": sigma,
+        "charge": -electrons * ELEMENTARY_CHARGE,
+        "particles": number,
+        "centre": [-3 * sigma, 0, 0],
+        "velocity": [velocity, 0, 0],
+        "momentum_spread": spread,
+    }
+    refinement = {
+        "levels": 1,
+        "rule": {
+            "kind": "static",
+            "boxes": [{"level": 1, "lower": [0, -4 * sigma, -4 * sigma], "upper": [7 * sigma, 4 * sigma, 4 * sigma]}],
+        },
+    }
+    half = np.array([7, 5, 5])
+    cells = half * (8 if levels else 16)  # four coarse cells per sigma
+    scene = {
+        "domain": {"lower": (-sigma * half).tolist(), "upper": (sigma * half).tolist(), "cells": cells.tolist()},
+        "bunches": [bunch],
+        "refinement": refinement if levels else {},
+        "motion": {"kind": "leapfrog", "dt": period / 2 / steps},
+        "particles": {"interface": interface},
+        "solver": {"tolerance": 1e-8},
+    }
+    plan = Plan(comm, Scene.from_dict(scene))
+    state = begin(plan)
+    for _ in range(steps):
+        state = advance(state, plan)
+    found = moments(comm, state.particles)
+    count = state.particles.global_count(comm)
+    mean = comm.allreduce(state.particles.momentum.sum(axis=0)) / count
+    square = comm.allreduce(np.sum((state.particles.momentum - mean) ** 2))
+    return Flight(found.emittance, mean, float(np.sqrt(square / count)))

@@ -95,7 +95,7 @@ IMPORTS = {
     "output": {"common", "native", "values", "scene parts", "reductions", "output"},
     "order": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order"},
     "machine": {"common", "native", "values", "poisson"},
-    "proof": {"common", "values", "stages", "reductions", "order", "proof"},
+    "proof": {"common", "values", "scene parts", "stages", "reductions", "order", "proof"},
     "surface": {
         "common",
         "native",

@@ -42,7 +42,7 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0)),
         "operators": operators + INTERFACE * ENTRY * faces,
-        "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered),
+        "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)),
         "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene))
         + total * 2 * NUMBER,  # vectors; covered or not
         "fields": total * NUMBER * _fields(scene),
@@ -61,6 +61,11 @@ def _operators(scene: Scene, cells: int, covered: int) -> int:
     composite = cells * ROW + (cells - covered) * NEIGHBOURS * ENTRY
     from_finer = cells * 2 * ROW + covered * CHILDREN * ENTRY  # fine_boundary, restriction
     return laplacian + from_coarser + composite + from_finer
+
+
+def _of_covered(scene: Scene, cells: Sequence[int], covered: Sequence[int]) -> int:
+    """Bytes of one axis of E in covered cells and of their list, for matched clouds; none before "auto" is settled."""
+    return ROW * sum(cells[:-1]) + (2 * ENTRY + 4) * sum(covered) if scene.particles.interface == "matched" else 0
 
 
 def _smoother(scene: Scene) -> int:

@@ -348,12 +348,19 @@ std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_
     for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
       // Levels nest, so the neighbours of a covered cell are cells of its level or lie beyond a wall.
       Neighbourhood const n = look_around(level.box(b), level, nullptr, nullptr, stack.walls[l]);
+      PlainRows const plain(level.box(b), level.spacing());
       LocalIndex row = level.local_offset(b);
       for_each_cell(level.box(b), [&](Index3 const& cell) {
         for (int d = 0; d < 3; ++d) {
-          terms.clear();
-          if (!operators.uncovered[row]) gradient_row(n, cell, d, Execution::without_finer, terms);
-          axes[d].put(terms.own_row);
+          if (operators.uncovered[row]) {
+            axes[d].put_empty();
+          } else if (plain.has(cell)) {
+            plain.put_gradient(row, d, axes[d]);
+          } else {
+            terms.clear();
+            gradient_row(n, cell, d, Execution::without_finer, terms);
+            axes[d].put(terms.own_row);
+          }
         }
         ++row;
       });

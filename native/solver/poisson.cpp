@@ -412,6 +412,8 @@ std::int64_t PoissonSolver::message_bytes() const {
 std::size_t PoissonSolver::operator_bytes() const {
   std::size_t sum = 0;
   for (auto const& o : operators_) sum += o.bytes();
+  for (auto const& axes : covered_gradient_)
+    for (Crs const& axis : axes) sum += axis.bytes();
   return sum;
 }
 

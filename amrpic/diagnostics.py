@@ -34,6 +34,7 @@ def quantities(levels: int) -> list[Quantity]:
         Quantity("time", "s"),
         *(Quantity(f"cells_{level}", counts=True) for level in range(levels)),
         Quantity("boxes", counts=True),
+        Quantity("regridded", counts=True),  # 1 where the step changed the mesh
         Quantity("particles", counts=True),
         Quantity("lost_particles", counts=True),
         Quantity("charge", "C"),

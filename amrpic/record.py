@@ -136,6 +136,7 @@ class Recorder:
             **measured,
             "step": state.step,
             "time": state.time,
+            "regridded": int(state.regridded),
             "cycles": state.report.cycles,
             "residual": residuals[-1] if residuals else 0.0,
             "seconds": seconds,

@@ -51,6 +51,7 @@ class State:
     step: int
     time: float  # s
     report: SolveReport
+    regridded: bool = False  # whether the latest step changed the mesh
     seconds: dict[str, float] = field(default_factory=dict)  # of the stages of the latest step, on this rank
 
 
@@ -121,9 +122,9 @@ def with_field(state: State, seen: Quantities) -> State:
     with plan.clock("solve"):
         phi, report = plan.solve(rho, seen.guess)
         efield = plan.poisson(seen.hierarchy).electric_field(phi, covered=plan.clouds.covered)
-    return replace(
-        state, particles=seen.particles, hierarchy=seen.hierarchy, rho=rho, phi=phi, efield=efield, report=report
-    )
+    regridded = seen.hierarchy is not state.hierarchy
+    state = replace(state, particles=seen.particles, hierarchy=seen.hierarchy, regridded=regridded)
+    return replace(state, rho=rho, phi=phi, efield=efield, report=report)
 
 
 def with_force(state: State, plan: Plan) -> State:

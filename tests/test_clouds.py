@@ -69,7 +69,7 @@ def test_every_cloud_keeps_the_total_charge(comm):
         hierarchy, particles = placed(case, comm, 1000)
         total = particles.total_charge(comm)
         for clouds in NEW:
-            assert deposit(particles, hierarchy, clouds).integral() == pytest.approx(total, rel=1e-13), (
+            assert deposit(particles, hierarchy, clouds).integral() == pytest.approx(total, rel=1e-13, abs=0), (
                 case.name,
                 clouds,
             )

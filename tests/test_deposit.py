@@ -34,7 +34,7 @@ def test_deposit_keeps_the_total_charge(comm):
     for case in CASES:
         hierarchy, particles = placed(case, comm, 5000)
         total = particles.total_charge(comm)
-        assert deposit(particles, hierarchy).integral() == pytest.approx(total, rel=1e-13), case.name
+        assert deposit(particles, hierarchy).integral() == pytest.approx(total, rel=1e-13, abs=0), case.name
 
 
 @pytest.mark.mpi(ranks=(1, 3), timeout=120)
@@ -158,7 +158,7 @@ def test_particles_on_one_rank_only_are_ordinary(comm):
         np.repeat(spot, count, axis=0), np.zeros((count, 3)), np.ones(count), np.arange(count), ONE_KIND
     )
     particles, _ = migrate(particles, hierarchy)
-    assert deposit(particles, hierarchy).integral() == pytest.approx(10 * CHARGE, rel=1e-14)
+    assert deposit(particles, hierarchy).integral() == pytest.approx(10 * CHARGE, rel=1e-14, abs=0)
 
 
 def test_particles_that_have_not_migrated_are_refused(comm):

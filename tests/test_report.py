@@ -140,7 +140,7 @@ def test_a_projection_holds_all_of_the_charge_once(comm, tmp_path, monkeypatch, 
     exact = 1e-6 * np.pi**1.5 * 4e-3 * 4e-3 * 3e-2
     assert spread.charge == pytest.approx(exact, rel=2e-3, abs=0)
     # Fewer pixels than cells sample the cells and do not sum them.
-    assert seen.values.sum() * area == pytest.approx(spread.charge, rel=1e-12 if most_pixels == 1600 else 0.02, abs=0)
+    assert seen.values.sum() * area == pytest.approx(spread.charge, rel=1e-12 if most_pixels == 1600 else 0.03, abs=0)
 
 
 def test_the_line_follows_the_long_side_of_the_charge_from_wall_to_wall(comm, tmp_path):

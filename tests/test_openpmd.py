@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import beamphysics
 import h5py
 import numpy as np
 import pytest
@@ -23,7 +24,6 @@ from amrpic.species import Species, SpeciesTable
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from particle_cases import everywhere
 
-beamphysics = pytest.importorskip("beamphysics")
 COUNT = 500
 EV_PER_C = ELEMENTARY_CHARGE / SPEED_OF_LIGHT  # kg m/s
 

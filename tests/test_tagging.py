@@ -28,7 +28,7 @@ from amrpic.regrid import Regridding, regrid
 from amrpic.rules import apart, index_boxes, tags_of
 from amrpic.scene import Scene
 from amrpic.simulation import Simulation
-from amrpic.tag import inside
+from amrpic.tag import Tags, inside
 from particle_cases import dense, everywhere
 from regions import coarser, mask, wanted_blocks
 
@@ -206,6 +206,14 @@ def test_boxes_are_those_of_one_rank_and_as_full_as_asked(comm, name):
         assert part.mean() >= settings.efficiency or part.size == 1
 
 
+def on_cells(hierarchy: Hierarchy, tags: Tags) -> list[np.ndarray]:
+    """Tags over all cells of each level, on every rank."""
+    field = Field(hierarchy)
+    for level, values in enumerate(tags):
+        field.array(level)[:] = values
+    return [dense(field, level) == 1 for level in range(hierarchy.levels)]
+
+
 FULL = Regridding(max_levels=3, buffer=1, efficiency=1.0)
 ELSEWHERE = {
     "kind": "static",
@@ -241,7 +249,11 @@ def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
     strict, loose = ([oracle(world, level, part) & world.exists[level] for level in range(2)] for part in (1, 0.25))
     kept, plain = (wanted_blocks(seen.hierarchy, strict, FULL, stays) for stays in (loose, []))
     asked = seen.plan.scene.refinement.rule
-    made = regrid(seen.hierarchy, tags_of(asked, seen), FULL, kept=tags_of(asked, seen, 0.25))
+    loosened = tags_of(asked, seen, 0.25)
+    assert all(
+        np.array_equal(found, loose[level]) for level, found in enumerate(on_cells(seen.hierarchy, loosened)[:2])
+    )
+    made = regrid(seen.hierarchy, tags_of(asked, seen), FULL, kept=loosened)
     for level in (1, 2):
         assert np.array_equal(coarser(mask(made, level) == 1, 4), kept[level - 1])
     assert any(np.any(a & ~b) for a, b in zip(kept, plain, strict=True)), "nothing was kept"
@@ -260,13 +272,10 @@ def test_cells_that_touch_boxes_are_found_across_periodic_faces(comm):
                 inside_it = np.zeros_like(marks[level])
                 inside_it[cells] = True
                 marks[coarse] |= coarser(inside_it, 2 ** (level - coarse))
-    field = Field(hierarchy)
-    for level, found in enumerate(inside(hierarchy, boxes)):
-        field.array(level)[:] = found
-    for level in range(2):
+    for level, found in enumerate(on_cells(hierarchy, inside(hierarchy, boxes))):
         exists = mask(hierarchy, level) == 1
-        assert np.array_equal(dense(field, level)[exists] == 1, marks[level][exists])
-        assert 0 < marks[level][exists].sum() < exists.sum()
+        assert np.array_equal(found, marks[level] & exists)
+        assert 0 < found.sum() < exists.sum()
 
 
 # ---- a mesh in motion ----

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from .boxes import Array, cells_of, outer_faces
-from .scene import Leapfrog, NoMotion, Scene
+from .scene import Leapfrog, Scene
 
 MIB = 2**20
-PROCESS = 130 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
+PROCESS = 134 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
 MESSAGES = 20 * MIB  # measured: buffers of a process that has others to talk to
 DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
 
@@ -43,8 +43,7 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0)),
         "operators": operators + INTERFACE * ENTRY * faces,
         "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)),
-        "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene))
-        + total * 2 * NUMBER,  # vectors; covered or not
+        "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER,
         "fields": total * NUMBER * _fields(scene),
         "particles": particles * _particle(scene),
         "pictures": DRAWING if "pictures" in scene.output.write else 0,
@@ -83,15 +82,10 @@ def _fields(scene: Scene) -> int:
 
 def _particle(scene: Scene) -> int:
     """Bytes per particle in the arrays that live at the same time."""
-    vector = 3 * NUMBER
-    if scene.schedule.last_step == 0:
-        return PARTICLE + 3 * vector  # moments: deviations and their squares
-    match scene.motion:
-        case NoMotion():
-            return 2 * PARTICLE
-        case Leapfrog():  # position and momentum on the way, the force before and after, the last momentum
-            return 2 * PARTICLE + 5 * vector
-    return 2 * PARTICLE + vector
+    if scene.schedule.last_step > 0 and isinstance(scene.motion, Leapfrog):
+        # before and after a step; position and momentum on the way, the force before and after, the last momentum
+        return 2 * PARTICLE + 5 * 3 * NUMBER
+    return 3 * PARTICLE  # at the start: bunches, all of them together, and sorted
 
 
 def base_boxes(scene: Scene) -> list[Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from .diagnostics import moments
 from .errors import OutputError
 from .field import Field
 from .follow import follow, make_base
@@ -18,9 +20,9 @@ from .limits import machine_memory
 from .memory import MIB, run_memory
 from .migrate import migrate
 from .parallel import together
-from .particles import Particles
+from .particles import Particles, concatenate
 from .plan import Plan
-from .populate import make_particles
+from .populate import make_bunches
 from .push import random_walk
 from .quantities import Quantities
 from .record import prepare
@@ -51,18 +53,20 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
     prepare(comm, scene)
     plan, notes = _plan_without_solves(comm, scene)
     base = make_base(plan)
-    made = make_particles(comm, scene)
-    particles, gone = migrate(made, base)
+    bunches = make_bunches(comm, scene)
+    plan.settle_interface(bunches)
+    particles, gone = migrate(concatenate(bunches), base)
     seen = follow(Quantities(particles, base, plan))
-    count, lost = made.global_count(comm), gone.global_count(comm)
+    lost = gone.global_count(comm)
+    count = seen.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {count} particles lie outside the domain and would be lost")
     paragraphs = [
         [scene.summary()],
         _levels(seen.particles, seen.hierarchy),
-        _bunches(comm, scene, seen.hierarchy),
-        _memory(comm, scene, seen, count, ranks),
-        [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *notes]],
+        _bunches(comm, scene, bunches[1:], seen.hierarchy),
+        _memory(seen, count, ranks),
+        [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
         list(map(str, _pictures(comm, scene, seen.rho))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
@@ -157,43 +161,43 @@ class Histogram:
         return int(self.values[-1]) if len(self.values) else 0
 
 
-def _bunches(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy) -> list[str]:
-    """Return the table of bunches, with their size over the cell width on each level along their narrowest axis. Collective."""
+def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy: Hierarchy) -> list[str]:
+    """Return the table of bunches, with their size over the cell width on each level along their narrowest axis. Collective.
+
+    `made` are the bunches one by one, in the order of the scene.
+    """
     levels = range(hierarchy.levels)
     rows: list[Sequence[object]] = [
         ("bunches", "number", "particles of each", "charge of each", "sigma x, y, z", *(f"sigma/h {l}" for l in levels))
     ]
+    rest = iter(made)
     for number, bunch in enumerate(scene.bunches):
-        particles = make_particles(comm, scene.model_copy(update={"bunches": [bunch]}))
-        count = particles.global_count(comm)
-        size = _size(comm, particles, count // bunch.copies)
+        copies = list(itertools.islice(rest, bunch.copies))
+        size = np.sqrt(np.mean([moments(comm, copy).rms ** 2 for copy in copies], axis=0))
         rows.append(
             [
                 f"{number} {bunch.name or bunch.distribution}",
-                bunch.copies,
-                count // bunch.copies,
-                quantity(particles.total_charge(comm) / bunch.copies, "C"),
+                len(copies),
+                copies[0].global_count(comm),
+                quantity(copies[0].total_charge(comm), "C"),
                 ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size),
                 *(f"{(size / hierarchy.spacing(level)).min():.2g}" for level in levels),
             ]
         )
-    return columns(rows) if len(rows) > 1 else []
+    return columns(rows) if scene.bunches else []
 
 
-def _size(comm: MPI.Comm, particles: Particles, each: int) -> np.ndarray:
-    """Return the rms size (3,) in m of bunches of `each` particles with consecutive ids from 0, on average. Collective."""
-    if each == 0:
-        return np.zeros(3)
-    copy = particles.id // each
-    copies = comm.allreduce(int(copy.max(initial=0)) + 1, op=MPI.MAX)
-
-    def summed(values: np.ndarray) -> np.ndarray:
-        return comm.allreduce(np.array([np.bincount(copy, particles.weight * v, copies) for v in values]))
-
-    weight = summed(np.ones((1, len(particles))))
-    mean = summed(particles.position.T) / weight
-    about = particles.position.T - mean[:, copy]
-    return np.sqrt((summed(about**2) / weight).mean(axis=1))
+def _memory(seen: Quantities, particles: int, ranks: int) -> list[str]:
+    """Return how much memory a run takes, and by what. Collective."""
+    hierarchy, mesh = _last_mesh(seen)
+    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
+    parts = run_memory(seen.plan.scene, boxes, particles, ranks)
+    of = "1 rank" if ranks == 1 else f"{ranks} ranks"
+    return [
+        f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "
+        f"{machine_memory(seen.plan.comm) / MIB:.0f} MiB are free here",
+        *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
+    ]
 
 
 def _last_mesh(seen: Quantities) -> tuple[Hierarchy, str]:
@@ -219,19 +223,6 @@ def _widths(spacing: np.ndarray) -> str:
     """Return the cell widths, one if they are equal."""
     equal = np.ptp(spacing) < 1e-9 * spacing[0]
     return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
-
-
-def _memory(comm: MPI.Comm, scene: Scene, seen: Quantities, particles: int, ranks: int) -> list[str]:
-    """Return how much memory a run takes, and by what. Collective."""
-    hierarchy, mesh = _last_mesh(seen)
-    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    parts = run_memory(scene, boxes, particles, ranks)
-    of = "1 rank" if ranks == 1 else f"{ranks} ranks"
-    return [
-        f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "
-        f"{machine_memory(comm) / MIB:.0f} MiB are free here",
-        *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
-    ]
 
 
 # ---- pictures ----

@@ -47,7 +47,7 @@ class Field:
     """One number per cell, on every level of a hierarchy; starts at zero.
 
     Each rank holds the cells of its own boxes. Cells that a finer level covers hold the mean of their children in every
-    field that the package returns.
+    field that the package returns, but for the electric field of matched clouds.
     """
 
     def __init__(self, hierarchy: Hierarchy, unit: str = "") -> None:

@@ -75,6 +75,20 @@ def test_interface_is_as_asked_for_and_stays_so_over_a_restart(comm, tmp_path, c
 
 
 @pytest.mark.mpi(ranks=(1, 2))
+def test_run_with_matched_clouds_goes_on_bit_by_bit_after_a_restart(comm, tmp_path):
+    given = scene([gaussian(200, 3)], motion={"kind": "leapfrog", "dt": 2e-7}, schedule={"steps": 3})
+    simulation = Simulation(comm, given)
+    simulation.on_step(lambda now: now.checkpoint(tmp_path / "first") if now.step == 1 else None)
+    simulation.run()
+    again = Simulation.restart(comm, tmp_path / "first")
+    again.run()
+    assert again.scene.particles.interface == "matched"
+    assert np.array_equal(again.particles.id, simulation.particles.id)
+    assert np.array_equal(again.particles.momentum, simulation.particles.momentum)
+    assert simulation.lost.particles.global_count(comm) < 200
+
+
+@pytest.mark.mpi(ranks=(1, 2))
 @pytest.mark.parametrize("shape", ["nearest-grid-point", "cloud-in-cell", "triangular-shaped-cloud"])
 def test_particle_at_a_face_hardly_pushes_itself_in_a_run(comm, shape):
     """Measured: own-level 0.15 to 0.6 of q²/(4πε₀h²), matched 0.0007 to 0.01."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+from .units import complaint
 
 Norm = Literal["max", "l1", "l2"]
 Backend = Literal["crs"]
@@ -78,3 +80,12 @@ def refusal(
 def both(sweeps: int | Sequence[int]) -> Sequence[int]:
     """Return the sweeps before and after: one number stands for both."""
     return (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
+
+
+def tolerance(value: Any) -> float | str:
+    """The tolerance of a solve as it is, if it is one; a complaint otherwise."""
+    if value == "discretization":
+        return "discretization"
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
+        raise complaint("is no tolerance", 'give a number between 0 and 1, or "discretization"')
+    return float(value)

@@ -69,7 +69,7 @@ class Plan:
         if not report.converged:
             reached = report.residuals[-1] if report.residuals else float("nan")
             raise SolverError(
-                f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance:.1e} "
+                f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance} "
                 f"({report.reason}); raise solver.tolerance or solver.max_cycles"
             )
         return phi, report

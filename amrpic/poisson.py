@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy import sparse
@@ -16,6 +16,7 @@ from .hierarchy import BOUNDARIES, Hierarchy
 from .parallel import together
 
 COVERED = ("mean", "difference")
+SMALLEST = 1e-12  # tolerance that ends a solve to the discretization error, where the mesh makes none
 DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
 
 
@@ -29,6 +30,7 @@ class SolveReport:
     seconds: dict[str, float]  # per stage, of this rank
     reason: str  # why the solve stopped
     floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
+    discretization_error: float = 0.0  # estimate of the largest error of φ that the mesh makes, V; 0 unless asked for
 
 
 class PoissonSolver:
@@ -36,7 +38,9 @@ class PoissonSolver:
 
     `tolerance` bounds the residual over the right-hand side (its boundary part included) in `norm`: "max", or "l1" or "l2"
     weighted by volume, over uncovered cells; `absolute_tolerance` bounds the residual itself, in V/m² (times m³ for "l1",
-    m^1.5 for "l2"). `background="neutralizing"` takes the mean charge away where all faces are periodic or Neumann.
+    m^1.5 for "l2"). With `tolerance="discretization"` a solve ends where the error left in φ is a tenth of what the mesh
+    makes by an estimate: the Laplacian of each next coarser level, applied to φ, shows the truncation error, and one cycle
+    with that the error of φ. `background="neutralizing"` takes the mean charge away where all faces are periodic or Neumann.
     With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
     that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
 
@@ -50,7 +54,7 @@ class PoissonSolver:
     def __init__(
         self,
         hierarchy: Hierarchy,
-        tolerance: float = 1e-10,
+        tolerance: float | Literal["discretization"] = 1e-10,
         norm: str = "max",
         backend: str = "crs",
         *,
@@ -78,8 +82,18 @@ class PoissonSolver:
         _one_of("krylov", krylov, get_args(menu.Krylov))
         if background is not None:
             _one_of("background", background, ("neutralizing",))
-        if not 0 <= tolerance < 1:
-            raise SolverError(f"tolerance is {tolerance}; give a number from 0 up to, not including, 1")
+        to_discretization = tolerance == "discretization"
+        if to_discretization:
+            tolerance = SMALLEST
+        if isinstance(tolerance, str) or not 0 <= tolerance < 1:
+            raise SolverError(
+                f'tolerance is {tolerance!r}; give a number from 0 up to, not including, 1, or "discretization"'
+            )
+        if to_discretization and krylov != "none":
+            raise SolverError(
+                f'krylov is {krylov!r}, which does not tell how much error is left, as tolerance "discretization" must know; '
+                'use krylov "none", or a number as tolerance'
+            )
         if not absolute_tolerance >= 0:
             raise SolverError(f"absolute_tolerance is {absolute_tolerance} V/m²; give zero or a positive number")
         before_and_after = tuple(menu.both(sweeps))
@@ -97,6 +111,7 @@ class PoissonSolver:
             raise SolverError(f"{wrong.option} is {wrong.found!r}, which {wrong.what}; {wrong.remedy}")
         options = _native.SolverOptions()
         options.tolerance = tolerance
+        options.to_discretisation = to_discretization
         options.absolute_tolerance = absolute_tolerance
         options.norm = getattr(_native.Norm, norm)
         options.smoother = _choice(_native.Smoother, smoother)
@@ -153,7 +168,13 @@ class PoissonSolver:
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
         return phi, SolveReport(
-            report.converged, report.cycles, report.residuals, report.seconds, report.reason, report.floor
+            report.converged,
+            report.cycles,
+            report.residuals,
+            report.seconds,
+            report.reason,
+            report.floor,
+            report.discretisation_error,
         )
 
     @property

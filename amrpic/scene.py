@@ -154,11 +154,10 @@ class ParticlesSection(Section):
 class Solver(Section):
     """How Poisson's equation is solved."""
 
-    tolerance: float = Field(
+    tolerance: Annotated[float | Literal["discretization"], BeforeValidator(menu.tolerance)] = Field(
         default=1e-10,
-        gt=0,
-        lt=1,
-        description="Residual relative to that of a zero potential at which the solve has converged.",
+        description="Residual relative to that of a zero potential at which the solve has converged; or discretization: stop "
+        "where the error left in φ is a tenth of the estimated error of the mesh, which takes half the cycles or less.",
     )
     absolute_tolerance: float = Field(
         default=0.0,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from mpi4py import MPI
 
 from ..errors import InputError
-from . import conservation, convergence, hard, openboundary, peers, selfforce
+from . import conservation, convergence, hard, openboundary, peers, selfforce, stopping
 from .table import Table
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "open-boundary": openboundary.tables,
     "peers": peers.tables,
     "self-force": selfforce.tables,
+    "stopping": stopping.tables,
     "conservation": conservation.tables,
     "hard-cases": hard.tables,
 }

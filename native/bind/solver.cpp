@@ -51,6 +51,7 @@ void bind_solver(nb::module_& m) {
   nb::class_<SolverOptions>(m, "SolverOptions")
       .def(nb::init<>())
       .def_rw("tolerance", &SolverOptions::tolerance)
+      .def_rw("to_discretisation", &SolverOptions::to_discretisation)
       .def_rw("absolute_tolerance", &SolverOptions::absolute_tolerance)
       .def_rw("norm", &SolverOptions::norm)
       .def_rw("max_cycles", &SolverOptions::max_cycles)
@@ -71,6 +72,7 @@ void bind_solver(nb::module_& m) {
       .def_ro("cycles", &SolveReport::cycles)
       .def_ro("residuals", &SolveReport::residuals)
       .def_ro("floor", &SolveReport::floor)
+      .def_ro("discretisation_error", &SolveReport::discretisation_error)
       .def_ro("reason", &SolveReport::reason)
       .def_ro("seconds", &SolveReport::seconds);
 

@@ -37,8 +37,9 @@ constexpr int as_many_as_possible = 1 << 30;
 
 /// What a solver is asked to do; the reasons for the defaults stand beside them.
 struct SolverOptions {
-  Real tolerance = 1e-10;       ///< residual over right-hand side, in `norm`
-  Real absolute_tolerance = 0;  ///< residual in `norm`, V/m^2 (times m^3 for l1, times m^1.5 for l2)
+  Real tolerance = 1e-10;          ///< residual over right-hand side, in `norm`
+  Real absolute_tolerance = 0;     ///< residual in `norm`, V/m^2 (times m^3 for l1, times m^1.5 for l2)
+  bool to_discretisation = false;  ///< stop where the error left is a tenth of the estimated one of the mesh
   Norm norm = Norm::max;
   int max_cycles = 100;
   SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and alike on any decomposition

@@ -70,13 +70,6 @@ Composite PoissonSolver::zero() const {
   return out;
 }
 
-template <class F>
-void PoissonSolver::for_each_uncovered(int l, F&& f) const {
-  LevelOperators const& o = operators(l);
-  for (LocalIndex row = 0; row < o.rows(); ++row)
-    if (o.uncovered[row]) f(row);
-}
-
 /// The chosen norm over uncovered cells of the whole hierarchy of value(level, row); nan if one is.
 template <class Value>
 Real PoissonSolver::norm(Value&& value) const {
@@ -307,6 +300,9 @@ void PoissonSolver::iterate(SolveReport& report) {
       throw SolverError("the guess holds values that are not finite; solve without one");
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
     if (residual > 1e6 * std::max(report.residuals.front(), Real(1))) return finish(false, "the cycles diverge");
+    if (options_.to_discretisation && report.cycles > 0 && below_discretisation(report))
+      return finish(true, "error left is below a tenth of the estimated " + scientific(report.discretisation_error) +
+                              " V of the mesh");
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
       slow = factor > 0.5 ? slow + 1 : 0;
@@ -322,7 +318,18 @@ void PoissonSolver::iterate(SolveReport& report) {
     if (report.cycles == options_.max_cycles)
       return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
     improve(krylov.get());
+    if (options_.to_discretisation) latest_correction_ = largest_correction();
   }
+}
+
+/// Whether what the cycles to come would still change is a tenth of the error of the mesh: the latest correction times
+/// the sum of the geometric series that they make.
+bool PoissonSolver::below_discretisation(SolveReport& report) {
+  Real const residual = report.residuals.back(), before = report.residuals[report.residuals.size() - 2];
+  if (report.discretisation_error == 0)
+    stopwatch_.time("discretisation error", [&] { report.discretisation_error = discretisation_error(); });
+  Real const factor = std::min(residual / before, Real(0.9));
+  return latest_correction_ * factor / (1 - factor) <= 0.1 * report.discretisation_error;
 }
 
 SolveReport PoissonSolver::solve(Field const& rho, Field& phi) {

@@ -25,8 +25,9 @@ enum class CoveredField {
 struct SolveReport {
   bool converged = false;
   int cycles = 0;
-  std::vector<Real> residuals;  ///< before the first cycle and after each, relative to the right-hand side
-  Real floor = 0;               ///< estimate of the relative residual that rounding alone leaves
+  std::vector<Real> residuals;    ///< before the first cycle and after each, relative to the right-hand side
+  Real discretisation_error = 0;  ///< estimate of the largest error of phi that the mesh makes, V; 0: not asked for
+  Real floor = 0;                 ///< estimate of the relative residual that rounding alone leaves
   std::string reason;
   std::map<std::string, Real> seconds;
 };
@@ -72,8 +73,13 @@ class PoissonSolver {
 
  private:
   MultigridLevel& cycle_level(int l) { return multigrid_.level(stack_.base + std::size_t(l)); }
+  /// Call f(row) for each cell of a level that no finer level covers.
   template <class F>
-  void for_each_uncovered(int l, F&& f) const;
+  void for_each_uncovered(int l, F&& f) const {
+    LevelOperators const& o = operators(l);
+    for (LocalIndex row = 0; row < o.rows(); ++row)
+      if (o.uncovered[row]) f(row);
+  }
   template <class Value>
   Real norm(Value&& value) const;
   Real composite_integral(bool magnitude) const;
@@ -93,6 +99,11 @@ class PoissonSolver {
   CompositeEquations equations();
   void fix_constant();
   void iterate(SolveReport& report);
+  bool below_discretisation(SolveReport& report);
+  Real discretisation_error();
+  void set_truncation();
+  Real largest_correction();
+  Real largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&));
   void difference_covered(std::vector<Field*> const& components);
 
   std::shared_ptr<Hierarchy const> given_;
@@ -108,6 +119,7 @@ class PoissonSolver {
   Composite right_hand_side_;  ///< f = -rho / eps0 minus what walls add
   std::vector<Walls> walls_;
   Stopwatch stopwatch_;
+  Real latest_correction_ = 0;  ///< largest change of phi by the latest cycle, V
   bool has_gradient_ = false;
   std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for
   std::int64_t assemblies_ = 1;

@@ -1,0 +1,93 @@
+// The error that the mesh itself makes, estimated from what a coarser mesh would make of the same potential.
+#include <algorithm>
+#include <cmath>
+
+#include "base/rows.hpp"
+#include "solver/poisson.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// A second-order stencil of twice the width errs four times as much; seen is what it errs more.
+constexpr Real seen_over_error = 3;
+
+std::vector<char> rows_at_walls(Domain const& domain, Level const& level) {
+  std::vector<char> at_wall(std::size_t(level.local_cells()));
+  for (auto const& face : find_walls(domain, level).faces) at_wall[face.row] = 1;
+  return at_wall;
+}
+
+}  // namespace
+
+Real PoissonSolver::largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&)) {
+  Real result = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    auto const& v = values(cycle_level(l));
+    for_each_uncovered(l, [&](LocalIndex row) { result = std::max(result, std::abs(v[row])); });
+  }
+  MPI_Allreduce(MPI_IN_PLACE, &result, 1, MPI_DOUBLE, MPI_MAX, hierarchy_->comm());
+  return result;
+}
+
+Real PoissonSolver::largest_correction() {
+  return largest_uncovered([](MultigridLevel& level) -> std::vector<Real> const& { return level.correction(); });
+}
+
+/// The truncation error of the composite Laplacian, into the right-hand sides of the cycle: for each cell what the
+/// Laplacian of the next coarser level makes of the mean potentials there, less the mean of f, over three. Nothing is
+/// known of cells at walls, and of the base where nothing coarser exists. `phi_` must be averaged down.
+void PoissonSolver::set_truncation() {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    LevelOperators const& fine = operators(l);
+    auto& truncation = cycle_level(l).right_hand_side();
+    std::fill(truncation.begin(), truncation.end(), 0.0);
+    std::size_t const place = stack_.base + std::size_t(l);
+    if (place == 0) continue;
+    LevelOperators const& coarse = operators_[place - 1];
+    std::size_t const here = std::size_t(fine.rows() + fine.halo.ghosts());
+    std::size_t const there = std::size_t(coarse.rows() + coarse.halo.ghosts());
+
+    std::vector<Real> f(here), uncovered(here), phi(there), seen(there);
+    std::copy_n(right_hand_side_[l].begin(), fine.rows(), f.begin());
+    std::copy_n(fine.uncovered.begin(), fine.rows(), uncovered.begin());
+    fine.halo.update(f.data());
+    fine.halo.update(uncovered.data());
+    if (l > 0)
+      phi = phi_[l - 1];
+    else
+      multiply(coarse.restriction, phi_[0].data(), phi.data());
+    coarse.halo.update(phi.data());
+
+    auto const at_wall = rows_at_walls(hierarchy_->domain(), *coarse.level);
+    coarse.restriction.for_each_row([&](LocalIndex row) {
+      bool const usable = coarse.restriction.dot(row, uncovered.data()) > 1 - 1e-9;  // no child is covered
+      if (usable && !at_wall[row])
+        seen[row] = (coarse.no_fine.dot(row, phi.data()) - coarse.restriction.dot(row, f.data())) / seen_over_error;
+    });
+    coarse.halo.update(seen.data());
+    add_multiply(1.0, fine.prolongation, seen.data(), truncation.data());
+    for_rows(fine.rows(), [&](LocalIndex row) {
+      if (!fine.uncovered[row]) truncation[row] = 0;
+    });
+  }
+}
+
+/// Estimate of the largest error of phi that the mesh makes: one cycle with the truncation error; 0 while the residual
+/// is too large beside it to tell. Finds and leaves the residual in the right-hand sides of the cycle.
+Real PoissonSolver::discretisation_error() {
+  auto const right_hand_side = [](MultigridLevel& level) -> std::vector<Real> const& {
+    return level.right_hand_side();
+  };
+  Real const residual = largest_uncovered(right_hand_side);
+  set_truncation();
+  Real error = 0;
+  if (residual < 0.1 * largest_uncovered(right_hand_side)) {
+    multigrid_.cycle();
+    error = largest_correction();
+  }
+  compute_residual();
+  return error;
+}
+
+}  // namespace amrpic

@@ -26,9 +26,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The table of this topic. Collective."""
     yield Table(
         'tolerance = "discretization"',
-        "Estimated over true largest error of φ; errors of φ and E (max) over those of a solve to 1e-10; cycles of "
-        "both, of which the estimate takes one more. Where ρ is the mean over each cell instead of its value at the centre, the error of φ "
-        "at cell centres is less than what the truncation error makes, so that the estimate is high.",
+        "Estimated over true largest error of φ; errors of φ and E (max) over those of a solve to 1e-10; cycles of both, of "
+        "which the estimate takes one more. Where ρ is the mean over each cell instead of its value at the centre, the error "
+        "of φ at cell centres is less than what the truncation error makes, so that the estimate is high.",
         ("case", "estimate over true", "φ", "E", "cycles", "to 1e-10"),
         [[name, *_row(*case)] for name, case in _cases(comm)],
     )

@@ -10,11 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from .boxes import Array, cells_of, outer_faces
+from .bunches import Train
 from .scene import Leapfrog, Scene
 
 MIB = 2**20
 PROCESS = 134 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
 MESSAGES = 20 * MIB  # measured: buffers of a process that has others to talk to
+QUIET = 44 * MIB  # measured: SciPy's quasi-random numbers in a process
 DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
 
 ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a number of a field
@@ -39,8 +41,9 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
     operators = _operators(scene, below, below) + sum(
         _operators(scene, *one) for one in zip(cells, covered, strict=True)
     )
+    quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     return {
-        "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0)),
+        "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         "operators": operators + INTERFACE * ENTRY * faces,
         "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)),
         "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER,

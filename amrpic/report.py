@@ -89,14 +89,22 @@ def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> 
 
 
 def columns(rows: Sequence[Sequence[object]]) -> list[str]:
-    """Return rows of cells as lines with aligned columns: numbers, and what heads them, to the right."""
-    cells = [[str(cell) for cell in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    is_text = [all(isinstance(row[k], str) for row in rows) for k in range(len(widths))]
+    """Return rows of cells, the first of which may be a head, as lines with aligned columns: numbers to the right."""
+    table = [list(map(str, column)) for column in zip(*rows, strict=True)]
+    widths = [max(map(len, column)) for column in table]
+    to_right = [all(_is_number(cell) for cell in column[1:]) for column in table]
     return [
         "  ".join(
-            cell.ljust(width) if text else cell.rjust(width)
-            for cell, width, text in zip(row, widths, is_text, strict=True)
+            str(cell).rjust(width) if right else str(cell).ljust(width)
+            for cell, width, right in zip(row, widths, to_right, strict=True)
         ).rstrip()
-        for row in cells
+        for row in rows
     ]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -114,7 +114,7 @@ def _per_face(value: Any) -> Any:
         value = dict.fromkeys(AXES, value)
     if not isinstance(value, Mapping):
         raise complaint("is no boundary", f"write one of {', '.join(BOUNDARIES)}, or one per axis")
-    pairs = {axis: (face, face) if isinstance(face, str) else tuple(face) for axis, face in value.items()}
+    pairs = {axis: tuple(face) if isinstance(face, list | tuple) else (face, face) for axis, face in value.items()}
     for axis in pairs:
         if axis not in AXES:
             raise complaint("is not an axis", "use x, y and z", path=str(axis))

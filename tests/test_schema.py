@@ -77,6 +77,7 @@ WRONG = [
     '[domain]\nlower = 0\nupper = 1\ncells = 8\nboundary = "closed"',
     '[domain]\nlower = 0\nupper = 1\ncells = 8\nboundary = { w = "open" }',
     '[domain]\nlower = 0\nupper = 1\ncells = 8\nboundary = { x = ["open"] }',
+    "[domain]\nlower = 0\nupper = 1\ncells = 8\nboundary = { x = true }",
     GAUSSIAN.replace("2 mm", "2 pC"),
     GAUSSIAN.replace("gaussian", "gausian"),
     GAUSSIAN.replace('sigma = "2 mm"', ""),

@@ -75,6 +75,29 @@ def test_every_cloud_keeps_the_total_charge(comm):
             )
 
 
+@pytest.mark.mpi(ranks=(1, 2))
+def test_clouds_of_particles_a_rounding_error_from_a_face_are_ordinary(comm):
+    """The largest numbers below a face belong to the cell below it, also where a cell or wall follows."""
+    kinds = {"x": ("dirichlet", "dirichlet"), "y": ("neumann", "neumann"), "z": ("periodic", "periodic")}
+    case = hierarchies.Case(
+        "at the walls",
+        (8, 8, 8),
+        kinds,
+        4,
+        8,
+        (((((0, 0, 0), (7, 7, 7)), ((8, 8, 8), (15, 15, 15)))),),
+        (0, 0, 0),
+        (8, 8, 8),
+    )
+    hierarchy, _ = placed(case, comm, 0)
+    ends = np.array([np.nextafter(0, 1), np.nextafter(4, 0), 4.0, np.nextafter(6, 0), np.nextafter(8, 0)])
+    places = np.array(list(itertools.product(ends, repeat=3)))
+    particles, lost = migrate(some(comm, places, np.ones(len(places)), CHARGE), hierarchy)
+    assert len(lost) == 0
+    for clouds in ALL:
+        assert_as_by_hand(hierarchy, particles, case, clouds)
+
+
 def first_moment(density: amrpic.Field, origin: np.ndarray) -> np.ndarray:
     total = []
     for axis in range(3):
@@ -180,10 +203,10 @@ def test_field_of_covered_cells_sees_the_walls(comm):
             assert patch.data == pytest.approx(np.full(patch.data.shape, -slope[axis]), abs=1e-9)
 
 
-def some(comm: MPI.Comm, position: np.ndarray, weight: np.ndarray) -> Particles:
-    """Return particles of 1 C each, made on the first rank."""
+def some(comm: MPI.Comm, position: np.ndarray, weight: np.ndarray, charge: float = 1.0) -> Particles:
+    """Return particles of `charge` C times their weight, made on the first rank."""
     count = len(position) if comm.rank == 0 else 0
-    one = SpeciesTable((Species(charge=1.0, mass=1.0),))
+    one = SpeciesTable((Species(charge=charge, mass=1.0),))
     return Particles(position[:count], np.zeros((count, 3)), weight[:count], np.arange(count), one)
 
 

@@ -22,10 +22,11 @@ void add_clouds(TileFrame const frame, ParticleView const particles, std::int64_
                 Tile<1>& tile) {
   constexpr int width = decltype(Shape::at(0))::width;
   std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
+  Real* const origin = tile.values() + tile.box_corner();
   for (std::int64_t n = first; n < last; ++n) {
     Real3 const s = frame.inside(particles, n);
     auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-    Real* const corner = tile.values() + x.first + y.first * stride_y + z.first * stride_z;
+    Real* const corner = origin + x.first + y.first * stride_y + z.first * stride_z;
     for (int k = 0; k < width; ++k)
       for (int j = 0; j < width; ++j) {
         Real const share = particles.weight[n] * z.share[k] * y.share[j];

@@ -95,10 +95,11 @@ void read_clouds(TileFrame const frame, ParticleView const particles, std::int64
                  Tile<lanes> const& tile, std::array<Real*, 3> const& out) {
   constexpr int width = decltype(Shape::at(0))::width;
   std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
+  Real const* const origin = tile.values() + tile.box_corner();
   for (std::int64_t n = first; n < last; ++n) {
     Real3 const s = frame.inside(particles, n);
     auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-    Real const* const corner = tile.values() + lanes * x.first + y.first * stride_y + z.first * stride_z;
+    Real const* const corner = origin + lanes * x.first + y.first * stride_y + z.first * stride_z;
     std::array<Real, lanes> sum{};
     for (int k = 0; k < width; ++k)
       for (int j = 0; j < width; ++j) {

@@ -26,6 +26,7 @@ class Tile {
   Real* row(int i, int j, int k) { return values_.data() + components * box_.offset({i, j, k}); }
   Real const* values() const { return values_.data(); }
   Real* values() { return values_.data(); }
+  std::ptrdiff_t box_corner() const { return tile_reach * (components + stride_y() + stride_z()); }  ///< first own cell
   std::ptrdiff_t stride_y() const { return std::ptrdiff_t(components) * box_.extent(0); }
   std::ptrdiff_t stride_z() const { return stride_y() * box_.extent(1); }
 
@@ -44,13 +45,14 @@ class TileFrame {
  public:
   TileFrame(LevelCoordinates const& coordinates, Box const& box) : coordinates_(coordinates), box_(box) {}
 
-  /// Coordinate in cell widths from the lower corner of the tile. Throws Stray if the particle lies outside the box.
+  /// Coordinate in cell widths from the lower corner of the box, in [0, extent): the difference is exact, where adding
+  /// the reach could round it up to a cell beyond. Throws Stray if the particle lies outside the box.
   Real3 inside(ParticleView const& particles, std::int64_t n) const {
     Real3 s = coordinates_(particles.at(n));
     bool in = true;
     for (int d = 0; d < 3; ++d) {
       in = in && s[d] >= box_.lower[d] && s[d] < box_.upper[d] + 1;
-      s[d] -= box_.lower[d] - tile_reach;
+      s[d] -= box_.lower[d];
     }
     if (!in) throw Stray{particles.id[n]};
     return s;
@@ -60,7 +62,7 @@ class TileFrame {
   Index3 cell(ParticleView const& particles, std::int64_t n) const {
     Real3 const s = inside(particles, n);
     Index3 out;
-    for (int d = 0; d < 3; ++d) out[d] = int(s[d]) + box_.lower[d] - tile_reach;
+    for (int d = 0; d < 3; ++d) out[d] = int(s[d]) + box_.lower[d];
     return out;
   }
 

@@ -154,7 +154,12 @@ class ParticlesSection(Section):
 class Solver(Section):
     """How Poisson's equation is solved."""
 
-    tolerance: Annotated[float | Literal["discretization"], BeforeValidator(menu.tolerance)] = Field(
+    tolerance: Annotated[
+        float | Literal["discretization"],
+        BeforeValidator(
+            menu.tolerance, json_schema_input_type=Annotated[float, Field(gt=0, lt=1)] | Literal["discretization"]
+        ),
+    ] = Field(
         default=1e-10,
         description="Residual relative to that of a zero potential at which the solve has converged; or discretization: stop "
         "where the error left in φ is a tenth of the estimated error of the mesh, which takes half the cycles or less.",

@@ -49,6 +49,7 @@ RIGHT = [
     '[motion]\nkind = "leapfrog"\ndt = "2 ps"\n[schedule]\nsteps = 3\n[output]\nwrite = ["series"]',
     '[solver]\ntolerance = 1e-8\nnorm = "l2"\nstretch = [1, 1, 30]',
     "[solver]\nsweeps = 3",
+    '[solver]\ntolerance = "discretization"',
     "[solver]\nsweeps = [1, 2]",
 ]
 
@@ -67,6 +68,8 @@ WRONG = [
     '[solver]\nnorm = "l3"',
     "[solver]\ntolerance = 0",
     '[solver]\ntolerance = "1e-8"',
+    '[solver]\ntolerance = "discretisation"',
+    "[solver]\ntolerance = 2",
     "[solver]\nstretch = [1, 2]",
     '[solver]\nsweeps = "2"',
     "[domain]\nlower = 0\ncells = 8",

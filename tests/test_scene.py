@@ -166,7 +166,7 @@ def test_bad_override_names_itself(assignment):
         ({"bunches": [{"distribution": "openpmd"}]}, ["bunches.0.file", "missing"]),
         ({"motion": {"kind": "leapfrog"}}, ["motion.dt", "missing"]),
         ({"schedule": {"steps": 3, "solves": 3}}, ["schedule.solves", "keep one"]),
-        ({"solver": {"tolerance": 0}}, ["solver.tolerance", "greater than 0"]),
+        ({"solver": {"tolerance": 0}}, ["solver.tolerance", "between 0 and 1"]),
         ({"background": "neutralizing"}, ["background", "periodic or neumann"]),
         ({"domain": {"lower": -1, "upper": 1, "cells": 32, "boundary": "periodic"}}, ["1e-11 C", "neutralizing"]),
     ],

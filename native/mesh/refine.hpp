@@ -20,10 +20,10 @@ constexpr std::uint8_t kept = 2;    ///< they shall stay where they exist alread
 
 /// Boxes of levels 1, 2, ... that refine all tagged cells and hold all `fixed` boxes, properly nested. Collective.
 ///
-/// `tags[l]` points to one byte per cell of this rank on level l; null or missing: no tags. `fixed[k]` lists boxes of level k + 1 in its own indices; they are aligned outward to the blocking factor,
-/// wrapped where periodic and clipped elsewhere. The boxes are aligned, disjoint and inside the domain, they depend on
-/// tags, `fixed` and, for kept cells, where levels lie at present, not on how they are cut or distributed, and the list
-/// ends before the first empty level.
+/// `tags[l]` points to one byte per cell of this rank on level l; null or missing: no tags. `fixed[k]` lists boxes of
+/// level k + 1 in its own indices; they are aligned outward to the blocking factor, wrapped where periodic and clipped
+/// elsewhere. The boxes are aligned, disjoint and inside the domain, they depend on tags, `fixed` and, for kept cells,
+/// where levels lie at present, not on how they are cut or distributed, and the list ends before the first empty level.
 std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std::uint8_t const*> const& tags,
                                      std::vector<std::vector<Box>> const& fixed, RefineOptions const& options);
 

@@ -173,15 +173,16 @@ def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy:
     rest = iter(made)
     for number, bunch in enumerate(scene.bunches):
         copies = list(itertools.islice(rest, bunch.copies))
-        size = np.sqrt(np.mean([moments(comm, copy).rms ** 2 for copy in copies], axis=0))
+        size = np.sqrt(np.mean([moments(comm, copy).rms ** 2 for copy in copies], axis=0))  # nan of an empty bunch
+        known = bool(np.isfinite(size).all())
         rows.append(
             [
                 f"{number} {bunch.name or bunch.distribution}",
                 len(copies),
                 copies[0].global_count(comm),
                 quantity(copies[0].total_charge(comm), "C"),
-                ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size),
-                *(f"{(size / hierarchy.spacing(level)).min():.2g}" for level in levels),
+                ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size) if known else "none",
+                *(f"{(size / hierarchy.spacing(level)).min():.2g}" if known else "none" for level in levels),
             ]
         )
     return columns(rows) if scene.bunches else []

@@ -19,7 +19,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub docs help setup build run test verify lint format clean
+.PHONY: stub docs help setup build run test verify solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -86,6 +86,9 @@ stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 
 docs: .venv/.built  ## write docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
+
+solvers: setup  ## measure the solver's menu on 1 and 2 ranks and write docs/solvers.md
+	$(BIN)/python benchmarks/solvers.py
 
 lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency graphs
 	$(BIN)/ruff check

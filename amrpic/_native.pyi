@@ -259,6 +259,14 @@ class CoveredField(enum.Enum):
 
     difference = 1
 
+class WorkUnit:
+    @property
+    def apply_seconds(self) -> float: ...
+    @property
+    def triad_seconds(self) -> float: ...
+
+def measure_work_unit(cells: int) -> WorkUnit: ...
+
 class SolverOptions:
     def __init__(self) -> None: ...
     @property

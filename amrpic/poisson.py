@@ -119,7 +119,7 @@ class PoissonSolver:
         options.relaxation = menu.RELAXATION[smoother] if relaxation is None else relaxation
         options.prolongation = getattr(_native.Prolongation, prolongation)
         if coarse_levels is not None:
-            options.coarse_levels = coarse_levels
+            options.coarse_levels = min(coarse_levels, 100)  # more than any number of cells allows
         options.bottom = _choice(_native.Bottom, bottom)
         if bottom_preconditioner is not None:
             options.bottom_preconditioner = _choice(_native.BottomPreconditioner, bottom_preconditioner)

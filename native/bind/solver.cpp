@@ -7,6 +7,7 @@
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
 #include "solver/poisson.hpp"
+#include "solver/work_unit.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -47,6 +48,11 @@ void bind_solver(nb::module_& m) {
   nb::enum_<CoveredField>(m, "CoveredField")
       .value("mean", CoveredField::mean)
       .value("difference", CoveredField::difference);
+
+  nb::class_<WorkUnit>(m, "WorkUnit")
+      .def_ro("apply_seconds", &WorkUnit::apply_seconds)
+      .def_ro("triad_seconds", &WorkUnit::triad_seconds);
+  m.def("measure_work_unit", &measure_work_unit, "cells"_a, nb::call_guard<nb::gil_scoped_release>());
 
   nb::class_<SolverOptions>(m, "SolverOptions")
       .def(nb::init<>())

@@ -91,7 +91,7 @@ def _charge() -> Iterator[tuple[str, Case]]:
     yield "Gaussian", Case(nested, Gaussian((0.06,) * 3, middle), "open", fine)
     yield "ellipsoidal Gaussian", Case(nested, Gaussian((0.05, 0.07, 0.11), middle), "open", fine)
     yield "Plummer sphere", Case(nested, Plummer(0.08, middle), "dirichlet", fine)
-    # its charge reaches across faces of both levels, where the max norm is late to show its order: 1.85 here, 1.93 from 64 to 80
+    # across faces of both levels, where the max norm is late to show its order: 1.88 here, 1.93 from 64 to 80
     yield "neutral pair", Case(nested, pair, "open", fine, (1.8, 1.9, 0.95))
     yield "train of four", Case(Mesh(((((1, 1, 3), (7, 7, 5)),),)), train, "open", fine)
     yield "Gaussian on a coarse-fine face", Case(on_face, Gaussian((0.08,) * 3, (0.25, 0.5, 0.5)), "dirichlet", fine)

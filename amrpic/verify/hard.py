@@ -225,9 +225,12 @@ def _converged_guess(comm: MPI.Comm) -> Outcome:
     return [("cycles", Goal(report.cycles, 0))]
 
 
+CHARGE = 1e-26  # C, so little that the bunch keeps its shape
+
+
 def _many_regrids(comm: MPI.Comm) -> Outcome:
     """A bunch goes around a periodic domain; the mesh is made anew 200 times: charge, memory and cycles stay."""
-    bunch = {"distribution": "gaussian", "sigma": 0.1, "charge": 1e-20, "particles": 2000, "velocity": [0.13, 0.07, 0]}
+    bunch = {"distribution": "gaussian", "sigma": 0.1, "charge": CHARGE, "particles": 2000, "velocity": [0.13, 0.07, 0]}
     scene = {
         "domain": {"lower": -1, "upper": 1, "cells": 16, "boundary": "periodic"},
         "background": "neutralizing",
@@ -238,14 +241,15 @@ def _many_regrids(comm: MPI.Comm) -> Outcome:
     plan = Plan(comm, Scene.from_dict(scene))
     state, meshes = begin(plan), 1
     drift, cycles, early = 0.0, 0, 0.0
-    while meshes < 200:
+    while meshes < 200 and state.step < 1000:
         before, state = state.hierarchy, advance(state, plan)
         meshes += state.hierarchy is not before
-        drift = max(drift, abs(state.rho.integral() / 1e-20 - 1))
+        drift = max(drift, abs(state.rho.integral() / CHARGE - 1))
         cycles = max(cycles, state.report.cycles)
         early = early if meshes > 50 else _peak()
     growth = comm.allreduce(_peak() - early, op=MPI.SUM)
     return [
+        ("meshes", Goal(meshes, 200, least=True)),
         ("charge, relative drift", Goal(drift, 1e-12)),
         ("most cycles", Goal(cycles, CYCLES)),
         ("memory from mesh 50 to 200, MiB", Goal(growth, 20.0 * comm.size)),

@@ -94,8 +94,8 @@ class PoissonSolver:
                 f'krylov is {krylov!r}, which does not tell how much error is left, as tolerance "discretization" must know; '
                 'use krylov "none", or a number as tolerance'
             )
-        if not absolute_tolerance >= 0:
-            raise SolverError(f"absolute_tolerance is {absolute_tolerance} V/m²; give zero or a positive number")
+        if not 0 <= absolute_tolerance < np.inf:
+            raise SolverError(f"absolute_tolerance is {absolute_tolerance} V/m²; give zero or a finite positive number")
         before_and_after = tuple(menu.both(sweeps))
         if len(before_and_after) != 2:
             raise SolverError(f"sweeps is {before_and_after}; give one number, or two, before and after")
@@ -133,7 +133,7 @@ class PoissonSolver:
                 "reuse comes from a solver of another domain, stretch or bottom; make this one without it"
             )
         self.hierarchy = hierarchy
-        self._walls: tuple[Function | None, Function | None] = (None, None)  # whose values the walls hold
+        self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
         try:
             self.native = _native.PoissonSolver(
                 hierarchy.native, options, reuse.native if reuse is not None else _native.Reusable()
@@ -209,6 +209,7 @@ class PoissonSolver:
     def _set_walls(self, values: Function | None, flux: Function | None) -> None:
         if (values, flux) == (None, None) == self._walls:
             return  # all of it is zero already
+        self._walls = None  # until all of them are set
         with together(self.hierarchy.comm, SolverError):
             for level in range(self.hierarchy.levels):
                 kinds, axes, points = self.native.wall_faces(level)

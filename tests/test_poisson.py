@@ -253,3 +253,25 @@ def test_fields_of_another_hierarchy_are_refused():
     solver = PoissonSolver(cube(16, "dirichlet"))
     with pytest.raises(SolverError, match="another hierarchy"):
         solver.solve(amrpic.Field(cube(16, "dirichlet")))
+
+
+def test_walls_that_could_not_be_set_leave_nothing_behind():
+    hierarchy = cube(16, {"x": "dirichlet", "y": "neumann", "z": "dirichlet"})
+    solver = PoissonSolver(hierarchy)
+
+    def fails(x, y, z):
+        raise RuntimeError("no slope")
+
+    with pytest.raises(SolverError, match="no slope"):
+        solver.solve(amrpic.Field(hierarchy), boundary_values=lambda x, y, z: 5 + 0 * x, boundary_flux=fails)
+    phi, _ = solver.solve(amrpic.Field(hierarchy))
+    assert phi.max_abs() == 0
+
+
+@pytest.mark.parametrize("norm", ["l1", "l2"])
+def test_absolute_tolerance_is_in_metres_as_given_also_where_the_equation_is_stretched(norm):
+    hierarchy = cube(16, "dirichlet")
+    rho = amrpic.Field(hierarchy).fill(lambda x, y, z: EPS0 + 0 * (x + y + z))  # ∫ ρ/ε₀ and its square are 1
+    for stretch in ((1, 1, 1), (1, 1, 10)):
+        solver = PoissonSolver(hierarchy, tolerance=0, absolute_tolerance=1.01, norm=norm, stretch=stretch)
+        assert solver.solve(rho)[1].cycles == 0

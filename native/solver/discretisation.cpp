@@ -79,6 +79,7 @@ Real PoissonSolver::discretisation_error() {
   auto const right_hand_side = [](MultigridLevel& level) -> std::vector<Real> const& {
     return level.right_hand_side();
   };
+  if (operators_.size() == 1) return 0;  // nothing is coarser than the base, nothing finer
   Real const residual = largest_uncovered(right_hand_side);
   set_truncation();
   Real error = 0;

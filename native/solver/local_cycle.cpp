@@ -4,13 +4,24 @@
 
 namespace amrpic {
 
+namespace {
+
+/// The copies need sweeps on either side of their corrections, whatever the cycle around them does.
+SolverOptions on_either_side(SolverOptions options) {
+  options.pre_sweeps = std::max(1, options.pre_sweeps);
+  options.post_sweeps = std::max(1, options.post_sweeps);
+  return options;
+}
+
+}  // namespace
+
 LocalCycle::LocalCycle(MPI_Comm comm, LevelOperators const& operators, Index3 const& ratio, CorrectionGhosts ghosts,
                        SolverOptions const& options)
     : operators_(operators),
-      points_(make_smoother(comm, operators, options)),
+      points_(make_smoother(comm, operators, on_either_side(options))),
       share_(1.0 / (ratio[0] * ratio[1] * ratio[2])),
       coarse_operators_(semicoarsened(comm, *operators.level, ratio, ghosts)),
-      coarse_(make_refined_smoother(comm, coarse_operators_, ghosts, options)),
+      coarse_(make_refined_smoother(comm, coarse_operators_, ghosts, on_either_side(options))),
       coarse_f_(std::size_t(coarse_operators_.rows())),
       coarse_x_(coarse_f_.size() + std::size_t(coarse_operators_.halo.ghosts())) {
   Level const &fine = *operators.level, &coarse = *coarse_operators_.level;

@@ -76,7 +76,7 @@ Real PoissonSolver::norm(Value&& value) const {
   bool const largest = options_.norm == Norm::max;
   Real result = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    Real const volume = hierarchy_->level(l).cell_volume();
+    Real const volume = given_->level(l).cell_volume();  // as it is, for the absolute tolerance
     for_each_uncovered(l, [&](LocalIndex row) {
       Real const v = std::abs(value(l, row));
       if (largest)
@@ -318,7 +318,10 @@ void PoissonSolver::iterate(SolveReport& report) {
     if (report.cycles == options_.max_cycles)
       return finish(false, "no convergence in " + std::to_string(options_.max_cycles) + " cycles");
     improve(krylov.get());
-    if (options_.to_discretisation) latest_correction_ = largest_correction();
+    if (options_.to_discretisation) {
+      correction_before_ = report.cycles > 0 ? latest_correction_ : std::numeric_limits<Real>::infinity();
+      latest_correction_ = largest_correction();
+    }
   }
 }
 
@@ -328,8 +331,9 @@ bool PoissonSolver::below_discretisation(SolveReport& report) {
   Real const residual = report.residuals.back(), before = report.residuals[report.residuals.size() - 2];
   if (report.discretisation_error == 0)
     stopwatch_.time("discretisation error", [&] { report.discretisation_error = discretisation_error(); });
-  Real const factor = std::min(residual / before, Real(0.9));
-  return latest_correction_ * factor / (1 - factor) <= 0.1 * report.discretisation_error;
+  // The residual may fall faster than the error at first; no cycle gains more than a digit for good.
+  Real const factor = std::max({residual / before, latest_correction_ / correction_before_, Real(0.1)});
+  return factor < 0.9 && latest_correction_ * factor / (1 - factor) <= 0.1 * report.discretisation_error;
 }
 
 SolveReport PoissonSolver::solve(Field const& rho, Field& phi) {

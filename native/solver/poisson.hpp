@@ -119,7 +119,7 @@ class PoissonSolver {
   Composite right_hand_side_;  ///< f = -rho / eps0 minus what walls add
   std::vector<Walls> walls_;
   Stopwatch stopwatch_;
-  Real latest_correction_ = 0;  ///< largest change of phi by the latest cycle, V
+  Real latest_correction_ = 0, correction_before_ = 0;  ///< largest change of phi by the latest two cycles, V
   bool has_gradient_ = false;
   std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for
   std::int64_t assemblies_ = 1;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Self
 
 import numpy as np
@@ -11,7 +12,7 @@ from .phase_space import Plane
 from .sampling import BITS, Sampling
 from .section import Section, refuse_negative
 from .species import Species
-from .units import Charge, Index3, Length3, Momentum3, Velocity3, complaint
+from .units import SPEED_OF_LIGHT, Charge, Index3, Length3, Momentum3, Velocity3, complaint
 
 
 class Bunch(Section):
@@ -67,6 +68,14 @@ class DescribedBunch(Bunch):
     def _consistent(self) -> Self:
         if self.momentum is not None and self.velocity is not None:
             raise complaint("is given as well as momentum", "keep one of the two", path="velocity", found=self.velocity)
+        speed = math.hypot(*(self.velocity or (0.0,)))
+        if speed >= SPEED_OF_LIGHT:
+            raise complaint(
+                f"is {speed / SPEED_OF_LIGHT:.3g} c",
+                "stay below c, or give a momentum",
+                path="velocity",
+                found=self.velocity,
+            )
         if self.charge is not None and self.particle_charge is not None:
             raise complaint(
                 "is given as well as charge", "keep one of the two", path="particle_charge", found=self.particle_charge

@@ -29,6 +29,9 @@ Krylov = Literal["none", "fgmres", "bicgstab"]
 RELAXATION = {"red-black": 1.25, "jacobi": 6 / 7, "gauss-seidel": 1.0, "symmetric-gauss-seidel": 1.0, "chebyshev": 1.0}
 
 
+LARGEST_STRETCH = 1e9  # far beyond the Lorentz factor of any bunch
+
+
 class Refusal(NamedTuple):
     """Why an option does not go with the others."""
 
@@ -80,6 +83,14 @@ def refusal(
 def both(sweeps: int | Sequence[int]) -> Sequence[int]:
     """Return the sweeps before and after: one number stands for both."""
     return (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
+
+
+def stopping_refusal(tolerance: float | str, krylov: str) -> Refusal | None:
+    """Return why this tolerance does not go with this acceleration, or None."""
+    if tolerance != "discretization" or krylov == "none":
+        return None
+    what = 'does not tell how much error is left, as tolerance "discretization" must know'
+    return Refusal("krylov", krylov, what, 'use "none", or a number as tolerance')
 
 
 def tolerance(value: Any) -> float | str:

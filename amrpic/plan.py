@@ -72,6 +72,11 @@ class Plan:
                 f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance} "
                 f"({report.reason}); raise solver.tolerance or solver.max_cycles"
             )
+        if report.floor > 0:
+            self.remark(
+                f"solver.tolerance {self.scene.solver.tolerance} lies below what rounding leaves of the residual, about "
+                f"{report.floor:.0e}; solves stop there"
+            )
         return phi, report
 
     def take_solves(self) -> list[SolveReport]:

@@ -83,16 +83,12 @@ class PoissonSolver:
         if background is not None:
             _one_of("background", background, ("neutralizing",))
         to_discretization = tolerance == "discretization"
+        stopping = menu.stopping_refusal(tolerance, krylov)
         if to_discretization:
             tolerance = SMALLEST
         if isinstance(tolerance, str) or not 0 <= tolerance < 1:
             raise SolverError(
                 f'tolerance is {tolerance!r}; give a number from 0 up to, not including, 1, or "discretization"'
-            )
-        if to_discretization and krylov != "none":
-            raise SolverError(
-                f'krylov is {krylov!r}, which does not tell how much error is left, as tolerance "discretization" must know; '
-                'use krylov "none", or a number as tolerance'
             )
         if not 0 <= absolute_tolerance < np.inf:
             raise SolverError(f"absolute_tolerance is {absolute_tolerance} V/m²; give zero or a finite positive number")
@@ -103,11 +99,14 @@ class PoissonSolver:
             raise SolverError(f"relaxation is {relaxation}; give a number between 0 and 2")
         if max_cycles < 1:
             raise SolverError(f"max_cycles is {max_cycles}; give at least 1")
-        if len(stretch) != 3 or not all(0 < s < np.inf for s in stretch):
-            raise SolverError(f"stretch is {tuple(stretch)}; give three positive numbers, such as (1, 1, gamma)")
+        if len(stretch) != 3 or not all(0 < s < menu.LARGEST_STRETCH for s in stretch):
+            raise SolverError(
+                f"stretch is {tuple(stretch)}; give three positive numbers below {menu.LARGEST_STRETCH:g}"
+            )
         if coarse_levels is not None and coarse_levels < 0:
             raise SolverError(f"coarse_levels is {coarse_levels}; give zero or a positive number")
-        if wrong := menu.refusal(smoother, relaxation, before_and_after, bottom, bottom_preconditioner):
+        wrong = menu.refusal(smoother, relaxation, before_and_after, bottom, bottom_preconditioner) or stopping
+        if wrong:
             raise SolverError(f"{wrong.option} is {wrong.found!r}, which {wrong.what}; {wrong.remedy}")
         options = _native.SolverOptions()
         options.tolerance = tolerance

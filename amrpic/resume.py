@@ -51,8 +51,8 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
     return Snapshot(header, fields, tables)
 
 
-def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Scene]:
-    """Return the state in a checkpoint and its scene, on any number of ranks. Collective; InputError on all ranks.
+def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Scene, list[str]]:
+    """Return the state in a checkpoint, its scene and remarks on it; any number of ranks. Collective; InputError on all ranks.
 
     `scene` may replace that of the checkpoint if its mesh is the same. The field at the particles is left to the caller.
     """
@@ -67,7 +67,7 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     sizes = refinement.max_grid_size, refinement.blocking_factor
     hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
     held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
-    return _state(held, hierarchy), scene
+    return _state(held, hierarchy), scene, _unheeded(scene, header.about.scene)
 
 
 def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
@@ -106,6 +106,13 @@ def _columns(particles: Particles) -> dict[str, np.ndarray]:
 def _particles(columns: Mapping[str, np.ndarray], species: SpeciesTable) -> Particles:
     position, momentum, weight, number = (columns[name] for name in COLUMNS)
     return Particles(position, momentum, weight, number, species)
+
+
+def _unheeded(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
+    """Return a sentence for what a restart cannot follow of a scene; `made_from` is that of the checkpoint."""
+    if scene.to_dict()["bunches"] == made_from["bunches"]:
+        return []
+    return ["bunches of the scene differ from those of the checkpoint, whose particles go on as they are"]
 
 
 def _require_same_mesh(scene: Scene, header: Header, path: Path) -> None:

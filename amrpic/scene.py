@@ -101,7 +101,10 @@ class DomainSection(Section):
 
     def wall_functions(self) -> tuple[Function | None, Function | None]:
         """The potential on Dirichlet faces and the slope on Neumann faces, as functions of x, y and z; None where zero."""
-        return tuple(wall_function(given, self.lower, self.upper) for given in (self.potential, self.slope))  # type: ignore[return-value]
+        return (
+            wall_function(self.potential, self.lower, self.upper, "domain.potential"),
+            wall_function(self.slope, self.lower, self.upper, "domain.slope"),
+        )
 
     @property
     def value(self) -> Domain:
@@ -236,6 +239,7 @@ class Solver(Section):
     @model_validator(mode="after")
     def _goes_together(self) -> Self:
         wrong = menu.refusal(self.smoother, self.relaxation, self.sweeps, self.bottom, self.bottom_preconditioner)
+        wrong = wrong or menu.stopping_refusal(self.tolerance, self.krylov)
         if wrong:
             raise complaint(wrong.what, wrong.remedy, path=wrong.option, found=wrong.found)
         return self
@@ -243,8 +247,9 @@ class Solver(Section):
     @model_validator(mode="after")
     def _positive_stretch(self) -> Self:
         for axis, factor in enumerate(self.stretch):
-            if factor <= 0:
-                raise complaint("is not positive", "give a factor above 0", path=f"stretch.{axis}", found=factor)
+            if not 0 < factor < menu.LARGEST_STRETCH:
+                remedy = f"give a factor above 0, below {menu.LARGEST_STRETCH:g}"
+                raise complaint("is no stretch", remedy, path=f"stretch.{axis}", found=factor)
         return self
 
 
@@ -342,6 +347,10 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
+        if "/" in self.name or self.name in (".", ".."):
+            raise complaint(
+                "is a path", "give a plain name, and the folder as output.directory", path="name", found=self.name
+            )
         self._check_cells()
         self._check_boxes()
         self._check_places()

@@ -49,9 +49,11 @@ class Simulation:
         sizes must be those of the checkpoint. On as many ranks as wrote it, the run goes on bit by bit as it would have.
         """
         install_abort_hook(comm)
-        state, scene = load(comm, Path(path), scene)
+        state, scene, remarks = load(comm, Path(path), scene)
         run = cls.__new__(cls)
         plan = Plan(comm, scene)
+        for remark in remarks:
+            plan.remark(remark)
         run._hold(plan, with_force(state, plan))
         plan.clock.take()
         run._recorded = True

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, WithJsonSchema
 
+from .errors import InputError
 from .expression import COORDINATES as AXES
 from .expression import Value, formula
 from .units import UNITS, complaint, to_si
@@ -56,8 +57,11 @@ Potentials = Annotated[PerFace, BeforeValidator(lambda value: _spread(value, "po
 Slopes = Annotated[PerFace, BeforeValidator(lambda value: _spread(value, "field")), _SCHEMA]
 
 
-def wall_function(given: PerFace, lower: tuple[float, ...], upper: tuple[float, ...]) -> Function | None:
-    """Return the function of face centres x, y, z (m) that has the given value on each face; None if all are zero."""
+def wall_function(given: PerFace, lower: tuple[float, ...], upper: tuple[float, ...], key: str = "") -> Function | None:
+    """Return the function of face centres x, y, z (m) that has the given value on each face; None if all are zero.
+
+    It raises InputError, naming the `key` of the scene, where a formula has no finite value.
+    """
     if all(value == 0 for pair in given.values() for value in pair):
         return None
     faces = []  # axis, coordinate of the face, value
@@ -70,11 +74,28 @@ def wall_function(given: PerFace, lower: tuple[float, ...], upper: tuple[float, 
         place = (x, y, z)
         out = np.zeros(len(x))
         for d, at, value in faces:
+            axis_name = f"{key}.{AXES[d]}"
             here = place[d] == at  # centres of faces lie on them exactly, those of other faces half a cell off at least
-            out[here] = value(*(s[here] for s in place)) if callable(value) else value
+            out[here] = _at(value, axis_name, tuple(s[here] for s in place)) if callable(value) else value
         return out
 
     return at_faces
+
+
+def _at(value: Function, key: str, place: tuple[np.ndarray, ...]) -> np.ndarray:
+    """The value of a formula on faces."""
+    try:
+        with np.errstate(all="ignore"):
+            found = np.broadcast_to(value(*place), place[0].shape)
+    except ArithmeticError as reason:
+        raise InputError(f"{key}: its formula has no value ({reason}); mend it") from None
+    bad = np.flatnonzero(~np.isfinite(found))
+    if bad.size:
+        at = ", ".join(f"{s[bad[0]]:.3g}" for s in place)
+        raise InputError(
+            f"{key}: its formula is {found[bad[0]]} at ({at}) m, and not finite on {bad.size} cell faces in all; mend it"
+        )
+    return found
 
 
 def require_kind(given: PerFace, boundary: Mapping[str, tuple[str, str]], kind: str, path: str) -> None:

@@ -55,6 +55,8 @@ def test_what_cannot_be_estimated_is_refused(comm):
         PoissonSolver(static_hierarchy(comm, 32), tolerance="discretization", krylov="fgmres")
     domain = {"lower": -1, "upper": 1, "cells": 16}
     assert Scene.from_dict({"domain": domain, "solver": {"tolerance": "discretization"}}).solver.tolerance
+    with pytest.raises(SceneError, match="how much error is left"):
+        Scene.from_dict({"domain": domain, "solver": {"tolerance": "discretization", "krylov": "bicgstab"}})
     for bad in (2, 0, "fine", True):
         with pytest.raises(SceneError, match=r"solver.tolerance .*is no tolerance; give a number"):
             Scene.from_dict({"domain": domain, "solver": {"tolerance": bad}})

@@ -154,6 +154,8 @@ def test_bad_override_names_itself(assignment):
         ({"bunches": [{**BUNCH, "sampling": "sobel"}]}, ["bunches.0.sampling", 'did you mean "sobol"']),
         ({"bunches": [{**BUNCH, "twiss": TWISS}]}, ["bunches.0.sigma", "as well as twiss"]),
         ({"bunches": [{**BUNCH, "sigma": None, "twiss": TWISS}]}, ["twiss.x.beta", "needs a mean momentum"]),
+        ({"bunches": [{**BUNCH, "velocity": [0, 0, "2 c"]}]}, ["bunches.0.velocity", "is 2 c", "below c"]),
+        ({"name": "../elsewhere"}, ["name", "is a path", "plain name"]),
         (
             {"bunches": [{**BUNCH, "sigma": None, "twiss": TWISS, "velocity": 1, "momentum_spread": 1}]},
             ["bunches.0.momentum_spread", "as well as twiss"],

@@ -95,6 +95,11 @@ def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion):
     simulation.run()
     again = Simulation.restart(comm, tmp_path / "half")
     assert again.scene == simulation.scene
+    changed = given.model_copy(update={"bunches": []})
+    remarks = [set(Simulation.restart(comm, tmp_path / "half", s).remarks) for s in (given, changed)]
+    assert [r for r in remarks[1] - remarks[0] if "go on as they are" in r] and not any(
+        "go on" in r for r in remarks[0]
+    )
     assert (again.step, again.time) == (3, pytest.approx(3 * motion.get("dt", 0)))
     again.run()
     for name, values in everything(simulation).items():

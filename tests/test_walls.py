@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amrpic.errors import SceneError
+from amrpic.errors import InputError, SceneError
 from amrpic.expression import formula
 from amrpic.scene import Scene
 from amrpic.simulation import Simulation
@@ -41,6 +41,13 @@ def test_walls_of_a_quadrupole_make_its_field_without_charge(comm, tmp_path):
     assert again == run.scene
     run.run()
     assert np.array_equal(Simulation.restart(comm, tmp_path / "checkpoint_00000000").phi.array(1), run.phi.array(1))
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("formula", ["1/(y - y)", "sqrt(x - 5)", "9^9^9^9^9"])
+def test_a_formula_without_a_value_is_told_with_its_key(comm, tmp_path, formula):
+    with pytest.raises(InputError, match=r"^domain.potential.z: its formula .*; mend it$"):
+        Simulation(comm, scene(tmp_path, boundary={"z": "dirichlet"}, potential={"z": [0, formula]}))
 
 
 def test_a_formula_is_what_numpy_says():

@@ -366,9 +366,8 @@ TAIL = """
   smooths by a V-cycle of its own over copies with fewer cells along the short axes, and levels below the base keep the
   base's ghosts along axes that they do not coarsen: 8 to 20 cycles,
   so no acceleration is switched on by itself.
-- **The default stays**: in turns with it, no row is faster by more than a sixth, and none is so in every case: one sweep
-  before and two after cost a cycle, a relaxation of 1.15 costs two on cubes, and a bottom two levels below the base costs
-  twice the time on two ranks.
+- **The default**: the lines above the tables, in turns with the fastest other rows, tell how far it is from them; those rows
+  differ from case to case, and between one rank and two.
 - **Flexible GMRES** is run as generalised conjugate residuals, which give the same approximations and have the residual at
   hand in any norm; the residual of every cycle is computed anew from the potential, so that histories mean the same with
   and without.

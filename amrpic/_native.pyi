@@ -97,6 +97,11 @@ class FreeSpace:
     def set_box(self, level: int, lower: Sequence[int], charges: NDArray[numpy.float64]) -> None:
         """This rank's charges as one box of cells, x fastest."""
 
+    def set_density(self, density: Field) -> None:
+        """
+        The charges of a density, over all levels; what it holds in covered cells does not count.
+        """
+
     def wall_planes(self, open: Sequence[bool]) -> list:
         """
         Per face an array (upper axis, lower axis), or None for walls that are not open.

@@ -7,6 +7,7 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "freespace/density.hpp"
 #include "freespace/free_space.hpp"
 #include "freespace/lattice_green.hpp"
 
@@ -101,6 +102,13 @@ void bind_freespace(nb::module_& m) {
             self.set_charges(std::vector<ChargeBox>{{level, lower, upper, charges.data(), 1.0}});
           },
           "level"_a, "lower"_a, "charges"_a, "This rank's charges as one box of cells, x fastest.")
+      .def(
+          "set_density",
+          [](FreeSpace& self, Field const& density) {
+            self.set_charges(charges_of(density, density.hierarchy(), 1.0));
+          },
+          "density"_a, nb::call_guard<nb::gil_scoped_release>(),
+          "The charges of a density, over all levels; what it holds in covered cells does not count.")
       .def(
           "wall_planes",
           [](FreeSpace const& self, std::array<bool, 6> open) {

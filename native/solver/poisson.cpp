@@ -7,6 +7,7 @@
 
 #include "base/error.hpp"
 #include "base/rows.hpp"
+#include "freespace/density.hpp"
 #include "solver/coarsening.hpp"
 
 namespace amrpic {
@@ -115,23 +116,7 @@ Real PoissonSolver::largest_phi_term() const {
 
 void PoissonSolver::set_open_walls(Field const& rho) {
   Domain const& domain = hierarchy_->domain();
-  std::vector<freespace::ChargeBox> charges;
-  for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    Level const& level = hierarchy_->level(l);
-    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-      Box const box = level.box(b);
-      freespace::ChargeBox charge{l, box.lower, box.upper, &rho.level(l)[level.local_offset(b)],
-                                  level.cell_volume() / vacuum_permittivity};
-      if (hierarchy_->has_finer(l))
-        hierarchy_->level(l + 1).for_each_overlap(box.refine(refinement_ratio),
-                                                  [&](int, Box const& part, Index3 const&) {
-                                                    Box const covered = part.coarsen(refinement_ratio);
-                                                    charge.covered.push_back({covered.lower, covered.upper});
-                                                  });
-      charges.push_back(std::move(charge));
-    }
-  }
-  reusable_.free_space->set_charges(charges);
+  reusable_.free_space->set_charges(freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity));
 
   std::array<bool, 6> open;
   for (int face = 0; face < 6; ++face) open[face] = domain.boundary[face / 2][face % 2] == Boundary::open;

@@ -1,0 +1,15 @@
+// The charges that a field of cells holds.
+#pragma once
+
+#include <vector>
+
+#include "freespace/charge_blocks.hpp"
+#include "mesh/field.hpp"
+
+namespace amrpic::freespace {
+
+/// The uncovered cells of this rank: `factor` (1/eps0, say) times density times cell volume. Lengths are those of
+/// `hierarchy`, which has the boxes of the field's own, perhaps stretched. The charges refer to the field.
+std::vector<ChargeBox> charges_of(Field const& density, Hierarchy const& hierarchy, double factor);
+
+}  // namespace amrpic::freespace

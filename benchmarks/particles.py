@@ -1,0 +1,102 @@
+"""Time of the particle stages on one uniform level: `python benchmarks/particles.py`."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import TypeVar
+
+import numpy as np
+from mpi4py import MPI
+
+import amrpic
+from amrpic.clouds import SHAPES, Clouds, Shape
+from amrpic.deposit import deposit
+from amrpic.gather import gather
+from amrpic.hierarchy import Hierarchy
+from amrpic.migrate import migrate
+from amrpic.particles import Particles
+from amrpic.push import drift, kick
+from amrpic.species import Species, SpeciesTable
+
+Result = TypeVar("Result")
+ELECTRON = SpeciesTable((Species.model_validate("electron"),))
+DT = 1e-12  # s
+MOVE = 0.3  # cell widths
+
+
+def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
+    """Return the time of each particle stage in ns per particle, the median of `repeats`, on this rank alone.
+
+    Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
+    Keys: "deposit"; "gather", the field alone; "gather+push", all of a leapfrog step's motion: the field, two half kicks and
+    the drift; "migrate", after each particle has moved by 0.3 cell widths in a direction of its own, so that about two in
+    five change their cell. A stage's result is dropped before the next repeat, as a run drops the step before.
+    """
+    rng = np.random.default_rng(1)
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells, cells, cells), "periodic")
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, max_grid_size=box)
+    homes = _sorted_particles(rng, particles, hierarchy)
+    efield = _smooth_field(hierarchy)
+    clouds = Clouds(shape)
+    step = rng.normal(size=(3, particles))
+    step *= MOVE / cells / np.sqrt((step**2).sum(axis=0))
+    moved = homes.replace(position=homes.position + step.T)
+    del step
+
+    def advance() -> Particles:
+        felt = gather(efield, homes, clouds)
+        return drift(kick(kick(homes, felt, DT / 2), felt, DT / 2), DT)
+
+    stages: dict[str, Callable[[], object]] = {
+        "deposit": lambda: deposit(homes, hierarchy, clouds),
+        "gather": lambda: gather(efield, homes, clouds),
+        "gather+push": advance,
+        "migrate": lambda: migrate(moved, hierarchy),
+    }
+    return {name: 1e9 * _seconds(stage, repeats) / particles for name, stage in stages.items()}
+
+
+def _sorted_particles(rng: np.random.Generator, count: int, hierarchy: Hierarchy) -> Particles:
+    momentum = 1e-24 * rng.normal(size=(3, count)).T
+    made = Particles(rng.random((3, count)).T, momentum, np.ones(count), np.arange(count), ELECTRON)
+    return migrate(made, hierarchy)[0]
+
+
+def _smooth_field(hierarchy: Hierarchy) -> amrpic.VectorField:
+    x, y, z = (
+        amrpic.Field(hierarchy, unit="V/m").fill(lambda *x, axis=axis: np.sin(7 * x[axis]) + x[0] * x[1] * x[2])
+        for axis in range(3)
+    )
+    return amrpic.VectorField(x, y, z)
+
+
+def _seconds(stage: Callable[[], Result], repeats: int) -> float:
+    taken = []
+    for _ in range(repeats + 1):  # the first one makes the tables that a hierarchy needs once
+        start = time.perf_counter()
+        result = stage()
+        taken.append(time.perf_counter() - start)
+        del result
+    return median(taken[1:])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--particles", type=float, nargs="+", default=[1e6, 1e7])
+    parser.add_argument("--cells", type=int, default=128, help="along each axis")
+    parser.add_argument("--box", type=int, default=32, help="cells along each axis of a box")
+    parser.add_argument("--shape", nargs="+", choices=list(SHAPES), default=list(SHAPES))
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    for count in options.particles:
+        for shape in options.shape:
+            found = measure(int(count), options.cells, options.box, shape, options.repeats)
+            figures = "  ".join(f"{name} {value:6.1f}" for name, value in found.items())
+            print(f"{count:.0e} particles, {shape:24}{figures}  ns/particle", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -21,9 +21,10 @@ NATIVE = {
     "stencil": {"mesh", "base"},
     "operators": {"stencil", "mesh", "base"},
     "freespace": {"mesh", "base"},
-    "solver": {"operators", "freespace", "stencil", "mesh", "base"},
+    "matrixfree": {"operators", "stencil", "mesh", "base"},
+    "solver": {"matrixfree", "operators", "freespace", "stencil", "mesh", "base"},
     "particle": {"mesh", "base"},
-    "bind": {"solver", "operators", "freespace", "particle", "stencil", "mesh", "base"},
+    "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "stencil", "mesh", "base"},
 }
 
 # What may be named in some folders only.

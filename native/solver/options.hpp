@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
 
 namespace Teuchos {
@@ -9,8 +10,6 @@ class ParameterList;
 }
 
 namespace amrpic {
-
-enum class Norm { l1, l2, max };
 
 /// What relaxes the errors of a level.
 enum class SmootherKind { red_black, jacobi, gauss_seidel, symmetric_gauss_seidel, chebyshev };

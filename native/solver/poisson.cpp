@@ -86,11 +86,7 @@ Real PoissonSolver::norm(Value&& value) const {
         result += volume * (options_.norm == Norm::l1 ? v : v * v);
     });
   }
-  // MPI_MAX may drop a nan
-  Real const bad = global(hierarchy_->comm(), std::isfinite(result) ? 0.0 : 1.0, MPI_MAX);
-  if (bad > 0) return std::numeric_limits<Real>::quiet_NaN();
-  result = global(hierarchy_->comm(), result, largest ? MPI_MAX : MPI_SUM);
-  return options_.norm == Norm::l2 ? std::sqrt(result) : result;
+  return global_norm(hierarchy_->comm(), options_.norm, result);
 }
 
 /// Integral of the right-hand side, or of its magnitude, over uncovered cells.

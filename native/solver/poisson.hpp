@@ -4,16 +4,15 @@
 #include <string>
 #include <vector>
 
+#include "base/constants.hpp"
 #include "freespace/free_space.hpp"
 #include "mesh/field.hpp"
 #include "mesh/transfer.hpp"
+#include "operators/walls.hpp"
 #include "solver/krylov.hpp"
 #include "solver/multigrid.hpp"
-#include "solver/walls.hpp"
 
 namespace amrpic {
-
-constexpr Real vacuum_permittivity = 8.8541878188e-12;  ///< F/m, CODATA 2022
 
 /// What E holds in covered cells.
 enum class CoveredField {

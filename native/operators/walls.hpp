@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "mesh/hierarchy.hpp"
-#include "operators/operators.hpp"
+#include "stencil/boundary.hpp"
 
 namespace amrpic {
 

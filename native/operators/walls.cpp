@@ -1,4 +1,4 @@
-#include "solver/walls.hpp"
+#include "operators/walls.hpp"
 
 namespace amrpic {
 

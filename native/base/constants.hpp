@@ -1,0 +1,9 @@
+#pragma once
+
+#include "base/types.hpp"
+
+namespace amrpic {
+
+constexpr Real vacuum_permittivity = 8.8541878188e-12;  ///< F/m, CODATA 2022
+
+}  // namespace amrpic

@@ -20,18 +20,18 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from measuring import ENVIRONMENT, ROOT, work_unit
 from mpi4py import MPI
 
 import amrpic
-from amrpic import _native, menu
+from amrpic import menu
 from amrpic.errors import SolverError
 from amrpic.plan import Plan
 from amrpic.poisson import BaseSetup, PoissonSolver
 from amrpic.step import begin
 
-ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
-from exact import EPS0, STATIC, static_hierarchy  # noqa: E402
+from exact import EPS0, STATIC, static_hierarchy
 
 TOLERANCE = 1e-10
 SAME = 1e-8  # largest difference of two potentials over the largest potential that counts as none
@@ -189,8 +189,8 @@ class Table:
 
 def measure(comm: MPI.Comm, case: str, quick: bool) -> Table:
     problem = CASES[case](comm, quick)
-    unit, share = work_unit(comm, sum(problem.cells))
-    table = Table(case, comm.size, problem.cells, unit, share)
+    unit = work_unit(comm, sum(problem.cells))
+    table = Table(case, comm.size, problem.cells, unit.seconds, unit.share_of_triad)
     wanted: amrpic.Field | None = None
     for group, choices in rows(quick):
         for options in choices:
@@ -200,14 +200,6 @@ def measure(comm: MPI.Comm, case: str, quick: bool) -> Table:
     table.contest = contest(problem, table.rows)
     table.reuse = reuse(problem)
     return table
-
-
-def work_unit(comm: MPI.Comm, cells: int) -> tuple[float, float]:
-    """Return the seconds of a plain apply, the cells shared by all ranks at a time, and its part of a triad's rate."""
-    comm.Barrier()
-    own = _native.measure_work_unit(cells // comm.size)
-    share = (16 / own.apply_seconds) / (24 / own.triad_seconds)
-    return comm.allreduce(own.apply_seconds, op=MPI.MAX), comm.allreduce(share, op=MPI.MIN)
 
 
 def measured(
@@ -378,17 +370,10 @@ TAIL = """
 
 
 def run(case: str, ranks: int, quick: bool) -> Table:
-    environment = {
-        "OMPI_ALLOW_RUN_AS_ROOT": "1",
-        "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-        "OMPI_MCA_rmaps_base_oversubscribe": "1",
-        "OMPI_MCA_mpi_yield_when_idle": "1",  # a rank that waits leaves its core to others
-        "OMP_NUM_THREADS": "1",
-    }
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "table.json"
         worker = [sys.executable, __file__, "--case", case, "--output", str(found), *(["--quick"] if quick else [])]
-        subprocess.run(["mpiexec", "-n", str(ranks), *worker], env={**os.environ, **environment}, check=True)
+        subprocess.run(["mpiexec", "-n", str(ranks), *worker], env={**os.environ, **ENVIRONMENT}, check=True)
         content = json.loads(found.read_text())
     content["rows"] = [Measured(**row) for row in content["rows"]]
     return Table(**content)

@@ -1,0 +1,127 @@
+"""What every benchmark shares: records of what was measured, the work unit, workers on ranks, and paths."""
+
+from __future__ import annotations
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from amrpic import _native
+
+ROOT = Path(__file__).parents[1]
+LEAST_SHARE = 0.8  # of a triad's bytes per second, below which a work unit is void
+ENVIRONMENT = {
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "OMPI_MCA_mpi_yield_when_idle": "1",  # a rank that waits leaves its core to others
+    "OMP_NUM_THREADS": "1",
+}
+
+
+@dataclass(frozen=True)
+class WorkUnit:
+    """The time of one plain 7-point apply on an array of so many cells, which all ranks share out and do at a time."""
+
+    seconds: float
+    share_of_triad: (
+        float  # bytes per second over those of a triad, a written value counted as 16 bytes; lowest of the ranks
+    )
+    triad: float  # bytes per second of all ranks
+
+    @property
+    def void(self) -> bool:
+        """Whether the apply was so far from what memory gives that it is no unit."""
+        return self.share_of_triad < LEAST_SHARE
+
+
+def work_unit(comm: MPI.Comm, cells: int, trials: int = 3) -> WorkUnit:
+    """Return the work unit of so many cells; one that is void is measured again, up to `trials` times. Collective."""
+    for _ in range(trials):
+        comm.Barrier()
+        own = _native.measure_work_unit(max(1, cells // comm.size))
+        share = own.apply_throughput / own.triad_throughput
+        unit = WorkUnit(
+            comm.allreduce(own.apply_seconds, op=MPI.MAX),
+            comm.allreduce(share, op=MPI.MIN),
+            comm.allreduce(own.triad_throughput),
+        )
+        if not unit.void:
+            break
+    return unit
+
+
+@dataclass
+class Record:
+    """Something that was timed several times. `name` tells it from all others: what, case, and what was varied."""
+
+    name: str
+    seconds: list[float]  # of each run, of the slowest rank
+    unit: float = 0.0  # s, the work unit measured beside it; 0 if none was
+    share_of_triad: float = 0.0
+    cells: int = 0
+    particles: int = 0
+    facts: dict[str, Any] = field(default_factory=dict)  # cycles, seconds of stages, bytes per cell and the like
+
+    @property
+    def median(self) -> float:
+        return statistics.median(self.seconds)
+
+    @property
+    def units(self) -> float:
+        """Median in work units; nan without one."""
+        return self.median / self.unit if self.unit else float("nan")
+
+
+def timed(comm: MPI.Comm, runs: int, work: Callable[[], Any]) -> tuple[list[float], Any]:
+    """Return the seconds of each run on the slowest rank, and what the last run gave. Collective."""
+    seconds: list[float] = []
+    out = None
+    for _ in range(runs):
+        out = None  # gone before its successor comes
+        comm.Barrier()
+        start = time.perf_counter()
+        out = work()
+        seconds.append(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
+    return seconds, out
+
+
+def slowest(comm: MPI.Comm, stages: dict[str, float]) -> dict[str, float]:
+    """Return seconds per stage on the rank that took longest for each. Collective; the same stages on all ranks."""
+    values = np.array(list(stages.values()))
+    comm.Allreduce(MPI.IN_PLACE, values, op=MPI.MAX)
+    return dict(zip(stages, (float(value) for value in values), strict=True))
+
+
+def launch(script: Path, ranks: int, arguments: Sequence[str]) -> list[Record]:
+    """Return the records that a script writes, run on so many ranks with `arguments` and `--output FILE`.
+
+    Raises CalledProcessError if it fails; what it prints is seen.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        found = Path(folder) / "records.json"
+        worker = [sys.executable, str(script), *arguments, "--output", str(found)]
+        subprocess.run(["mpiexec", "-n", str(ranks), *worker], env={**os.environ, **ENVIRONMENT}, check=True)
+        return read(found)
+
+
+def write(path: Path, records: Sequence[Record], **about: Any) -> None:
+    """Write records, and what is told about them, as JSON."""
+    content = {**about, "records": [asdict(record) for record in records]}
+    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def read(path: Path) -> list[Record]:
+    """Return the records of a file that `write` wrote."""
+    return [Record(**record) for record in json.loads(path.read_text(encoding="utf-8"))["records"]]

@@ -1,0 +1,251 @@
+"""Time the solver: set-up, solves to several tolerances, regrids; and measure its memory. A worker of benchmarks/bench.py."""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import itertools
+import sys
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from cases import FAMILIES, STRETCHED, Problem, problem
+from measuring import Record, slowest, timed, work_unit, write
+from mpi4py import MPI
+
+import amrpic
+from amrpic.poisson import PoissonSolver
+from amrpic.regrid import Regridding, carry_over, regrid
+from amrpic.verify.errors import errors
+
+FULL = 1e-10
+Tolerance = float | Literal["discretization"]
+BOXES = (16, 24, 32, 64)
+
+
+def name(case: str, boxes: int, ranks: int, what: str = f"{FULL:g}") -> str:
+    """Return the name of the record of a solve; of a set-up, for `what`."""
+    return f"solve, {case}, boxes {boxes}, {ranks} rank{'s' * (ranks > 1)}, {what}"
+
+
+# ---- one mesh ----
+
+
+def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple[Tolerance, ...]) -> Iterator[Record]:
+    """Yield the record of the set-up, and that of solves from a zero guess to each tolerance. Collective."""
+    hierarchy, comm = given.hierarchy, given.hierarchy.comm
+    boxes = hierarchy.max_grid_size
+    unit = work_unit(comm, given.cells)
+    common: dict[str, Any] = {"unit": unit.seconds, "share_of_triad": unit.share_of_triad, "cells": given.cells}
+    _ = given.rho  # filled before anything is timed
+    seconds, solver = timed(comm, runs, lambda: PoissonSolver(hierarchy, tolerance=FULL, backend=backend))
+    levels = {"levels": hierarchy.levels, "boxes": sum(len(hierarchy.boxes(l)) for l in range(hierarchy.levels))}
+    yield Record(name(case, boxes, comm.size, "set-up"), seconds, facts=levels, **common)
+    converged = None
+    for tolerance in tolerances:
+        if tolerance != FULL:
+            solver = PoissonSolver(hierarchy, tolerance=tolerance, backend=backend)
+        solver.solve(given.rho, boundary_values=given.walls)  # remembers the walls; pages of scratch come into being
+        seconds, (phi, report) = timed(comm, runs, partial(solver.solve, given.rho, boundary_values=given.walls))
+        facts = {
+            **levels,
+            "cycles": report.cycles,
+            "converged": report.converged,
+            "residual": report.residuals[-1],
+            "stages": slowest(comm, report.seconds),
+        }
+        if tolerance == FULL:
+            converged = phi
+        elif tolerance == "discretization" and converged is not None and given.exact is not None:
+            left, least = (errors([field], given.exact)[1] for field in (phi, converged))
+            facts["error over the converged one"] = left / least
+        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **common)
+
+
+def told(tolerance: Tolerance) -> str:
+    return tolerance if isinstance(tolerance, str) else f"{tolerance:g}"
+
+
+# ---- a mesh that follows ----
+
+
+def following(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) -> Iterator[Record]:
+    """Yield what a regrid of a refined case costs next to a solve on the new mesh, its charge moved by a base cell. Collective.
+
+    A regrid: tags from the charge, boxes from tags, φ carried over, the solver set up with what can be reused.
+    """
+    given = problem(comm, case, boxes)
+    kept = PoissonSolver(given.hierarchy, tolerance=1e-6, backend=backend)
+    phi, _ = kept.solve(given.rho, boundary_values=given.walls)
+    step = float(given.hierarchy.domain.spacing[0])
+    moved = amrpic.Field(given.hierarchy).fill(lambda x, y, z: given.density(x - step, y, z))
+    thresholds = [share * moved.max_abs() for share in (1e-3, 2e-2)]
+    settings = Regridding(max_levels=given.hierarchy.levels)
+    seconds: dict[str, list[float]] = {what: [] for what in ("boxes", "carry over", "set-up")}
+    for _ in range(runs):
+        solver: PoissonSolver | None = None  # gone before its successor comes
+        clock = Laps(comm)
+        tags = [np.abs(moved.array(level)) > threshold for level, threshold in enumerate(thresholds)]
+        mesh = regrid(given.hierarchy, tags, settings)
+        seconds["boxes"].append(clock.lap())
+        guess = carry_over(phi, mesh)
+        seconds["carry over"].append(clock.lap())
+        solver = PoissonSolver(mesh, tolerance=1e-6, backend=backend, reuse=kept.base_setup)
+        seconds["set-up"].append(clock.lap())
+    rho = amrpic.Field(mesh).fill(lambda x, y, z: given.density(x - step, y, z))
+    cells = sum(mesh.cells(level) for level in range(mesh.levels))
+    unit = work_unit(comm, cells)
+    common: dict[str, Any] = {"unit": unit.seconds, "share_of_triad": unit.share_of_triad, "cells": cells}
+    cycles = {}
+    assert solver is not None
+    solver.solve(rho, boundary_values=given.walls)
+    for what, start in (("zero", None), ("carried-over", guess)):
+        taken, (_, report) = timed(comm, runs, partial(solver.solve, rho, guess=start, boundary_values=given.walls))
+        cycles[what] = report.cycles
+        yield Record(
+            following_name(case, boxes, f"1e-06 from {what} φ"), taken, facts={"cycles": report.cycles}, **common
+        )
+    for what, taken in seconds.items():
+        yield Record(following_name(case, boxes, what), taken, **common)
+    whole = [sum(parts) for parts in zip(*seconds.values(), strict=True)]
+    yield Record(following_name(case, boxes, "regrid"), whole, **common)
+
+
+def following_name(case: str, boxes: int, what: str) -> str:
+    return f"regrid, {case}, boxes {boxes}, {what}"
+
+
+class Laps:
+    """A clock that all ranks read together."""
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self.comm = comm
+        comm.Barrier()
+        self.start = time.perf_counter()
+
+    def lap(self) -> float:
+        """Return the seconds since the latest call, on the slowest rank. Collective."""
+        seconds = self.comm.allreduce(time.perf_counter() - self.start, op=MPI.MAX)
+        self.start = time.perf_counter()
+        return seconds
+
+
+# ---- memory ----
+
+
+def memory(comm: MPI.Comm, case: str, boxes: int, backend: str) -> Record:
+    """Return what the solver takes beyond ρ and φ at its peak, in bytes per cell, of one rank. For a process of its own.
+
+    The resident set before the solver is made is taken from the highest one until it has solved.
+    """
+    given = problem(comm, case, boxes)
+    PoissonSolver(problem(comm, "uniform 16", boxes).hierarchy, backend=backend)  # libraries are loaded
+    rho, first = given.rho, amrpic.Field(given.hierarchy)
+    for level in range(given.hierarchy.levels):
+        first.array(level)[:] = 0.0  # its pages exist
+    before = resident("VmRSS")
+    reset_peak()
+    start = time.perf_counter()
+    solver = PoissonSolver(given.hierarchy, tolerance=FULL, backend=backend)
+    made = resident("VmRSS")
+    solver.solve(rho, guess=first)
+    seconds = time.perf_counter() - start
+    copy = 8 * given.cells  # the potential that the solve returns is a copy of the guess
+    taken = {"peak": resident("VmHWM") - before - copy, "set up": made - before}
+    facts = {f"bytes per cell, {what}": size / given.cells for what, size in taken.items()}
+    return Record(f"memory, {case}, boxes {boxes}", [seconds], cells=given.cells, facts=facts)
+
+
+def resident(which: str) -> int:
+    """Return a line of /proc/self/status in bytes, after memory that was freed has been given back."""
+    if which == "VmRSS":
+        ctypes.CDLL(None).malloc_trim(0)
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(lines[which].split()[0]) * 1024
+
+
+def reset_peak() -> None:
+    """Let the highest resident set start from the present one."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+# ---- growth ----
+
+
+def growth(comm: MPI.Comm, backend: str, runs: int, quick: bool) -> Iterator[Record]:
+    """Yield solves on meshes that differ in one thing: the number of levels, of boxes, of cells. Collective."""
+    n = 32 if quick else 64
+    for levels in (1, 2, 3, 4, 5):
+        domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary="dirichlet")
+        nested = [[(((2**k - 1) * n // 2,) * 3, ((2**k + 1) * n // 2 - 1,) * 3)] for k in range(1, levels)]
+        hierarchy = amrpic.Hierarchy(comm, domain, nested, max_grid_size=32)
+        charge = Problem(hierarchy, problem(comm, "uniform 8", 8).density)
+        yield from grown(charge, f"{levels} levels", backend, runs)
+    for size in (8, 16, 32, n):
+        yield from grown(problem(comm, f"uniform {n}", size), f"boxes of {size}", backend, runs)
+    for size in (16, 32, 64) if quick else (32, 48, 64, 96, 128):
+        yield from grown(problem(comm, f"static {size}", 32), f"base {size}", backend, runs)
+
+
+def grown(given: Problem, what: str, backend: str, runs: int) -> Iterator[Record]:
+    for record in solves(given, what, backend, runs, (FULL,)):
+        record.name = record.name.replace("solve, ", "growth, ")
+        yield record
+
+
+# ---- what is measured ----
+
+
+def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator[Record]:
+    """Yield all records of so many ranks: all on one and two, on more the cycles of a few. Collective."""
+    sizes = (16,) if quick else (64, 128)
+    boxes = (8, 16) if quick else BOXES
+    if comm.size > 2:
+        for family, size in itertools.product(("static", "bunch"), boxes[1:3]):
+            if (family, quick) != ("bunch", True):
+                yield from solves(
+                    problem(comm, f"{family} {sizes[0]}", size), f"{family} {sizes[0]}", backend, 1, (FULL,)
+                )
+        return
+    for n, family, size in itertools.product(sizes, FAMILIES, boxes):
+        if (family, quick) == ("bunch", True):
+            continue  # its boxes are given for 64 and 128 base cells alone
+        more: tuple[Tolerance, ...] = (1e-6, "discretization") if size >= 32 or quick else ()
+        yield from solves(problem(comm, f"{family} {n}", size), f"{family} {n}", backend, runs, (FULL, *more))
+    if comm.size == 1:
+        n, size = (16, 16) if quick else (64, 32)
+        for cells in STRETCHED:
+            yield from solves(problem(comm, f"{cells} {n}", size), f"{cells} {n}", backend, runs, (FULL,))
+        case, size = ("static 16", 8) if quick else ("bunch 64", 24)
+        yield from following(comm, case, size, backend, runs)
+        yield from growth(comm, backend, runs, quick)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--backend", default="crs", help="how the operators are executed")
+    parser.add_argument("--runs", type=int, default=5, help="runs of each")
+    parser.add_argument("--quick", action="store_true", help="tiny cases")
+    parser.add_argument("--memory", metavar="CASE", help="measure the memory of this case alone, boxes of 32")
+    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    given = parser.parse_args()
+    comm = MPI.COMM_WORLD
+    if given.memory:
+        records = [memory(comm, given.memory, 32, given.backend)]
+    else:
+        records = []
+        for record in everything(comm, given.backend, given.quick, given.runs):
+            records.append(record)
+            if comm.rank == 0:
+                print(f"{record.name}: {record.median:.4g} s, {record.units:.0f} work units", flush=True)
+    if comm.rank == 0:
+        write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

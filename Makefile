@@ -11,6 +11,7 @@ RANKS ?= 2
 SCENE ?= examples/ten_bunches.toml
 ARGS ?=
 SYSTEM := build-essential cmake ninja-build python3-venv python3-dev libopenmpi-dev openmpi-bin trilinos-all-dev
+PEERS := libhypre-dev
 NATIVE := CMakeLists.txt pyproject.toml $(wildcard native/* native/*/*.cpp native/*/*.hpp)
 
 # Ranks compute by themselves, may be root, and may be more than there are cores.
@@ -19,7 +20,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub docs help setup build run test verify solvers lint format clean
+.PHONY: stub docs help setup build run test verify bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -86,6 +87,19 @@ stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 
 docs: .venv/.built  ## write docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
+
+bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; ARGS=--quick: under 2 minutes
+	$(BIN)/python benchmarks/bench.py $(ARGS)
+
+# What benchmarks run beside, as far as it can be had here: those that are not are left out of the tables, with a line.
+.venv/.peers: pyproject.toml Makefile
+	@dpkg-query -W $(PEERS) >/dev/null 2>&1 || { root=; [ "$$(id -u)" = 0 ] || root="sudo -n"; \
+	  echo "installing Debian packages:" $(PEERS); { $$root apt-get update -q && $$root env DEBIAN_FRONTEND=noninteractive \
+	  apt-get install -y -q --no-install-recommends $(PEERS); } >/dev/null 2>&1 || echo "without $(PEERS)"; }
+	@for peer in $$($(BIN)/python -c 'import tomllib; \
+	  print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"])'); do \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check $$peer || echo "without $$peer"; done
+	@touch $@
 
 solvers: setup  ## measure the solver's menu on 1 and 2 ranks and write docs/solvers.md
 	$(BIN)/python benchmarks/solvers.py

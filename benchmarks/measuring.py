@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import statistics
@@ -12,14 +13,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from mpi4py import MPI
 
-from amrpic import _native
+from amrpic import _native, menu
+from amrpic.poisson import PoissonSolver
 
 ROOT = Path(__file__).parents[1]
+BACKENDS = get_args(menu.Backend)
+BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
 LEAST_SHARE = 0.8  # of a triad's bytes per second, below which a work unit is void
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -107,12 +111,14 @@ def slowest(comm: MPI.Comm, stages: dict[str, float]) -> dict[str, float]:
 def launch(script: Path, ranks: int, arguments: Sequence[str]) -> list[Record]:
     """Return the records that a script writes, run on so many ranks with `arguments` and `--output FILE`.
 
+    A script that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
     Raises CalledProcessError if it fails; what it prints is seen.
     """
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "records.json"
         worker = [sys.executable, str(script), *arguments, "--output", str(found)]
-        subprocess.run(["mpiexec", "-n", str(ranks), *worker], env={**os.environ, **ENVIRONMENT}, check=True)
+        command = ["mpiexec", "-n", str(ranks), *worker] if ranks else worker
+        subprocess.run(command, env={**os.environ, **ENVIRONMENT}, check=True)
         return read(found)
 
 

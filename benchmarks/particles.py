@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 from typing import TypeVar
 
 import numpy as np
+from measuring import Record, write
 from mpi4py import MPI
 
 import amrpic
@@ -28,7 +30,15 @@ MOVE = 0.3  # cell widths
 
 
 def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
-    """Return the time of each particle stage in ns per particle, the median of `repeats`, on this rank alone.
+    """Return the time of each particle stage in ns per particle, the median of `repeats`; see `timings`."""
+    found = timings(particles, cells, box, shape, repeats)
+    return {stage: 1e9 * median(seconds) / particles for stage, seconds in found.items()}
+
+
+def timings(
+    particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5
+) -> dict[str, list[float]]:
+    """Return the seconds of each particle stage in each repeat, on this rank alone.
 
     Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
     Keys: "deposit"; "gather", the field alone; "gather+push", all of a leapfrog step's motion: the field, two half kicks and
@@ -56,7 +66,7 @@ def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell"
         "gather+push": advance,
         "migrate": lambda: migrate(moved, hierarchy),
     }
-    return {name: 1e9 * _seconds(stage, repeats) / particles for name, stage in stages.items()}
+    return {name: _seconds(stage, repeats) for name, stage in stages.items()}
 
 
 def _sorted_particles(rng: np.random.Generator, count: int, hierarchy: Hierarchy) -> Particles:
@@ -73,14 +83,14 @@ def _smooth_field(hierarchy: Hierarchy) -> amrpic.VectorField:
     return amrpic.VectorField(x, y, z)
 
 
-def _seconds(stage: Callable[[], Result], repeats: int) -> float:
+def _seconds(stage: Callable[[], Result], repeats: int) -> list[float]:
     taken = []
     for _ in range(repeats + 1):  # the first one makes the tables that a hierarchy needs once
         start = time.perf_counter()
         result = stage()
         taken.append(time.perf_counter() - start)
         del result
-    return median(taken[1:])
+    return taken[1:]
 
 
 def main() -> None:
@@ -90,12 +100,23 @@ def main() -> None:
     parser.add_argument("--box", type=int, default=32, help="cells along each axis of a box")
     parser.add_argument("--shape", nargs="+", choices=list(SHAPES), default=list(SHAPES))
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--output", type=Path, help="write the records as JSON here")
     options = parser.parse_args()
-    for count in options.particles:
+    records = []
+    for count in map(int, options.particles):
         for shape in options.shape:
-            found = measure(int(count), options.cells, options.box, shape, options.repeats)
-            figures = "  ".join(f"{name} {value:6.1f}" for name, value in found.items())
+            found = timings(count, options.cells, options.box, shape, options.repeats)
+            figures = "  ".join(f"{name} {1e9 * median(taken) / count:6.1f}" for name, taken in found.items())
             print(f"{count:.0e} particles, {shape:24}{figures}  ns/particle", flush=True)
+            records += [
+                Record(record_name(stage, count, shape), taken, particles=count) for stage, taken in found.items()
+            ]
+    if options.output:
+        write(options.output, records)
+
+
+def record_name(stage: str, particles: int, shape: str) -> str:
+    return f"particles, {stage}, {particles:.0e}, {shape}"
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Time solvers of others beside ours on one uniform mesh between grounded walls: scipy's sine transform, hypre, pyamg.
 
 All get the same right-hand side and solve to 1e-10 from zero. A peer that is not there is left out with a line that says how
-to install it. A worker of benchmarks/bench.py, on one rank; hypre is started on one and two by itself.
+to install it. A worker of benchmarks/bench.py; it starts hypre on one and two ranks, so it is
+not under mpiexec itself.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from cases import problem
-from measuring import ENVIRONMENT, Record, WorkUnit, work_unit, write
+from measuring import BACKEND, BACKENDS, ENVIRONMENT, Record, WorkUnit, work_unit, write
 from mpi4py import MPI
 from scipy import fft, sparse
 
@@ -111,7 +112,9 @@ class Beside:
             for ranks in (1, 2):
                 found = Path(folder) / "phi"
                 command = ["mpiexec", "-n", str(ranks), str(driver), str(self.n), str(self.runs), str(rhs), str(found)]
-                done = subprocess.run(command, env=environment(), check=True, capture_output=True, text=True)
+                done = subprocess.run(
+                    command, env={**os.environ, **ENVIRONMENT}, check=True, capture_output=True, text=True
+                )
                 for who, ending in (("PFMG-CG", "pfmg"), ("BoomerAMG-CG", "amg")):
                     self.require_same(f"hypre {who}", np.fromfile(f"{found}.{ending}"))
                 yield from self.told(done.stdout, ranks)
@@ -173,14 +176,6 @@ def compiled(folder: Path) -> Path:
     return out
 
 
-def environment() -> dict[str, str]:
-    """The environment of a program under mpiexec, started from a rank of another: without what that one was told."""
-    kept = {
-        k: v for k, v in os.environ.items() if not k.startswith(("OMPI_COMM", "OMPI_MCA_orte", "OMPI_MCA_ess", "PMIX"))
-    }
-    return {**kept, **ENVIRONMENT}
-
-
 def measure(sizes: list[int], backend: str, boxes: int, runs: int) -> Iterator[Record | str]:
     """Yield the records of all peers that are installed, and a line for each that is not."""
     for n in sizes:
@@ -198,7 +193,7 @@ def measure(sizes: list[int], backend: str, boxes: int, runs: int) -> Iterator[R
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default="crs", help="how our operators are executed")
+    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how our operators are executed")
     parser.add_argument("--boxes", type=int, default=64, help="largest boxes of ours")
     parser.add_argument("--cells", type=int, nargs="+", default=[64, 128], help="cells along an axis")
     parser.add_argument("--runs", type=int, default=5, help="runs of each")

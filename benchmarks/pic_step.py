@@ -16,7 +16,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from measuring import Record, slowest, timed, work_unit, write
+from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
 
 from amrpic.plan import Plan
@@ -102,15 +102,17 @@ def step_name(who: str, cells: int, particles: int, walls: str, ranks: int = 1) 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default="crs", help="how the operators are executed")
+    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
     parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--quick", action="store_true", help="few cells and particles")
+    parser.add_argument("--cells", type=int, default=64, help="along an axis of the base")
+    parser.add_argument("--particles", type=float, default=1e6)
+    parser.add_argument("--walls", nargs="+", choices=list(IMPACTX_WALLS), default=list(IMPACTX_WALLS))
     parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
     given = parser.parse_args()
     comm = MPI.COMM_WORLD
-    cells, particles = (16, 10_000) if given.quick else (64, 1_000_000)
+    cells, particles = given.cells, int(given.particles)
     records = []
-    for walls in IMPACTX_WALLS:
+    for walls in given.walls:
         records.append(ours(comm, cells, particles, walls, given.backend, given.runs))
         if comm.size == 1 and importlib.util.find_spec("impactx") is not None:
             records.append(impactx(cells, particles, walls, given.runs))

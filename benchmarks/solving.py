@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 from cases import FAMILIES, STRETCHED, Problem, problem
-from measuring import Record, slowest, timed, work_unit, write
+from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
 
 import amrpic
@@ -176,18 +176,20 @@ def reset_peak() -> None:
 # ---- growth ----
 
 
-def growth(comm: MPI.Comm, backend: str, runs: int, quick: bool) -> Iterator[Record]:
-    """Yield solves on meshes that differ in one thing: the number of levels, of boxes, of cells. Collective."""
-    n = 32 if quick else 64
+def growth(comm: MPI.Comm, backend: str, runs: int, n: int = 64) -> Iterator[Record]:
+    """Yield solves on meshes that differ in one thing: the number of levels, of boxes, of cells. Collective.
+
+    n³ cells on the base, and on each level where there are several; bases up to twice as fine where cells are varied.
+    """
     for levels in (1, 2, 3, 4, 5):
         domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary="dirichlet")
         nested = [[(((2**k - 1) * n // 2,) * 3, ((2**k + 1) * n // 2 - 1,) * 3)] for k in range(1, levels)]
         hierarchy = amrpic.Hierarchy(comm, domain, nested, max_grid_size=32)
         charge = Problem(hierarchy, problem(comm, "uniform 8", 8).density)
         yield from grown(charge, f"{levels} levels", backend, runs)
-    for size in (8, 16, 32, n):
+    for size in (n // 8, n // 4, n // 2, n):
         yield from grown(problem(comm, f"uniform {n}", size), f"boxes of {size}", backend, runs)
-    for size in (16, 32, 64) if quick else (32, 48, 64, 96, 128):
+    for size in (n // 2, 3 * n // 4, n, 3 * n // 2, 2 * n):
         yield from grown(problem(comm, f"static {size}", 32), f"base {size}", backend, runs)
 
 
@@ -202,34 +204,27 @@ def grown(given: Problem, what: str, backend: str, runs: int) -> Iterator[Record
 
 def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator[Record]:
     """Yield all records of so many ranks: all on one and two, on more the cycles of a few. Collective."""
-    sizes = (16,) if quick else (64, 128)
-    boxes = (8, 16) if quick else BOXES
+    sizes, boxes = ((64,), (24, 32)) if quick else ((64, 128), BOXES)
     if comm.size > 2:
-        for family, size in itertools.product(("static", "bunch"), boxes[1:3]):
-            if (family, quick) != ("bunch", True):
-                yield from solves(
-                    problem(comm, f"{family} {sizes[0]}", size), f"{family} {sizes[0]}", backend, 1, (FULL,)
-                )
+        for case, size in itertools.product(("static 64", "bunch 64"), (24, 32)):
+            yield from solves(problem(comm, case, size), case, backend, 1, (FULL,))
         return
     for n, family, size in itertools.product(sizes, FAMILIES, boxes):
-        if (family, quick) == ("bunch", True):
-            continue  # its boxes are given for 64 and 128 base cells alone
-        more: tuple[Tolerance, ...] = (1e-6, "discretization") if size >= 32 or quick else ()
+        more: tuple[Tolerance, ...] = (1e-6, "discretization") if size >= 32 else ()
         yield from solves(problem(comm, f"{family} {n}", size), f"{family} {n}", backend, runs, (FULL, *more))
     if comm.size == 1:
-        n, size = (16, 16) if quick else (64, 32)
         for cells in STRETCHED:
-            yield from solves(problem(comm, f"{cells} {n}", size), f"{cells} {n}", backend, runs, (FULL,))
-        case, size = ("static 16", 8) if quick else ("bunch 64", 24)
-        yield from following(comm, case, size, backend, runs)
-        yield from growth(comm, backend, runs, quick)
+            yield from solves(problem(comm, f"{cells} 64", 32), f"{cells} 64", backend, runs, (FULL,))
+        yield from following(comm, "bunch 64", 24, backend, runs)
+        if not quick:
+            yield from growth(comm, backend, runs)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--backend", default="crs", help="how the operators are executed")
+    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
     parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--quick", action="store_true", help="tiny cases")
+    parser.add_argument("--quick", action="store_true", help="few cases")
     parser.add_argument("--memory", metavar="CASE", help="measure the memory of this case alone, boxes of 32")
     parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
     given = parser.parse_args()

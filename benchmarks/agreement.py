@@ -1,0 +1,97 @@
+"""Solve on the meshes of the verification by both backends and measure how far their potentials are apart.
+
+The charge is rough, point values drawn from its cells' places, so that every row of every operator counts. A worker of
+benchmarks/bench.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from cases import problem
+from measuring import BACKENDS, Record, timed, write
+from mpi4py import MPI
+
+import amrpic
+from amrpic.poisson import PoissonSolver
+from amrpic.verify.meshes import MESHES, Mesh, around
+
+TOLERANCE = 1e-11
+BOUNDARIES = ("dirichlet", "neumann", "open")
+
+
+def meshes(comm: MPI.Comm, quick: bool) -> Iterator[tuple[str, amrpic.Hierarchy]]:
+    """Yield the meshes by name: those that order is measured on, each with each boundary, and those that are hard."""
+    cells = 16 if quick else 32
+    for (name, mesh), boundary in ((item, kind) for item in MESHES.items() for kind in BOUNDARIES):
+        yield f"{name}, {boundary}", mesh.hierarchy(comm, cells, boundary, max_grid_size=16)
+    mixed = {"x": "periodic", "y": ("dirichlet", "neumann"), "z": "dirichlet"}
+    yield "L-shape, mixed", MESHES["L-shape"].hierarchy(comm, cells, mixed, max_grid_size=16)
+    yield "ten levels", Mesh(around(10)).hierarchy(comm, 16, "dirichlet")
+    yield "checkerboard", blocks(comm, lambda place: sum(place) % 2 == 0)
+    yield "tunnels", blocks(comm, lambda place: list(place).count(3) >= 2)
+    if not quick:
+        for case in ("static 64", "bunch 64"):
+            yield case, problem(comm, case, 24).hierarchy
+
+
+def blocks(comm: MPI.Comm, chosen: Callable[[tuple[int, ...]], bool]) -> amrpic.Hierarchy:
+    """The unit cube of 16³ cells, the chosen ones of 8³ blocks of 4³ fine cells refined. Collective."""
+    places = [place for place in np.ndindex(8, 8, 8) if chosen(place)]
+    boxes = [(tuple(4 * i for i in place), tuple(4 * i + 3 for i in place)) for place in places]
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), boundary="dirichlet")
+    return amrpic.Hierarchy(comm, domain, [boxes], max_grid_size=16, blocking_factor=4)
+
+
+def rough(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A density without a scale of its own, the same whatever boxes and ranks there are."""
+    return 1e-12 * np.sin(1e3 * (x + 1.3 * y + 1.7 * z) ** 2)
+
+
+def apart(comm: MPI.Comm, name: str, hierarchy: amrpic.Hierarchy) -> Record:
+    """Return the record of a mesh: how far the potentials are apart, over the largest; cycles of both. Collective."""
+    rho = amrpic.Field(hierarchy).fill(rough)
+    background = "neutralizing" if hierarchy.domain.singular else None
+    found = {}
+    for backend in BACKENDS:
+        solver = PoissonSolver(hierarchy, tolerance=TOLERANCE, backend=backend, background=background)
+        seconds, (phi, report) = timed(comm, 1, partial(solver.solve, rho))
+        found[backend] = phi, report, seconds
+    (phi, one, seconds), *others = found.values()
+    difference = 0.0
+    for other, _, _ in others:
+        worst = max(float(np.abs(phi.array(l) - other.array(l)).max(initial=0.0)) for l in range(hierarchy.levels))
+        difference = max(difference, comm.allreduce(worst, op=MPI.MAX) / phi.max_abs())
+    facts = {
+        "difference": difference,
+        "backends": list(found),
+        "cycles": [report.cycles for _, report, _ in found.values()],
+        "converged": all(report.converged for _, report, _ in found.values()),
+    }
+    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
+    return Record(f"agreement, {name}", seconds, cells=cells, facts=facts)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="small meshes")
+    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    given = parser.parse_args()
+    comm = MPI.COMM_WORLD
+    records = []
+    for name, hierarchy in meshes(comm, given.quick):
+        records.append(apart(comm, name, hierarchy))
+        if comm.rank == 0:
+            print(f"{records[-1].name}: {records[-1].facts}", flush=True)
+    if comm.rank == 0:
+        write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""Measure how fast the code is, next to its peers and to its goals: `make bench`, or `make bench ARGS=--quick`.
+
+Each part runs in processes of its own, on the ranks that it needs. Ends with the table of goals; writes a JSON of all that was
+measured, and charts. The exit status is 1 if a part failed; a goal that is missed is told, not an error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from goals import goals, printed, table
+from measuring import BACKEND, BACKENDS, ROOT, Record, launch, write
+
+HERE = Path(__file__).parent
+MEMORY_CASES = ("static 128", "bunch 64")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A worker: its script, on how many ranks, with which arguments."""
+
+    name: str
+    script: str
+    ranks: int  # 0: not under mpiexec, it starts ranks of its own
+    arguments: tuple[str, ...]
+
+
+def parts(backend: str, quick: bool, runs: int) -> list[Part]:
+    """Return what is run, in order."""
+    options = ("--backend", backend, "--runs", str(runs))
+    small = ("--quick",) if quick else ()
+    peers = ("--cells", "64") if quick else ("--cells", "64", "128")
+    count = ("--particles", "1e6", "--shape", "cloud-in-cell") if quick else ()
+    memory, rank_counts, walls = (("bunch 64",), (1, 2), ()) if quick else (MEMORY_CASES, (1, 2, 3, 4), (1,))
+    return [
+        *(Part("solver", "solving.py", ranks, (*options, *small)) for ranks in rank_counts),
+        *(Part("memory", "solving.py", 1, (*options, "--memory", case)) for case in memory),
+        Part("peers", "peers.py", 0, (*options, *peers)),
+        Part("particles", "particles.py", 1, ("--repeats", str(runs), *count)),
+        *(
+            Part("step", "pic_step.py", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
+            for ranks in (1, 2)
+        ),
+        *(Part("walls", "walls.py", ranks, options) for ranks in walls),
+        Part("agreement", "agreement.py", 1, small),
+    ]
+
+
+NAMES = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
+
+
+def measure(chosen: Sequence[Part]) -> tuple[list[Record], list[str]]:
+    """Return the records of all parts, and a sentence for each that failed."""
+    records: list[Record] = []
+    failed = []
+    for part in chosen:
+        start = time.perf_counter()
+        try:
+            records += launch(HERE / part.script, part.ranks, part.arguments)
+        except subprocess.CalledProcessError as ended:
+            failed.append(
+                f"{part.script} {' '.join(part.arguments)} on {part.ranks} ranks ended with {ended.returncode}"
+            )
+        print(f"-- {part.script}, {part.ranks or 'its own'} ranks: {time.perf_counter() - start:.0f} s", flush=True)
+    return records, failed
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures depend on."""
+    model = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    return {
+        "processor": model[0].split(":", 1)[1].strip() if model else platform.processor(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "time": time.strftime("%Y-%m-%d %H:%M:%S %Z"),
+        "commit": commit.stdout.strip(),
+        "versions": {name: importlib.metadata.version(name) for name in ("amrpic", "numpy", "scipy")},
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="few of the cases: under 2 minutes")
+    parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
+    parser.add_argument("--runs", type=int, default=5, help="runs of each measurement; medians are told")
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="parts to run")
+    parser.add_argument(
+        "--output", type=Path, default=ROOT / "runs" / "bench", help="folder of the JSON and the charts"
+    )
+    given = parser.parse_args()
+    given.output.mkdir(parents=True, exist_ok=True)
+    about = {"machine": machine(), "quick": given.quick, "backend": given.backend, "runs": given.runs}
+    start = time.perf_counter()
+    chosen = [part for part in parts(given.backend, given.quick, given.runs) if part.name in given.only]
+    records, failed = measure(chosen)
+    write(given.output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
+    print(printed(table(goals(records))))
+    for sentence in failed:
+        print(sentence, file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

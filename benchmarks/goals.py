@@ -1,0 +1,196 @@
+"""What the fast path must show, and what it aims at, against what was measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from measuring import LEAST_SHARE, Record
+from particles import record_name
+from peers import peer_name
+from pic_step import IMPACTX_WALLS, step_name
+from solving import BOXES, following_name, name
+from walls import walls_name
+
+NAN = float("nan")
+SAME = 1e-8  # largest difference of the backends' potentials over the largest that counts as none
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A figure with its bounds. `measured` is nan where the run did not measure it."""
+
+    what: str
+    measured: float
+    must: float
+    aim: float | None = None
+    unit: str = ""
+    at_least: bool = False  # whether more is better
+    note: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """ "not measured", "missed", "met" or "aim met"."""
+        if math.isnan(self.measured):
+            return "not measured"
+        if not self._reaches(self.must):
+            return "missed"
+        return "aim met" if self.aim is not None and self._reaches(self.aim) else "met"
+
+    def _reaches(self, bound: float) -> bool:
+        return self.measured >= bound if self.at_least else self.measured <= bound
+
+    def bound(self, value: float | None) -> str:
+        if value is None:
+            return ""
+        return f"{'≥' if self.at_least else '≤'} {value:g}{self.unit}"
+
+
+class Found:
+    """Records by name."""
+
+    def __init__(self, records: Sequence[Record]) -> None:
+        self.records = {record.name: record for record in records}
+
+    def units(self, name: str) -> float:
+        """Median in work units; nan where it was not measured, or the unit is void."""
+        record = self.records.get(name)
+        return NAN if record is None or record.share_of_triad < LEAST_SHARE else record.units
+
+    def seconds(self, name: str) -> float:
+        record = self.records.get(name)
+        return NAN if record is None else record.median
+
+    def fact(self, name: str, what: str) -> float:
+        record = self.records.get(name)
+        return NAN if record is None else float(record.facts.get(what, NAN))
+
+    def ratio(self, name: str, other: str) -> float:
+        """How many times as long one takes as another. Of runs in turns the median of the ratios."""
+        one, two = self.records.get(name), self.records.get(other)
+        if one is None or two is None:
+            return NAN
+        if len(one.seconds) == len(two.seconds):
+            return median(a / b for a, b in zip(one.seconds, two.seconds, strict=True))
+        return one.median / two.median
+
+    def starting(self, beginning: str) -> list[Record]:
+        return [record for name, record in self.records.items() if name.startswith(beginning)]
+
+
+def goals(records: Sequence[Record]) -> list[Goal]:
+    """Return all goals in the order that they are told in."""
+    found = Found(records)
+    return [
+        goal for topic in (solver, ranks, shapes, memory, setup, particles, step, backends) for goal in topic(found)
+    ]
+
+
+def solver(found: Found) -> Iterator[Goal]:
+    bunch = name("bunch 64", 24, 1)
+    yield Goal("bunch 64, boxes 24, to 1e-10", found.units(bunch), 100, 57, " WU")
+    yield Goal("its cycles", found.fact(bunch, "cycles"), 8)
+    for case in ("static 64", "static 128"):
+        best = least(found.units(name(case, boxes, 1)) for boxes in (32, 64))
+        yield Goal(f"{case}, boxes 32 or 64, to 1e-10", best, 80, 50, " WU")
+    for case in ("static 64", "static 128"):
+        names = [name(case, boxes, 1, "discretization") for boxes in (32, 64)]
+        yield Goal(f"{case}, to the discretization error", least(map(found.units, names)), 45, 25, " WU")
+        error = -least(-found.fact(n, "error over the converged one") for n in names)
+        yield Goal("its true error over the converged one", error, 1.05)
+    against = found.ratio(peer_name(128, "amrpic"), peer_name(128, "scipy DST"))
+    yield Goal("uniform 128 to 1e-10 against scipy's DST", against, 1.5, 0.9, "×")
+
+
+def ranks(found: Found) -> Iterator[Goal]:
+    one, two = (name("static 128", 32, ranks) for ranks in (1, 2))
+    speedup = found.seconds(one) / found.seconds(two)
+    yield Goal("2 ranks against 1, static 128, boxes 32", speedup, 1.7, 1.9, "×", at_least=True)
+    for case in ("static 64", "bunch 64"):
+        counts = {
+            int(record.facts["cycles"])
+            for boxes in BOXES
+            for ranks in (1, 2, 3, 4)
+            if (record := found.records.get(name(case, boxes, ranks))) is not None
+        }
+        several = float(max(counts) - min(counts)) if counts else NAN
+        told = ", ".join(map(str, sorted(counts)))
+        yield Goal(f"{case}: spread of cycles over boxes and 1 to 4 ranks", several, 0, note=f"cycles: {told}")
+
+
+def shapes(found: Found) -> Iterator[Goal]:
+    for cells in ("1:1:10", "1:5:5"):
+        ratio = found.units(name(f"{cells} 64", 32, 1)) / found.units(name("cubes 64", 32, 1))
+        yield Goal(f"cells {cells} against cubes, to 1e-10", ratio, 2, 1.3, "×")
+
+
+def memory(found: Found) -> Iterator[Goal]:
+    for record in found.starting("memory, "):
+        peak = float(record.facts["bytes per cell, peak"])
+        yield Goal(f"{record.name.split(', ')[1]}: memory of the solver beyond φ and ρ", peak, 40, 15, " B/cell")
+
+
+def setup(found: Found) -> Iterator[Goal]:
+    lists = found.ratio(name("bunch 64", 24, 1, "set-up"), name("bunch 64", 24, 1))
+    yield Goal("bunch 64: set-up of a new mesh against a solve to 1e-10", lists, 0.1, unit="×")
+    regrid, solve = (following_name("bunch 64", 24, what) for what in ("regrid", "1e-06 from zero φ"))
+    yield Goal("bunch 64: regrid with φ carried over against a solve to 1e-6", found.ratio(regrid, solve), 1, unit="×")
+    walls = found.ratio(walls_name(144, "open"), walls_name(144, "dirichlet"))
+    yield Goal("open walls against grounded ones, ten_bunches 144", walls, 1.5, 1.15, "×")
+
+
+def particles(found: Found) -> Iterator[Goal]:
+    for stage, must, aim in (("deposit", 8, 4), ("gather+push", 16, 8), ("migrate", 14, 8)):
+        for count in (1_000_000, 10_000_000):
+            each = 1e9 * found.seconds(record_name(stage, count, "cloud-in-cell")) / count
+            yield Goal(f"{stage}, {count:.0e} particles", each, must, aim, " ns")
+
+
+def step(found: Found) -> Iterator[Goal]:
+    for walls in IMPACTX_WALLS:
+        ours, theirs = (found.seconds(step_name(who, 64, 1_000_000, walls)) for who in ("amrpic", "ImpactX"))
+        yield Goal(f"whole step against ImpactX, {walls} walls", theirs / ours, 4, 8, "×", at_least=True)
+
+
+def backends(found: Found) -> Iterator[Goal]:
+    compared = [record for record in found.starting("agreement, ") if len(record.facts["backends"]) > 1]
+    worst = max((float(record.facts["difference"]) for record in compared), default=NAN)
+    if not all(record.facts["converged"] for record in compared):
+        worst = math.inf
+    yield Goal(f"matrix-free against CRS: φ on {len(compared)} meshes of the verification", worst, SAME)
+
+
+def least(values: Iterable[float]) -> float:
+    """The least of those that were measured."""
+    return min((value for value in values if not math.isnan(value)), default=NAN)
+
+
+def figure(value: float) -> str:
+    """Return a number with three digits, or all of its whole ones."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def table(goals: Sequence[Goal]) -> list[tuple[str, str, str, str, str]]:
+    """Return the rows: what, must, aim, measured, verdict."""
+    rows = [("what", "must", "aim", "measured", "verdict")]
+    for goal in goals:
+        value = "–" if math.isnan(goal.measured) else f"{figure(goal.measured)}{goal.unit}"
+        note = f" ({goal.note})" if goal.note and not math.isnan(goal.measured) else ""
+        rows.append((goal.what + note, goal.bound(goal.must), goal.bound(goal.aim), value, goal.verdict))
+    return rows
+
+
+def printed(rows: Sequence[tuple[str, ...]]) -> str:
+    """Return rows as text in columns."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def markdown(rows: Sequence[tuple[str, ...]]) -> str:
+    """Return rows as a table in Markdown."""
+    head, *body = ("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)
+    return "\n".join([head, "|" + "---|" * len(rows[0]), *body])

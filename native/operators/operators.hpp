@@ -19,6 +19,12 @@ struct GradientAxis {
   Crs own, coarse, fine;
 };
 
+/// What E holds in covered cells.
+enum class CoveredField {
+  mean,       ///< of the children, as in all fields
+  difference  ///< of phi, whose covered cells hold the means: what clouds as wide as these cells feel
+};
+
 /// The eight operators of a level. The Laplacians approximate +Laplace, in 1/m^2.
 struct LevelOperators {
   std::shared_ptr<Level const> level;

@@ -14,12 +14,6 @@
 
 namespace amrpic {
 
-/// What E holds in covered cells.
-enum class CoveredField {
-  mean,       ///< of the children, as in all fields
-  difference  ///< of phi, whose covered cells hold the means: what clouds as wide as these cells feel
-};
-
 /// How a solve went.
 struct SolveReport {
   bool converged = false;

@@ -1,0 +1,157 @@
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "matrixfree/composite.hpp"
+
+namespace nb = nanobind;
+using namespace amrpic;
+using namespace nb::literals;
+
+namespace {
+
+using Values = std::vector<bind::Reals>;  ///< [level]
+
+/// The walls of a hierarchy with given data.
+std::vector<Walls> walls_of(Hierarchy const& hierarchy, Values const& data) {
+  std::vector<Walls> out;
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    out.push_back(find_walls(hierarchy.domain(), hierarchy.level(l)));
+    out.back().datum.assign(data[std::size_t(l)].data(), data[std::size_t(l)].data() + data[std::size_t(l)].size());
+  }
+  return out;
+}
+
+/// Numbers of all levels in blocks whose rows and planes have room to spare.
+template <class T>
+class Padded {
+ public:
+  explicit Padded(Hierarchy const& hierarchy) : hierarchy_(hierarchy) {
+    for (int l = 0; l < hierarchy.level_count(); ++l) {
+      Level const& level = hierarchy.level(l);
+      std::vector<std::size_t> starts{0};
+      for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+        starts.push_back(starts.back() + std::size_t(pitch_z(level.box(b))) * std::size_t(level.box(b).extent(2)));
+      values_.emplace_back(starts.back(), unset);
+      blocks_.emplace_back();
+      for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+        blocks_.back().push_back({values_.back().data() + starts[std::size_t(b - level.first_local_box())],
+                                  pitch_y(level.box(b)), pitch_z(level.box(b))});
+    }
+  }
+  Blocks<T> const& blocks() const { return blocks_; }
+
+  /// Call f(value in its block, place among the own cells of the level) for each cell of a level.
+  template <class F>
+  void for_each(int l, F&& f) {
+    Level const& level = hierarchy_.level(l);
+    std::size_t place = 0;
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      Block<T> const& block = blocks_[std::size_t(l)][std::size_t(b - level.first_local_box())];
+      Box const& box = level.box(b);
+      for (int k = 0; k < box.extent(2); ++k)
+        for (int j = 0; j < box.extent(1); ++j)
+          for (int i = 0; i < box.extent(0); ++i) f(block.origin[i + j * block.pitch_y + k * block.pitch_z], place++);
+    }
+  }
+  std::vector<nb::ndarray<nb::numpy, T>> to_arrays() {
+    std::vector<nb::ndarray<nb::numpy, T>> out;
+    for (int l = 0; l < hierarchy_.level_count(); ++l) {
+      std::vector<T> values(std::size_t(hierarchy_.level(l).local_cells()));
+      for_each(l, [&](T value, std::size_t place) { values[place] = value; });
+      out.push_back(bind::to_array(std::move(values)));
+    }
+    return out;
+  }
+  /// Whether nothing was written between the rows.
+  bool clean() {
+    std::size_t set = 0, cells = 0;
+    for (auto const& level : values_)
+      for (T value : level) set += value != unset;
+    for (int l = 0; l < hierarchy_.level_count(); ++l)
+      for_each(l, [&](T value, std::size_t) { cells += value != unset; });
+    return set == cells;
+  }
+
+ private:
+  static constexpr T unset = T(-7.25e30);
+  static std::ptrdiff_t pitch_y(Box const& box) { return box.extent(0) + 3; }
+  static std::ptrdiff_t pitch_z(Box const& box) { return pitch_y(box) * (box.extent(1) + 1); }
+  Hierarchy const& hierarchy_;
+  std::vector<std::vector<T>> values_;
+  Blocks<T> blocks_;
+};
+
+template <class T>
+nb::tuple residual(CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls, Field const& phi,
+                   Norm norm, std::vector<Real> const& scale) {
+  Padded<T> out(laplacian.hierarchy());
+  Real size;
+  auto const data = walls_of(laplacian.hierarchy(), walls);
+  {
+    nb::gil_scoped_release release;
+    size = laplacian.residual({rho, data, mean}, phi, norm, scale, out.blocks());
+  }
+  return nb::make_tuple(size, out.to_arrays(), out.clean());
+}
+
+}  // namespace
+
+void bind_matrixfree(nb::module_& m) {
+  nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")
+      .def(
+          "__init__",
+          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch) {
+            nb::gil_scoped_release release;
+            new (self) CompositeLaplacian(hierarchy->stretched(stretch), stretch);
+          },
+          "hierarchy"_a, "stretch"_a)
+      .def("average_down", &CompositeLaplacian::average_down, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "add",
+          [](CompositeLaplacian& laplacian, Values const& correction, Real scale, Field& phi) {
+            Padded<float> in(laplacian.hierarchy());
+            for (int l = 0; l < laplacian.hierarchy().level_count(); ++l)
+              in.for_each(
+                  l, [&](float& value, std::size_t place) { value = float(correction[std::size_t(l)].data()[place]); });
+            nb::gil_scoped_release release;
+            laplacian.add(in.blocks(), scale, phi);
+          },
+          "correction"_a, "scale"_a, "phi"_a)
+      .def("residual", &residual<Real>, "rho"_a, "mean"_a, "walls"_a, "phi"_a, "norm"_a, "scale"_a)
+      .def("single_residual", &residual<float>, "rho"_a, "mean"_a, "walls"_a, "phi"_a, "norm"_a, "scale"_a)
+      .def(
+          "right_hand_side_norm",
+          [](CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls, Norm norm) {
+            auto const data = walls_of(laplacian.hierarchy(), walls);
+            nb::gil_scoped_release release;
+            return laplacian.right_hand_side_norm({rho, data, mean}, norm);
+          },
+          "rho"_a, "mean"_a, "walls"_a, "norm"_a)
+      .def(
+          "integrate_right_hand_side",
+          [](CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls) {
+            auto const data = walls_of(laplacian.hierarchy(), walls);
+            nb::gil_scoped_release release;
+            auto const sums = laplacian.integrate_right_hand_side({rho, data, mean});
+            return std::pair<Real, Real>(sums.net, sums.magnitude);
+          },
+          "rho"_a, "mean"_a, "walls"_a)
+      .def("diagonal_norm", &CompositeLaplacian::diagonal_norm, "phi"_a, "norm"_a,
+           nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "electric_field",
+          [](CompositeLaplacian& laplacian, Field const& phi, Values const& walls, CoveredField covered, Field& x,
+             Field& y, Field& z) {
+            auto const data = walls_of(laplacian.hierarchy(), walls);
+            nb::gil_scoped_release release;
+            laplacian.electric_field(phi, data, covered, {&x, &y, &z});
+          },
+          "phi"_a, "walls"_a, "covered"_a, "x"_a, "y"_a, "z"_a)
+      .def_prop_ro("messages", &CompositeLaplacian::messages)
+      .def_prop_ro("message_bytes", &CompositeLaplacian::message_bytes)
+      .def_prop_ro("bytes", &CompositeLaplacian::bytes);
+}

@@ -1,0 +1,126 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "matrixfree/composite_plan.hpp"
+#include "mesh/field.hpp"
+#include "mesh/norm.hpp"
+#include "operators/operators.hpp"
+#include "operators/walls.hpp"
+
+namespace amrpic {
+
+/// Values of a box somewhere in memory: x fastest, rows and planes at their own distances.
+template <class T>
+struct Block {
+  T* origin;
+  std::ptrdiff_t pitch_y, pitch_z;
+};
+
+/// Blocks of the boxes of this rank: [level][local box].
+template <class T>
+using Blocks = std::vector<std::vector<Block<T>>>;
+
+/// What the right-hand side f = -rho / eps0 - mean is made of, in V/m^2, with the data of the walls of each level.
+struct Source {
+  Field const& rho;  ///< C/m^3; values in covered cells are not used
+  std::vector<Walls> const& walls;
+  Real mean = 0;
+};
+
+/// The Laplacian over all levels of a hierarchy at once, in double precision and without matrices: the same formulas as
+/// the operators `composite`, `coarse_boundary`, `fine_boundary`, `restriction` and `gradient`, evaluated box by box.
+///
+/// The ghosts around a box are copied from its neighbours or evaluated from walls and coarser cells just before the box
+/// is swept; finer levels come first and leave the fluxes through the coarse faces for the coarser ones, so that each
+/// face has one flux. Results in a cell do not depend on boxes and ranks, not even by rounding.
+class CompositeLaplacian {
+ public:
+  /// `hierarchy` is in coordinates stretched by `stretch` already; norms and fields are those of the unstretched space.
+  /// Collective.
+  explicit CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real3 const& stretch = {1, 1, 1});
+
+  /// Set the covered cells of all levels to the mean of their children. Collective.
+  void average_down(Field& phi);
+
+  /// phi += scale * correction on all levels, then `average_down`; corrections in covered cells are not used.
+  /// Collective.
+  template <class T>
+  void add(Blocks<T> const& correction, Real scale, Field& phi);
+
+  /// residual = scale[level] * (f - Laplace phi) in uncovered cells, zero in covered ones, rounded to T; returns the
+  /// norm, without the scale and before rounding, over uncovered cells; nan if a value is not finite. `phi` must be
+  /// averaged down. Collective.
+  template <class T>
+  Real residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
+                Blocks<T> const& residual);
+
+  /// Norm of f less what the wall data add to the Laplacian. Collective.
+  Real right_hand_side_norm(Source const& source, Norm norm);
+
+  /// Integral over uncovered cells of f less what the wall data add to the Laplacian, and of its magnitude, in the
+  /// stretched space. Collective.
+  struct Integrals {
+    Real net, magnitude;
+  };
+  Integrals integrate_right_hand_side(Source const& source);
+
+  /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.
+  Real diagonal_norm(Field const& phi, Norm norm);
+
+  /// Fill the components of E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through
+  /// the faces. `phi` must be averaged down. Collective.
+  void electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
+                      std::array<Field*, 3> const& components);
+
+  Hierarchy const& hierarchy() const { return *hierarchy_; }
+  std::int64_t messages() const;       ///< sent by this rank so far
+  std::int64_t message_bytes() const;  ///< sent by this rank so far
+  std::size_t bytes() const;           ///< of lists and buffers on this rank
+
+ private:
+  enum class Hidden { visit, skip };
+
+  template <class F>
+  void visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f);
+  void surround(int l, int b, Field const& phi, Walls const& walls);
+  void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
+  void fill_interface(int l, int b, int axis, int side, Field const& phi);
+  void copy(Rectangle const& from, Real const* own, Real* to, std::ptrdiff_t pitch) const;
+  void send_fluxes(int l);
+
+  void residual_plane(int l, int b, int k, Source const& source, Field const& phi);
+  void right_hand_side_plane(int l, int b, int k, Source const& source);
+  void diagonal_plane(int l, int b, int k, Field const& phi);
+  void clear_covered(int l, int b, int k, Real* plane) const;
+  template <class F>
+  void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const;
+  template <class F>
+  void for_each_box(F&& f);
+  template <class Fill, class Use>
+  void for_each_plane(Fill&& fill, Use&& use);
+
+  template <class T>
+  void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi);
+  void average_pair(int l, int b, int k, Field& phi) const;
+  void average_across_ranks(int l, Field& phi);
+
+  Level const& level(int l) const { return hierarchy_->level(l); }
+  LevelPlan const& plan(int l) const { return plan_.levels[std::size_t(l)]; }
+  BoxPlan const& plan(int l, int b) const { return plan(l).boxes[std::size_t(b)]; }
+  int boxes(int l) const { return level(l).last_local_box() - level(l).first_local_box(); }
+  Box const& box(int l, int b) const { return level(l).box(level(l).first_local_box() + b); }
+  LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
+  Real volume(int l) const;
+
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  Real3 stretch_;
+  CompositePlan plan_;
+  std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
+  std::array<std::vector<Real>, 6> beyond_;  ///< ghosts of the box under way, by face, u fastest
+  std::vector<Real> coarse_, fits_;          ///< of the interface under way: coarse values, two rows of phi*
+  std::vector<Real> plane_;                  ///< of the plane under way
+};
+
+}  // namespace amrpic

@@ -1,0 +1,113 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "matrixfree/fits.hpp"
+#include "matrixfree/imports.hpp"
+#include "mesh/hierarchy.hpp"
+
+namespace amrpic {
+
+/// Elements [first, last) of a list.
+struct Range {
+  std::int32_t first = 0, last = 0;
+  bool empty() const { return first == last; }
+};
+
+/// A rectangle of values of a box, in its memory or as another rank sent it. Along u and v, the lower and the higher
+/// axis in the plane.
+struct Rectangle {
+  int owner;            ///< rank that sends it, or `here`
+  std::int32_t from;    ///< place of the first value among the own cells (or fluxes) of its level, or of those sent
+  std::int32_t pu, pv;  ///< distance between neighbours
+  int u, v, nu, nv;     ///< where it lies, and how far it goes
+  static constexpr int here = -1;
+};
+
+/// What lies beyond a face of a box: cells of the level where `neighbours` tell, a wall, or coarser cells.
+struct FacePlan {
+  Range neighbours;    ///< rectangles of the level
+  int wall = -1;       ///< place of the face's data among the wall data of the level
+  int interface = -1;  ///< in the level's list of interfaces
+};
+
+/// Where coarser cells lie beyond a face of a box: the smallest rectangle, in coarse cells, that holds them.
+struct Interface {
+  int u, v, nu, nv;     ///< first coarse cell, from the first one beyond the face
+  int margin;           ///< coarse cells around the rectangle that the fits reach
+  Range coarse;         ///< rectangles of the coarser level that make up the rectangle with its margin
+  std::int32_t fits;    ///< place of the fits of the rectangle's cells, u fastest
+  std::int32_t fluxes;  ///< place of what the level sends through the coarse faces, u fastest
+};
+
+/// Uncovered cells of a box with a refined cell beyond one of their faces.
+struct RefinedSide {
+  int axis, side;
+  Box cells;         ///< in the box, counted from its first cell; one layer along `axis`
+  Rectangle fluxes;  ///< of the finer level
+};
+
+/// The lists of a box.
+struct BoxPlan {
+  std::array<FacePlan, 6> faces;  ///< 2 axis + side
+  Range covered;                  ///< parts covered by finer boxes
+  Range refined;                  ///< refined sides
+  Range families;                 ///< parents that are cells of this rank
+  bool hidden = false;            ///< covered whole
+  bool remote = false;            ///< a face, or the plane behind it, takes values from other ranks
+};
+
+/// Cells of a coarser box, and their children in a box of the level; all on this rank.
+struct Family {
+  std::int32_t parent, pitch_y, pitch_z;  ///< place of the first parent among the own cells, and their distances
+  Index3 child;                           ///< first child, counted from the first cell of its box
+  Index3 parents;                         ///< how many along each axis
+};
+
+/// Means that another rank sends for covered cells of this one.
+struct RemoteMeans {
+  int owner;
+  std::int32_t from;                      ///< place among what the owner sends, x fastest
+  std::int32_t parent, pitch_y, pitch_z;  ///< as in Family
+  Index3 parents;
+};
+
+/// The lists of one level.
+struct LevelPlan {
+  std::vector<BoxPlan> boxes;         ///< of this rank
+  std::vector<Rectangle> neighbours;  ///< cells of the level
+  std::vector<Interface> interfaces;
+  std::vector<Rectangle> coarse;  ///< cells of the coarser level
+  std::vector<FitNumber> fits;
+  std::int32_t fluxes = 0;   ///< number of coarse faces for which the level has places
+  std::vector<Box> covered;  ///< counted from the first cell of the box
+  std::vector<RefinedSide> refined;
+  std::vector<Family> families;           ///< of this level's boxes and the coarser level
+  std::vector<RemoteMeans> remote_means;  ///< for covered cells of this level
+  Imports finer_fluxes, finer_means;      ///< from the next finer level
+};
+
+/// All that the composite Laplacian must know of a hierarchy besides the formulas: made of faces and rectangles, so
+/// that it costs far less than a pass over the cells.
+struct CompositePlan {
+  /// Collective.
+  explicit CompositePlan(Hierarchy const& hierarchy);
+
+  std::vector<LevelPlan> levels;
+  Imports cells;  ///< cells of other ranks, of all levels
+
+  std::size_t bytes() const;  ///< of this rank's lists
+};
+
+/// A part of a level's box that meets a region: `part` in the region's indices, `part` minus `shift` inside the box.
+struct Overlap {
+  int box;
+  Box part;
+  Index3 shift;
+};
+std::vector<Overlap> overlaps(Level const& level, Box const& region);
+
+}  // namespace amrpic

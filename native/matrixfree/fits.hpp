@@ -1,0 +1,93 @@
+// The interpolations of phi* behind coarse-fine faces, by number: they are few, so a face needs to remember no weights.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+#include "stencil/interface.hpp"
+
+namespace amrpic {
+
+/// Which of the fits of `plane_fit` the four ghosts in front of a coarse cell take. They share it: which cells are
+/// usable does not depend on the ghost, only the weights do.
+using FitNumber = std::uint8_t;
+constexpr FitNumber central_fit = 0;  ///< the 3 x 3 block around the cell: nearly all faces have it
+constexpr FitNumber no_fit = 255;     ///< the cell has no ghosts in front of it
+
+/// The terms of a fit: cells of the coarse plane, as offsets from the one behind the ghosts along the lower and the
+/// higher tangential axis, and the weights of each for the four ghosts, [upper half along v][upper half along u].
+struct NumberedFit {
+  struct Term {
+    int i, j;
+    std::array<std::array<Real, 2>, 2> weight;
+  };
+  std::array<Term, 9> terms;
+  int count;
+  int reach;  ///< largest offset, 0 to 2
+};
+
+/// The number of the fit for the usable cells of the coarse plane (bits as in `plane_fit`).
+FitNumber fit_number(unsigned usable);
+
+/// The fit of a number.
+NumberedFit const& numbered_fit(FitNumber number);
+
+/// phi* of a run of `count` neighbouring coarse cells with the central fit, along the lower tangential axis: two rows
+/// of 2 count values. `coarse` points to the first of the cells, its rows are `pitch` apart.
+template <class T>
+void central_fits(int count, T const* coarse, std::ptrdiff_t pitch, T* lower_row, T* upper_row) {
+  constexpr T near = T(5.0 / 32), middle = T(15.0 / 16), far = T(-3.0 / 32);  // parabola at a quarter of a cell
+  constexpr int most = 62;
+  T lower[most + 2], upper[most + 2];  // the parabolas along the higher axis
+  for (int done = 0; done < count; done += most) {
+    int const n = std::min(most, count - done);
+    T const* c = coarse + done - 1;
+    for (int m = 0; m < n + 2; ++m) {
+      lower[m] = (near * c[m - pitch] + far * c[m + pitch]) + middle * c[m];
+      upper[m] = (far * c[m - pitch] + near * c[m + pitch]) + middle * c[m];
+    }
+    T *p = lower_row + 2 * done, *q = upper_row + 2 * done;
+    for (int m = 0; m < n; ++m) {
+      p[2 * m] = (near * lower[m] + far * lower[m + 2]) + middle * lower[m + 1];
+      p[2 * m + 1] = (far * lower[m] + near * lower[m + 2]) + middle * lower[m + 1];
+      q[2 * m] = (near * upper[m] + far * upper[m + 2]) + middle * upper[m + 1];
+      q[2 * m + 1] = (far * upper[m] + near * upper[m + 2]) + middle * upper[m + 1];
+    }
+  }
+}
+
+/// Call f(u, count, fit) for the runs of cells in a row that share a fit, `no_fit` left out.
+template <class F>
+void for_each_run(FitNumber const* fits, int count, F&& f) {
+  for (int u = 0; u < count;) {
+    int end = u + 1;
+    while (end < count && fits[end] == fits[u]) ++end;
+    if (fits[u] != no_fit) f(u, end - u, fits[u]);
+    u = end;
+  }
+}
+
+/// phi* of all ghosts in front of a row of coarse cells along the lower tangential axis, into the two rows of fine
+/// ghosts; ghosts of cells without a fit are left as they are. A ghost's value does not depend on the row's extent, not
+/// even by rounding.
+template <class T>
+void fit_row(FitNumber const* fits, int count, T const* coarse, std::ptrdiff_t pitch, T* lower_row, T* upper_row) {
+  for_each_run(fits, count, [&](int u, int n, FitNumber number) {
+    if (number == central_fit) return central_fits(n, coarse + u, pitch, lower_row + 2 * u, upper_row + 2 * u);
+    NumberedFit const& fit = numbered_fit(number);
+    for (int m = u; m < u + n; ++m) {
+      T sum[2][2] = {{0, 0}, {0, 0}};
+      for (int t = 0; t < fit.count; ++t) {
+        auto const& term = fit.terms[std::size_t(t)];
+        T const value = coarse[m + term.i + pitch * term.j];
+        for (int b = 0; b < 2; ++b)
+          for (int a = 0; a < 2; ++a) sum[b][a] += T(term.weight[b][a]) * value;
+      }
+      for (int a = 0; a < 2; ++a) lower_row[2 * m + a] = sum[0][a], upper_row[2 * m + a] = sum[1][a];
+    }
+  });
+}
+
+}  // namespace amrpic

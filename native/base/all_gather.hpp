@@ -20,8 +20,8 @@ struct Gathered {
 };
 
 /// The lists of all ranks, on every rank. Collective.
-template <class T>
-Gathered<T> all_gather(MPI_Comm comm, std::vector<T> const& mine) {
+template <class T, class Allocator>
+Gathered<T> all_gather(MPI_Comm comm, std::vector<T, Allocator> const& mine) {
   static_assert(std::is_trivially_copyable_v<T>);
   int ranks = 1;
   MPI_Comm_size(comm, &ranks);

@@ -38,7 +38,7 @@ nb::tuple rows_of(LevelOperators const& o, std::string const& name, LevelOperato
   column.reserve(crs.entries());
   for (LocalIndex c : crs.column) column.push_back(c < owned ? first + c : ghosts[std::size_t(c - owned)]);
   return nb::make_tuple(bind::to_array(std::move(start)), bind::to_array(std::move(column)),
-                        bind::to_array(std::vector<Real>(crs.value)));
+                        bind::to_array(std::vector<Real>(crs.value.begin(), crs.value.end())));
 }
 
 /// Operator times this rank's values, by a Tpetra matrix made for the purpose.

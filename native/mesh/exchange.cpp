@@ -1,6 +1,7 @@
 #include "mesh/exchange.hpp"
 
 #include <algorithm>
+#include <numeric>
 #include <stdexcept>
 
 namespace amrpic {
@@ -16,6 +17,16 @@ std::vector<GlobalIndex> remote_cells(Level const& level, std::vector<GlobalInde
   std::sort(numbers.begin(), numbers.end());
   numbers.erase(std::unique(numbers.begin(), numbers.end()), numbers.end());
   return numbers;
+}
+
+void append_remote(Level const& level, Box const& region, std::vector<GlobalIndex>& out) {
+  if (level.ranks() == 1) return;
+  level.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
+    if (level.owner(b) == level.rank()) return;
+    for_each_row(level, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const&) {
+      for (LocalIndex i = 0; i < count; ++i) out.push_back(first + i);
+    });
+  });
 }
 
 Exchange::Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> ghosts) : ghosts_(std::move(ghosts)) {
@@ -37,6 +48,25 @@ LocalIndex Exchange::local(GlobalIndex cell) const {
   return owned_ + LocalIndex(at - ghosts_.begin());
 }
 
+Window<LocalIndex> Exchange::places(Level const& level, Box const& region) const {
+  Window<LocalIndex> out(region, no_place);
+  level.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
+    for_each_row(level, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
+      write_places(first, count, &out(cell));
+    });
+  });
+  return out;
+}
+
+/// Places of cells with consecutive numbers, of one rank.
+void Exchange::write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const {
+  GlobalIndex const own = first - first_;
+  if (own >= 0 && own < owned_) return std::iota(out, out + count, LocalIndex(own));
+  for (auto at = std::lower_bound(ghosts_.begin(), ghosts_.end(), first); at != ghosts_.end() && *at < first + count;
+       ++at)
+    out[*at - first] = owned_ + LocalIndex(at - ghosts_.begin());
+}
+
 void Exchange::make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted) {
   comm_ = comm;
   first_ = level.first_local_cell();
@@ -44,7 +74,12 @@ void Exchange::make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> 
 
   int const ranks = level.ranks();
   std::vector<std::vector<GlobalIndex>> from(ranks);
-  for (GlobalIndex cell : wanted) from[level.owner_of_cell(cell)].push_back(cell);
+  auto begin = wanted.begin();
+  for (int r = 0; r < ranks; ++r) {
+    auto const end = std::lower_bound(begin, wanted.end(), level.first_cell(r + 1));
+    from[r].assign(begin, end);
+    begin = end;
+  }
 
   std::vector<int> ask(ranks), answer(ranks);
   for (int r = 0; r < ranks; ++r) ask[r] = int(from[r].size());

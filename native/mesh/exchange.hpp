@@ -5,13 +5,18 @@
 #include <memory>
 #include <vector>
 
-#include "mesh/level.hpp"
+#include "mesh/window.hpp"
 
 namespace amrpic {
+
+constexpr LocalIndex no_place = -1;
 
 /// The cells of other ranks among some numbers, as an Exchange takes them: ascending, each once. Negative numbers stand
 /// for no cell.
 std::vector<GlobalIndex> remote_cells(Level const& level, std::vector<GlobalIndex> numbers);
+
+/// Append the numbers of a level's cells in a region that other ranks own; periodic images included.
+void append_remote(Level const& level, Box const& region, std::vector<GlobalIndex>& out);
 
 /// The plan by which a rank reads cells of a level that other ranks own, and gives charge back to them.
 ///
@@ -36,6 +41,10 @@ class Exchange {
   /// Place of a cell in [own cells | ghosts]; the cell must be owned or a ghost.
   LocalIndex local(GlobalIndex cell) const;
 
+  /// Places of a level's cells in a region, `no_place` where a cell is neither owned nor a ghost or does not exist;
+  /// periodic images included.
+  Window<LocalIndex> places(Level const& level, Box const& region) const;
+
   /// Fill the ghosts of each field from their owners. Collective.
   void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts) const;
 
@@ -55,6 +64,7 @@ class Exchange {
     mutable std::vector<Real> buffer;
   };
   void make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted);
+  void write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const;
   static void pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields);
   void post(std::vector<Neighbour> const& receive, std::vector<Neighbour> const& send, std::size_t fields) const;
 

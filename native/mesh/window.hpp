@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+#include <numeric>
 #include <vector>
 
 #include "mesh/level.hpp"
@@ -24,17 +26,25 @@ class Window {
 
 constexpr GlobalIndex no_cell = -1;
 
+/// Call `f(number of the first cell, count, first cell in the region's indices)` for each row along x of a part of box
+/// b that `Level::for_each_overlap` gave.
+template <class F>
+void for_each_row(Level const& level, int b, Box const& part, Index3 const& shift, F&& f) {
+  Box const image = level.box(b).shift(shift);
+  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+    for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
+      Index3 const first{part.lower[0], j, k};
+      f(level.box_offset(b) + image.offset(first), LocalIndex(part.extent(0)), first);
+    }
+}
+
 /// The numbers of a level's cells in a region, `no_cell` where the level has none; periodic images included.
 inline Window<GlobalIndex> cell_numbers(Level const& level, Box const& region) {
   Window<GlobalIndex> out(region, no_cell);
   level.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
-    Box const image = level.box(b).shift(shift);
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
-        GlobalIndex number = level.box_offset(b) + image.offset({part.lower[0], j, k});
-        GlobalIndex* row = &out({part.lower[0], j, k});
-        for (int i = 0; i < part.extent(0); ++i) row[i] = number + i;
-      }
+    for_each_row(level, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
+      std::iota(&out(cell), &out(cell) + count, first);
+    });
   });
   return out;
 }
@@ -43,7 +53,10 @@ inline Window<GlobalIndex> cell_numbers(Level const& level, Box const& region) {
 inline Window<char> covered_cells(Level const& finer, Index3 const& ratio, Box const& region) {
   Window<char> out(region, 0);
   finer.for_each_overlap(region.refine(ratio), [&](int, Box const& part, Index3 const&) {
-    for_each_cell(part.coarsen(ratio).intersect(region), [&](Index3 const& c) { out(c) = 1; });
+    Box const parents = part.coarsen(ratio).intersect(region);
+    for (int k = parents.lower[2]; k <= parents.upper[2]; ++k)
+      for (int j = parents.lower[1]; j <= parents.upper[1]; ++j)
+        std::fill_n(&out({parents.lower[0], j, k}), parents.extent(0), 1);
   });
   return out;
 }

@@ -3,79 +3,91 @@
 
 #include "operators/open_walls.hpp"
 #include "operators/operators.hpp"
-#include "operators/row.hpp"
-#include "stencil/gradient.hpp"
+#include "operators/regular_rows.hpp"
+#include "operators/terms.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// Terms of a row, apart by the level of the columns.
-struct Terms {
-  Row own_row, coarse_row, fine_row;
-  void clear() { own_row.clear(), coarse_row.clear(), fine_row.clear(); }
-  void own(GlobalIndex cell, Real value) { own_row.add(cell, value); }
-  void coarse(GlobalIndex cell, Real value) { coarse_row.add(cell, value); }
-  void fine(GlobalIndex cell, Real value) { fine_row.add(cell, value); }
-};
-
 void laplacian_row(Neighbourhood const& n, Index3 const& cell, Execution execution, Terms& terms) {
+  terms.clear();
   terms.own(n.own(cell), 0);  // the diagonal comes first
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) outward_gradient(n, cell, axis, side, execution, 1 / n.spacing[axis], terms);
 }
 
-/// Rows of cells inside a box, away from its surface and from refined cells: their columns follow from the place of the
-/// row, their weights are the same for all. The general formula gives the same rows, term by term.
-class PlainRows {
- public:
-  PlainRows(Box const& box, Real3 const& spacing)
-      : inside_(box.grow(-1)), stride_{1, box.extent(0), box.extent(0) * box.extent(1)} {
-    laplacian_[0] = 0;
-    for (int d = 0; d < 3; ++d) {
-      laplacian_[1 + 2 * d] = laplacian_[2 + 2 * d] = 1 / spacing[d] / spacing[d];
-      laplacian_[0] -= 2 / spacing[d] / spacing[d];
-      gradient_[d] = {0.5 / spacing[d], -0.5 / spacing[d]};
-    }
+/// The parents that prolongation to a box reads, those behind walls included.
+Box parents_read(Box const& box, Index3 const& ratio, Prolongation kind) {
+  Box out = box.coarsen(ratio);
+  for (int d = 0; d < 3; ++d) {
+    if (kind == Prolongation::constant || ratio[d] == 1) continue;
+    if (box.lower[d] % 2 == 0) --out.lower[d];
+    if (box.upper[d] % 2 != 0) ++out.upper[d];
   }
-  bool has(Index3 const& cell) const { return inside_.contains(cell); }
-  bool next_to_covered(Neighbourhood const& n, Index3 const& cell) const {
-    for (int d = 0; d < 3; ++d)
-      for (int step : {-1, 1}) {
-        Index3 other = cell;
-        other[d] += step;
-        if (n.covered(other)) return true;
-      }
-    return false;
-  }
-  void put_laplacian(LocalIndex row, CrsBuilder& builder) const {
-    builder.put_own<7>({row, row - 1, row + 1, row - stride_[1], row + stride_[1], row - stride_[2], row + stride_[2]},
-                       laplacian_);
-  }
-  void put_gradient(LocalIndex row, int axis, CrsBuilder& builder) const {
-    builder.put_own<2>({row - stride_[axis], row + stride_[axis]}, gradient_[axis]);
-  }
-
- private:
-  Box inside_;
-  std::array<LocalIndex, 3> stride_;
-  std::array<Real, 7> laplacian_;
-  std::array<std::array<Real, 2>, 3> gradient_;
-};
-
-/// E along an axis: minus the mean of the two face derivatives, of which the lower one points outward against the axis.
-void gradient_row(Neighbourhood const& n, Index3 const& cell, int axis, Execution execution, Terms& terms) {
-  outward_gradient(n, cell, axis, 0, execution, 0.5, terms);
-  outward_gradient(n, cell, axis, 1, execution, -0.5, terms);
-}
-
-std::vector<GlobalIndex> joined(std::vector<std::vector<GlobalIndex> const*> const& lists) {
-  std::vector<GlobalIndex> out;
-  for (auto const* list : lists) out.insert(out.end(), list->begin(), list->end());
   return out;
 }
 
-/// Builders of one level's operators; `pass` runs the formulas once over all rows and so counts or fills.
+/// Writes the rows of prolongation whose parents all exist.
+class RegularProlongation {
+ public:
+  RegularProlongation(Index3 const& ratio, Prolongation kind) : ratio_(ratio) {
+    for (int d = 0; d < 3; ++d) linear_[d] = kind == Prolongation::trilinear && ratio[d] == 2;
+    for (int corner = 0; corner < 8; ++corner) {
+      Real weight = 1;
+      for (int d = 0; d < 3; ++d) weight *= linear_[d] ? ((corner >> d) & 1 ? 0.25 : 0.75) : (corner >> d) & 1 ? 0 : 1;
+      if (weight != 0) weights_.push_back(weight), corners_.push_back(corner);
+    }
+  }
+  std::size_t terms() const { return weights_.size(); }
+
+  /// `places` of the coarser level's cells hold all that the rows read.
+  void operator()(Window<LocalIndex> const& places, Index3 const& first, LocalIndex rows, LocalIndex* column,
+                  Real* value) const {
+    Index3 parent, step;
+    for (int d = 0; d < 3; ++d) {
+      parent[d] = floor_divide(first[d], ratio_[d]);
+      step[d] = linear_[d] ? 2 * (first[d] - 2 * parent[d]) - 1 : 0;
+    }
+    repeat(weights_.data(), terms(), rows, value);
+    LocalIndex const odd = first[0] - ratio_[0] * parent[0];
+    for (std::size_t t = 0; t < terms(); ++t) {
+      Index3 cell = parent;
+      for (int d : {1, 2})
+        if ((corners_[t] >> d) & 1) cell[d] += step[d];
+      LocalIndex const* source = &places(cell);
+      LocalIndex* out = column + t;
+      if (ratio_[0] == 1)
+        for (LocalIndex n = 0; n < rows; ++n, out += terms()) *out = source[n];
+      else if (corners_[t] & 1)  // the neighbour on the cell's side
+        for (LocalIndex n = 0, i = odd; n < rows; ++n, ++i, out += terms()) *out = source[i / 2 + 2 * (i & 1) - 1];
+      else
+        for (LocalIndex n = 0, i = odd; n < rows; ++n, ++i, out += terms()) *out = source[i / 2];
+    }
+  }
+
+ private:
+  Index3 ratio_;
+  std::array<bool, 3> linear_;
+  std::vector<int> corners_;  ///< bit d: the neighbour along axis d instead of the parent
+  std::vector<Real> weights_;
+};
+
+/// Writes rows of means over children; `places` of the finer level's cells hold them.
+void write_means(Index3 const& ratio, Window<LocalIndex> const& places, Index3 const& first, LocalIndex rows,
+                 LocalIndex* column, Real* value) {
+  int const terms = ratio[0] * ratio[1] * ratio[2];
+  std::fill_n(value, std::ptrdiff_t(rows) * terms, 1.0 / terms);
+  for (int k = 0, t = 0; k < ratio[2]; ++k)
+    for (int j = 0; j < ratio[1]; ++j, t += ratio[0]) {
+      LocalIndex const* child = &places({first[0] * ratio[0], first[1] * ratio[1] + j, first[2] * ratio[2] + k});
+      LocalIndex* out = column + t;
+      for (LocalIndex n = 0; n < rows; ++n, out += terms, child += ratio[0]) std::copy_n(child, ratio[0], out);
+    }
+}
+
+/// Builders of one level's operators: `count` runs the formulas for single rows and measures the others, `fill` writes
+/// these.
 class LevelAssembly {
  public:
   LevelAssembly(LevelStack const& stack, std::size_t l, Prolongation kind)
@@ -84,6 +96,7 @@ class LevelAssembly {
         kind_(kind),
         level_(*stack.levels[l]),
         open_walls_(stack),
+        prolong_(stack.ratio[l], kind),
         no_fine_(rows(), level_),
         uncovered_(std::size_t(rows()), 1) {
     if (l > 0) {
@@ -99,15 +112,14 @@ class LevelAssembly {
     }
   }
 
-  void pass() {
+  void count() {
     for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
-      laplacians(b);
-      if (finer_) restriction(b);
-      if (coarser_) prolongation(b);
+      count_laplacians(b);
+      if (coarser_) count_prolongation(b);
     }
   }
 
-  void start_filling(Exchange const& own, Exchange const* coarse, Exchange const* fine) {
+  void fill(Exchange const& own, Exchange const* coarse, Exchange const* fine) {
     no_fine_.start_filling(own);
     if (coarser_) {
       coarse_boundary_->start_filling(*coarse);
@@ -118,19 +130,34 @@ class LevelAssembly {
       fine_boundary_->start_filling(*fine);
       restriction_->start_filling(*fine);
     }
+    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
+      fill_laplacians(b, own);
+      if (coarser_) fill_prolongation(b, *coarse);
+      if (finer_) fill_restriction(b, *fine);
+    }
   }
 
-  using Lists = std::vector<std::vector<GlobalIndex> const*>;
-  Lists remote_stencil() const { return {&no_fine_.remote()}; }
-  void add_remote_own(Lists& out) const {
-    out.push_back(&no_fine_.remote());
-    if (finer_) out.push_back(&composite_->remote());
+  // ---- cells of other ranks that the rows name, with repetitions ----
+  void append_remote_stencil(std::vector<GlobalIndex>& out) const {
+    no_fine_.append_remote(out);
+    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
+      append_remote_neighbours(level_, level_.box(b), out);
   }
-  void add_remote_coarse(Lists& out) const {
-    if (coarser_) out.insert(out.end(), {&coarse_boundary_->remote(), &prolongation_->remote()});
+  void append_remote_own(std::vector<GlobalIndex>& out) const {
+    append_remote_stencil(out);
+    if (finer_) composite_->append_remote(out);
   }
-  void add_remote_fine(Lists& out) const {
-    if (finer_) out.insert(out.end(), {&fine_boundary_->remote(), &restriction_->remote()});
+  void append_remote_coarse(std::vector<GlobalIndex>& out) const {
+    if (!coarser_) return;
+    coarse_boundary_->append_remote(out);
+    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
+      append_remote(*coarser_, parents_read(level_.box(b), stack_.ratio[l_], kind_), out);
+  }
+  void append_remote_fine(std::vector<GlobalIndex>& out) const {
+    if (!finer_) return;
+    fine_boundary_->append_remote(out);
+    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
+      append_remote(*finer_, level_.box(b).refine(stack_.ratio[l_ + 1]), out);
   }
 
   void move_into(LevelOperators& out) {
@@ -151,30 +178,57 @@ class LevelAssembly {
 
  private:
   LocalIndex rows() const { return level_.local_cells(); }
+  /// A multigrid level is covered whole by the next one.
+  bool hidden() const { return finer_ && !stack_.refines(l_ + 1); }
 
-  void laplacians(int b) {
-    Box const box = level_.box(b);
+  void count_laplacians(int b) {
+    Box const& box = level_.box(b);
     Neighbourhood const n = look_around(box, level_, stack_.refines(l_ + 1) ? finer_ : nullptr,
                                         stack_.refines(l_) ? coarser_ : nullptr, stack_.walls[l_]);
-    // a multigrid level is covered whole by the next one
-    bool const hidden = finer_ && !stack_.refines(l_ + 1);
-    PlainRows const plain(box, level_.spacing());
-    LocalIndex row = level_.local_offset(b);
-    for_each_cell(box, [&](Index3 const& cell) {
-      bool const inside = plain.has(cell);
-      if (inside) {
-        plain.put_laplacian(row, no_fine_);
-        if (coarser_) coarse_boundary_->put_empty();
-      } else {
-        terms_.clear();
-        laplacian_row(n, cell, Execution::without_finer, terms_);
-        if (hidden || n.covered(cell)) add_open_walls(n, cell);
-        no_fine_.put(terms_.own_row);
-        if (coarser_) coarse_boundary_->put(terms_.coarse_row);
-      }
-      if (finer_) composite(n, plain, cell, row, hidden || n.covered(cell), inside);
-      ++row;
+    auto const kinds = kinds_without_finer(level_, box, n.own);
+    auto const composite = hidden() ? RowKinds(box, RowKind::covered) : composite_kinds(kinds, n.covered);
+    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      if (kind == RowKind::regular) return no_fine_.put_run(run, RegularRows::laplacian_terms);
+      for_each_in_run(first, run,
+                      [&](Index3 const& cell, LocalIndex row) { count_special(n, cell, row, composite(cell)); });
     });
+    if (finer_) count_composite(b, n, composite);
+  }
+
+  /// A row that a missing neighbour makes special, and with it that of the composite where it is the same.
+  void count_special(Neighbourhood const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
+    laplacian_row(n, cell, Execution::without_finer, terms_);
+    if (finer_ && composite == RowKind::special) composite_->put(row, terms_.own_row);
+    if (composite == RowKind::covered) add_open_walls(n, cell);
+    no_fine_.put(row, terms_.own_row);
+    if (coarser_) coarse_boundary_->put(row, terms_.coarse_row);
+  }
+
+  /// The composite's rows, but for the special ones, and restriction.
+  void count_composite(int b, Neighbourhood const& n, RowKinds const& kinds) {
+    Index3 const ratio = stack_.ratio[l_ + 1];
+    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
+      if (kind == RowKind::covered) {
+        restriction_->put_run(run, std::size_t(ratio[0] * ratio[1] * ratio[2]));
+        std::fill_n(uncovered_.begin() + run.row, run.count, 0);
+      }
+      if (kind != RowKind::beside) return;
+      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+        laplacian_row(n, cell, Execution::composite, terms_);
+        composite_->put(row, terms_.own_row);
+        fine_boundary_->put(row, terms_.fine_row);
+      });
+    });
+  }
+
+  void fill_laplacians(int b, Exchange const& halo) {
+    Box const& box = level_.box(b);
+    auto const places = halo.places(level_, box.grow(1));
+    RegularRows const regular(level_.spacing(), places);
+    auto write = [&](auto const&... where) { regular.laplacian(where...); };
+    no_fine_.fill_runs(box, level_.local_offset(b), write);
+    if (finer_) composite_->fill_runs(box, level_.local_offset(b), write);
   }
 
   /// Covered cells hold corrections of finer ones alone.
@@ -193,47 +247,51 @@ class LevelAssembly {
     return kind == Boundary::open ? open_walls_.first(l_ - 1, parent, axis, side) : coarse_wall_ghost(kind).first;
   }
 
-  void composite(Neighbourhood const& n, PlainRows const& plain, Index3 const& cell, LocalIndex row, bool covered,
-                 bool inside) {
-    uncovered_[std::size_t(row)] = !covered;
-    if (covered) {
-      composite_->put_empty();
-      fine_boundary_->put_empty();
-    } else if (inside && !plain.next_to_covered(n, cell)) {
-      plain.put_laplacian(row, *composite_);
-      fine_boundary_->put_empty();
-    } else {
-      terms_.clear();
-      laplacian_row(n, cell, Execution::composite, terms_);
-      composite_->put(terms_.own_row);
-      fine_boundary_->put(terms_.fine_row);
+  /// Prolongation reads beyond the parents' domain in cells at walls, along axes that it interpolates.
+  RowKinds prolongation_kinds(Box const& box) const {
+    Box inside = box;
+    for (int d = 0; d < 3; ++d) {
+      if (level_.periodic()[d] || kind_ == Prolongation::constant || stack_.ratio[l_][d] == 1) continue;
+      inside.lower[d] = std::max(inside.lower[d], level_.domain().lower[d] + 1);
+      inside.upper[d] = std::min(inside.upper[d], level_.domain().upper[d] - 1);
     }
+    RowKinds kinds(box, RowKind::special);
+    for_each_cell(inside, [&](Index3 const& cell) { kinds(cell) = RowKind::regular; });
+    return kinds;
   }
 
-  void restriction(int b) {
-    Index3 const ratio = stack_.ratio[l_ + 1];
-    Box const box = level_.box(b);
-    auto const fine = cell_numbers(*finer_, box.refine(ratio));
-    for_each_cell(box, [&](Index3 const& cell) {
-      terms_.clear();
-      if (fine({cell[0] * ratio[0], cell[1] * ratio[1], cell[2] * ratio[2]}) != no_cell)
-        restrict_mean(cell, ratio, fine, [&](GlobalIndex c, Real w) { terms_.fine_row.append(c, w); });
-      restriction_->put(terms_.fine_row);
-    });
-  }
-
-  void prolongation(int b) {
+  void count_prolongation(int b) {
+    Box const& box = level_.box(b);
     Index3 const ratio = stack_.ratio[l_];
-    Box const box = level_.box(b);
-    auto const coarse = cell_numbers(*coarser_, box.coarsen(ratio).grow(1));
-    for_each_cell(box, [&](Index3 const& cell) {
-      terms_.clear();
-      prolong(
-          cell, ratio, kind_, coarse, coarser_->domain(), level_.periodic(),
-          [&](Index3 const& parent, int axis, int side) { return correction_at_wall(parent, axis, side); },
-          [&](GlobalIndex c, Real w) { terms_.coarse_row.append(c, w); });
-      prolongation_->put(terms_.coarse_row);
-    });
+    std::optional<Window<GlobalIndex>> coarse;
+    for_each_run(
+        prolongation_kinds(box), level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+          if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
+          if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
+          for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+            terms_.clear();
+            prolong(
+                cell, ratio, kind_, *coarse, coarser_->domain(), level_.periodic(),
+                [&](Index3 const& parent, int axis, int side) { return correction_at_wall(parent, axis, side); },
+                [&](GlobalIndex c, Real w) { terms_.coarse_row.append(c, w); });
+            prolongation_->put(row, terms_.coarse_row);
+          });
+        });
+  }
+
+  void fill_prolongation(int b, Exchange const& halo) {
+    Box const& box = level_.box(b);
+    auto const places = halo.places(*coarser_, parents_read(box, stack_.ratio[l_], kind_));
+    prolongation_->fill_runs(box, level_.local_offset(b), [&](auto const&... where) { prolong_(places, where...); });
+  }
+
+  void fill_restriction(int b, Exchange const& halo) {
+    Index3 const ratio = stack_.ratio[l_ + 1];
+    Box const &box = level_.box(b), children = box.refine(ratio);
+    if (!finer_->intersects(children)) return;
+    auto const places = halo.places(*finer_, children);
+    restriction_->fill_runs(box, level_.local_offset(b),
+                            [&](auto const&... where) { write_means(ratio, places, where...); });
   }
 
   LevelStack const& stack_;
@@ -244,6 +302,7 @@ class LevelAssembly {
   Level const* finer_ = nullptr;
   Terms terms_;
   OpenWalls open_walls_;
+  RegularProlongation prolong_;
   CrsBuilder no_fine_;
   std::optional<CrsBuilder> composite_, fine_boundary_, restriction_, coarse_boundary_, prolongation_;
   std::vector<char> uncovered_;
@@ -269,107 +328,25 @@ std::vector<LevelOperators> assemble(MPI_Comm comm, LevelStack const& stack, Pro
   std::vector<std::unique_ptr<LevelAssembly>> assemblies;
   for (std::size_t l = 0; l < count; ++l) {
     assemblies.push_back(std::make_unique<LevelAssembly>(stack, l, prolongation));
-    assemblies.back()->pass();
+    assemblies.back()->count();
   }
   std::vector<LevelOperators> out(count);
   for (std::size_t l = 0; l < count; ++l) {
-    LevelAssembly::Lists readers;
-    assemblies[l]->add_remote_own(readers);
-    if (l > 0) assemblies[l - 1]->add_remote_fine(readers);
-    if (l + 1 < count) assemblies[l + 1]->add_remote_coarse(readers);
-    auto const ghosts = remote_cells(*stack.levels[l], joined(readers));
+    std::vector<GlobalIndex> readers, stencil;
+    assemblies[l]->append_remote_own(readers);
+    if (l > 0) assemblies[l - 1]->append_remote_fine(readers);
+    if (l + 1 < count) assemblies[l + 1]->append_remote_coarse(readers);
+    assemblies[l]->append_remote_stencil(stencil);
+    auto const ghosts = remote_cells(*stack.levels[l], std::move(readers));
     out[l].halo = Exchange(comm, *stack.levels[l], ghosts);
-    out[l].stencil_halo = Exchange(comm, *stack.levels[l], ghosts,
-                                   remote_cells(*stack.levels[l], joined(assemblies[l]->remote_stencil())));
+    out[l].stencil_halo = Exchange(comm, *stack.levels[l], ghosts, remote_cells(*stack.levels[l], std::move(stencil)));
   }
-  for (std::size_t l = 0; l < count; ++l)
-    assemblies[l]->start_filling(out[l].halo, l > 0 ? &out[l - 1].halo : nullptr,
-                                 l + 1 < count ? &out[l + 1].halo : nullptr);
   for (std::size_t l = 0; l < count; ++l) {
-    assemblies[l]->pass();
+    assemblies[l]->fill(out[l].halo, l > 0 ? &out[l - 1].halo : nullptr, l + 1 < count ? &out[l + 1].halo : nullptr);
     assemblies[l]->move_into(out[l]);
     assemblies[l].reset();
   }
   return out;
-}
-
-void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& operators) {
-  for (std::size_t l = stack.base; l < stack.levels.size(); ++l) {
-    Level const& level = *stack.levels[l];
-    Level const* coarser = stack.refines(l) ? stack.levels[l - 1].get() : nullptr;
-    Level const* finer = stack.refines(l + 1) ? stack.levels[l + 1].get() : nullptr;
-    LocalIndex const rows = level.local_cells();
-    // Every cell that a face derivative reads is in the halo, since the Laplacian reads it too.
-    std::array<CrsBuilder, 3> own{CrsBuilder(rows, level), CrsBuilder(rows, level), CrsBuilder(rows, level)};
-    std::vector<CrsBuilder> coarse, fine;
-    for (int d = 0; d < 3; ++d) {
-      coarse.emplace_back(rows, coarser ? *coarser : level);
-      fine.emplace_back(rows, finer ? *finer : level);
-    }
-    Terms terms;
-    auto pass = [&] {
-      for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-        Neighbourhood const n = look_around(level.box(b), level, finer, coarser, stack.walls[l]);
-        PlainRows const plain(level.box(b), level.spacing());
-        LocalIndex row = level.local_offset(b);
-        for_each_cell(level.box(b), [&](Index3 const& cell) {
-          bool const is_plain = plain.has(cell) && !n.covered(cell) && !plain.next_to_covered(n, cell);
-          for (int d = 0; d < 3; ++d) {
-            terms.clear();
-            if (is_plain)
-              plain.put_gradient(row, d, own[d]);
-            else if (!n.covered(cell))
-              gradient_row(n, cell, d, Execution::composite, terms);
-            if (!is_plain) own[d].put(terms.own_row);
-            coarse[d].put(terms.coarse_row);
-            fine[d].put(terms.fine_row);
-          }
-          ++row;
-        });
-      }
-    };
-    pass();
-    for (int d = 0; d < 3; ++d) {
-      own[d].start_filling(operators[l].halo);
-      coarse[d].start_filling(coarser ? operators[l - 1].halo : operators[l].halo);
-      fine[d].start_filling(finer ? operators[l + 1].halo : operators[l].halo);
-    }
-    pass();
-    for (int d = 0; d < 3; ++d) operators[l].gradient[d] = {own[d].take(), coarse[d].take(), fine[d].take()};
-  }
-}
-
-std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators) {
-  Level const& level = *stack.levels[l];
-  LocalIndex const rows = level.local_cells();
-  std::array<CrsBuilder, 3> axes{CrsBuilder(rows, level), CrsBuilder(rows, level), CrsBuilder(rows, level)};
-  Terms terms;
-  auto pass = [&] {
-    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-      // Levels nest, so the neighbours of a covered cell are cells of its level or lie beyond a wall.
-      Neighbourhood const n = look_around(level.box(b), level, nullptr, nullptr, stack.walls[l]);
-      PlainRows const plain(level.box(b), level.spacing());
-      LocalIndex row = level.local_offset(b);
-      for_each_cell(level.box(b), [&](Index3 const& cell) {
-        for (int d = 0; d < 3; ++d) {
-          if (operators.uncovered[row]) {
-            axes[d].put_empty();
-          } else if (plain.has(cell)) {
-            plain.put_gradient(row, d, axes[d]);
-          } else {
-            terms.clear();
-            gradient_row(n, cell, d, Execution::without_finer, terms);
-            axes[d].put(terms.own_row);
-          }
-        }
-        ++row;
-      });
-    }
-  };
-  pass();
-  for (CrsBuilder& axis : axes) axis.start_filling(operators.halo);
-  pass();
-  return {axes[0].take(), axes[1].take(), axes[2].take()};
 }
 
 std::size_t LevelOperators::bytes() const {

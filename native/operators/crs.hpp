@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <vector>
 
+#include "base/large_array.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -11,9 +12,9 @@ namespace amrpic {
 /// a level. Rows of an operator that acts on few of them (at coarse-fine faces) are listed, so that applying it costs
 /// only those.
 struct Crs {
-  std::vector<std::size_t> row_start{0};  ///< rows + 1 values
-  std::vector<LocalIndex> column;
-  std::vector<Real> value;
+  LargeArray<std::size_t> row_start{0};  ///< rows + 1 values
+  LargeArray<LocalIndex> column;
+  LargeArray<Real> value;
   std::vector<LocalIndex> occupied;  ///< rows with entries, if they are less than half of all
   bool sparse_rows = false;          ///< whether `occupied` is used
 
@@ -33,11 +34,13 @@ struct Crs {
 
   /// List the occupied rows if they are few.
   void finish() {
+    std::size_t filled = 0;
+    for (LocalIndex r = 0; r < rows(); ++r) filled += row_start[r] < row_start[r + 1];
+    sparse_rows = 2 * filled < row_start.size();
+    if (!sparse_rows) return;
+    occupied.reserve(filled);
     for (LocalIndex r = 0; r < rows(); ++r)
       if (row_start[r] < row_start[r + 1]) occupied.push_back(r);
-    sparse_rows = 2 * occupied.size() < row_start.size();
-    if (!sparse_rows) occupied.clear();
-    occupied.shrink_to_fit();
   }
 
   /// Call f(row) for each row that has entries (or for all, where most have).

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <array>
+#include <numeric>
 #include <stdexcept>
+#include <vector>
 
 #include "mesh/exchange.hpp"
 #include "mesh/window.hpp"
@@ -42,52 +44,76 @@ class Row {
   std::array<Real, capacity> values_;
 };
 
-/// Builds a Crs in two passes over the same rows: the first counts the terms and collects the cells of other ranks that
-/// they name, the second writes into arrays of the final size. Rows come in order.
+/// Write the same terms for each of `rows` rows. Copies of what is written already, twice as much each time, beat one
+/// small copy per row.
+inline void repeat(Real const* terms, std::size_t count, LocalIndex rows, Real* out) {
+  std::size_t const all = count * std::size_t(rows);
+  std::copy_n(terms, count, out);
+  for (std::size_t done = count; done < all; done *= 2) std::copy_n(out, std::min(done, all - done), out + done);
+}
+
+/// Rows of cells next to each other along x.
+struct Run {
+  LocalIndex row, count;
+};
+
+/// Builds a Crs that is counted first and then filled in place. Single rows are given whole while counting; of runs of
+/// rows that a loop can write, only the length is. Rows that are never named stay empty.
 class CrsBuilder {
  public:
   CrsBuilder(LocalIndex rows, Level const& columns) : columns_(&columns) {
-    crs_.row_start.reserve(std::size_t(rows) + 1);
+    crs_.row_start.assign(std::size_t(rows) + 1, 0);
   }
 
-  void put(Row const& row) {
-    if (!numbering_) {
-      for (int k = 0; k < row.size(); ++k)
-        if (!columns_->owns(row.column(k))) remote_.push_back(row.column(k));
-      crs_.row_start.push_back(crs_.row_start.back() + std::size_t(row.size()));
-      return;
-    }
-    for (int k = 0; k < row.size(); ++k, ++at_) {
-      crs_.column[at_] = numbering_->local(row.column(k));
-      crs_.value[at_] = row.value(k);
+  // ---- counting ----
+  void put(LocalIndex row, Row const& terms) {
+    if (terms.size() == 0) return;
+    crs_.row_start[std::size_t(row) + 1] = std::size_t(terms.size());
+    single_.push_back({row, terms.size()});
+    for (int k = 0; k < terms.size(); ++k) {
+      column_.push_back(terms.column(k));
+      value_.push_back(terms.value(k));
     }
   }
-
-  /// A row whose columns are own cells, given by their places.
-  template <std::size_t n>
-  void put_own(std::array<LocalIndex, n> const& columns, std::array<Real, n> const& values) {
-    if (!numbering_) {
-      crs_.row_start.push_back(crs_.row_start.back() + n);
-      return;
-    }
-    std::copy(columns.begin(), columns.end(), crs_.column.begin() + std::ptrdiff_t(at_));
-    std::copy(values.begin(), values.end(), crs_.value.begin() + std::ptrdiff_t(at_));
-    at_ += n;
-  }
-  void put_empty() {
-    if (!numbering_) crs_.row_start.push_back(crs_.row_start.back());
+  /// Runs come in ascending order.
+  void put_run(Run const& run, std::size_t length) {
+    runs_.push_back(run);
+    std::fill_n(crs_.row_start.begin() + run.row + 1, run.count, length);
   }
 
-  /// Cells of other ranks that the rows name, with repetitions; to be added to those of others who share the numbering.
-  std::vector<GlobalIndex> const& remote() const { return remote_; }
+  /// Append the cells of other ranks that single rows name.
+  void append_remote(std::vector<GlobalIndex>& out) const {
+    for (GlobalIndex column : column_)
+      if (!columns_->owns(column)) out.push_back(column);
+  }
 
+  // ---- filling ----
+  /// Make room and write the single rows.
   void start_filling(Exchange const& numbering) {
-    numbering_ = &numbering;
-    std::vector<GlobalIndex>().swap(remote_);
+    std::partial_sum(crs_.row_start.begin(), crs_.row_start.end(), crs_.row_start.begin());
     crs_.column.resize(crs_.row_start.back());
     crs_.value.resize(crs_.row_start.back());
+    std::size_t from = 0;
+    for (auto const& [row, terms] : single_) {
+      std::size_t at = crs_.row_start[std::size_t(row)];
+      for (LocalIndex k = 0; k < terms; ++k, ++at, ++from) {
+        crs_.column[at] = numbering.local(column_[from]);
+        crs_.value[at] = value_[from];
+      }
+    }
   }
-
+  /// Call `f(first cell, number of rows, columns, values)` for each run in a box of the rows' level: the rows' terms
+  /// are to be written there one after the other. Boxes come in ascending order.
+  template <class F>
+  void fill_runs(Box const& box, LocalIndex first_row, F&& f) {
+    LocalIndex const nx = box.extent(0), ny = box.extent(1), end = first_row + LocalIndex(box.cells());
+    for (; next_ < runs_.size() && runs_[next_].row < end; ++next_) {
+      LocalIndex const row = runs_[next_].row, place = row - first_row;
+      std::size_t const at = crs_.row_start[std::size_t(row)];
+      f(Index3{box.lower[0] + place % nx, box.lower[1] + place / nx % ny, box.lower[2] + place / nx / ny},
+        runs_[next_].count, crs_.column.data() + at, crs_.value.data() + at);
+    }
+  }
   Crs take() {
     crs_.finish();
     return std::move(crs_);
@@ -96,9 +122,11 @@ class CrsBuilder {
  private:
   Level const* columns_;
   Crs crs_;
-  std::vector<GlobalIndex> remote_;
-  Exchange const* numbering_ = nullptr;
-  std::size_t at_ = 0;
+  std::vector<Run> runs_;
+  std::vector<Run> single_;          ///< row and its number of terms
+  std::vector<GlobalIndex> column_;  ///< of the single rows' terms
+  std::vector<Real> value_;
+  std::size_t next_ = 0;
 };
 
 }  // namespace amrpic

@@ -4,8 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "mesh/window.hpp"
-#include "operators/row.hpp"
+#include "operators/regular_rows.hpp"
 #include "stencil/interface.hpp"
 
 namespace amrpic {
@@ -36,6 +35,31 @@ void coarsen(CorrectionGhosts& ghosts, Index3 const& ratio, Real3 const& spacing
     for (int side = 0; side < 2; ++side) ghosts.wall[d][side] = ghost(ghosts.wall_zero[d][side], spacing[d]);
     ghosts.interface[d] = ghost(ghosts.interface_zero[d], spacing[d]);
   }
+}
+
+/// The row of a cell that lacks a neighbour, or has one twice.
+Row special_row(Level const& level, Window<GlobalIndex> const& number, CorrectionGhosts const& ghosts,
+                Index3 const& cell) {
+  Row row;
+  row.add(number(cell), 0);  // the diagonal comes first
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      Index3 other = cell, inner = cell;
+      other[axis] += side == 0 ? -1 : 1;
+      inner[axis] -= side == 0 ? -1 : 1;
+      bool const at_wall = !level.periodic()[axis] &&
+                           (other[axis] < level.domain().lower[axis] || other[axis] > level.domain().upper[axis]);
+      Real const weight = 1 / level.spacing()[axis] / level.spacing()[axis];
+      if (number(other) != no_cell) {
+        row.add(number(cell), -weight);
+        row.add(number(other), weight);
+      } else {
+        WallGhost const& behind = at_wall ? ghosts.wall[axis][side] : ghosts.interface[axis];
+        row.add(number(cell), weight * (behind.first - 1));
+        if (behind.second != 0) row.add(number(inner), weight * behind.second);
+      }
+    }
+  return row;
 }
 
 }  // namespace
@@ -78,39 +102,27 @@ LevelOperators semicoarsened(MPI_Comm comm, Level const& fine, Index3 const& rat
   Level const& level = *out.level;
   Real3 const& h = level.spacing();
   CrsBuilder builder(level.local_cells(), level);
-  Row row;
-  auto pass = [&] {
-    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-      auto const number = cell_numbers(level, level.box(b).grow(1));
-      for_each_cell(level.box(b), [&](Index3 const& cell) {
-        row.clear();
-        row.add(number(cell), 0);  // the diagonal comes first
-        for (int axis = 0; axis < 3; ++axis)
-          for (int side = 0; side < 2; ++side) {
-            Index3 other = cell, inner = cell;
-            other[axis] += side == 0 ? -1 : 1;
-            inner[axis] -= side == 0 ? -1 : 1;
-            bool const at_wall = !level.periodic()[axis] &&
-                                 (other[axis] < level.domain().lower[axis] || other[axis] > level.domain().upper[axis]);
-            Real const weight = 1 / h[axis] / h[axis];
-            if (number(other) != no_cell) {
-              row.add(number(cell), -weight);
-              row.add(number(other), weight);
-            } else {
-              WallGhost const& behind = at_wall ? ghosts.wall[axis][side] : ghosts.interface[axis];
-              row.add(number(cell), weight * (behind.first - 1));
-              if (behind.second != 0) row.add(number(inner), weight * behind.second);
-            }
-          }
-        builder.put(row);
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    auto const number = cell_numbers(level, level.box(b).grow(1));
+    auto const kinds = kinds_without_finer(level, level.box(b), number);
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
+      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+        builder.put(row, special_row(level, number, ghosts, cell));
       });
-    }
-  };
-  pass();
-  out.halo = Exchange(comm, level, remote_cells(level, builder.remote()));
+    });
+  }
+  std::vector<GlobalIndex> remote;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+    append_remote_neighbours(level, level.box(b), remote);
+  out.halo = Exchange(comm, level, remote_cells(level, std::move(remote)));
   out.stencil_halo = Exchange(comm, level, out.halo.ghost_numbers());
   builder.start_filling(out.halo);
-  pass();
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    auto const places = out.halo.places(level, level.box(b).grow(1));
+    RegularRows const regular(h, places);
+    builder.fill_runs(level.box(b), level.local_offset(b), [&](auto const&... where) { regular.laplacian(where...); });
+  }
   out.no_fine = builder.take();
   return out;
 }

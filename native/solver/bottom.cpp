@@ -54,7 +54,7 @@ Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalInde
 
   std::vector<std::size_t> start(place.size());  // of each row of the domain's order, in the gathered arrays
   Crs whole;
-  whole.row_start.resize(place.size() + 1);
+  whole.row_start.resize(place.size() + 1, 0);
   std::size_t at = 0;
   for (std::size_t cell = 0; cell < place.size(); ++cell) {
     start[std::size_t(place[cell])] = at;

@@ -55,9 +55,13 @@ PlaneFit interpolate_behind(Index3 const& ghost, int axis, Window<GlobalIndex> c
     return cell;
   };
   unsigned usable = 0;
-  for (int i = -2; i <= 2; ++i)
-    for (int j = -2; j <= 2; ++j)
-      if (coarse(at(i, j)) != no_cell && !coarse_covered(at(i, j))) usable |= plane_bit(i, j);
+  auto look = [&](int reach) {
+    for (int i = -reach; i <= reach; ++i)
+      for (int j = -reach; j <= reach; ++j)
+        if (coarse(at(i, j)) != no_cell && !coarse_covered(at(i, j))) usable |= plane_bit(i, j);
+  };
+  look(1);
+  if (usable != plane_block(-1, -1, 3)) look(2);  // the central block is the first to be tried
   auto offset = [&](int axis_in_plane) { return ghost[axis_in_plane] == 2 * behind[axis_in_plane] ? -0.25 : 0.25; };
   PlaneFit const fit = plane_fit(usable, offset(u), offset(v));
   for (int t = 0; t < fit.count; ++t) emit(coarse(at(fit.terms[t].i, fit.terms[t].j)), fit.terms[t].weight);

@@ -70,8 +70,10 @@ inline PlaneFit plane_fit(unsigned usable, Real x, Real y) {
       auto const [i, j] = corners[p];
       unsigned const block = plane_block(i, j, size);
       if ((usable & block) != block) continue;
+      std::array<Real, 3> along_x{}, along_y{};
+      for (int a = 0; a < size; ++a) along_x[a] = lagrange(i, size, a, x), along_y[a] = lagrange(j, size, a, y);
       for (int a = 0; a < size; ++a)
-        for (int b = 0; b < size; ++b) fit.add(i + a, j + b, lagrange(i, size, a, x) * lagrange(j, size, b, y));
+        for (int b = 0; b < size; ++b) fit.add(i + a, j + b, along_x[a] * along_y[b]);
       fit.kind = kind;
       fit.placement = int(p);
       return true;

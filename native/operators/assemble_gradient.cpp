@@ -1,0 +1,104 @@
+#include "operators/operators.hpp"
+#include "operators/regular_rows.hpp"
+#include "operators/terms.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// E along an axis: minus the mean of the two face derivatives, of which the lower one points outward against the axis.
+void gradient_row(Neighbourhood const& n, Index3 const& cell, int axis, Execution execution, Terms& terms) {
+  terms.clear();
+  outward_gradient(n, cell, axis, 0, execution, 0.5, terms);
+  outward_gradient(n, cell, axis, 1, execution, -0.5, terms);
+}
+
+std::array<CrsBuilder, 3> builders(LocalIndex rows, Level const& columns) {
+  return {CrsBuilder(rows, columns), CrsBuilder(rows, columns), CrsBuilder(rows, columns)};
+}
+
+/// Write the regular rows of the axes, and with them finish.
+void fill_regular(Level const& level, Exchange const& halo, std::array<CrsBuilder, 3>& axes) {
+  for (CrsBuilder& axis : axes) axis.start_filling(halo);
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    auto const places = halo.places(level, level.box(b).grow(1));
+    RegularRows const regular(level.spacing(), places);
+    for (int d = 0; d < 3; ++d)
+      axes[d].fill_runs(level.box(b), level.local_offset(b),
+                        [&](auto const&... where) { regular.gradient(d, where...); });
+  }
+}
+
+/// The axes of the gradient in the uncovered cells of a level; `coarser` and `finer` may be null.
+std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, LevelOperators const* coarse,
+                                        LevelOperators const& operators, LevelOperators const* fine) {
+  Level const& level = *stack.levels[l];
+  Level const *coarser = coarse ? coarse->level.get() : nullptr, *finer = fine ? fine->level.get() : nullptr;
+  auto own = builders(level.local_cells(), level);
+  auto below = builders(level.local_cells(), coarser ? *coarser : level);
+  auto above = builders(level.local_cells(), finer ? *finer : level);
+  Terms terms;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    Box const& box = level.box(b);
+    Neighbourhood const n = look_around(box, level, finer, coarser, stack.walls[l]);
+    auto const kinds = composite_kinds(kinds_without_finer(level, box, n.own), n.covered);
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
+      if (kind == RowKind::regular || kind == RowKind::covered) return;
+      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+        for (int d = 0; d < 3; ++d) {
+          gradient_row(n, cell, d, Execution::composite, terms);
+          own[d].put(row, terms.own_row);
+          below[d].put(row, terms.coarse_row);
+          above[d].put(row, terms.fine_row);
+        }
+      });
+    });
+  }
+  // Every cell that a face derivative reads is in the halo, since the Laplacian reads it too.
+  fill_regular(level, operators.halo, own);
+  std::array<GradientAxis, 3> out;
+  for (int d = 0; d < 3; ++d) {
+    below[d].start_filling(coarse ? coarse->halo : operators.halo);
+    above[d].start_filling(fine ? fine->halo : operators.halo);
+    out[d] = {own[d].take(), below[d].take(), above[d].take()};
+  }
+  return out;
+}
+
+}  // namespace
+
+void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& operators) {
+  for (std::size_t l = stack.base; l < stack.levels.size(); ++l)
+    operators[l].gradient = gradient_of(stack, l, stack.refines(l) ? &operators[l - 1] : nullptr, operators[l],
+                                        stack.refines(l + 1) ? &operators[l + 1] : nullptr);
+}
+
+std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators) {
+  Level const& level = *stack.levels[l];
+  auto axes = builders(level.local_cells(), level);
+  Terms terms;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    // Levels nest, so the neighbours of a covered cell are cells of its level or lie beyond a wall.
+    Box const& box = level.box(b);
+    Neighbourhood const n = look_around(box, level, nullptr, nullptr, stack.walls[l]);
+    auto kinds = kinds_without_finer(level, box, n.own);
+    std::size_t row = std::size_t(level.local_offset(b));
+    for (RowKind& kind : kinds.values())
+      if (operators.uncovered[row++]) kind = RowKind::covered;  // not asked for: stays empty
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      for (int d = 0; d < 3 && kind == RowKind::regular; ++d) axes[d].put_run(run, RegularRows::gradient_terms);
+      if (kind != RowKind::special) return;
+      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex at) {
+        for (int d = 0; d < 3; ++d) {
+          gradient_row(n, cell, d, Execution::without_finer, terms);
+          axes[d].put(at, terms.own_row);
+        }
+      });
+    });
+  }
+  fill_regular(level, operators.halo, axes);
+  return {axes[0].take(), axes[1].take(), axes[2].take()};
+}
+
+}  // namespace amrpic

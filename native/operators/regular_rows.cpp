@@ -1,0 +1,79 @@
+#include "operators/regular_rows.hpp"
+
+namespace amrpic {
+
+RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers) {
+  for (int d = 0; d < 3; ++d)  // both neighbours along a short period are the same cell
+    if (level.periodic()[d] && level.domain().extent(d) <= 2) return RowKinds(box, RowKind::special);
+  RowKinds kinds(box, RowKind::regular);
+  for (int d = 0; d < 3; ++d)
+    for (int side = 0; side < 2; ++side) {
+      Box layer = box;
+      (side == 0 ? layer.upper : layer.lower)[d] = (side == 0 ? box.lower : box.upper)[d];
+      for_each_cell(layer, [&](Index3 const& cell) {
+        Index3 outer = cell;
+        outer[d] += side == 0 ? -1 : 1;
+        if (numbers(outer) == no_cell) kinds(cell) = RowKind::special;
+      });
+    }
+  return kinds;
+}
+
+RowKinds composite_kinds(RowKinds kinds, Window<char> const& covered) {
+  auto const& values = covered.values();
+  if (std::find(values.begin(), values.end(), 1) == values.end()) return kinds;
+  Box const &box = kinds.box(), &wide = covered.box();
+  std::ptrdiff_t const y = wide.extent(0), z = y * wide.extent(1);
+  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+    for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
+      char const* c = &covered({box.lower[0], j, k});
+      RowKind* kind = &kinds({box.lower[0], j, k});
+      for (int i = 0; i < box.extent(0); ++i, ++c) {
+        if (c[-1] | c[1] | c[-y] | c[y] | c[-z] | c[z]) kind[i] = RowKind::beside;
+        if (c[0]) kind[i] = RowKind::covered;
+      }
+    }
+  return kinds;
+}
+
+void append_remote_neighbours(Level const& level, Box const& box, std::vector<GlobalIndex>& out) {
+  for (int d = 0; d < 3; ++d)
+    for (int side = 0; side < 2; ++side) {
+      Box beside = box;
+      beside.lower[d] = beside.upper[d] = side == 0 ? box.lower[d] - 1 : box.upper[d] + 1;
+      append_remote(level, beside, out);
+    }
+}
+
+RegularRows::RegularRows(Real3 const& spacing, Window<LocalIndex> const& places)
+    : places_(places),
+      stride_{1, places.box().extent(0), std::ptrdiff_t(places.box().extent(0)) * places.box().extent(1)} {
+  laplacian_[0] = 0;
+  for (int d = 0; d < 3; ++d) {
+    laplacian_[1 + 2 * d] = laplacian_[2 + 2 * d] = 1 / spacing[d] / spacing[d];
+    laplacian_[0] -= 2 / spacing[d] / spacing[d];
+    half_inverse_[d] = 0.5 / spacing[d];
+  }
+}
+
+void RegularRows::laplacian(Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const {
+  LocalIndex const* place = &places_(first);
+  auto const [x, y, z] = stride_;
+  repeat(laplacian_.data(), laplacian_terms, rows, value);
+  for (LocalIndex n = 0; n < rows; ++n, ++place, column += laplacian_terms) {
+    column[0] = place[0];
+    column[1] = place[-x], column[2] = place[x];
+    column[3] = place[-y], column[4] = place[y];
+    column[5] = place[-z], column[6] = place[z];
+  }
+}
+
+void RegularRows::gradient(int axis, Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const {
+  LocalIndex const* place = &places_(first);
+  std::ptrdiff_t const step = stride_[axis];
+  std::array<Real, gradient_terms> const terms{half_inverse_[axis], -half_inverse_[axis]};
+  repeat(terms.data(), gradient_terms, rows, value);
+  for (LocalIndex n = 0; n < rows; ++n) column[2 * n] = place[n - step], column[2 * n + 1] = place[n + step];
+}
+
+}  // namespace amrpic

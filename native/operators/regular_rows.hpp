@@ -1,0 +1,69 @@
+#pragma once
+
+#include "operators/row.hpp"
+#include "stencil/gradient.hpp"
+
+namespace amrpic {
+
+/// What the row of a cell is made of.
+enum class RowKind : char {
+  regular,  ///< six neighbours of the same level: columns follow from places, weights are the same for all
+  special,  ///< the general formula, because a neighbour is missing or twice the same
+  beside,   ///< the general formula, because a finer level covers a neighbour
+  covered   ///< a finer level covers the cell
+};
+
+using RowKinds = Window<RowKind>;
+
+/// Kinds of the rows of a box as if nothing finer existed; `numbers` reaches at least one cell beyond it.
+RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers);
+
+/// Kinds of the rows of the composite operator; `covered` reaches at least one cell beyond the box.
+RowKinds composite_kinds(RowKinds kinds, Window<char> const& covered);
+
+/// Call `f(kind, first cell, run of rows)` for the longest runs of equal kind along x.
+template <class F>
+void for_each_run(RowKinds const& kinds, LocalIndex first_row, F&& f) {
+  Box const& box = kinds.box();
+  RowKind const* kind = kinds.values().data();
+  LocalIndex row = first_row;
+  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+    for (int j = box.lower[1]; j <= box.upper[1]; ++j)
+      for (int i = box.lower[0]; i <= box.upper[0];) {
+        LocalIndex n = 1;
+        while (i + n <= box.upper[0] && kind[n] == kind[0]) ++n;
+        f(kind[0], Index3{i, j, k}, Run{row, n});
+        kind += n, row += n, i += n;
+      }
+}
+
+/// Call `f(cell, row)` for each cell of a run.
+template <class F>
+void for_each_in_run(Index3 cell, Run const& run, F&& f) {
+  for (LocalIndex n = 0; n < run.count; ++n, ++cell[0]) f(cell, run.row + n);
+}
+
+/// Append the numbers of the neighbours of a box's cells that other ranks own.
+void append_remote_neighbours(Level const& level, Box const& box, std::vector<GlobalIndex>& out);
+
+/// Writes regular rows of a box; `places` of its level's cells reach one cell beyond it.
+class RegularRows {
+ public:
+  static constexpr std::size_t laplacian_terms = 7, gradient_terms = 2;
+
+  RegularRows(Real3 const& spacing, Window<LocalIndex> const& places);
+
+  /// The Laplacian: the diagonal, then the neighbours.
+  void laplacian(Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
+
+  /// E along an axis: minus the central difference.
+  void gradient(int axis, Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
+
+ private:
+  Window<LocalIndex> const& places_;
+  std::array<std::ptrdiff_t, 3> stride_;
+  std::array<Real, laplacian_terms> laplacian_;
+  Real3 half_inverse_;  ///< 1 / (2 h)
+};
+
+}  // namespace amrpic

@@ -75,15 +75,15 @@ void bind_freespace(nb::module_& m) {
       .def(
           "__init__",
           [](FreeSpace* self, int comm, Point lower, Point spacing, Cell cells, double acceptance, double lattice_limit,
-             double plane_tolerance) {
+             double separation) {
             Options options;
             options.acceptance = acceptance;
             options.lattice_limit = lattice_limit;
-            options.plane_tolerance = plane_tolerance;
+            options.separation = separation;
             new (self) FreeSpace(MPI_Comm_f2c(comm), Lattice{lower, spacing, cells}, options);
           },
           "comm"_a, "lower"_a, "spacing"_a, "cells"_a, "acceptance"_a = Options{}.acceptance,
-          "lattice_limit"_a = Options{}.lattice_limit, "plane_tolerance"_a = Options{}.plane_tolerance)
+          "lattice_limit"_a = Options{}.lattice_limit, "separation"_a = Options{}.separation)
       .def(
           "set_charges",
           [](FreeSpace& self, bind::RealRows positions, bind::Reals charges, Ints levels) {

@@ -1,34 +1,28 @@
 #include "freespace/free_space.hpp"
 
 #include <algorithm>
-#include <utility>
+#include <stdexcept>
 
 #include "base/all_gather.hpp"
-#include "freespace/wall_planes.hpp"
 
 namespace amrpic::freespace {
 
 namespace {
 
-/// Values at all targets, computed by all ranks in turn, eight targets at a time. Collective.
-std::vector<double> share_out(MPI_Comm comm, TreePotential const& evaluate, ChargeTree const& charges,
-                              std::vector<Target> const& targets, LeafCharges& near) {
+/// The patches of this rank: an even share of the work, next to each other.
+std::array<std::size_t, 2> share_of(MPI_Comm comm, std::vector<Interactions> const& interactions) {
   int rank = 0, ranks = 1;
   MPI_Comm_rank(comm, &rank);
   MPI_Comm_size(comm, &ranks);
-  auto const chunks = std::ptrdiff_t((targets.size() + lane_count - 1) / lane_count);
-  auto const for_each_of = [&](int owner, auto&& f) {
-    for (std::ptrdiff_t chunk = owner; chunk < chunks; chunk += ranks)
-      for (auto n = std::size_t(chunk) * lane_count;
-           n < std::min<std::size_t>((chunk + 1) * lane_count, targets.size()); ++n)
-        f(n);
-  };
-  std::vector<Target> mine;
-  for_each_of(rank, [&](std::size_t n) { mine.push_back(targets[n]); });
-  auto const all = all_gather(comm, evaluate.at(comm, charges, mine, near)).values;
-  std::vector<double> out(targets.size());
-  double const* next = all.data();
-  for (int r = 0; r < ranks; ++r) for_each_of(r, [&](std::size_t n) { out[n] = *next++; });
+  double total = 0;
+  for (Interactions const& of_patch : interactions) total += of_patch.cost();
+  std::array<std::size_t, 2> out{interactions.size(), interactions.size()};
+  double before = 0;
+  for (std::size_t p = 0; p < interactions.size(); ++p) {
+    for (int end : {0, 1})
+      if (before >= total * (rank + end) / ranks && rank + end < ranks) out[end] = std::min(out[end], p);
+    before += interactions[p].cost();
+  }
   return out;
 }
 
@@ -59,42 +53,74 @@ void FreeSpace::build_tree() {
 }
 
 std::array<std::vector<double>, 6> FreeSpace::wall_planes(std::array<bool, 6> const& open) const {
-  double const tolerance = options_.plane_tolerance * greatest_potential(charges_.tree, lattice_.shape());
-  std::vector<PlaneFill> planes;
-  for (int face = 0; face < 6; ++face)
-    if (open[face]) planes.emplace_back(lattice_, face, charges_.leaves, charges_.tree, tolerance);
-
-  LeafCharges near;
-  for (;;) {
-    std::vector<Target> targets;
-    for (PlaneFill const& plane : planes)
-      for (Cell const& cell : plane.wanted()) targets.push_back({cell, 0});
-    if (targets.empty()) break;
-    auto const values = share_out(comm_, *evaluate_, charges_, targets, near);
-    double const* next = values.data();
-    for (PlaneFill& plane : planes) {
-      std::size_t const count = plane.wanted().size();
-      if (count > 0) plane.give(next);
-      next += count;
-    }
-  }
-
   std::array<std::vector<double>, 6> out;
-  for (PlaneFill const& plane : planes) {
-    out[plane.face()] = plane.values();
-    for (double& value : out[plane.face()]) value *= scale();
+  std::vector<GhostBlock> blocks;
+  auto const count = [](int cells) { return (cells + patch_points - 1) / patch_points; };
+  for (int face = 0; face < 6; ++face) {
+    if (!open[face]) continue;
+    auto const [u, v] = plane_axes(face / 2);
+    out[face].resize(std::size_t(lattice_.cells[u]) * lattice_.cells[v]);
+    for (int j = 0; j < count(lattice_.cells[v]); ++j)
+      for (int i = 0; i < count(lattice_.cells[u]); ++i) blocks.push_back({face, 0, {i, j}});
+  }
+  auto const values = ghosts(blocks);
+  for (std::size_t b = 0; b < blocks.size(); ++b) {
+    auto const [u, v] = plane_axes(blocks[b].face / 2);
+    int const width = lattice_.cells[u], i = blocks[b].place[0] * patch_points;
+    for (int row = 0; row < patch_points; ++row) {
+      int const j = blocks[b].place[1] * patch_points + row;
+      if (j >= lattice_.cells[v]) break;
+      std::copy_n(values.data() + b * patch_values + row * patch_points, std::min(patch_points, width - i),
+                  out[blocks[b].face].data() + std::size_t(width) * j + i);
+    }
   }
   return out;
 }
 
 std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) const {
-  std::vector<Target> targets;
-  for (PointTarget const& target : local)
-    targets.push_back({lattice_.cell_at(target.position, target.level), target.level});
-  LeafCharges near;
-  std::vector<double> out = evaluate_->at(comm_, charges_, targets, near);
-  for (double& value : out) value *= scale();
+  struct Place {
+    GhostBlock block;
+    int number;  ///< in the block
+  };
+  std::vector<Place> places;
+  std::vector<GhostBlock> mine;
+  for (PointTarget const& target : local) {
+    places.push_back({});
+    auto& [block, number] = places.back();
+    Cell const cell = lattice_.cell_at(target.position, target.level);
+    block.level = target.level;
+    block.face = -1;
+    for (int d = 0; d < 3; ++d)
+      for (int side : {0, 1})
+        if (cell[d] == (side == 0 ? -1 : lattice_.cells[d] << target.level)) block.face = 2 * d + side;
+    if (block.face < 0) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
+    auto const [u, v] = plane_axes(block.face / 2);
+    block.place = {cell[u] / patch_points, cell[v] / patch_points};
+    number = cell[u] % patch_points + patch_points * (cell[v] % patch_points);
+    if (mine.empty() || !(mine.back() == block)) mine.push_back(block);
+  }
+  auto blocks = all_gather(comm_, mine).values;
+  std::sort(blocks.begin(), blocks.end());
+  blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
+  auto const values = ghosts(blocks);
+  std::vector<double> out;
+  for (auto const& [block, number] : places) {
+    auto const b = std::size_t(std::lower_bound(blocks.begin(), blocks.end(), block) - blocks.begin());
+    out.push_back(values[b * patch_values + number]);
+  }
   return out;
+}
+
+/// Potential at all ghosts of each block, which all ranks give alike, sorted. Collective.
+std::vector<double> FreeSpace::ghosts(std::vector<GhostBlock> const& blocks) const {
+  auto const patches = patches_around(lattice_, blocks);
+  auto const interactions = evaluate_->interactions(charges_.tree, patches);
+  auto const [first, last] = share_of(comm_, interactions);
+  auto values = all_gather(comm_, evaluate_->at(comm_, charges_, patches, interactions, first, last)).values;
+  interpolate_down(patches, values);
+  values.resize(blocks.size() * patch_values);
+  for (double& value : values) value *= scale();
+  return values;
 }
 
 double FreeSpace::scale() const { return 1 / (12.566370614359172954 * lattice_.unit()); }

@@ -11,7 +11,7 @@
 
 namespace amrpic::freespace {
 
-/// A place where the potential is asked for: the centre of a cell, or ghost cell, of its level.
+/// A place where the potential is asked for: the centre of a ghost cell of its level, behind one wall.
 struct PointTarget {
   Point position;
   int level;
@@ -33,11 +33,12 @@ class FreeSpace {
   /// axes fastest; empty for walls that are not open. Alike on all ranks, which share the work.
   std::array<std::vector<double>, 6> wall_planes(std::array<bool, 6> const& open) const;
 
-  /// Potential at this rank's targets.
+  /// Potential at this rank's targets. All ranks share the work.
   std::vector<double> potential(std::vector<PointTarget> const& local) const;
 
  private:
   void build_tree();
+  std::vector<double> ghosts(std::vector<GhostBlock> const& blocks) const;
   double scale() const;  ///< of 4 pi times the potential, lengths in units of the smallest spacing
 
   MPI_Comm comm_;

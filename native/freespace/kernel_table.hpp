@@ -28,6 +28,8 @@ class KernelTable {
   double const* row(int i, int j, int k) const {
     return values_.data() + (i + reach_[0] + stride_y_ * (j + reach_[1]) + stride_z_ * (k + reach_[2]));
   }
+  /// From row (i, j, k) to (i, j + 1, k), or to (i, j, k + 1).
+  std::ptrdiff_t stride(int axis) const { return axis == 1 ? stride_y_ : stride_z_; }
 
  private:
   void interpolate(int axis, double shift, std::array<std::ptrdiff_t, 3>& size);

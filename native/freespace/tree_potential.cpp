@@ -40,39 +40,91 @@ double near_distance(Lattice const& lattice, int finest, Options const& options)
   return distance;
 }
 
-/// Where a target lies among the lattice points of a level: at `point` + shift.
+/// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
 struct Place {
-  Cell point;
-  Point shift;
+  int point;
+  double shift;
 };
 
-Place place_in_level(Target const& target, int level) {
-  Place out;
-  for (int d = 0; d < 3; ++d) {
-    double const x = std::ldexp(target.cell[d] + 0.5, level - target.level) - 0.5, floor = std::floor(x);
-    out.point[d] = int(floor);
-    out.shift[d] = x - floor;
+Place place_in_level(int cell, int cell_level, int level) {
+  double const x = std::ldexp(cell + 0.5, level - cell_level) - 0.5, floor = std::floor(x);
+  return {int(floor), x - floor};
+}
+
+/// Sums of eight charges in a row times the kernel, for up to `count` targets, over all rows of a leaf.
+template <int count>
+void sum_rows(Leaf const& leaf, double const* charges, std::array<double const*, count> kernel, std::ptrdiff_t stride_y,
+              std::ptrdiff_t stride_z, std::array<double, count>& out) {
+  Lanes sum[count] = {};
+  for (int k = 0; k < leaf.extent[2]; ++k)
+    for (int j = 0; j < leaf.extent[1]; ++j) {
+      Lanes charge;
+      __builtin_memcpy(&charge, charges + block_edge * (j + block_edge * k), sizeof(Lanes));
+      for (int t = 0; t < count; ++t) {
+        Lanes value;
+        __builtin_memcpy(&value, kernel[t] + j * stride_y + k * stride_z, sizeof(Lanes));
+        sum[t] += charge * value;
+      }
+    }
+  for (int t = 0; t < count; ++t) out[t] = sum_of(sum[t]);
+}
+
+double gap(double distance, double half) { return std::max(0.0, std::abs(distance) - half); }
+
+/// The ghosts of a patch as a box, flat along the normal.
+struct Rectangle {
+  Point centre, half;
+  double radius;
+
+  explicit Rectangle(PatchPoints const& points) {
+    auto const axes = plane_axes(points.normal);
+    centre[points.normal] = points.place;
+    half[points.normal] = 0;
+    for (int t = 0; t < 2; ++t) {
+      centre[axes[t]] = points.centre[t];
+      half[axes[t]] = points.half[t];
+    }
+    radius = std::hypot(points.half[0], points.half[1]);
   }
+
+  /// Squared distance from the centre of a node, and from the box of its charges.
+  double to_centre2(TreeNode const& node) const {
+    double out = 0;
+    for (int d = 0; d < 3; ++d) {
+      double const g = gap(centre[d] - node.centre[d], half[d]);
+      out += g * g;
+    }
+    return out;
+  }
+  double to_charges2(TreeNode const& node) const {
+    double out = 0;
+    for (int d = 0; d < 3; ++d) {
+      double const g = gap(centre[d] - node.centre[d], half[d] + node.half[d]);
+      out += g * g;
+    }
+    return out;
+  }
+};
+
+/// One row of the points of a patch.
+std::array<Lanes, 3> row_of(PatchPoints const& points, int row) {
+  auto const axes = plane_axes(points.normal);
+  std::array<Lanes, 3> out;
+  out[points.normal] = broadcast(points.place);
+  __builtin_memcpy(&out[axes[0]], points.along[0].data(), sizeof(Lanes));
+  out[axes[1]] = broadcast(points.along[1][row]);
   return out;
 }
 
-/// Positions of up to eight targets; the last one fills the lanes that are left.
-struct TargetLanes {
-  Lanes x[3];
-  unsigned active;
-
-  TargetLanes(Target const* targets, int count, Point const& shape) : active((1u << count) - 1) {
-    for (int t = 0; t < lane_count; ++t) {
-      Target const& target = targets[std::min(t, count - 1)];
-      for (int d = 0; d < 3; ++d) x[d][t] = std::ldexp(target.cell[d] + 0.5, -target.level) * shape[d];
-    }
-  }
-};
+void add_lanes(Lanes const& value, double* to) {
+  for (int t = 0; t < lane_count; ++t) to[t] += value[t];
+}
 
 }  // namespace
 
 TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& options)
-    : finest_(finest),
+    : lattice_(lattice),
+      finest_(finest),
       options_(options),
       shape_(lattice.shape()),
       longest_spacing_(std::max({shape_[0], shape_[1], shape_[2]})),
@@ -82,77 +134,157 @@ double TreePotential::far_limit(TreeNode const& node) const {
   return std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
 }
 
-std::vector<double> TreePotential::far_field(Octree const& tree, std::vector<Target> const& targets,
-                                             std::vector<Pair>& near) const {
-  struct Visit {
-    int node;
-    unsigned active;
-  };
-  Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
+std::vector<Interactions> TreePotential::interactions(Octree const& tree,
+                                                      std::vector<GhostPatch> const& patches) const {
+  std::vector<Interactions> out(patches.size());
+  if (tree.empty()) return out;
   std::vector<double> limit2;
   for (TreeNode const& node : tree.nodes) limit2.push_back(far_limit(node) * far_limit(node));
-
-  std::vector<double> out(targets.size());
-  std::vector<Visit> stack;
-  for (std::size_t start = 0; start < targets.size(); start += lane_count) {
-    int const count = int(std::min<std::size_t>(lane_count, targets.size() - start));
-    TargetLanes const lanes(targets.data() + start, count, shape_);
-    Lanes sum{};
-    stack.assign(1, {tree.root(), lanes.active});
+  std::vector<std::vector<int>> left(patches.size());  // to the children
+  std::vector<int> stack;
+  for (std::size_t p = patches.size(); p-- > 0;) {
+    GhostPatch const& patch = patches[p];
+    PatchPoints const points(lattice_, patch);
+    Rectangle const rectangle(points);
+    double const separation = options_.separation * points.width;
+    if (patch.parent < 0)
+      stack.assign(1, tree.root());
+    else
+      stack = left[patch.parent];
     while (!stack.empty()) {
-      auto const [n, active] = stack.back();
+      int const n = stack.back();
       stack.pop_back();
       TreeNode const& node = tree.nodes[n];
-      Lanes const x = lanes.x[0] - node.centre[0], y = lanes.x[1] - node.centre[1], z = lanes.x[2] - node.centre[2];
-      Lanes const r2 = x * x + y * y + z * z;
-      unsigned const far = active & bits_of(r2 > limit2[n]);
-      if (far) {
-        Lanes const inverse_r = inverse_root(r2);
-        Lanes const value = multipole_potential(tree.expansions[n], x, y, z, inverse_r) +
-                            lattice_correction(node.lattice, x, y, z, inverse_r, h2);
-        sum += far == (1u << lane_count) - 1 ? value : (mask_of(far) ? value : Lanes{});
-      }
-      unsigned const rest = active & ~far;
-      if (!rest) continue;
-      if (node.leaf >= 0) {
-        for (int t = 0; t < count; ++t)
-          if (rest >> t & 1) near.push_back({int(start) + t, node.leaf});
-      }
-      for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
+      bool const is_far = rectangle.to_centre2(node) > limit2[n];
+      if (is_far && rectangle.to_charges2(node) >= separation * separation)
+        out[p].far.push_back(n);
+      else if (!is_far && node.leaf < 0 && node.radius > rectangle.radius)
+        for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
+      else if (patch.is_block())
+        out[p].mixed.push_back(n);
+      else
+        left[p].push_back(n);
     }
-    for (int t = 0; t < count; ++t) out[start + t] = sum[t];
   }
   return out;
 }
 
-double TreePotential::near_field(Leaf const& leaf, double const* charges, Target const& target) const {
-  Place const place = place_in_level(target, leaf.key.level);
-  KernelTable const& kernel = kernels_.at(place.shift);
-  Cell const corner = leaf.corner();
-  Lanes sum{};
-  for (int k = 0; k < leaf.extent[2]; ++k)
-    for (int j = 0; j < leaf.extent[1]; ++j) {
-      Lanes charge, value;
-      __builtin_memcpy(&charge, charges + block_edge * (j + block_edge * k), sizeof(Lanes));
-      double const* row =
-          kernel.row(corner[0] - place.point[0], corner[1] + j - place.point[1], corner[2] + k - place.point[2]);
-      __builtin_memcpy(&value, row, sizeof(Lanes));
-      sum += charge * value;
+void TreePotential::add_far(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points,
+                            double* values) const {
+  Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
+  for (int row = 0; row < patch_points; ++row) {
+    auto const at = row_of(points, row);
+    Lanes sum{};
+    for (int n : nodes) {
+      TreeNode const& node = tree.nodes[n];
+      Lanes const x = at[0] - node.centre[0], y = at[1] - node.centre[1], z = at[2] - node.centre[2];
+      Lanes const inverse_r = inverse_root(x * x + y * y + z * z);
+      sum += multipole_potential(tree.expansions[n], x, y, z, inverse_r) +
+             lattice_correction(node.lattice, x, y, z, inverse_r, h2);
     }
-  return four_pi * std::ldexp(sum_of(sum), leaf.key.level);  // lengths are 2^level times smaller there
+    add_lanes(sum, values + row * patch_points);
+  }
 }
 
-std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, std::vector<Target> const& targets,
-                                      LeafCharges& near) const {
-  if (charges.tree.empty()) return std::vector<double>(targets.size(), 0.0);
-  std::vector<Pair> pairs;
-  std::vector<double> out = far_field(charges.tree, targets, pairs);
+/// The multipoles of nodes, or of parts of them, at the ghosts that they are far from; the rest goes to `near`.
+void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points,
+                              std::size_t patch, double* values, std::vector<NearRow>& near) const {
+  struct Visit {
+    int node;
+    unsigned active;
+  };
+  constexpr unsigned all = (1u << lane_count) - 1;
+  Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
+  std::vector<Visit> stack;
+  for (int row = 0; row < patch_points; ++row) {
+    auto const at = row_of(points, row);
+    Lanes sum{};
+    for (int start : nodes) {
+      stack.assign(1, {start, all});
+      while (!stack.empty()) {
+        auto const [n, active] = stack.back();
+        stack.pop_back();
+        TreeNode const& node = tree.nodes[n];
+        Lanes const x = at[0] - node.centre[0], y = at[1] - node.centre[1], z = at[2] - node.centre[2];
+        Lanes const r2 = x * x + y * y + z * z;
+        double const limit = far_limit(node);
+        unsigned const far = active & bits_of(r2 > limit * limit);
+        if (far) {
+          Lanes const inverse_r = inverse_root(r2);
+          Lanes const value = multipole_potential(tree.expansions[n], x, y, z, inverse_r) +
+                              lattice_correction(node.lattice, x, y, z, inverse_r, h2);
+          sum += far == all ? value : (mask_of(far) ? value : Lanes{});
+        }
+        unsigned const rest = active & ~far;
+        if (!rest) continue;
+        if (node.leaf >= 0) near.push_back({patch, row, rest, node.leaf});
+        for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
+      }
+    }
+    add_lanes(sum, values + row * patch_points);
+  }
+}
+
+/// The charges of a leaf one by one, at the ghosts of a row that it is near to.
+void TreePotential::add_near(Leaf const& leaf, double const* charges, GhostPatch const& patch, NearRow const& row,
+                             double* values) const {
+  int const normal = patch.face / 2, level = leaf.key.level;
+  auto const axes = plane_axes(normal);
+  Cell const corner = leaf.corner();
+  Cell offset;
+  Point shift;
+  auto const put = [&](int d, int cell) {
+    Place const place = place_in_level(cell, patch.level, level);
+    offset[d] = corner[d] - place.point;
+    shift[d] = place.shift;
+  };
+  put(normal, patch.face % 2 == 0 ? -1 : lattice_.cells[normal] << patch.level);
+  put(axes[1], patch.first[1] + row.row);
+
+  constexpr int at_once = 4;
+  std::array<double const*, at_once> rows;
+  std::array<int, at_once> ghosts;
+  int count = 0;
+  KernelTable const* kernel = nullptr;
+  Point made_for{};
+  double const scale = four_pi * std::ldexp(1.0, level);  // lengths are 2^level times smaller there
+  auto const sum = [&] {
+    std::array<double, at_once> sums;
+    for (int t = count; t < at_once; ++t) rows[t] = rows[0];
+    sum_rows<at_once>(leaf, charges, rows, kernel->stride(1), kernel->stride(2), sums);
+    for (int t = 0; t < count; ++t) values[row.row * patch_points + ghosts[t]] += scale * sums[t];
+    count = 0;
+  };
+  for (int t = 0; t < patch_points; ++t) {
+    if (!(row.ghosts >> t & 1)) continue;
+    put(axes[0], patch.first[0] + t);
+    if (!kernel || shift != made_for) kernel = &kernels_.at(shift), made_for = shift;
+    rows[count] = kernel->row(offset[0], offset[1], offset[2]);
+    ghosts[count++] = t;
+    if (count == at_once) sum();
+  }
+  if (count > 0) sum();
+}
+
+std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
+                                      std::vector<Interactions> const& interactions, std::size_t first,
+                                      std::size_t last) const {
+  std::vector<double> out((last - first) * patch_values, 0.0);
+  std::vector<NearRow> near;
+  for (std::size_t p = first; p < last; ++p) {
+    PatchPoints const points(lattice_, patches[p]);
+    double* const values = out.data() + (p - first) * patch_values;
+    add_far(charges.tree, interactions[p].far, points, values);
+    add_mixed(charges.tree, interactions[p].mixed, points, p, values, near);
+  }
   std::vector<char> wanted(charges.leaves.size(), 0);
-  for (Pair const& pair : pairs) wanted[pair.leaf] = 1;
+  for (NearRow const& row : near) wanted[row.leaf] = 1;
   MPI_Allreduce(MPI_IN_PLACE, wanted.data(), int(wanted.size()), MPI_SIGNED_CHAR, MPI_MAX, comm);
-  near.fetch(comm, charges.blocks, charges.leaves, wanted);
-  for (Pair const& pair : pairs)
-    out[pair.target] += near_field(charges.leaves[pair.leaf], near.of(pair.leaf), targets[pair.target]);
+  LeafCharges fetched;
+  fetched.fetch(comm, charges.blocks, charges.leaves, wanted);
+  for (NearRow const& row : near)
+    add_near(charges.leaves[row.leaf], fetched.of(row.leaf), patches[row.patch], row,
+             out.data() + (row.patch - first) * patch_values);
   return out;
 }
 

@@ -1,10 +1,12 @@
-// The potential of a tree of charges at chosen cell centres: multipoles far away, the lattice Green's function nearby.
+// The potential of a tree of charges at the ghosts behind walls: multipoles far away, the lattice Green's function
+// nearby.
 #pragma once
 
 #include <mpi.h>
 
 #include <vector>
 
+#include "freespace/ghost_patches.hpp"
 #include "freespace/kernel_table.hpp"
 #include "freespace/octree.hpp"
 
@@ -13,15 +15,9 @@ namespace amrpic::freespace {
 struct Options {
   double acceptance =
       0.5;  ///< a box is a multipole from where its radius looks smaller than this share of the distance
-  double lattice_limit = 10;      ///< and from this many of its cells on, where the lattice is a small correction
-  double dropped = 1e-7;          ///< share of all |q| that may be left out with the weakest boxes
-  double plane_tolerance = 2e-5;  ///< bound on what interpolation on a wall may add, relative to the greatest potential
-};
-
-/// A cell of a level, or a ghost cell: where the potential is asked for.
-struct Target {
-  Cell cell;
-  int level;
+  double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
+  double dropped = 1e-7;      ///< share of all |q| that may be left out with the weakest boxes
+  double separation = 2;      ///< charge this many half widths from a patch of ghosts is interpolated on it
 };
 
 /// Charges as the evaluation needs them.
@@ -31,25 +27,44 @@ struct ChargeTree {
   Octree tree;
 };
 
+/// Which nodes of the tree count on a patch of ghosts.
+struct Interactions {
+  std::vector<int> far;    ///< as multipoles at all of its points
+  std::vector<int> mixed;  ///< of blocks: nodes too near to some of the ghosts for that
+
+  double cost() const { return double(far.size()) + 4.0 * double(mixed.size()); }
+};
+
 class TreePotential {
  public:
   /// For charges of levels up to `finest`.
   TreePotential(Lattice const& lattice, int finest, Options const& options);
   int finest() const { return finest_; }
 
-  /// 4 pi times the potential at each target, lengths in units of the smallest spacing; a value depends on nothing but
-  /// the tree and its target. Charges near the targets of any rank come into `near`. Collective.
-  std::vector<double> at(MPI_Comm comm, ChargeTree const& charges, std::vector<Target> const& targets,
-                         LeafCharges& near) const;
+  /// For each patch; with what it takes from its parent all charge counts just once.
+  std::vector<Interactions> interactions(Octree const& tree, std::vector<GhostPatch> const& patches) const;
+
+  /// 4 pi times the potential that its interactions make at the points of each patch first .. last - 1, lengths in
+  /// units of the smallest spacing; a value depends on nothing but the tree and its patch. Collective.
+  std::vector<double> at(MPI_Comm comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
+                         std::vector<Interactions> const& interactions, std::size_t first, std::size_t last) const;
 
  private:
-  struct Pair {
-    int target, leaf;
+  /// A leaf that is near to some ghosts of one row of a block.
+  struct NearRow {
+    std::size_t patch;
+    int row;
+    unsigned ghosts;  ///< bit t: number t of the row
+    int leaf;
   };
   double far_limit(TreeNode const& node) const;
-  std::vector<double> far_field(Octree const& tree, std::vector<Target> const& targets, std::vector<Pair>& near) const;
-  double near_field(Leaf const& leaf, double const* charges, Target const& target) const;
+  void add_far(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, double* values) const;
+  void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, std::size_t patch,
+                 double* values, std::vector<NearRow>& near) const;
+  void add_near(Leaf const& leaf, double const* charges, GhostPatch const& patch, NearRow const& row,
+                double* values) const;
 
+  Lattice lattice_;
   int finest_;
   Options options_;
   Point shape_;

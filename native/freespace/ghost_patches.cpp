@@ -1,0 +1,162 @@
+#include "freespace/ghost_patches.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <map>
+#include <tuple>
+
+namespace amrpic::freespace {
+
+namespace {
+
+constexpr double pi = 3.14159265358979323846;
+
+using Points = std::array<double, patch_points>;
+/// Row i: weights of the points of the parent for point i of the child.
+using Weights = std::array<Points, patch_points>;
+
+/// Points of a patch along an axis, from -1 to 1 between its first and its last ghost.
+Points points_along(int extent) {
+  Points out;
+  for (int i = 0; i < patch_points; ++i)
+    out[i] = extent == patch_points ? 2.0 * i / (patch_points - 1) - 1 : -std::cos(pi * (i + 0.5) / patch_points);
+  return out;
+}
+
+/// The place of point `s` in -1 .. 1 of a patch along an axis, in cells.
+double cell_at(int first, int extent, double s) { return first + 0.5 * (extent - 1) * (1 + s); }
+
+/// Lagrange's weights along an axis, for a child whose first ghost is `offset` cells behind that of its parent.
+Weights interpolation_weights(int parent_extent, int extent, int offset) {
+  Weights out;
+  Points const nodes = points_along(parent_extent), points = points_along(extent);
+  for (int i = 0; i < patch_points; ++i) {
+    double const x = 2 * cell_at(offset, extent, points[i]) / (parent_extent - 1) - 1;
+    for (int n = 0; n < patch_points; ++n) {
+      double weight = 1;
+      for (int m = 0; m < patch_points; ++m)
+        if (m != n) weight *= (x - nodes[m]) / (nodes[n] - nodes[m]);
+      out[i][n] = weight;
+    }
+  }
+  return out;
+}
+
+/// Add U values V^T.
+void add_interpolant(Weights const& u, Weights const& v, double const* values, double* to) {
+  Lanes columns[patch_points];  // of U^T
+  for (int n = 0; n < patch_points; ++n)
+    for (int i = 0; i < patch_points; ++i) columns[n][i] = u[i][n];
+  Lanes rows[patch_points];
+  for (int m = 0; m < patch_points; ++m) {
+    rows[m] = Lanes{};
+    for (int n = 0; n < patch_points; ++n) rows[m] += columns[n] * values[n + patch_points * m];
+  }
+  for (int j = 0; j < patch_points; ++j) {
+    Lanes sum;
+    __builtin_memcpy(&sum, to + patch_points * j, sizeof(Lanes));
+    for (int m = 0; m < patch_points; ++m) sum += rows[m] * v[j][m];
+    __builtin_memcpy(to + patch_points * j, &sum, sizeof(Lanes));
+  }
+}
+
+bool same_wall(GhostPatch const& a, GhostPatch const& b) { return a.face == b.face && a.level == b.level; }
+
+bool same_place(GhostPatch const& a, GhostPatch const& b) { return same_wall(a, b) && a.first == b.first; }
+
+/// The patch twice as wide along the axes where it is short, so that patches of long cells become about square.
+GhostPatch parent_of(GhostPatch const& child, Point const& shape) {
+  auto const axes = plane_axes(child.face / 2);
+  GhostPatch out = child;
+  double const width[2] = {child.extent[0] * shape[axes[0]], child.extent[1] * shape[axes[1]]};
+  for (int t = 0; t < 2; ++t) {
+    if (width[t] > 1.5 * std::min(width[0], width[1])) continue;
+    out.extent[t] *= 2;
+    out.first[t] -= out.first[t] % out.extent[t];
+  }
+  return out;
+}
+
+/// Add the parents of the patches from `start` on, but for those that are alone on their wall.
+void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point const& shape) {
+  struct Family {
+    GhostPatch parent;
+    std::size_t child;
+  };
+  std::vector<Family> families;
+  std::size_t const end = patches.size();
+  for (std::size_t n = start; n < end; ++n) {
+    bool const has_before = n > start && same_wall(patches[n - 1], patches[n]);
+    bool const has_after = n + 1 < end && same_wall(patches[n + 1], patches[n]);
+    if (has_before || has_after) families.push_back({parent_of(patches[n], shape), n});
+  }
+  std::stable_sort(families.begin(), families.end(), [](Family const& a, Family const& b) {
+    auto const key = [](GhostPatch const& p) { return std::tie(p.face, p.level, p.first[1], p.first[0]); };
+    return key(a.parent) < key(b.parent);
+  });
+  for (auto const& [parent, child] : families) {
+    if (patches.size() == end || !same_place(patches.back(), parent)) patches.push_back(parent);
+    patches[child].parent = int(patches.size()) - 1;
+  }
+}
+
+}  // namespace
+
+bool GhostBlock::operator==(GhostBlock const& o) const {
+  return face == o.face && level == o.level && place == o.place;
+}
+
+bool GhostBlock::operator<(GhostBlock const& o) const {
+  return std::tie(face, level, place[1], place[0]) < std::tie(o.face, o.level, o.place[1], o.place[0]);
+}
+
+std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks) {
+  std::vector<GhostPatch> out;
+  for (GhostBlock const& b : blocks)
+    out.push_back(
+        {b.face, b.level, {b.place[0] * patch_points, b.place[1] * patch_points}, {patch_points, patch_points}, -1});
+  for (std::size_t start = 0; start < out.size();) {
+    std::size_t const end = out.size();
+    add_parents(out, start, lattice.shape());
+    start = end;
+  }
+  return out;
+}
+
+PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch) : normal(patch.face / 2) {
+  Point const shape = lattice.shape();
+  auto const axes = plane_axes(normal);
+  double const ghost = std::ldexp(0.5 * shape[normal], -patch.level);
+  place = patch.face % 2 == 0 ? -ghost : lattice.cells[normal] * shape[normal] + ghost;
+  for (int t = 0; t < 2; ++t) {
+    double const spacing = std::ldexp(shape[axes[t]], -patch.level);
+    Points const points = points_along(patch.extent[t]);
+    for (int i = 0; i < patch_points; ++i)
+      along[t][i] = (cell_at(patch.first[t], patch.extent[t], points[i]) + 0.5) * spacing;
+    centre[t] = (cell_at(patch.first[t], patch.extent[t], 0) + 0.5) * spacing;
+    half[t] = 0.5 * (patch.extent[t] - 1) * spacing;
+    if (patch.extent[t] > patch_points) width = std::max(width, half[t]);
+  }
+}
+
+void interpolate_down(std::vector<GhostPatch> const& patches, std::vector<double>& values) {
+  std::map<std::array<int, 3>, Weights> made;  // there are few
+  auto const weights = [&made](int parent_extent, int extent, int offset) -> Weights const& {
+    auto const [entry, is_new] = made.try_emplace({parent_extent, extent, offset});
+    if (is_new) entry->second = interpolation_weights(parent_extent, extent, offset);
+    return entry->second;
+  };
+  for (std::size_t p = patches.size(); p-- > 0;) {
+    GhostPatch const& patch = patches[p];
+    if (patch.parent < 0) continue;
+    GhostPatch const& parent = patches[patch.parent];
+    auto const along = [&](int t) -> Weights const& {
+      return weights(parent.extent[t], patch.extent[t], patch.first[t] - parent.first[t]);
+    };
+    add_interpolant(along(0), along(1), values.data() + std::size_t(patch.parent) * patch_values,
+                    values.data() + p * patch_values);
+  }
+}
+
+}  // namespace amrpic::freespace

@@ -1,0 +1,59 @@
+// The layers of ghost centres behind the walls, cut into a quadtree of patches.
+//
+// The potential of charge far away is smooth: over a patch it is the polynomial through 8 x 8 points. So each box of
+// charge is evaluated on the largest patches that it is far enough from, and what is found there is passed down to the
+// smallest ones, of which the points are the ghosts themselves.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "freespace/lanes.hpp"
+#include "freespace/lattice.hpp"
+
+namespace amrpic::freespace {
+
+constexpr int patch_points = lane_count;                   ///< along an axis
+constexpr int patch_values = patch_points * patch_points;  ///< lower axis fastest
+
+/// Axes of the plane, in ascending order.
+constexpr std::array<int, 2> plane_axes(int normal) { return {normal == 0 ? 1 : 0, normal == 2 ? 1 : 2}; }
+
+/// Ghosts 8 place .. 8 place + 7 of a level behind a wall; those beyond the rim of the wall are computed in vain.
+struct GhostBlock {
+  int face;  ///< 2 * axis + side
+  int level;
+  std::array<int, 2> place;
+  bool operator==(GhostBlock const& o) const;
+  bool operator<(GhostBlock const& o) const;
+};
+
+/// Ghosts first .. first + extent - 1 of a level behind a wall.
+struct GhostPatch {
+  int face, level;
+  std::array<int, 2> first, extent;  ///< extents: 8, 16, 32, ...
+  int parent;                        ///< or -1
+
+  bool is_block() const { return extent[0] == patch_points && extent[1] == patch_points; }
+};
+
+/// The blocks and all that is around them, children before parents: first the blocks, in their order. `blocks` are
+/// sorted.
+std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks);
+
+/// Where the points of a patch are, smallest base spacing = 1. Along an axis where a patch is as wide as a block they
+/// are the ghosts, else Chebyshev's nodes.
+struct PatchPoints {
+  PatchPoints(Lattice const& lattice, GhostPatch const& patch);
+
+  int normal;
+  double place;                                           ///< along the normal
+  std::array<std::array<double, patch_points>, 2> along;  ///< along the axes of the plane
+  std::array<double, 2> centre, half;                     ///< of the ghosts
+  double width = 0;                                       ///< half of it, of what is interpolated over
+};
+
+/// Add to the values of each patch what those of its parent are there; `values`: 64 of each patch.
+void interpolate_down(std::vector<GhostPatch> const& patches, std::vector<double>& values);
+
+}  // namespace amrpic::freespace

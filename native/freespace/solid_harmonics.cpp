@@ -1,5 +1,7 @@
 #include "freespace/solid_harmonics.hpp"
 
+#include <cmath>
+
 namespace amrpic::freespace {
 
 namespace {
@@ -56,19 +58,31 @@ struct HarmonicPolynomials {
 
 }  // namespace
 
+double degree_strength(Harmonics<double> const& moments, int l) {
+  // Schwarz' inequality: sum over m = -l .. l of |S(l, m)|^2 / ((l - m)! (l + m)!) is r^(-2 l - 2).
+  double sum = 0, factor = 1;  // (l - m)! (l + m)!
+  for (int n = 2; n <= l; ++n) factor *= n * n;
+  for (int m = 0; m <= l; ++m) {
+    if (m > 0) factor *= double(l + m) / (l - m + 1);
+    Complex<double> const& value = moments[harmonic_index(l, m)];
+    sum += (m > 0 ? 2 : 1) * factor * (value.re * value.re + value.im * value.im);
+  }
+  return std::sqrt(sum);
+}
+
 Expansion to_expansion(Harmonics<double> const& moments) {
   Expansion out;
-  double* a = out.data();
-  for (int m = 0; m <= order; ++m)
+  double double_factorial = 1;  // (2m - 1)!!
+  for (int m = 0; m <= order; ++m) {
+    if (m > 0) double_factorial *= 2 * m - 1;
+    double scale = m > 0 ? 2 * double_factorial : 1;
     for (int l = m; l <= order; ++l) {
+      if (l > m) scale *= 2 * l - 1;
       Complex<double> const& value = moments[harmonic_index(l, m)];
-      if (m == 0) {
-        *a++ = value.re;
-      } else {
-        *a++ = 2 * value.re;
-        *a++ = 2 * value.im;
-      }
+      out[expansion_index(l, m)] = scale * value.re;
+      if (m > 0) out[expansion_index(l, m) + 1] = scale * value.im;
     }
+  }
   return out;
 }
 

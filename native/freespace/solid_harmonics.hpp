@@ -85,32 +85,43 @@ Harmonics<T> translate_moments(Harmonics<T> const& moments, T const& x, T const&
   return out;
 }
 
-/// Moments in the order in which `multipole_potential` uses them: by m, then l; twice the real and imaginary part for m
-/// > 0.
+/// A: what the moments of degree l add to 4 pi times the potential at distance r is at most A / r^(l + 1).
+double degree_strength(Harmonics<double> const& moments, int l);
+
+/// Moments as `multipole_potential` uses them: by m, then l; real and imaginary part for m > 0; scaled so that the
+/// polynomials of its recurrence are monic in z.
 using Expansion = std::array<double, moment_count>;
 Expansion to_expansion(Harmonics<double> const& moments);
 
-/// 4 pi times the potential of an expansion at (dx, dy, dz) from its centre; `inverse_r`: 1 / distance. No number at
-/// the centre.
-template <class T>
+/// Place of (l, m) in an expansion; the imaginary part, for m > 0, comes next.
+constexpr int expansion_index(int l, int m) {
+  return m == 0 ? l : (order + 1) + (m - 1) * (2 * (order + 1) - m) + 2 * (l - m);
+}
+
+/// 4 pi times the potential of an expansion up to `highest` at (dx, dy, dz) from its centre; `inverse_r`: 1 / distance.
+/// No number at the centre.
+///
+/// S(l, m) = T(l) S(m, m) with T(l) real: T(m) = 1, T(l + 1) = (2l + 1) z T(l) - (l^2 - m^2) / r^2 T(l - 1), and z for
+/// z / r^2. Here T is divided by (2l - 1) (2l - 3) .. (2m + 1).
+template <int highest, class T>
 inline T multipole_potential(Expansion const& moments, T const& dx, T const& dy, T const& dz, T const& inverse_r) {
   T const inverse_r2 = inverse_r * inverse_r;
   T const x = dx * inverse_r2, y = dy * inverse_r2, z = dz * inverse_r2;
-  T diagonal_re = inverse_r, diagonal_im{}, sum{};  // S(m, m)
-  double const* a = moments.data();
+  T diagonal_re = inverse_r, diagonal_im{}, sum{};  // S(m, m) / (2m - 1)!!
 #pragma GCC unroll 8
-  for (int m = 0; m <= order; ++m) {
-    T re = diagonal_re, im = diagonal_im, before_re{}, before_im{};
+  for (int m = 0; m <= highest; ++m) {
+    double const* a = moments.data() + expansion_index(m, m);
+    T value = T{} + 1.0, before{}, re{}, im{};
 #pragma GCC unroll 8
-    for (int l = m; l <= order; ++l) {
-      sum += *a++ * re;
-      if (m > 0) sum += *a++ * im;
-      T const up = (2 * l + 1.0) * z, down = double(l * l - m * m) * inverse_r2;
-      T const next_re = up * re - down * before_re, next_im = up * im - down * before_im;
-      before_re = re, before_im = im, re = next_re, im = next_im;
+    for (int l = m; l <= highest; ++l) {
+      re += *a++ * value;
+      if (m > 0) im += *a++ * value;
+      T const next = z * value - (double(l * l - m * m) / (4 * l * l - 1)) * inverse_r2 * before;
+      before = value, value = next;
     }
-    T const next = (2 * m + 1.0) * (x * diagonal_re - y * diagonal_im);
-    diagonal_im = (2 * m + 1.0) * (x * diagonal_im + y * diagonal_re);
+    sum += m > 0 ? re * diagonal_re + im * diagonal_im : re * diagonal_re;
+    T const next = x * diagonal_re - y * diagonal_im;
+    diagonal_im = x * diagonal_im + y * diagonal_re;
     diagonal_re = next;
   }
   return sum;

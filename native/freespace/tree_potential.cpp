@@ -12,7 +12,10 @@ namespace amrpic::freespace {
 namespace {
 
 constexpr double four_pi = 12.566370614359172954;
-constexpr double table_limit = 1 << 26;  ///< entries of a kernel table; only very long cells come near
+constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
+constexpr int lowest_order = 2;
+constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
+constexpr double table_limit = 1 << 26;   ///< entries of a kernel table; only very long cells come near
 
 /// Points that a kernel table must reach for charges at most `distance` away.
 Cell table_reach(Lattice const& lattice, int finest, double distance) {
@@ -106,14 +109,42 @@ struct Rectangle {
   }
 };
 
-/// One row of the points of a patch.
-std::array<Lanes, 3> row_of(PatchPoints const& points, int row) {
-  auto const axes = plane_axes(points.normal);
-  std::array<Lanes, 3> out;
-  out[points.normal] = broadcast(points.place);
-  __builtin_memcpy(&out[axes[0]], points.along[0].data(), sizeof(Lanes));
-  out[axes[1]] = broadcast(points.along[1][row]);
-  return out;
+/// The points of a patch, row after row.
+struct Rows {
+  std::array<std::array<Lanes, 3>, patch_points> at;
+
+  explicit Rows(PatchPoints const& points) {
+    auto const axes = plane_axes(points.normal);
+    for (int row = 0; row < patch_points; ++row) {
+      at[row][points.normal] = broadcast(points.place);
+      __builtin_memcpy(&at[row][axes[0]], points.along[0].data(), sizeof(Lanes));
+      at[row][axes[1]] = broadcast(points.along[1][row]);
+    }
+  }
+};
+
+/// Call f(row, x, y, z, inverse_r) with the vectors from a node to the points, and one over their lengths.
+template <class F>
+void for_rows(Point const& centre, Rows const& rows, F&& f) {
+  for (int row = 0; row < patch_points; ++row) {
+    auto const& at = rows.at[row];
+    Lanes const x = at[0] - centre[0], y = at[1] - centre[1], z = at[2] - centre[2];
+    f(row, x, y, z, inverse_root(x * x + y * y + z * z));
+  }
+}
+
+template <int highest>
+void add_multipole(Point const& centre, Expansion const& expansion, Rows const& rows,
+                   std::array<Lanes, patch_points>& sums) {
+  for_rows(centre, rows, [&](int row, Lanes const& x, Lanes const& y, Lanes const& z, Lanes const& inverse_r) {
+    sums[row] += multipole_potential<highest>(expansion, x, y, z, inverse_r);
+  });
+}
+
+void add_lattice(TreeNode const& node, Rows const& rows, Point const& h2, std::array<Lanes, patch_points>& sums) {
+  for_rows(node.centre, rows, [&](int row, Lanes const& x, Lanes const& y, Lanes const& z, Lanes const& inverse_r) {
+    sums[row] += lattice_correction(node.lattice, x, y, z, inverse_r, h2);
+  });
 }
 
 void add_lanes(Lanes const& value, double* to) {
@@ -155,9 +186,10 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
       int const n = stack.back();
       stack.pop_back();
       TreeNode const& node = tree.nodes[n];
-      bool const is_far = rectangle.to_centre2(node) > limit2[n];
+      double const distance2 = rectangle.to_centre2(node);
+      bool const is_far = distance2 > limit2[n];
       if (is_far && rectangle.to_charges2(node) >= separation * separation)
-        out[p].far.push_back(n);
+        out[p].far.push_back(multipole(tree, n, distance2));
       else if (!is_far && node.leaf < 0 && node.radius > rectangle.radius)
         for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
       else if (patch.is_block())
@@ -169,21 +201,49 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
   return out;
 }
 
-void TreePotential::add_far(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points,
+/// How a node counts at points no nearer than this.
+Interactions::Far TreePotential::multipole(Octree const& tree, int n, double distance2) const {
+  TreeNode const& node = tree.nodes[n];
+  Interactions::Far out{n, order, true};
+  double const distance = std::sqrt(distance2);
+  double left_out = 0, power = std::pow(distance, -order);
+  for (int l = order; l > lowest_order; --l, power *= distance) {
+    left_out += degree_strength(tree.moments[n], l) * power;
+    if (left_out > order_tolerance * node.magnitude) break;
+    out.highest = l - 1;
+  }
+  double const negligible = lattice_negligible * longest_spacing_ * node.coarsest;
+  out.on_lattice = distance2 < negligible * negligible;
+  return out;
+}
+
+void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                             double* values) const {
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
-  for (int row = 0; row < patch_points; ++row) {
-    auto const at = row_of(points, row);
-    Lanes sum{};
-    for (int n : nodes) {
-      TreeNode const& node = tree.nodes[n];
-      Lanes const x = at[0] - node.centre[0], y = at[1] - node.centre[1], z = at[2] - node.centre[2];
-      Lanes const inverse_r = inverse_root(x * x + y * y + z * z);
-      sum += multipole_potential(tree.expansions[n], x, y, z, inverse_r) +
-             lattice_correction(node.lattice, x, y, z, inverse_r, h2);
+  Rows const rows(points);
+  std::array<Lanes, patch_points> sums{};
+  for (auto const& [n, highest, on_lattice] : nodes) {
+    TreeNode const& node = tree.nodes[n];
+    Expansion const& expansion = tree.expansions[n];
+    if (on_lattice) add_lattice(node, rows, h2, sums);
+    switch (highest) {
+      case 2:
+        add_multipole<2>(node.centre, expansion, rows, sums);
+        break;
+      case 3:
+        add_multipole<3>(node.centre, expansion, rows, sums);
+        break;
+      case 4:
+        add_multipole<4>(node.centre, expansion, rows, sums);
+        break;
+      case 5:
+        add_multipole<5>(node.centre, expansion, rows, sums);
+        break;
+      default:
+        add_multipole<order>(node.centre, expansion, rows, sums);
     }
-    add_lanes(sum, values + row * patch_points);
   }
+  for (int row = 0; row < patch_points; ++row) add_lanes(sums[row], values + row * patch_points);
 }
 
 /// The multipoles of nodes, or of parts of them, at the ghosts that they are far from; the rest goes to `near`.
@@ -196,8 +256,9 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   constexpr unsigned all = (1u << lane_count) - 1;
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   std::vector<Visit> stack;
+  Rows const rows(points);
   for (int row = 0; row < patch_points; ++row) {
-    auto const at = row_of(points, row);
+    auto const& at = rows.at[row];
     Lanes sum{};
     for (int start : nodes) {
       stack.assign(1, {start, all});
@@ -211,7 +272,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         unsigned const far = active & bits_of(r2 > limit * limit);
         if (far) {
           Lanes const inverse_r = inverse_root(r2);
-          Lanes const value = multipole_potential(tree.expansions[n], x, y, z, inverse_r) +
+          Lanes const value = multipole_potential<order>(tree.expansions[n], x, y, z, inverse_r) +
                               lattice_correction(node.lattice, x, y, z, inverse_r, h2);
           sum += far == all ? value : (mask_of(far) ? value : Lanes{});
         }

@@ -29,7 +29,12 @@ struct ChargeTree {
 
 /// Which nodes of the tree count on a patch of ghosts.
 struct Interactions {
-  std::vector<int> far;    ///< as multipoles at all of its points
+  struct Far {
+    int node;
+    int highest;      ///< order that its multipoles need
+    bool on_lattice;  ///< whether the lattice counts at this distance
+  };
+  std::vector<Far> far;    ///< as multipoles at all points
   std::vector<int> mixed;  ///< of blocks: nodes too near to some of the ghosts for that
 
   double cost() const { return double(far.size()) + 4.0 * double(mixed.size()); }
@@ -58,7 +63,9 @@ class TreePotential {
     int leaf;
   };
   double far_limit(TreeNode const& node) const;
-  void add_far(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, double* values) const;
+  Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
+  void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
+               double* values) const;
   void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, std::size_t patch,
                  double* values, std::vector<NearRow>& near) const;
   void add_near(Leaf const& leaf, double const* charges, GhostPatch const& patch, NearRow const& row,

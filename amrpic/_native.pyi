@@ -89,7 +89,7 @@ class FreeSpace:
         cells: Sequence[int],
         acceptance: float = 0.5,
         lattice_limit: float = 10.0,
-        separation: float = 2.0,
+        separation: float = 1.25,
     ) -> None: ...
     def set_charges(
         self, positions: NDArray[numpy.float64], charges: NDArray[numpy.float64], levels: NDArray[numpy.int32]

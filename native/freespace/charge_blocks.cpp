@@ -235,24 +235,19 @@ std::vector<Harmonics<double>> gather_moments(MPI_Comm comm, ChargeBlocks const&
   return out;
 }
 
-void LeafCharges::fetch(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<Leaf> const& leaves,
-                        std::vector<char> const& wanted) {
-  place_.resize(leaves.size(), -1);
-  auto const here = values_.size() / block_cells;
-  auto count = here;
-  std::vector<char> is_new(leaves.size(), 0);
-  for (std::size_t n = 0; n < leaves.size(); ++n) {
-    if (!wanted[n] || place_[n] >= 0) continue;
-    place_[n] = int(count++);
-    is_new[n] = 1;
-  }
-  if (count == here) return;
+LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<Leaf> const& leaves,
+                         std::vector<char> const& wanted)
+    : place_(leaves.size(), -1) {
+  int count = 0;
+  for (std::size_t n = 0; n < leaves.size(); ++n)
+    if (wanted[n]) place_[n] = count++;
+  if (count == 0) return;
 
   // Only the rows of the bounding boxes travel.
   std::vector<int> mine;
   std::vector<double> charges;
   for_each_own_leaf(blocks, leaves, [&](std::size_t block, int n) {
-    if (!is_new[n]) return;
+    if (!wanted[n]) return;
     mine.push_back(n);
     Leaf const& leaf = leaves[n];
     for (int k = leaf.first[2]; k < leaf.first[2] + leaf.extent[2]; ++k)
@@ -264,15 +259,21 @@ void LeafCharges::fetch(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<L
   auto const given = all_gather(comm, mine).values;
   auto const all = all_gather(comm, charges).values;
 
-  values_.resize(count * block_cells, 0.0);
+  blocks_.assign(std::size_t(count), Block{});
   double const* from = all.data();
   for (int n : given) {
-    double* to = values_.data() + std::size_t(place_[n]) * block_cells;
+    double* const to = blocks_[std::size_t(place_[n])].values.data();
     Leaf const& leaf = leaves[n];
     for (int k = 0; k < leaf.extent[2]; ++k)
       for (int j = 0; j < leaf.extent[1]; ++j)
         for (int i = 0; i < leaf.extent[0]; ++i) to[i + block_edge * (j + block_edge * k)] += *from++;
   }
+  for (Block& block : blocks_)
+    for (int row = 0; row < block_edge * block_edge; ++row) {
+      double const* const values = block.values.data() + block_edge * row;
+      if (std::any_of(values, values + block_edge, [](double q) { return q != 0; }))
+        block.rows[block.row_count++] = static_cast<unsigned char>(row);
+    }
 }
 
 }  // namespace amrpic::freespace

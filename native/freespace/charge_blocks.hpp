@@ -92,18 +92,24 @@ std::vector<Leaf> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& blocks, dou
 std::vector<Harmonics<double>> gather_moments(MPI_Comm comm, ChargeBlocks const& blocks,
                                               std::vector<Leaf> const& leaves, Point const& shape);
 
-/// The charges of some leaves, as blocks of which the first cell is the first one of the leaf's bounding box.
+/// The charges of some leaves.
 class LeafCharges {
  public:
-  /// Fetch those `wanted` that are not here yet; alike on all ranks. Collective.
-  void fetch(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<Leaf> const& leaves,
-             std::vector<char> const& wanted);
+  struct Block {
+    std::array<double, block_cells> values;                   ///< from the first cell of the leaf's bounding box on
+    std::array<unsigned char, block_edge * block_edge> rows;  ///< those with charge: y + 8 z
+    int row_count;
+  };
 
-  double const* of(int leaf) const { return values_.data() + std::size_t(place_[leaf]) * block_cells; }
+  /// Fetch those `wanted`, alike on all ranks. Collective.
+  LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<Leaf> const& leaves,
+              std::vector<char> const& wanted);
+
+  Block const& of(int leaf) const { return blocks_[std::size_t(place_[leaf])]; }
 
  private:
   std::vector<int> place_;
-  std::vector<double> values_;
+  std::vector<Block> blocks_;
 };
 
 }  // namespace amrpic::freespace

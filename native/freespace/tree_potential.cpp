@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <string>
 
 #include "base/error.hpp"
@@ -54,22 +55,25 @@ Place place_in_level(int cell, int cell_level, int level) {
   return {int(floor), x - floor};
 }
 
-/// Sums of eight charges in a row times the kernel, for up to `count` targets, over all rows of a leaf.
-template <int count>
-void sum_rows(Leaf const& leaf, double const* charges, std::array<double const*, count> kernel, std::ptrdiff_t stride_y,
-              std::ptrdiff_t stride_z, std::array<double, count>& out) {
+/// Sums of the charges of a leaf times the kernel, for some targets. `kernels`: at the first charge.
+template <std::size_t count>
+std::array<double, count> direct_sums(LeafCharges::Block const& charges,
+                                      std::array<double const*, count> const& kernels, KernelTable const& table) {
   Lanes sum[count] = {};
-  for (int k = 0; k < leaf.extent[2]; ++k)
-    for (int j = 0; j < leaf.extent[1]; ++j) {
-      Lanes charge;
-      __builtin_memcpy(&charge, charges + block_edge * (j + block_edge * k), sizeof(Lanes));
-      for (int t = 0; t < count; ++t) {
-        Lanes value;
-        __builtin_memcpy(&value, kernel[t] + j * stride_y + k * stride_z, sizeof(Lanes));
-        sum[t] += charge * value;
-      }
+  for (int n = 0; n < charges.row_count; ++n) {
+    int const row = charges.rows[n];
+    std::ptrdiff_t const offset = row % block_edge * table.stride(1) + row / block_edge * table.stride(2);
+    Lanes charge;
+    __builtin_memcpy(&charge, charges.values.data() + block_edge * row, sizeof(Lanes));
+    for (std::size_t t = 0; t < count; ++t) {
+      Lanes value;
+      __builtin_memcpy(&value, kernels[t] + offset, sizeof(Lanes));
+      sum[t] += charge * value;
     }
-  for (int t = 0; t < count; ++t) out[t] = sum_of(sum[t]);
+  }
+  std::array<double, count> out;
+  for (std::size_t t = 0; t < count; ++t) out[t] = sum_of(sum[t]);
+  return out;
 }
 
 double gap(double distance, double half) { return std::max(0.0, std::abs(distance) - half); }
@@ -153,6 +157,37 @@ void add_lanes(Lanes const& value, double* to) {
 
 }  // namespace
 
+/// The ghosts of a block among the lattice points of a level with charge.
+struct TreePotential::NearGhosts {
+  struct Ghost {
+    KernelTable const* kernel;
+    Cell point;
+  };
+  std::array<Ghost, patch_values> at;
+
+  NearGhosts() = default;
+  NearGhosts(Lattice const& lattice, GhostPatch const& patch, int level, KernelTables& kernels) {
+    int const normal = patch.face / 2;
+    auto const axes = plane_axes(normal);
+    Ghost ghost{};
+    Point shift{}, made_for{};
+    auto const put = [&](int d, int cell) {
+      Place const place = place_in_level(cell, patch.level, level);
+      ghost.point[d] = place.point;
+      shift[d] = place.shift;
+    };
+    put(normal, patch.face % 2 == 0 ? -1 : lattice.cells[normal] << patch.level);
+    for (int row = 0; row < patch_points; ++row) {
+      put(axes[1], patch.first[1] + row);
+      for (int t = 0; t < patch_points; ++t) {
+        put(axes[0], patch.first[0] + t);
+        if (!ghost.kernel || shift != made_for) ghost.kernel = &kernels.at(shift), made_for = shift;
+        at[row * patch_points + t] = ghost;
+      }
+    }
+  }
+};
+
 TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& options)
     : lattice_(lattice),
       finest_(finest),
@@ -169,8 +204,8 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
                                                       std::vector<GhostPatch> const& patches) const {
   std::vector<Interactions> out(patches.size());
   if (tree.empty()) return out;
-  std::vector<double> limit2;
-  for (TreeNode const& node : tree.nodes) limit2.push_back(far_limit(node) * far_limit(node));
+  std::vector<double> limits;
+  for (TreeNode const& node : tree.nodes) limits.push_back(far_limit(node));
   std::vector<std::vector<int>> left(patches.size());  // to the children
   std::vector<int> stack;
   for (std::size_t p = patches.size(); p-- > 0;) {
@@ -187,7 +222,7 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
       stack.pop_back();
       TreeNode const& node = tree.nodes[n];
       double const distance2 = rectangle.to_centre2(node);
-      bool const is_far = distance2 > limit2[n];
+      bool const is_far = distance2 > limits[n] * limits[n];
       if (is_far && rectangle.to_charges2(node) >= separation * separation)
         out[p].far.push_back(multipole(tree, n, distance2));
       else if (!is_far && node.leaf < 0 && node.radius > rectangle.radius)
@@ -287,44 +322,28 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
 }
 
 /// The charges of a leaf one by one, at the ghosts of a row that it is near to.
-void TreePotential::add_near(Leaf const& leaf, double const* charges, GhostPatch const& patch, NearRow const& row,
-                             double* values) const {
-  int const normal = patch.face / 2, level = leaf.key.level;
-  auto const axes = plane_axes(normal);
+void TreePotential::add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearGhosts const& ghosts,
+                             NearRow const& row, double* values) const {
+  constexpr std::size_t at_once = 4;
+  std::array<double const*, at_once> kernels;
+  std::array<int, at_once> numbers;
   Cell const corner = leaf.corner();
-  Cell offset;
-  Point shift;
-  auto const put = [&](int d, int cell) {
-    Place const place = place_in_level(cell, patch.level, level);
-    offset[d] = corner[d] - place.point;
-    shift[d] = place.shift;
-  };
-  put(normal, patch.face % 2 == 0 ? -1 : lattice_.cells[normal] << patch.level);
-  put(axes[1], patch.first[1] + row.row);
-
-  constexpr int at_once = 4;
-  std::array<double const*, at_once> rows;
-  std::array<int, at_once> ghosts;
-  int count = 0;
-  KernelTable const* kernel = nullptr;
-  Point made_for{};
-  double const scale = four_pi * std::ldexp(1.0, level);  // lengths are 2^level times smaller there
-  auto const sum = [&] {
-    std::array<double, at_once> sums;
-    for (int t = count; t < at_once; ++t) rows[t] = rows[0];
-    sum_rows<at_once>(leaf, charges, rows, kernel->stride(1), kernel->stride(2), sums);
-    for (int t = 0; t < count; ++t) values[row.row * patch_points + ghosts[t]] += scale * sums[t];
-    count = 0;
-  };
-  for (int t = 0; t < patch_points; ++t) {
-    if (!(row.ghosts >> t & 1)) continue;
-    put(axes[0], patch.first[0] + t);
-    if (!kernel || shift != made_for) kernel = &kernels_.at(shift), made_for = shift;
-    rows[count] = kernel->row(offset[0], offset[1], offset[2]);
-    ghosts[count++] = t;
-    if (count == at_once) sum();
+  double const scale = four_pi * std::ldexp(1.0, leaf.key.level);  // lengths are 2^level times smaller there
+  unsigned left = row.ghosts;
+  while (left) {
+    std::size_t count = 0;
+    KernelTable const* table = nullptr;
+    for (; left && count < at_once; left &= left - 1) {
+      int const number = row.row * patch_points + __builtin_ctz(left);
+      auto const& [kernel, point] = ghosts.at[number];
+      table = kernel;
+      kernels[count] = kernel->row(corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]);
+      numbers[count++] = number;
+    }
+    for (std::size_t t = count; t < at_once; ++t) kernels[t] = kernels[0];
+    auto const sums = direct_sums(charges, kernels, *table);
+    for (std::size_t t = 0; t < count; ++t) values[numbers[t]] += scale * sums[t];
   }
-  if (count > 0) sum();
 }
 
 std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
@@ -341,11 +360,16 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
   std::vector<char> wanted(charges.leaves.size(), 0);
   for (NearRow const& row : near) wanted[row.leaf] = 1;
   MPI_Allreduce(MPI_IN_PLACE, wanted.data(), int(wanted.size()), MPI_SIGNED_CHAR, MPI_MAX, comm);
-  LeafCharges fetched;
-  fetched.fetch(comm, charges.blocks, charges.leaves, wanted);
-  for (NearRow const& row : near)
-    add_near(charges.leaves[row.leaf], fetched.of(row.leaf), patches[row.patch], row,
-             out.data() + (row.patch - first) * patch_values);
+  LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted);
+  std::map<int, NearGhosts> ghosts;  // of one patch, by the level of the charge
+  for (std::size_t n = 0; n < near.size(); ++n) {
+    NearRow const& row = near[n];
+    if (n > 0 && near[n - 1].patch != row.patch) ghosts.clear();
+    Leaf const& leaf = charges.leaves[row.leaf];
+    auto const [entry, is_new] = ghosts.try_emplace(leaf.key.level);
+    if (is_new) entry->second = NearGhosts(lattice_, patches[row.patch], leaf.key.level, kernels_);
+    add_near(leaf, fetched.of(row.leaf), entry->second, row, out.data() + (row.patch - first) * patch_values);
+  }
   return out;
 }
 

@@ -17,7 +17,7 @@ struct Options {
       0.5;  ///< a box is a multipole from where its radius looks smaller than this share of the distance
   double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
   double dropped = 1e-7;      ///< share of all |q| that may be left out with the weakest boxes
-  double separation = 2;      ///< charge this many half widths from a patch of ghosts is interpolated on it
+  double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
 };
 
 /// Charges as the evaluation needs them.
@@ -62,13 +62,14 @@ class TreePotential {
     unsigned ghosts;  ///< bit t: number t of the row
     int leaf;
   };
+  struct NearGhosts;
   double far_limit(TreeNode const& node) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                double* values) const;
   void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, std::size_t patch,
                  double* values, std::vector<NearRow>& near) const;
-  void add_near(Leaf const& leaf, double const* charges, GhostPatch const& patch, NearRow const& row,
+  void add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearGhosts const& ghosts, NearRow const& row,
                 double* values) const;
 
   Lattice lattice_;

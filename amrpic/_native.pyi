@@ -163,6 +163,14 @@ class LevelOperators:
     @property
     def bytes(self) -> int: ...
 
+def recycled(bytes: int) -> NDArray[numpy.uint8]:
+    """
+    Memory whose former owner is gone, if there is such; with whatever it holds.
+    """
+
+def idle_bytes() -> int:
+    """Memory that waits for `recycled` to be called again."""
+
 class ParticleMesh:
     def __init__(self, hierarchy: Hierarchy) -> None: ...
     @property
@@ -180,8 +188,6 @@ class Migration:
     @property
     def lost(self) -> NDArray[numpy.int64]: ...
     @property
-    def not_finite(self) -> NDArray[numpy.int64]: ...
-    @property
     def arriving(self) -> int: ...
     def finish(
         self,
@@ -190,7 +196,7 @@ class Migration:
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
         starts: NDArray[numpy.int64],
-    ) -> None: ...
+    ) -> bool: ...
 
 def count_per_box(
     hierarchy: Hierarchy,

@@ -20,11 +20,11 @@ def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Part
     ranks if a position or momentum is not finite.
     """
     plan = _native.Migration(particle_mesh(hierarchy), *particles.arrays)
-    if bad := hierarchy.comm.allreduce(len(plan.not_finite)):
-        raise_together(hierarchy.comm, _complaint(particles, plan.not_finite, bad), ParticleError)
     here = Particles.allocate(plan.arriving, particles.species)
     starts = np.empty(particle_mesh(hierarchy).slots + 1, dtype=np.int64)
-    plan.finish(*here.arrays, starts)
+    finite = plan.finish(*here.arrays, starts)
+    if not hierarchy.comm.allreduce(finite, MPI.LAND):
+        _refuse_not_finite(particles, hierarchy.comm)
     arrived = Particles(*here.arrays, here.species, Sorting(hierarchy, starts))
     return arrived, particles.select(plan.lost)
 
@@ -40,10 +40,14 @@ def particles_per_box(particles: Particles, hierarchy: Hierarchy) -> list[np.nda
     return counts
 
 
-def _complaint(particles: Particles, bad: np.ndarray, count: int) -> str | None:
-    if len(bad) == 0:
-        return None
-    first = bad[0]
+def _refuse_not_finite(particles: Particles, comm: MPI.Comm) -> None:
+    """Raise ParticleError on all ranks: a rank that holds particles that are not finite names one. Collective."""
+    bad = np.flatnonzero(~(np.isfinite(particles.position) & np.isfinite(particles.momentum)).all(axis=1))
+    count = comm.allreduce(len(bad))
+    raise_together(comm, _complaint(particles, bad[0], count) if len(bad) else None, ParticleError)
+
+
+def _complaint(particles: Particles, first: int, count: int) -> str:
     return (
         f"{count} particles have a position or momentum that is not finite, among them id {particles.id[first]} at "
         f"{particles.position[first].tolist()} m with {particles.momentum[first].tolist()} kg m/s; mend the input, or "

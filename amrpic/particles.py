@@ -60,7 +60,11 @@ class Particles:
     def allocate(count: int, species: SpeciesTable) -> Particles:
         """Particles whose values are yet to be set."""
         return Particles(
-            empty_columns(count), empty_columns(count), np.empty(count), np.empty(count, dtype=np.int64), species
+            empty_columns(count),
+            empty_columns(count),
+            recycled(count, np.float64),
+            recycled(count, np.int64),
+            species,
         )
 
     @staticmethod
@@ -144,8 +148,17 @@ def concatenate(parts: Sequence[Particles]) -> Particles:
 
 def empty_columns(count: int) -> np.ndarray:
     """(count, 3), each column contiguous and starting on a cache line like the first."""
-    capacity = -(-count // CACHE_LINE) * CACHE_LINE
-    return np.empty((3, capacity)).T[:count]
+    # An odd number of cache lines, so that the columns do not compete for the same sets of a cache.
+    capacity = (-(-count // CACHE_LINE) | 1) * CACHE_LINE
+    return recycled(3 * capacity, np.float64).reshape(3, capacity).T[:count]
+
+
+def recycled(count: int, dtype: type) -> np.ndarray:
+    """(count,) values of eight bytes each, not set; in the memory of an array that is gone, if there is such.
+
+    A step makes and drops many arrays of the same size, and fresh memory takes longer to get than to fill.
+    """
+    return _native.recycled(8 * count).view(dtype)
 
 
 def _columns(values: np.ndarray, name: str) -> np.ndarray:

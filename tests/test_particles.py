@@ -8,9 +8,10 @@ from mpi4py import MPI
 
 import amrpic
 import hierarchies
+from amrpic import _native
 from amrpic.errors import ParticleError
 from amrpic.migrate import migrate, particles_per_box
-from amrpic.particles import Particles, concatenate
+from amrpic.particles import Particles, concatenate, recycled
 from amrpic.push import RANDOM_WALK, drift, kick, random_walk
 from amrpic.species import Species, SpeciesTable
 from particle_cases import CHARGE, MASS, ONE_KIND, Mesh, everywhere, hierarchy_of, scattered
@@ -77,6 +78,70 @@ def test_particles_are_sorted_by_box_cell_and_id(comm):
             slot += 1
     assert len(keys) == len(particles)
     assert keys == sorted(keys)
+
+
+@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+@pytest.mark.parametrize("cells, count", [(64, 260_000), (16, 20_000), (4, 3000)])
+def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_cell(comm, cells, count):
+    """More than a cache holds, more than there are lanes in each cell, and hundreds of them."""
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, "periodic")
+    hierarchy = amrpic.Hierarchy(comm, domain, max_grid_size=cells // 2, blocking_factor=2)
+    particles, _ = migrate(shuffled(comm, count), hierarchy)
+    for step in range(2):
+        particles, _ = migrate(random_walk(particles, 0.3 / cells, seed=3, step=step), hierarchy)
+        everyone = everywhere(comm, particles)
+        cell = np.floor(everyone["position"] * cells).astype(int)
+        boxes = hierarchy.boxes(0)[list(hierarchy.local_boxes(0))]
+        box = np.full(count, -1)
+        for b, (lower, upper) in enumerate(zip(boxes[:, :3], boxes[:, 3:], strict=True)):
+            box[((cell >= lower) & (cell <= upper)).all(axis=1)] = b
+        order = np.lexsort((everyone["id"], *cell.T, box))
+        order = order[box[order] >= 0]
+        assert np.array_equal(particles.id, everyone["id"][order])
+        for name in ("position", "momentum", "weight"):
+            assert np.array_equal(getattr(particles, name), everyone[name][order]), name
+
+
+def shuffled(comm: MPI.Comm, count: int) -> Particles:
+    """This rank's part of particles whose places do not depend on the ranks, ids in disorder."""
+    rng = np.random.default_rng(11)
+    all_of_them = Particles(
+        rng.random((count, 3)), rng.normal(size=(count, 3)), rng.random(count), rng.permutation(count), ONE_KIND
+    )
+    return all_of_them.select(slice(comm.rank, None, comm.size))
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_momentum_that_is_not_finite_is_found_wherever_the_particle_goes(comm):
+    """Among those that stay and those that leave, in whole vectors and in the rest of one."""
+    hierarchy = periodic_box(comm)
+    for count, place in ((1, 0), (8, 7), (9, 8), (1000, 500)):
+        particles, _ = migrate(shuffled(comm, comm.size * count), hierarchy)
+        for shift in (0.0, 0.5):
+            moved = particles.replace(
+                position=particles.position + np.array([shift, 0, 0]), momentum=particles.momentum.copy()
+            )
+            if comm.rank == 0 and len(moved) > place:
+                moved.momentum[place, 2] = np.inf
+            if comm.bcast(len(moved) > place):
+                with pytest.raises(ParticleError, match=r"^1 particles .* not finite"):
+                    migrate(moved, hierarchy)
+
+
+def test_memory_of_particles_is_used_again_and_not_hoarded():
+    kept = [recycled(1_000_000, np.float64) for _ in range(2)]
+    assert all(array.ctypes.data % 64 == 0 for array in kept)
+    before = _native.idle_bytes()
+    place = kept.pop().ctypes.data
+    assert _native.idle_bytes() >= before
+    assert recycled(999_000, np.float64).ctypes.data == place  # of the same size but for a little
+    part = recycled(1_000_000, np.float64)[10:20]
+    assert recycled(1_000_000, np.float64).ctypes.data != place  # the slice keeps it
+    del part
+    kept.clear()
+    huge = recycled(50_000_000, np.float64)
+    del huge
+    assert _native.idle_bytes() < 8 * 50_000_000
 
 
 @pytest.mark.mpi(ranks=(1, 2))

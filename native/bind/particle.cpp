@@ -7,6 +7,7 @@
 #include "bind/convert.hpp"
 #include "particle/deposit.hpp"
 #include "particle/gather.hpp"
+#include "particle/memory.hpp"
 #include "particle/migrate.hpp"
 #include "particle/random.hpp"
 
@@ -38,6 +39,16 @@ ParticleView view(ConstColumns const& position, ConstColumns const& momentum, Ro
 }  // namespace
 
 void bind_particle(nb::module_& m) {
+  m.def(
+      "recycled",
+      [](std::size_t bytes) {
+        void* const block = take_block(bytes);
+        nb::capsule owner(block, [](void* p) noexcept { give_block(p); });
+        return nb::ndarray<nb::numpy, std::uint8_t, nb::ndim<1>>(block, {bytes}, owner);
+      },
+      "bytes"_a, "Memory whose former owner is gone, if there is such; with whatever it holds.");
+  m.def("idle_bytes", &idle_bytes, "Memory that waits for `recycled` to be called again.");
+
   nb::class_<ParticleMesh>(m, "ParticleMesh")
       .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("slots", [](ParticleMesh const& mesh) { return mesh.boxes().size(); });
@@ -54,17 +65,14 @@ void bind_particle(nb::module_& m) {
           nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
       .def_prop_ro(
           "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
-      .def_prop_ro(
-          "not_finite", [](Migration const& self) { return bind::to_array(self.not_finite()); },
-          nb::rv_policy::automatic)
       .def_prop_ro("arriving", &Migration::arriving)
       .def(
           "finish",
           [](Migration& self, Columns position, Columns momentum, Row<Real> weight, Row<std::int64_t> id,
              Row<std::int64_t> starts) {
             nb::gil_scoped_release release;
-            self.finish({self.arriving(), columns(position), columns(momentum), weight.data(), id.data()},
-                        starts.data());
+            return self.finish({self.arriving(), columns(position), columns(momentum), weight.data(), id.data()},
+                               starts.data());
           },
           "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a);
 

@@ -1,5 +1,6 @@
 #include "particle/locate.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace amrpic {
@@ -51,10 +52,21 @@ Home Locator::find(Real3 const& x, Home const& hint) {
   return home;
 }
 
+bool Locator::is_finest(Home const& home) {
+  if (!hierarchy_->has_finer(home.level)) return true;
+  auto const& boxes = children(home.level, home.box);
+  return std::all_of(boxes.begin(), boxes.end(), [](int box) { return box < 0; });
+}
+
+std::vector<int> const& Locator::children(int level, int box) {
+  std::vector<int>& out = children_[level][box];
+  if (out.empty()) out = make_children(level, box);
+  return out;
+}
+
 int Locator::child_box(int level, int box, Index3 const& cell) {
   if (!hierarchy_->has_finer(level)) return -1;
-  std::vector<int>& children = children_[level][box];
-  if (children.empty()) children = make_children(level, box);
+  std::vector<int> const& children = this->children(level, box);
   if (children.size() == 1) return children[0];
   Box const& parent = hierarchy_->level(level).box(box);
   auto const block = [&](int d) { return (cell[d] - parent.lower[d]) >> block_shift_; };

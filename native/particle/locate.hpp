@@ -41,12 +41,16 @@ class Locator {
   /// Home of a point inside the domain. `hint` is tried first: neighbours in memory are mostly neighbours in space.
   Home find(Real3 const& x, Home const& hint = {});
 
+  /// Whether no finer box overlaps the one of `home`.
+  bool is_finest(Home const& home);
+
   LevelCoordinates coordinates(int level) const {
     Real const scale = Real(1 << level);
     return {lower_, {cells_per_metre_[0] * scale, cells_per_metre_[1] * scale, cells_per_metre_[2] * scale}};
   }
 
  private:
+  std::vector<int> const& children(int level, int box);
   int child_box(int level, int box, Index3 const& cell);
   std::vector<int> make_children(int level, int box) const;
 

@@ -3,7 +3,13 @@
 #include <mpi.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
 #include <numeric>
+#include <stdexcept>
+
+#include "particle/id_sort.hpp"
 
 namespace amrpic {
 
@@ -11,10 +17,42 @@ namespace {
 
 constexpr int tag_particles = 7201;
 
+/// Particles that are binned, or copied, in one go: what they need stays in the first-level cache.
+constexpr std::int64_t block_size = 64, copy_size = 512;
+
+/// So many particles stay in a cache until the next stage wants them.
+constexpr std::int64_t cached_particles = 200000;
+
 bool is_finite(ParticleView const& particles, std::int64_t n) {
   Real product = 0;  // 0 times a finite number is 0, times any other nan
   for (int d = 0; d < 3; ++d) product += 0 * particles.position[d][n] + 0 * particles.momentum[d][n];
   return product == 0;
+}
+
+/// Copy the values at some places to consecutive ones, past the cache if they are `far`; whether they are finite.
+bool permute(Real const* from, LocalIndex const* source, LocalIndex count, Real* to, bool far) {
+  LocalIndex const whole = count / lane_count * lane_count;
+  Lanes zero{};  // nan as soon as a value is not finite
+  if (far && reinterpret_cast<std::uintptr_t>(to) % sizeof(Lanes) == 0) {
+    for (LocalIndex i = 0; i < whole; i += lane_count) {
+      Lanes const values = pick(from, source + i);
+      zero += values - values;
+      stream(to + i, values);
+    }
+  } else {
+    for (LocalIndex i = 0; i < whole; i += lane_count) {
+      Lanes const values = pick(from, source + i);
+      zero += values - values;
+      store(to + i, values);
+    }
+  }
+  bool finite = true;
+  for (int i = 0; i < lane_count; ++i) finite = finite && zero[i] == 0;
+  for (LocalIndex i = whole; i < count; ++i) {
+    to[i] = from[source[i]];
+    finite = finite && std::isfinite(to[i]);
+  }
+  return finite;
 }
 
 /// Running sums of counts, from zero.
@@ -26,57 +64,114 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
 
 }  // namespace
 
-Migration::Migration(ParticleMesh& mesh, ParticleView const& particles) : mesh_(mesh), particles_(particles) {
-  Hierarchy const& hierarchy = mesh.hierarchy();
-  int const ranks = hierarchy.level(0).ranks(), me = hierarchy.level(0).rank();
-  slot_.assign(std::size_t(particles.count), -1);
-  cell_.resize(std::size_t(particles.count));
-  std::vector<std::vector<std::int64_t>> places(static_cast<std::size_t>(ranks));
-  std::vector<std::vector<Home>> homes(static_cast<std::size_t>(ranks));
-  Home home;
-  int owner = me;
-  for (std::int64_t n = 0; n < particles.count; ++n) {
-    if (!is_finite(particles, n)) {
-      not_finite_.push_back(n);
-      continue;
-    }
-    Real3 x = particles.at(n);
-    if (!mesh.locator().wrap(x)) {
-      lost_.push_back(n);
-      continue;
-    }
-    Home const before = home;
-    home = mesh.locator().find(x, before);
-    if (home.box != before.box || home.level != before.level) owner = hierarchy.level(home.level).owner(home.box);
-    if (owner == me) {
-      slot_[n] = mesh.slot(home.level, home.box);
-      cell_[n] = home.cell;
-      ++staying_;
-    } else {
-      places[owner].push_back(n);
-      homes[owner].push_back(home);
-    }
-  }
+// ---- homes ----
 
-  std::vector<std::int64_t> leaving, coming(std::size_t(ranks), 0);
-  for (auto const& p : places) leaving.push_back(std::int64_t(p.size()));
-  MPI_Alltoall(leaving.data(), 1, MPI_INT64_T, coming.data(), 1, MPI_INT64_T, hierarchy.comm());
-  leaving_start_ = starts_of(leaving);
-  received_start_ = starts_of(coming);
-  leaving_.resize(std::size_t(leaving_start_.back()));
-  for (int r = 0; r < ranks; ++r)
-    for (std::size_t i = 0; i < places[r].size(); ++i) pack(places[r][i], homes[r][i], leaving_[leaving_start_[r] + i]);
+Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
+    : mesh_(mesh),
+      particles_(particles),
+      cell_(std::size_t(particles.count)),
+      end_(std::size_t(mesh.first_cell().back())),
+      leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
+  std::fill(end_.begin(), end_.end(), 0);
+  for (std::int64_t n = 0; n < particles.count; n += block_size) bin(n, std::min(n + block_size, particles.count));
+  announce();
 }
 
-void Migration::pack(std::int64_t n, Home const& home, Parcel& parcel) const {
-  Real3 x = particles_.at(n);
-  mesh_.locator().wrap(x);
-  parcel = {x, particles_.momentum_at(n), particles_.weight[n], particles_.id[n], home.level, home.box, home.cell};
+std::optional<Migration::PlainBox> Migration::plain(Home const& home) const {
+  Level const& level = mesh_.hierarchy().level(home.level);
+  if (level.owner(home.box) != level.rank() || !mesh_.locator().is_finest(home)) return {};
+  Box const& box = level.box(home.box);
+  PlainBox out{mesh_.locator().coordinates(home.level), {}, {}, cell_number(home.level, home.box, 0), 0, 0};
+  for (int d = 0; d < 3; ++d) out.lower[d] = box.lower[d], out.upper[d] = box.upper[d] + 1;
+  out.stride_y = box.extent(0);
+  out.stride_z = box.extent(0) * box.extent(1);
+  return out;
+}
+
+/// The cells of eight particles that lie in the box, -1 for those that do not.
+inline IndexLanes Migration::PlainBox::cells(std::array<Lanes, 3> const& x) const {
+  WideLanes in = WideLanes{} - 1;
+  Lanes s[3];
+  for (int d = 0; d < 3; ++d) {
+    s[d] = (x[d] - coordinates.lower[d]) * coordinates.cells_per_metre[d];
+    in &= (s[d] >= lower[d]) & (s[d] < upper[d]);
+  }
+  IndexLanes at[3];  // the differences are exact, so that none is rounded up to the next cell
+  for (int d = 0; d < 3; ++d) at[d] = convert<IndexLanes>(in ? s[d] - lower[d] : Lanes{});
+  return (first + at[0] + stride_y * at[1] + stride_z * at[2]) | ~convert<IndexLanes>(in);
+}
+
+/// Find and count the cells of at most `block_size` particles.
+void Migration::bin(std::int64_t first, std::int64_t last) {
+  LocalIndex* const cell = cell_.data() + first;
+  int const count = int(last - first), whole = near_ ? count / lane_count * lane_count : 0;
+  for (int i = 0; i < whole; i += lane_count) {
+    std::array<Lanes, 3> x;
+    for (int d = 0; d < 3; ++d) x[d] = load<Lanes>(particles_.position[d] + first + i);
+    store(cell + i, near_->cells(x));
+  }
+  std::fill(cell + whole, cell + count, -1);
+  int astray = 0;
+  for (int i = 0; i < count; ++i)
+    if (cell[i] < 0) {
+      ++astray;
+      look_up(first + i);
+    } else {
+      ++end_[cell[i]];
+    }
+  staying_ += count - astray;
+  if (2 * astray > count && latest_.box >= 0) near_ = plain(latest_);
+}
+
+/// Find the home of one particle that does not lie in the box at hand.
+void Migration::look_up(std::int64_t n) {
+  cell_[n] = -1;
+  if (!is_finite(particles_, n)) {
+    finite_ = false;
+    return;
+  }
+  Real3 const before = particles_.at(n);
+  Real3 x = before;
+  if (!mesh_.locator().wrap(x)) {
+    lost_.push_back(n);
+    return;
+  }
+  latest_ = mesh_.locator().find(x, latest_);
+  Level const& level = mesh_.hierarchy().level(latest_.level);
+  int const owner = level.owner(latest_.box);
+  if (owner == level.rank() && x == before) {
+    cell_[n] = cell_number(latest_.level, latest_.box, latest_.cell);
+    ++end_[cell_[n]];
+    ++staying_;
+  } else {
+    leaving_[owner].push_back({n, latest_});
+  }
+}
+
+// ---- to other ranks ----
+
+/// Pack what leaves, and tell the ranks how much will come.
+void Migration::announce() {
+  std::vector<std::int64_t> leaving, coming(leaving_.size(), 0);
+  for (auto const& to_rank : leaving_) leaving.push_back(std::int64_t(to_rank.size()));
+  MPI_Alltoall(leaving.data(), 1, MPI_INT64_T, coming.data(), 1, MPI_INT64_T, mesh_.hierarchy().comm());
+  sent_start_ = starts_of(leaving);
+  received_start_ = starts_of(coming);
+  if (particles_.count + received_start_.back() > std::numeric_limits<LocalIndex>::max())
+    throw std::length_error("more than 2^31 particles on one rank; use more ranks");
+  sent_.reserve(std::size_t(sent_start_.back()));
+  for (auto const& to_rank : leaving_)
+    for (auto const& [n, home] : to_rank) {
+      Real3 x = particles_.at(n);
+      mesh_.locator().wrap(x);
+      sent_.push_back(
+          {x, particles_.momentum_at(n), particles_.weight[n], particles_.id[n], home.level, home.box, home.cell});
+    }
 }
 
 void Migration::exchange() {
   MPI_Comm const comm = mesh_.hierarchy().comm();
-  int const ranks = mesh_.hierarchy().level(0).ranks();
+  int const ranks = int(leaving_.size());
   // Counted in whole parcels, so that 32-bit message lengths suffice for 2^31 particles.
   MPI_Datatype parcel;
   MPI_Type_contiguous(int(sizeof(Parcel)), MPI_BYTE, &parcel);
@@ -87,60 +182,115 @@ void Migration::exchange() {
     if (int const n = int(received_start_[r + 1] - received_start_[r]); n > 0)
       MPI_Irecv(received_.data() + received_start_[r], n, parcel, r, tag_particles, comm, &requests.emplace_back());
   for (int r = 0; r < ranks; ++r)
-    if (int const n = int(leaving_start_[r + 1] - leaving_start_[r]); n > 0)
-      MPI_Isend(leaving_.data() + leaving_start_[r], n, parcel, r, tag_particles, comm, &requests.emplace_back());
+    if (int const n = int(sent_start_[r + 1] - sent_start_[r]); n > 0)
+      MPI_Isend(sent_.data() + sent_start_[r], n, parcel, r, tag_particles, comm, &requests.emplace_back());
   MPI_Waitall(int(requests.size()), requests.data(), MPI_STATUSES_IGNORE);
   MPI_Type_free(&parcel);
 }
 
-void Migration::settle_received() {
+// ---- to their places ----
+
+/// Make `order_` by counting, and with it the starts of the slots.
+void Migration::place(std::int64_t* starts) {
+  std::vector<LocalIndex> received_cell;
   for (Parcel const& p : received_) {
-    slot_.push_back(mesh_.slot(p.level, p.box));
-    cell_.push_back(p.cell);
+    received_cell.push_back(cell_number(p.level, p.box, p.cell));
+    ++end_[received_cell.back()];
   }
+  auto const& first_cell = mesh_.first_cell();
+  LocalIndex sum = 0;
+  for (std::size_t s = 0; s + 1 < first_cell.size(); ++s) {
+    starts[s] = sum;
+    for (LocalIndex c = first_cell[s]; c < first_cell[s + 1]; ++c) {
+      LocalIndex const count = end_[c];
+      end_[c] = sum;
+      sum += count;
+    }
+  }
+  starts[first_cell.size() - 1] = sum;
+
+  order_ = Scratch<LocalIndex>(std::size_t(arriving()));
+  for (LocalIndex n = 0; n < particles_.count; ++n)
+    if (cell_[n] >= 0) order_[end_[cell_[n]]++] = n;
+  for (std::size_t r = 0; r < received_.size(); ++r)
+    order_[end_[received_cell[r]]++] = LocalIndex(particles_.count + std::int64_t(r));
 }
 
-std::vector<std::int64_t> Migration::sorted(std::int64_t* starts) const {
-  std::vector<Surroundings> const& boxes = mesh_.boxes();
-  std::vector<std::int64_t> count(boxes.size(), 0);
-  for (LocalIndex slot : slot_)
-    if (slot >= 0) ++count[slot];
-  auto const slot_start = starts_of(count);
-  std::copy(slot_start.begin(), slot_start.end(), starts);
-  std::vector<std::int64_t> by_slot(static_cast<std::size_t>(arriving())), out(by_slot.size());
-  auto next = slot_start;
-  for (std::size_t n = 0; n < slot_.size(); ++n)
-    if (slot_[n] >= 0) by_slot[next[slot_[n]]++] = std::int64_t(n);
-
-  // Within a box by counting as well; ties are few.
-  for (std::size_t s = 0; s < boxes.size(); ++s) {
-    if (slot_start[s] == slot_start[s + 1]) continue;
-    count.assign(std::size_t(mesh_.hierarchy().level(boxes[s].level).box(boxes[s].box).cells()) + 1, 0);
-    for (std::int64_t i = slot_start[s]; i < slot_start[s + 1]; ++i) ++count[cell_[by_slot[i]] + 1];
-    std::partial_sum(count.begin(), count.end(), count.begin());
-    std::int64_t* const first = out.data() + slot_start[s];
-    for (std::int64_t i = slot_start[s]; i < slot_start[s + 1]; ++i) first[count[cell_[by_slot[i]]]++] = by_slot[i];
-    // Now count[c] is where cell c ends.
-    for (std::int64_t c = 0, start = 0; start < slot_start[s + 1] - slot_start[s]; start = count[c++])
-      if (count[c] - start > 1)
-        std::sort(first + start, first + count[c], [&](std::int64_t a, std::int64_t b) { return id(a) < id(b); });
-  }
-  return out;
-}
-
-void Migration::finish(ParticleView const& out, std::int64_t* starts) {
+bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   exchange();
-  settle_received();
-  auto const order = sorted(starts);
-  for (std::int64_t n = 0; n < arriving(); ++n) {
-    Parcel p;
-    if (order[n] < particles_.count)
-      pack(order[n], {}, p);
-    else
-      p = received_[order[n] - particles_.count];
-    for (int d = 0; d < 3; ++d) out.position[d][n] = p.position[d], out.momentum[d][n] = p.momentum[d];
-    out.weight[n] = p.weight;
-    out.id[n] = p.id;
+  place(starts);
+  LocalIndex const cells = mesh_.first_cell().back();
+  std::int64_t written = 0;
+  for (LocalIndex from = 0, to = 0, kept = 0; from < cells; from = to) {  // so many whole cells at a time
+    constexpr LocalIndex stride = 16;
+    std::int64_t const first = written + kept;
+    while (to < cells && end_[std::min(to + stride, cells) - 1] <= first + copy_size) to = std::min(to + stride, cells);
+    if (to == from) to = std::min(to + 1, cells);
+    prefetch(end_[to - 1], std::min(end_[to - 1] + copy_size, arriving()));
+    sort_cells(from, to, kept);
+    LocalIndex const ready = LocalIndex(end_[to - 1] - written), whole = ready / lane_count * lane_count;
+    LocalIndex const now = to < cells ? whole : ready;
+    copy(written, now, out);
+    std::copy(id_.begin() + now, id_.begin() + ready, id_.begin());
+    std::copy(source_.begin() + now, source_.begin() + ready, source_.begin());
+    kept = ready - now;
+    written += now;
+  }
+  stream_end();
+  return finite_;
+}
+
+/// Ask for the particles that come to places [first, last) to be brought near.
+void Migration::prefetch(std::int64_t first, std::int64_t last) const {
+  for (std::int64_t n = first; n < last; ++n) {
+    LocalIndex const from = order_[n];  // a place beyond the arrays does no harm here
+    for (int d = 0; d < 3; ++d) {
+      __builtin_prefetch(particles_.position[d] + from, 0, 2);
+      __builtin_prefetch(particles_.momentum[d] + from, 0, 2);
+    }
+    __builtin_prefetch(particles_.weight + from, 0, 2);
+    __builtin_prefetch(particles_.id + from, 0, 2);
+  }
+}
+
+/// Put the particles of cells [from, to) in order of their ids within each cell, behind `kept` of the cells before.
+void Migration::sort_cells(LocalIndex from, LocalIndex to, LocalIndex kept) {
+  LocalIndex const first = from > 0 ? end_[from - 1] : 0, count = end_[to - 1] - first;
+  LocalIndex* const order = order_.data() + first;
+  unsorted_id_.resize(std::size_t(count + sort_slack));
+  id_.resize(std::size_t(kept + count + sort_slack));
+  source_.resize(std::size_t(kept + count + sort_slack));
+  for (LocalIndex i = 0; i < count; ++i)
+    unsorted_id_[i] = order[i] < particles_.count ? particles_.id[order[i]] : received_[order[i] - particles_.count].id;
+  for (LocalIndex c = from, start = 0; c < to; ++c) {
+    LocalIndex const end = end_[c] - first;
+    if (end > start)
+      sort_by_id({unsorted_id_.data() + start, order + start}, end - start,
+                 {id_.data() + kept + start, source_.data() + kept + start});
+    start = end;
+  }
+}
+
+/// Write `count` particles whose sources are at hand to places from `first`, a multiple of the lanes.
+void Migration::copy(std::int64_t first, LocalIndex count, ParticleView const& out) {
+  std::vector<std::pair<std::int64_t, Parcel const*>> arrived;
+  if (!received_.empty())
+    for (LocalIndex i = 0; i < count; ++i)
+      if (source_[i] >= particles_.count) {
+        arrived.emplace_back(first + i, &received_[source_[i] - particles_.count]);
+        source_[i] = 0;  // whatever lies there is overwritten below
+      }
+  std::copy(id_.begin(), id_.begin() + count, out.id + first);
+  if (particles_.count > 0) {
+    bool const far = arriving() > cached_particles;
+    for (int d = 0; d < 3; ++d) permute(particles_.position[d], source_.data(), count, out.position[d] + first, far);
+    for (int d = 0; d < 3; ++d)
+      finite_ = permute(particles_.momentum[d], source_.data(), count, out.momentum[d] + first, far) && finite_;
+    permute(particles_.weight, source_.data(), count, out.weight + first, far);
+  }
+  for (auto const& [n, parcel] : arrived) {
+    for (int d = 0; d < 3; ++d) out.position[d][n] = parcel->position[d], out.momentum[d][n] = parcel->momentum[d];
+    out.weight[n] = parcel->weight;
   }
 }
 

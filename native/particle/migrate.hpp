@@ -1,30 +1,33 @@
 #pragma once
 
+#include <optional>
 #include <vector>
 
+#include "particle/lanes.hpp"
+#include "particle/memory.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
 
 namespace amrpic {
 
-/// Particles on their way to the ranks that own their boxes. Those that stay are never copied on the way, only in the
-/// end.
+/// Particles on their way to the ranks that own their boxes, and to their places there.
+///
+/// Particles that were sorted before they moved mostly lie in the box, and often in the cell, of their neighbour in
+/// memory. So one pass takes each particle's cell from the box at hand and counts the particles of each cell; only
+/// those that left the box are looked up. Running sums of the counts are the places, and each particle is copied once.
 class Migration {
  public:
   /// Find the home of each particle, wrapped along periodic axes, and tell the ranks how many will come. Collective.
-  /// The particles must live until `finish`.
+  /// The particles must live until `finish`. Throws std::length_error if a rank gets more than 2^31 of them.
   Migration(ParticleMesh& mesh, ParticleView const& particles);
 
-  std::vector<std::int64_t> const& lost() const { return lost_; }  ///< places of those outside the domain
-  std::vector<std::int64_t> const& not_finite() const {
-    return not_finite_;
-  }  ///< places of those without position or momentum
+  std::vector<std::int64_t> const& lost() const { return lost_; }              ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + received_start_.back(); }  ///< how many live here afterwards
 
   /// Send; then write this rank's particles into `out`, which has room for `arriving()`, sorted by slot, cell and id,
-  /// and where each slot starts into `starts` (slots + 1 values). One message per pair of ranks that has any.
-  /// Collective.
-  void finish(ParticleView const& out, std::int64_t* starts);
+  /// and where each slot starts into `starts` (slots + 1 values). One message per pair of ranks that has any. False if
+  /// a position or momentum of those that were on this rank is not finite; then `out` means nothing. Collective.
+  bool finish(ParticleView const& out, std::int64_t* starts);
 
  private:
   /// One particle as it is packed for a message.
@@ -35,22 +38,46 @@ class Migration {
     int level, box;
     LocalIndex cell;
   };
-  void pack(std::int64_t n, Home const& home, Parcel& parcel) const;
-  void exchange();
-  void settle_received();
-  std::vector<std::int64_t> sorted(std::int64_t* starts) const;
-  std::int64_t id(std::int64_t n) const {
-    return n < particles_.count ? particles_.id[n] : received_[n - particles_.count].id;
+  /// A box of this rank that no finer one overlaps: a particle between its corners lives there.
+  struct PlainBox {
+    LevelCoordinates coordinates;
+    Real3 lower, upper;  ///< corners, in the level's coordinates
+    LocalIndex first, stride_y, stride_z;
+    IndexLanes cells(std::array<Lanes, 3> const& x) const;
+  };
+  struct Leaving {
+    std::int64_t place;
+    Home home;
+  };
+
+  void bin(std::int64_t first, std::int64_t last);
+  void look_up(std::int64_t n);
+  std::optional<PlainBox> plain(Home const& home) const;
+  LocalIndex cell_number(int level, int box, LocalIndex cell) const {
+    return mesh_.first_cell()[mesh_.slot(level, box)] + cell;
   }
+  void announce();
+  void exchange();
+  void place(std::int64_t* starts);
+  void prefetch(std::int64_t first, std::int64_t last) const;
+  void sort_cells(LocalIndex from, LocalIndex to, LocalIndex kept);
+  void copy(std::int64_t first, LocalIndex count, ParticleView const& out);
 
   ParticleMesh& mesh_;
   ParticleView particles_;
-  std::vector<std::int64_t> lost_, not_finite_;
+  Home latest_;                   ///< of the particle that was looked up last
+  std::optional<PlainBox> near_;  ///< the box at hand
+  bool finite_ = true;
+  std::vector<std::int64_t> lost_;
   std::int64_t staying_ = 0;
-  /// Where each particle will live here, -1: nowhere; first those that were here, then those received.
-  std::vector<LocalIndex> slot_, cell_;
-  std::vector<Parcel> leaving_, received_;  ///< by rank
-  std::vector<std::int64_t> leaving_start_, received_start_;
+  Scratch<LocalIndex> cell_;   ///< of each particle that stays, among this rank's cells; -1: it does not stay
+  Scratch<LocalIndex> end_;    ///< of each cell: how many it has, then where the next one goes, then where it ends
+  Scratch<LocalIndex> order_;  ///< place in the old arrays, or beyond them among those received
+  std::vector<std::vector<Leaving>> leaving_;   ///< by rank; this one too, for those that were wrapped
+  std::vector<Parcel> sent_, received_;         ///< by rank
+  std::vector<std::int64_t> unsorted_id_, id_;  ///< of the cells that are being copied
+  std::vector<LocalIndex> source_;              ///< likewise, sorted: places in the old arrays
+  std::vector<std::int64_t> sent_start_, received_start_;
 };
 
 /// Number of particles of this rank in each box of each level, over all boxes of the level.

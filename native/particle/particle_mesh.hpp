@@ -44,6 +44,9 @@ class ParticleMesh {
     return first_slot_[level] + local_box - hierarchy_->level(level).first_local_box();
   }
 
+  /// This rank's cells, numbered slot by slot: number of the first one of a slot. The last value is how many there are.
+  std::vector<LocalIndex> const& first_cell() const { return first_cell_; }
+
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
   Locator locator_;
@@ -51,6 +54,7 @@ class ParticleMesh {
   std::vector<Exchange> exchanges_;  ///< per level: ghosts are all cells of other ranks that `boxes_` names
   std::vector<Surroundings> boxes_;
   std::vector<int> first_slot_;
+  std::vector<LocalIndex> first_cell_;
   std::unique_ptr<BufferZone const> buffer_zone_;  ///< none until asked for
 };
 

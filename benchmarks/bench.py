@@ -1,7 +1,8 @@
 """Measure how fast the code is, next to its peers and to its goals: `make bench`, or `make bench ARGS=--quick`.
 
 Each part runs in processes of its own, on the ranks that it needs. Ends with the table of goals; writes a JSON of all that was
-measured, and charts. The exit status is 1 if a part failed; a goal that is missed is told, not an error.
+measured, charts, and, after a whole run, docs/performance.md. The exit status is 1 if a part failed; a goal that is missed is
+told, not an error.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import charts
+import performance
 from goals import goals, printed, table
+from growth import laws, rows
 from measuring import BACKEND, BACKENDS, ROOT, Record, launch, write
 
 HERE = Path(__file__).parent
@@ -38,15 +42,19 @@ class Part:
 def parts(backend: str, quick: bool, runs: int) -> list[Part]:
     """Return what is run, in order."""
     options = ("--backend", backend, "--runs", str(runs))
+    repeats = ("--repeats", str(runs))
     small = ("--quick",) if quick else ()
     peers = ("--cells", "64") if quick else ("--cells", "64", "128")
-    count = ("--particles", "1e6", "--shape", "cloud-in-cell") if quick else ()
+    counts = ("1e6",) if quick else ("1e5", "1e6", "1e7")
+    shapes = () if quick else ("nearest-grid-point", "triangular-shaped-cloud")
     memory, rank_counts, walls = (("bunch 64",), (1, 2), ()) if quick else (MEMORY_CASES, (1, 2, 3, 4), (1,))
     return [
         *(Part("solver", "solving.py", ranks, (*options, *small)) for ranks in rank_counts),
         *(Part("memory", "solving.py", 1, (*options, "--memory", case)) for case in memory),
+        Part("memory", "particles.py", 1, ("--memory", "--particles", "1e6")),
         Part("peers", "peers.py", 0, (*options, *peers)),
-        Part("particles", "particles.py", 1, ("--repeats", str(runs), *count)),
+        Part("particles", "particles.py", 1, (*repeats, "--particles", *counts, "--shape", "cloud-in-cell")),
+        *(Part("particles", "particles.py", 1, (*repeats, "--particles", "1e6", "--shape", shape)) for shape in shapes),
         *(
             Part("step", "pic_step.py", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
             for ranks in (1, 2)
@@ -107,7 +115,12 @@ def main() -> int:
     chosen = [part for part in parts(given.backend, given.quick, given.runs) if part.name in given.only]
     records, failed = measure(chosen)
     write(given.output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
+    charts.draw(records, given.output)
     print(printed(table(goals(records))))
+    if (found := laws(records)) != []:
+        print("\n" + printed(rows(found)))
+    if not (given.quick or failed or len(given.only) < len(NAMES)):
+        print(performance.write(given.output / "bench.json", ROOT / "docs"))
     for sentence in failed:
         print(sentence, file=sys.stderr)
     return 1 if failed else 0

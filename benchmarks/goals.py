@@ -91,7 +91,7 @@ def goals(records: Sequence[Record]) -> list[Goal]:
 def solver(found: Found) -> Iterator[Goal]:
     bunch = name("bunch 64", 24, 1)
     yield Goal("bunch 64, boxes 24, to 1e-10", found.units(bunch), 100, 57, " WU")
-    yield Goal("its cycles", found.fact(bunch, "cycles"), 8)
+    yield Goal("bunch 64, boxes 24: cycles", found.fact(bunch, "cycles"), 8)
     for case in ("static 64", "static 128"):
         best = least(found.units(name(case, boxes, 1)) for boxes in (32, 64))
         yield Goal(f"{case}, boxes 32 or 64, to 1e-10", best, 80, 50, " WU")
@@ -99,7 +99,7 @@ def solver(found: Found) -> Iterator[Goal]:
         names = [name(case, boxes, 1, "discretization") for boxes in (32, 64)]
         yield Goal(f"{case}, to the discretization error", least(map(found.units, names)), 45, 25, " WU")
         error = -least(-found.fact(n, "error over the converged one") for n in names)
-        yield Goal("its true error over the converged one", error, 1.05)
+        yield Goal(f"{case}: true error then, over the converged one", error, 1.05)
     against = found.ratio(peer_name(128, "amrpic"), peer_name(128, "scipy DST"))
     yield Goal("uniform 128 to 1e-10 against scipy's DST", against, 1.5, 0.9, "×")
 
@@ -128,6 +128,8 @@ def shapes(found: Found) -> Iterator[Goal]:
 
 def memory(found: Found) -> Iterator[Goal]:
     for record in found.starting("memory, "):
+        if not record.cells:
+            continue
         peak = float(record.facts["bytes per cell, peak"])
         yield Goal(f"{record.name.split(', ')[1]}: memory of the solver beyond φ and ρ", peak, 40, 15, " B/cell")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import inspect
 import json
 import os
@@ -106,6 +107,19 @@ def slowest(comm: MPI.Comm, stages: dict[str, float]) -> dict[str, float]:
     values = np.array(list(stages.values()))
     comm.Allreduce(MPI.IN_PLACE, values, op=MPI.MAX)
     return dict(zip(stages, (float(value) for value in values), strict=True))
+
+
+def resident(which: str) -> int:
+    """Return a line of /proc/self/status in bytes, after memory that was freed has been given back."""
+    if which == "VmRSS":
+        ctypes.CDLL(None).malloc_trim(0)
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(lines[which].split()[0]) * 1024
+
+
+def reset_peak() -> None:
+    """Let the highest resident set start from the present one."""
+    Path("/proc/self/clear_refs").write_text("5")
 
 
 def launch(script: Path, ranks: int, arguments: Sequence[str]) -> list[Record]:

@@ -10,7 +10,7 @@ from statistics import median
 from typing import TypeVar
 
 import numpy as np
-from measuring import Record, write
+from measuring import Record, reset_peak, resident, write
 from mpi4py import MPI
 
 import amrpic
@@ -27,6 +27,7 @@ Result = TypeVar("Result")
 ELECTRON = SpeciesTable((Species.model_validate("electron"),))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
+STAGES = ("deposit", "gather", "gather+push", "migrate")
 
 
 def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
@@ -69,6 +70,25 @@ def timings(
     return {name: _seconds(stage, repeats) for name, stage in stages.items()}
 
 
+def memory(particles: int, cells: int, box: int) -> Record:
+    """Return what particles take, and what migrating them takes at its peak, in bytes each. For a process of its own."""
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells, cells, cells), "periodic")
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, max_grid_size=box)
+    rng = np.random.default_rng(1)
+    _sorted_particles(rng, 1000, hierarchy)  # libraries are loaded, the hierarchy's tables made
+    before = resident("VmRSS")
+    homes = _sorted_particles(rng, particles, hierarchy)
+    held = resident("VmRSS") - before
+    reset_peak()
+    start = time.perf_counter()
+    moved = migrate(homes, hierarchy)
+    seconds = time.perf_counter() - start
+    peak = resident("VmHWM") - before
+    del moved
+    facts = {"bytes per particle, held": held / particles, "bytes per particle, peak": peak / particles}
+    return Record(f"memory, {particles:.0e} particles", [seconds], particles=particles, facts=facts)
+
+
 def _sorted_particles(rng: np.random.Generator, count: int, hierarchy: Hierarchy) -> Particles:
     momentum = 1e-24 * rng.normal(size=(3, count)).T
     made = Particles(rng.random((3, count)).T, momentum, np.ones(count), np.arange(count), ELECTRON)
@@ -101,7 +121,13 @@ def main() -> None:
     parser.add_argument("--shape", nargs="+", choices=list(SHAPES), default=list(SHAPES))
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--output", type=Path, help="write the records as JSON here")
+    parser.add_argument(
+        "--memory", action="store_true", help="measure the memory of the first number of particles alone"
+    )
     options = parser.parse_args()
+    if options.memory:
+        write(options.output, [memory(int(options.particles[0]), options.cells, options.box)])
+        return
     records = []
     for count in map(int, options.particles):
         for shape in options.shape:

@@ -15,6 +15,7 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
+from statistics import median
 
 from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
@@ -71,7 +72,7 @@ def ours(comm: MPI.Comm, cells: int, particles: int, walls: str, backend: str, r
     size = sum(mesh.cells(level) for level in range(mesh.levels))
     unit = work_unit(comm, size)
     facts = {
-        "stages": {stage: sorted(spent)[len(spent) // 2] for stage, spent in stages.items()},
+        "stages": {stage: median(spent) for stage, spent in stages.items()},
         "cycles": state.report.cycles,
     }
     name = step_name("amrpic", cells, particles, walls, comm.size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import ctypes
 import itertools
 import sys
 import time
@@ -14,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from cases import FAMILIES, STRETCHED, Problem, problem
-from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
+from measuring import BACKEND, BACKENDS, Record, reset_peak, resident, slowest, timed, work_unit, write
 from mpi4py import MPI
 
 import amrpic
@@ -160,19 +159,6 @@ def memory(comm: MPI.Comm, case: str, boxes: int, backend: str) -> Record:
     return Record(f"memory, {case}, boxes {boxes}", [seconds], cells=given.cells, facts=facts)
 
 
-def resident(which: str) -> int:
-    """Return a line of /proc/self/status in bytes, after memory that was freed has been given back."""
-    if which == "VmRSS":
-        ctypes.CDLL(None).malloc_trim(0)
-    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(lines[which].split()[0]) * 1024
-
-
-def reset_peak() -> None:
-    """Let the highest resident set start from the present one."""
-    Path("/proc/self/clear_refs").write_text("5")
-
-
 # ---- growth ----
 
 
@@ -186,10 +172,10 @@ def growth(comm: MPI.Comm, backend: str, runs: int, n: int = 64) -> Iterator[Rec
         nested = [[(((2**k - 1) * n // 2,) * 3, ((2**k + 1) * n // 2 - 1,) * 3)] for k in range(1, levels)]
         hierarchy = amrpic.Hierarchy(comm, domain, nested, max_grid_size=32)
         charge = Problem(hierarchy, problem(comm, "uniform 8", 8).density)
-        yield from grown(charge, f"{levels} levels", backend, runs)
-    for size in (n // 8, n // 4, n // 2, n):
+        yield from grown(charge, f"levels {levels}", backend, runs)
+    for size in sorted({max(8, n // parts) for parts in (1, 2, 4, 8)}):
         yield from grown(problem(comm, f"uniform {n}", size), f"boxes of {size}", backend, runs)
-    for size in (n // 2, 3 * n // 4, n, 3 * n // 2, 2 * n):
+    for size in (n // 2, n, 3 * n // 2, 2 * n):
         yield from grown(problem(comm, f"static {size}", 32), f"base {size}", backend, runs)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -11,9 +13,14 @@ from mpi4py import MPI
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import cases
+import charts
+import compare
 import goals
+import growth
 import measuring
+import particles
 import peers
+import performance
 import pic_step
 import solving
 from measuring import Record
@@ -91,9 +98,9 @@ def test_memory_of_the_solver_is_measured_in_a_process_of_its_own():
 
 
 def test_a_step_is_told_by_stages():
-    record = pic_step.ours(WORLD, 16, 1000, "dirichlet", measuring.BACKEND, 2)
+    record = pic_step.ours(WORLD, 16, 1000, "dirichlet", measuring.BACKEND, 1)
     assert {"deposit", "solve", "gather", "push", "migrate"} <= set(record.facts["stages"])
-    assert sum(record.facts["stages"].values()) <= 1.5 * max(record.seconds)
+    assert sum(record.facts["stages"].values()) <= record.median
 
 
 # ---- peers ----
@@ -128,7 +135,7 @@ def test_goals_are_met_or_missed_by_their_records():
     name = solving.name("bunch 64", 24, 1)
     of = [Record(name, [3.0, 1.0, 2.0], unit=0.02, share_of_triad=1.0, facts={"cycles": 9})]
     told = {goal.what: goal for goal in goals.goals(of)}
-    units, cycles = told["bunch 64, boxes 24, to 1e-10"], told["its cycles"]
+    units, cycles = told["bunch 64, boxes 24, to 1e-10"], told["bunch 64, boxes 24: cycles"]
     assert units.measured == 100 and units.verdict == "met"
     assert cycles.measured == 9 and cycles.verdict == "missed"
     assert told["uniform 128 to 1e-10 against scipy's DST"].verdict == "not measured"
@@ -149,3 +156,145 @@ def test_records_survive_their_file(tmp_path):
     records = [Record("a", [1.0, 2.0], 0.5, 0.9, 8, 3, {"cycles": 7, "stages": {"x": 0.1}})]
     measuring.write(tmp_path / "b.json", records, quick=True)
     assert measuring.read(tmp_path / "b.json") == records
+
+
+# ---- two runs told apart ----
+
+
+def runs_of(tmp_path: Path, name: str, **changed: Record) -> Path:
+    """A made-up run: a solve and a stage, with what is changed."""
+    records = {
+        "solve": Record("solve", [1.0, 1.02, 0.98, 1.01, 0.99], 0.01, 0.9, 8, 0, {"cycles": 7}),
+        "stage": Record("stage", [2.0, 2.02, 1.98, 2.0, 2.01]),
+        "noisy": Record("noisy", [1.0, 2.0, 0.5, 1.5, 0.7]),
+        "memory": Record("memory", [1.0], facts={"bytes per cell, peak": 30.0}),
+        **changed,
+    }
+    path = tmp_path / f"{name}.json"
+    measuring.write(path, list(records.values()))
+    return path
+
+
+def compared(before: Path, after: Path, *arguments: str) -> tuple[int, str]:
+    command = [sys.executable, str(BENCHMARKS / "compare.py"), str(before), str(after), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_run_is_as_fast_as_itself(tmp_path):
+    one = runs_of(tmp_path, "one")
+    status, text = compared(one, one)
+    assert status == 0 and "0 slower, 0 faster, 6 as before; 0 in one run only" in text
+
+
+def test_a_stage_that_became_slower_is_found(tmp_path):
+    slow = Record("stage", [2.4, 2.42, 2.38, 2.4, 2.41])
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", stage=slow))
+    assert status == 1 and "slower  2 s     2.4 s  1.20   stage" in text
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", stage=slow), "--threshold", "0.25")
+    assert status == 0
+
+
+def test_a_stage_that_became_faster_is_no_failure(tmp_path):
+    fast = Record("stage", [1.0, 1.02, 0.98, 1.0, 1.01])
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", stage=fast))
+    assert status == 0 and "0 slower, 1 faster" in text
+
+
+def test_a_slower_machine_is_not_slower_code(tmp_path):
+    there = Record("solve", [2.0, 2.04, 1.96, 2.02, 1.98], 0.02, 0.9, 8, 0, {"cycles": 7})
+    status, _ = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", solve=there))
+    assert status == 0
+    there.share_of_triad = 0.7  # its unit is void, so seconds decide
+    status, _ = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", solve=there))
+    assert status == 1
+
+
+def test_noise_is_no_change(tmp_path):
+    other = Record("noisy", [1.3, 0.6, 2.1, 1.4, 0.9])
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", noisy=other))
+    assert status == 0 and "0 slower, 0 faster" in text
+
+
+def test_a_cycle_more_and_memory_more_are_slower(tmp_path):
+    more = Record("solve", [1.0, 1.02, 0.98, 1.01, 0.99], 0.01, 0.9, 8, 0, {"cycles": 8})
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", solve=more))
+    assert status == 1 and "solve: cycles" in text
+    more = Record("memory", [1.0], facts={"bytes per cell, peak": 36.0})
+    status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", memory=more))
+    assert status == 1 and "memory: bytes per cell, peak" in text
+
+
+def test_standard_error_of_a_median_is_that_of_draws():
+    rng = np.random.default_rng(3)
+    draws = rng.normal(10, 1, size=(4000, 101))
+    found = np.mean([compare.error(list(row)) for row in draws[:200]])
+    assert found == pytest.approx(np.median(draws, axis=1).std() / 10, rel=0.1)
+
+
+# ---- growth, charts and the document ----
+
+
+def test_power_law_is_found():
+    sizes = np.array([10, 20, 50, 100])
+    found = growth.law("solve", "cells", list(zip(sizes, 3 * (sizes / 10) ** 1.25, strict=True)))
+    assert found.exponent == pytest.approx(1.25) and found.scale == pytest.approx(3) and found.off < 1e-12
+    bent = growth.law("solve", "cells", list(zip(sizes, 3 + (sizes / 10) ** 2.0, strict=True)))
+    assert bent.off > 0.1
+
+
+def made_up() -> list[Record]:
+    """Records of every kind that charts and the document show."""
+    stages = {"residual": 0.2, "pre_smooth_and_restrict": 0.5}
+    out = [
+        Record(
+            solving.name(case, boxes, ranks, what), [1.0 / ranks], 0.01, 0.9, 10**6, 0, {"cycles": 7, "stages": stages}
+        )
+        for case in ("static 64", "bunch 64", "uniform 64")
+        for boxes in (24, 32)
+        for ranks in (1, 2)
+        for what in ("1e-10", "1e-06", "discretization")
+    ]
+    for at, who in enumerate(("amrpic", "scipy DST", "hypre PFMG-CG", "hypre PFMG-CG, set-up")):
+        out.append(Record(peers.peer_name(64, who), [0.1 * (at + 1)], 0.01, 0.9, 64**3, facts={"iterations": 9}))
+    for stage in particles.STAGES:
+        for count in (10**5, 10**6):
+            out.append(Record(particles.record_name(stage, count, "cloud-in-cell"), [1e-8 * count], particles=count))
+    for levels in (1, 2, 4):
+        name = f"growth, levels {levels}, boxes 32, 1 rank, 1e-10"
+        out.append(Record(name, [0.1 * levels], 0.01, 0.9, 8 * levels, facts={"levels": levels, "boxes": levels}))
+    step = Record(pic_step.step_name("amrpic", 64, 10**6, "dirichlet"), [0.2], facts={"stages": {"deposit": 0.1}})
+    return [*out, step, Record("memory, static 128, boxes 32", [1.0], cells=8, facts={"bytes per cell, peak": 30.0})]
+
+
+def test_every_chart_is_drawn(tmp_path):
+    files = charts.draw(made_up(), tmp_path)
+    assert [path.stem for path in files] == list(charts.CHARTS)
+    assert charts.draw([], tmp_path / "none") == []
+
+
+def test_document_tells_what_was_measured(tmp_path):
+    about = {
+        "machine": {"processor": "P", "cores": 2, "load": 0.5, "time": "now", "commit": "abc"},
+        "backend": "crs",
+        "runs": 5,
+    }
+    measuring.write(tmp_path / "bench.json", made_up(), **about)
+    text = performance.write(tmp_path / "bench.json", tmp_path).read_text()
+    assert "| bunch 64, boxes 24, to 1e-10 | ≤ 100 WU | ≤ 57 WU | 100 WU | met |" in text
+    assert "| static 64 | 24 | 1.00 M | 1 s | 100 | 7 | 14.3 | 100 | 100 | 592 |" in text
+    assert "| static 64 | 32 | 1 s | 0.5 s | 2.00× |" in text
+    assert "| 64³ | hypre PFMG-CG | 0.4 s | 0.3 s | 30 | 9 |" in text
+    assert "| deposit | particles | 100000 | 1000000 | 1.00 | 0% |" in text
+    for picture in (line.split("(")[1].rstrip(")") for line in text.splitlines() if line.startswith("![")):
+        assert (tmp_path / picture).exists()
+    assert json.loads((tmp_path / "bench.json").read_text())["backend"] == "crs"
+
+
+def test_memory_of_particles_is_measured_in_a_process_of_its_own():
+    arguments = ["--memory", "--particles", "2e5", "--cells", "16", "--box", "8"]
+    (record,) = measuring.launch(BENCHMARKS / "particles.py", 1, arguments)
+    held, peak = (record.facts[f"bytes per particle, {what}"] for what in ("held", "peak"))
+    assert (
+        64 * 0.9 < held < 1.5 * 64 and peak > 1.5 * held
+    )  # three positions, three momenta, weight and id; old and new

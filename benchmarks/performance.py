@@ -1,0 +1,316 @@
+"""Write docs/performance.md and its pictures from what `make bench` measured: python benchmarks/performance.py BENCH.json"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import charts
+import goals
+import growth
+from cases import FAMILIES
+from goals import figure, markdown
+from measuring import LEAST_SHARE, ROOT, Record, read
+from particles import STAGES
+from peers import peer_name
+from reference import MLMG, MLMG_CYCLES
+from reference import PARTICLES as REFERENCE
+from solving import BOXES, name
+
+PICTURES = "performance_"  # what their files begin with
+APPLY_BYTES = 24  # per cell, of the work unit: a value read, and a value written to a line that was fetched
+
+
+def document(records: Sequence[Record], about: dict[str, Any]) -> str:
+    """Return the whole text, figures and prose."""
+    machine = about["machine"]
+    return TEXT.format(
+        processor=machine["processor"],
+        cores=machine["cores"],
+        load=machine["load"],
+        time=machine["time"],
+        commit=machine["commit"],
+        runs=about["runs"],
+        backend=about["backend"],
+        goals=markdown(goals.table(goals.goals(records))),
+        units=markdown(units(records)),
+        solves=markdown(solves(records)),
+        ranks=markdown(ranks(records)),
+        uniform=markdown(uniform(records)),
+        steps=markdown(steps(records)),
+        particles=markdown(particles(records)),
+        memory=markdown(memory(records)),
+        growth=markdown(growth.rows(growth.laws(records))),
+        apply_bytes=APPLY_BYTES,
+        least_share=LEAST_SHARE,
+    )
+
+
+def units(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return the work units of one rank by number of cells, the median where one was measured several times."""
+    rows: list[tuple[str, ...]] = [("cells", "work unit", "per cell", "bandwidth", "share of a triad's")]
+    mine = {record.cells: record for record in records if record.unit and record.cells and ", 1 rank, " in record.name}
+    for cells in spread(sorted(mine), 7):
+        record = mine[cells]
+        bandwidth = APPLY_BYTES * cells / record.unit
+        each = f"{record.unit / cells * 1e9:.2f} ns"
+        share = f"{record.share_of_triad:.0%}"
+        rows.append(
+            (f"{cells:,}".replace(",", " "), f"{record.unit * 1e3:.3g} ms", each, f"{bandwidth / 1e9:.1f} GB/s", share)
+        )
+    return rows
+
+
+def spread(values: Sequence[int], count: int) -> list[int]:
+    """Return at most so many of sorted values, the first and the last among them."""
+    if len(values) <= count:
+        return list(values)
+    return [values[round(at * (len(values) - 1) / (count - 1))] for at in range(count)]
+
+
+def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return the solves on one rank: time, work units and cycles, what a cycle takes, and AMReX's beside them."""
+    rows: list[tuple[str, ...]] = [
+        (
+            "case",
+            "boxes",
+            "cells",
+            "1e-10",
+            "WU",
+            "cycles",
+            "WU per cycle",
+            "to 1e-6, WU",
+            "to discretization, WU",
+            "AMReX, WU",
+        )
+    ]
+    known = goals.Found(records)
+    for case in (f"{family} {n}" for family in FAMILIES for n in (64, 128)):
+        for boxes in BOXES:
+            record = known.records.get(name(case, boxes, 1))
+            if record is None:
+                continue
+            cycles = record.facts["cycles"]
+            more = (told(known.units(name(case, boxes, 1, what))) for what in ("1e-06", "discretization"))
+            reference = MLMG.get((case, boxes))
+            cells = f"{record.cells / 1e6:.2f} M"
+            full = known.units(record.name)
+            first = (case, str(boxes), cells, f"{record.median:.3g} s", told(full), str(cycles), told(full / cycles))
+            rows.append((*first, *more, told(reference or math.nan)))
+    return rows
+
+
+def ranks(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return the solves to 1e-10 on two ranks against one."""
+    rows: list[tuple[str, ...]] = [("case", "boxes", "1 rank", "2 ranks", "faster")]
+    known = goals.Found(records)
+    for case in (f"{family} {n}" for family in FAMILIES for n in (64, 128)):
+        for boxes in BOXES:
+            one, two = (known.seconds(name(case, boxes, count)) for count in (1, 2))
+            if not math.isnan(one + two):
+                rows.append((case, str(boxes), f"{one:.3g} s", f"{two:.3g} s", f"{one / two:.2f}×"))
+    return rows
+
+
+def uniform(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return all solvers on the uniform meshes, set-up and iterations too."""
+    rows: list[tuple[str, ...]] = [("mesh", "solver", "set-up", "to 1e-10", "WU", "iterations")]
+    known = {record.name: record for record in records}
+    for n in (64, 128):
+        beginning = peer_name(n, "")
+        mine = [r for r in records if r.name.startswith(beginning) and not r.name.endswith("set-up")]
+        for record in sorted(mine, key=lambda record: record.median):
+            setup = known.get(f"{record.name}, set-up")
+            before = f"{setup.median:.3g} s" if setup is not None else ""
+            iterations = str(record.facts.get("iterations", ""))
+            who = record.name.removeprefix(beginning)
+            rows.append((f"{n}³", who, before, f"{record.median:.3g} s", told(record.units), iterations))
+        reference, ours = MLMG.get((f"uniform {n}", 64)), known.get(peer_name(n, "amrpic"))
+        if reference is not None and ours is not None:
+            scaled = f"{reference * ours.unit:.3g} s"
+            rows.append((f"{n}³", "AMReX MLMG, another run, scaled", "", scaled, told(reference), "10"))
+    return rows
+
+
+def particles(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return the particle stages in ns per particle, by number and shape."""
+    rows: list[tuple[str, ...]] = [("particles", "shape", *STAGES)]
+    mine = {record.name: record for record in records if record.name.startswith("particles, ")}
+    for count, shape in sorted({tuple(one.split(", ")[2:]) for one in mine}):
+        found = (mine[f"particles, {stage}, {count}, {shape}"] for stage in STAGES)
+        rows.append((count, shape, *(f"{1e9 * record.median / record.particles:.1f} ns" for record in found)))
+    rows.append(("1e+07", "AMReX, cloud-in-cell", *(told(REFERENCE.get(stage, math.nan), " ns") for stage in STAGES)))
+    return rows
+
+
+def memory(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return the memory of the solver per cell, and of particles."""
+    rows: list[tuple[str, ...]] = [("what", "bytes")]
+    for record in records:
+        if record.name.startswith("memory, "):
+            for what, value in record.facts.items():
+                rows.append((f"{record.name.removeprefix('memory, ')}: {what.removeprefix('bytes ')}", figure(value)))
+    return rows
+
+
+def steps(records: Sequence[Record]) -> list[tuple[str, ...]]:
+    """Return whole steps, with the stages of ours."""
+    rows: list[tuple[str, ...]] = [("step of", "time", "stages")]
+    for record in records:
+        if record.name.startswith("step, "):
+            stages = (f"{stage} {1e3 * spent:.3g} ms" for stage, spent in record.facts.get("stages", {}).items())
+            rows.append((record.name.removeprefix("step, "), f"{record.median:.3g} s", ", ".join(stages)))
+    return rows
+
+
+def told(value: float, unit: str = "") -> str:
+    return "–" if math.isnan(value) else figure(value) + unit
+
+
+TEXT = """# Performance
+
+Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
+{processor}, backend `{backend}`, at a load of {load:.1f} before it began. Figures are medians of {runs} runs. Seconds
+belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py BEFORE.json AFTER.json`
+tells two runs apart, by work units where it can, and ends with status 1 if something became slower.
+
+## Goals
+
+{goals}
+
+![Each figure over its goal](pictures/performance_goals.png)
+
+## The roof: what memory gives
+
+A **work unit** (WU) is the time of one plain 7-point apply, in double precision and vectorised, on one array with as many
+cells as the hierarchy has. It is what an explicit code pays to look at every cell once, so a solver's time in WU says how
+many looks it takes. It is measured beside every figure, best of five.
+
+Such an apply is bound by memory. A cell of it moves {apply_bytes} bytes: its neighbours come from the cache, so 8 bytes are
+read, and 16 move for the value that is written, since an ordinary store fetches the line before it changes it. A triad, a =
+b + s c, moves 32 bytes per value, counted alike. A unit is void, and no figure is told in it, unless its apply reaches
+{least_share} of the bytes per second of a triad in the same run. For that comparison to mean something,
+
+- the triad's three arrays take together what the apply's two take: with arrays as long as the apply's it is half again as
+  large, and falls out of a cache that the apply stays in;
+- rows start on cache lines and hold whole vectors, else most loads cross a line;
+- the apply goes through tiles of 32 rows, so that three planes of a tile stay in the second-level cache; without tiles,
+  planes of 192² cells and more are read from further away up to three times, which gave 0.3 to 0.6 of a triad;
+- arrays are written once before anything is timed, so that pages exist, and each trial's first pass is not counted.
+
+{units}
+
+While both arrays fit the last cache a work unit per cell is about half as long as beyond it: figures in WU of small and of
+large cases are not to be compared with each other.
+
+**What a cycle must move.** Per cell of the refinement levels, if every pass reads and writes memory once: the composite
+residual reads φ and ρ and writes r in single precision (8 + 8 + 8 bytes), the sweeps before the coarse correction read r
+and write the correction e (4 + 8), those after it read both and write e (4 + 4 + 4), and φ takes e in (8 + 8 + 4). That is
+68 bytes, to which multigrid levels below the base add a seventh of the single-precision part where the base is most of the
+mesh: about 70 bytes, or 3 WU per cycle. What is above that is arithmetic, cache traffic of the fused planes, ends of rows,
+and coarse-fine faces.
+
+## The design
+
+One formula, two executions. The weights of the stencils are written once (`native/stencil`); they are executed as Tpetra's
+sparse matrices (`backend="crs"`), which run wherever Trilinos does and feed its algebra, and without matrices
+(`backend="matrix-free"`). A sparse row takes 12 bytes for each of its entries, so one CRS apply costs as much as five to
+fifteen plain ones, and no smoothing on matrices comes near the roof. What makes the matrix-free path fast, in the order of
+what it brings:
+
+1. **Few cycles.** Over-relaxed red-black Gauss-Seidel (ω = 1.25) in the exact global colour order, two sweeps before and
+   two after, trilinear prolongation: the residual falls to a fortieth per cycle, the same for every cutting into boxes and
+   ranks. Colours frozen at box or rank borders, or reversed after the coarse correction, cost twice the cycles.
+2. **Single precision where it suffices.** φ, ρ and the composite residual are double; corrections and residuals are single,
+   scaled level by level, inside a defect correction. Cycle counts are those of double precision, the traffic is half.
+3. **Fused passes.** All half-sweeps of a level run in one pass, as a wavefront over planes: while a plane takes its first
+   half-sweep, those behind it take their later ones, out of the second-level cache. Restriction is done at the tail of the
+   pass before the coarse correction, prolongation at the head of the pass after it: two passes per level and cycle.
+4. **No ghost copies inside a rank.** Rows of neighbouring boxes are read by pointer; only rank borders are exchanged.
+5. **Interfaces as exceptions.** Coarse-fine faces are lists of rectangles beside the regular loops, in double precision;
+   the loops themselves know nothing of them.
+6. **Nothing twice.** Set-up makes lists, no matrices; the coarsest level is solved exactly from its eigenvectors along each
+   axis.
+
+## Solves
+
+From a zero guess on one rank. AMReX's column is its multigrid (MLMG 24.10, {cycles} cycles) measured on another day on two
+cores with AVX-512, in the WU of that run.
+
+{solves}
+
+![Work units to 1e-10](pictures/performance_solver.png)
+
+Two ranks against one:
+
+{ranks}
+
+## Uniform mesh, next to peers
+
+The same equations, from zero to 1e-10, each solution checked against the sine transform's: scipy's DST (`dstn` type 2 and
+its inverse, one worker: direct, for boxes between grounded walls alone), hypre 2.26 (conjugate gradients around PFMG and
+around BoomerAMG), pyamg (Ruge-Stüben around conjugate gradients), run in the same session. A peer that is not installed is
+left out. Ours ends at 1e-10 in the max norm, the peers in the 2-norm.
+
+{uniform}
+
+![Solvers on the uniform mesh](pictures/performance_uniform.png)
+
+## Particles and whole steps
+
+Particle stages on one core, 128³ cells in boxes of 32³; `migrate` after each particle has moved by 0.3 cell widths. A whole
+step is that of a ball of 1e6 particles on 64³ cells with one refined level, cloud-in-cell, solved to 1e-7: ours from the
+previous potential, with fluxes matched between the levels; ImpactX (`impactx-noacc`, sequential) level by level.
+
+{particles}
+
+![Particle stages](pictures/performance_particles.png)
+
+{steps}
+
+![Where the time goes](pictures/performance_stages.png)
+
+## Memory
+
+Of one rank, from its resident set: the solver beyond φ and ρ, once set up and at its peak until it has solved; particles as
+a run holds them, and at the peak of a migration, with the old ones and the new.
+
+{memory}
+
+## Growth
+
+Power laws through medians: time ∝ size^exponent. Levels are nested cubes of 64³ cells each, so their time grows with the
+cells that they bring; boxes cut one mesh of 64³ cells finer and finer; cells are those of `static` at bases of 32 to 128.
+
+{growth}
+
+![Growth of cost](pictures/performance_growth.png)
+""".replace("{cycles}", str(MLMG_CYCLES))
+
+
+def write(bench: Path, folder: Path) -> Path:
+    """Write the document and its pictures into a folder, from the JSON of a run; return the document."""
+    records = read(bench)
+    about = json.loads(bench.read_text(encoding="utf-8"))
+    charts.draw(records, folder / "pictures", PICTURES)
+    out = folder / "performance.md"
+    out.write_text(document(records, about), encoding="utf-8")
+    return out
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bench", type=Path, help="bench.json of a run")
+    parser.add_argument("--output", type=Path, default=ROOT / "docs", help="folder of the document")
+    given = parser.parse_args()
+    print(write(given.bench, given.output))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

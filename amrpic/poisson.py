@@ -178,8 +178,9 @@ class PoissonSolver:
 
     @property
     def base_setup(self) -> BaseSetup:
-        """What the solver of another hierarchy on the same domain may `reuse`: the set-up of the bottom, if the coarsest level
-        comes out the same, and the tables of free space."""
+        """What the solver of another hierarchy on the same domain may `reuse`: the operators of levels that stay as they are
+        between the same neighbours, the set-up of the bottom, if the coarsest level comes out the same, and the tables of
+        free space. Operators go to the first that takes them."""
         return BaseSetup(self._base, self.native.reusable)
 
     def electric_field(self, phi: Field, covered: str = "mean") -> VectorField:
@@ -223,7 +224,7 @@ class PoissonSolver:
 
 @dataclass(frozen=True)
 class BaseSetup:
-    """What belongs to the base of a hierarchy alone, and lasts as long as it does."""
+    """What a solver hands on to the next one on its domain."""
 
     base: tuple  # communicator, domain, bottom and its preconditioner, stretch
     native: _native.Reusable

@@ -233,7 +233,8 @@ class Solver(Section):
     max_cycles: int = Field(default=50, ge=1, description="Cycles after which a solve is given up as unconverged.")
     reuse: bool = Field(
         default=True,
-        description="Keep the set-up of the bottom, and the tables of open walls, when refined levels alone are made anew.",
+        description="Keep the operators of levels that a regrid leaves alone, the set-up of the bottom, and the tables of open "
+        "walls.",
     )
 
     @model_validator(mode="after")

@@ -118,3 +118,59 @@ def test_boxes_of_the_hierarchy_are_those_given_cut_to_size(name, comm):
         assert set(Oracle(case, [boxes]).cells[0]) == set(Oracle(case, [case.boxes(level)]).cells[0])
         assert hierarchy.cells(level) == size.prod(axis=1).sum()
         assert hierarchy.spacing(level) == pytest.approx(Oracle(case, case.all_boxes()).spacing[level], rel=1e-15)
+
+
+def nested(comm: Any, finest: tuple, boundary: str = "dirichlet") -> amrpic.Hierarchy:
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (32, 32, 32), boundary)
+    levels = [[((8, 8, 8), (55, 55, 55))], [((32, 32, 32), (95, 95, 95))], [finest]]
+    return amrpic.Hierarchy(comm, domain, levels, max_grid_size=16)
+
+
+def entries(solver: amrpic.PoissonSolver) -> list[np.ndarray]:
+    """Return all numbers of this rank's operators of the refinement levels and the base. Collective."""
+    out = []
+    for level in range(solver.hierarchy.levels):
+        operators = solver.operators(level)
+        own = [getattr(operators, name).entries for name in NAMES]
+        own += [block.entries for axis in operators.gradient for block in (axis.own, axis.coarse, axis.fine)]
+        out += [array for triple in own for array in triple]
+    return out
+
+
+HERE, THERE = ((80, 80, 80), (111, 111, 111)), ((96, 96, 96), (127, 127, 127))
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_only_levels_that_changed_are_assembled_anew(comm):
+    """The finest level moves: its operators and the next coarser ones are new, all others are handed on, and equal."""
+    first = amrpic.PoissonSolver(nested(comm, HERE))
+    every = first.native.levels_assembled
+    entries(first)  # the gradient is handed on as well
+    moved = amrpic.PoissonSolver(nested(comm, THERE), reuse=first.base_setup)
+    # With other ghosts on the next coarser level, the one below it must be numbered anew.
+    assert moved.native.levels_assembled == 2 if comm.size == 1 else moved.native.levels_assembled <= 3
+    assert every == 8
+    fresh = amrpic.PoissonSolver(nested(comm, THERE))
+    assert fresh.native.levels_assembled == every
+    for ours, theirs in zip(entries(moved), entries(fresh), strict=True):
+        assert np.array_equal(ours, theirs)
+    rho = amrpic.Field(moved.hierarchy).fill(lambda x, y, z: np.sin(7 * x) * np.cos(5 * y + z))
+    phi, expected = moved.solve(rho)[0], amrpic.PoissonSolver(moved.hierarchy).solve(rho)[0]
+    for level in range(4):
+        assert np.array_equal(phi.array(level), expected.array(level))
+    again = amrpic.PoissonSolver(nested(comm, THERE), reuse=moved.base_setup)
+    assert again.native.levels_assembled == 0
+    assert again.native.messages == 0
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_open_walls_are_seen_by_all_levels_below(comm):
+    """Where a refined level touches an open wall, the rows below depend on the finest cells there."""
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), "open")
+    levels = [[((0, 8, 8), (15, 23, 23))], [((0, 24, 24), (15, 39, 39))]]
+    one, two = (amrpic.Hierarchy(comm, domain, levels[:n], 8) for n in (1, 2))
+    solver = amrpic.PoissonSolver(two, reuse=amrpic.PoissonSolver(one).base_setup)
+    fresh = amrpic.PoissonSolver(two)
+    assert solver.native.levels_assembled == fresh.native.levels_assembled
+    for ours, theirs in zip(entries(solver), entries(fresh), strict=True):
+        assert np.array_equal(ours, theirs)

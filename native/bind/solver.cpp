@@ -129,6 +129,7 @@ void bind_solver(nb::module_& m) {
       .def("operators", &PoissonSolver::operators_with_gradient, "level"_a, nb::rv_policy::reference_internal)
       .def_prop_ro("reusable", &PoissonSolver::reusable, nb::rv_policy::copy)
       .def_prop_ro("bottom_setups", &PoissonSolver::bottom_setups)
+      .def_prop_ro("levels_assembled", &PoissonSolver::levels_assembled)
       .def_prop_ro("assemblies", &PoissonSolver::assemblies)
       .def_prop_ro("messages", &PoissonSolver::messages)
       .def_prop_ro("message_bytes", &PoissonSolver::message_bytes)

@@ -74,6 +74,11 @@ std::vector<int> Level::boxes_near(Box const& region) const {
   return out;
 }
 
+bool Level::same_as(Level const& other) const {
+  return this == &other || (domain_ == other.domain_ && periodic_ == other.periodic_ && spacing_ == other.spacing_ &&
+                            boxes_ == other.boxes_ && first_box_ == other.first_box_);
+}
+
 std::shared_ptr<Level const> Level::stretched(Real3 const& factor) const {
   auto out = std::make_shared<Level>(*this);
   for (int d = 0; d < 3; ++d) out->spacing_[d] *= factor[d];

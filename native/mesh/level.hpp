@@ -65,6 +65,9 @@ class Level {
     }
   }
 
+  /// Whether another level has the same cells on the same ranks, in the same space.
+  bool same_as(Level const& other) const;
+
   bool intersects(Box const& region) const {
     bool any = false;
     for_each_overlap(region, [&](int, Box const&, Index3 const&) { any = true; });

@@ -17,6 +17,11 @@ void laplacian_row(Neighbourhood const& n, Index3 const& cell, Execution executi
     for (int side = 0; side < 2; ++side) outward_gradient(n, cell, axis, side, execution, 1 / n.spacing[axis], terms);
 }
 
+void sort_unique(std::vector<GlobalIndex>& cells) {
+  std::sort(cells.begin(), cells.end());
+  cells.erase(std::unique(cells.begin(), cells.end()), cells.end());
+}
+
 /// The parents that prolongation to a box reads, those behind walls included.
 Box parents_read(Box const& box, Index3 const& ratio, Prolongation kind) {
   Box out = box.coarsen(ratio);
@@ -137,27 +142,26 @@ class LevelAssembly {
     }
   }
 
-  // ---- cells of other ranks that the rows name, with repetitions ----
-  void append_remote_stencil(std::vector<GlobalIndex>& out) const {
+  /// Cells of other ranks that the rows name. After counting.
+  RemoteCells reads() const {
+    RemoteCells out{{}, remote_stencil(), {}};
+    if (finer_) composite_->append_remote(out.own), fine_boundary_->append_remote(out.fine);
+    if (coarser_) coarse_boundary_->append_remote(out.coarse);
+    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
+      Box const& box = level_.box(b);
+      if (coarser_) append_remote(*coarser_, parents_read(box, stack_.ratio[l_], kind_), out.coarse);
+      if (finer_) append_remote(*finer_, box.refine(stack_.ratio[l_ + 1]), out.fine);
+    }
+    for (auto* cells : {&out.coarse, &out.own, &out.fine}) sort_unique(*cells);
+    return out;
+  }
+  /// Those of them that `no_fine` names, with repetitions.
+  std::vector<GlobalIndex> remote_stencil() const {
+    std::vector<GlobalIndex> out;
     no_fine_.append_remote(out);
     for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
       append_remote_neighbours(level_, level_.box(b), out);
-  }
-  void append_remote_own(std::vector<GlobalIndex>& out) const {
-    append_remote_stencil(out);
-    if (finer_) composite_->append_remote(out);
-  }
-  void append_remote_coarse(std::vector<GlobalIndex>& out) const {
-    if (!coarser_) return;
-    coarse_boundary_->append_remote(out);
-    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
-      append_remote(*coarser_, parents_read(level_.box(b), stack_.ratio[l_], kind_), out);
-  }
-  void append_remote_fine(std::vector<GlobalIndex>& out) const {
-    if (!finer_) return;
-    fine_boundary_->append_remote(out);
-    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
-      append_remote(*finer_, level_.box(b).refine(stack_.ratio[l_ + 1]), out);
+    return out;
   }
 
   void move_into(LevelOperators& out) {
@@ -308,6 +312,51 @@ class LevelAssembly {
   std::vector<char> uncovered_;
 };
 
+/// Operators in `former` of those levels that lie there as they are, with the same neighbours in the stack; null for
+/// the others. Ghosts may be numbered otherwise.
+StackOperators lasting(LevelStack const& stack, Prolongation prolongation, Assembled const& former) {
+  std::size_t const count = stack.levels.size(), before = former.stack.levels.size();
+  StackOperators out(count);
+  if (prolongation != former.prolongation || stack.base != former.stack.base || stack.boundary != former.stack.boundary)
+    return out;
+  auto same = [&](std::size_t l) {
+    return (l >= count && l >= before) ||
+           (l < count && l < before && stack.levels[l]->same_as(*former.stack.levels[l]));
+  };
+  bool const only_neighbours_count = !refines_open_wall(stack) && !refines_open_wall(former.stack);
+  for (std::size_t l = 0; l < std::min(count, before); ++l) {
+    bool lasts = (l == 0 || same(l - 1)) && same(l) && same(l + 1);
+    for (std::size_t finer = l + 2; finer < std::max(count, before) && !only_neighbours_count; ++finer)
+      lasts = lasts && same(finer);
+    if (lasts) out[l] = former.operators[l];
+  }
+  return out;
+}
+
+/// The ghosts of each level: what its own operators and its neighbours' read.
+std::vector<std::vector<GlobalIndex>> ghosts_of(std::vector<RemoteCells> const& reads) {
+  std::vector<std::vector<GlobalIndex>> out;
+  for (std::size_t l = 0; l < reads.size(); ++l) {
+    out.push_back(reads[l].own);
+    auto add = [&](std::vector<GlobalIndex> const& more) { out[l].insert(out[l].end(), more.begin(), more.end()); };
+    if (l > 0) add(reads[l - 1].fine);
+    if (l + 1 < reads.size()) add(reads[l + 1].coarse);
+    sort_unique(out[l]);
+  }
+  return out;
+}
+
+/// Let go of operators whose columns have other ghosts now, on any rank. Collective.
+void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::vector<GlobalIndex>> const& ghosts,
+                     StackOperators& operators) {
+  std::vector<int> other(ghosts.size());
+  for (std::size_t l = 0; l < ghosts.size(); ++l)
+    other[l] = l >= former.operators.size() || former.operators[l]->halo.ghost_numbers() != ghosts[l];
+  MPI_Allreduce(MPI_IN_PLACE, other.data(), int(other.size()), MPI_INT, MPI_MAX, comm);
+  for (std::size_t l = 0; l < ghosts.size(); ++l)
+    if (other[l] || (l > 0 && other[l - 1]) || (l + 1 < ghosts.size() && other[l + 1])) operators[l].reset();
+}
+
 }  // namespace
 
 LevelStack stack_of(Hierarchy const& hierarchy) {
@@ -323,30 +372,42 @@ LevelStack stack_of(Hierarchy const& hierarchy) {
   return stack;
 }
 
-std::vector<LevelOperators> assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation) {
+Assembled assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation, Assembled former) {
   std::size_t const count = stack.levels.size();
-  std::vector<std::unique_ptr<LevelAssembly>> assemblies;
+  Assembled result{stack, prolongation, lasting(stack, prolongation, former), 0};
+  StackOperators& out = result.operators;
+  std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
+  auto make_missing = [&] {
+    for (std::size_t l = 0; l < count; ++l) {
+      if (out[l] || assemblies[l]) continue;
+      assemblies[l] = std::make_unique<LevelAssembly>(stack, l, prolongation);
+      assemblies[l]->count();
+    }
+  };
+  make_missing();
+  std::vector<RemoteCells> reads(count);
+  for (std::size_t l = 0; l < count; ++l) reads[l] = out[l] ? out[l]->reads : assemblies[l]->reads();
+  auto const ghosts = ghosts_of(reads);
+  drop_renumbered(comm, former, ghosts, out);
+  former = {};
+  make_missing();
+
   for (std::size_t l = 0; l < count; ++l) {
-    assemblies.push_back(std::make_unique<LevelAssembly>(stack, l, prolongation));
-    assemblies.back()->count();
+    if (out[l]) continue;
+    ++result.made;
+    out[l] = std::make_shared<LevelOperators>();
+    out[l]->halo = Exchange(comm, *stack.levels[l], ghosts[l]);
+    out[l]->stencil_halo =
+        Exchange(comm, *stack.levels[l], ghosts[l], remote_cells(*stack.levels[l], assemblies[l]->remote_stencil()));
+    out[l]->reads = std::move(reads[l]);
   }
-  std::vector<LevelOperators> out(count);
   for (std::size_t l = 0; l < count; ++l) {
-    std::vector<GlobalIndex> readers, stencil;
-    assemblies[l]->append_remote_own(readers);
-    if (l > 0) assemblies[l - 1]->append_remote_fine(readers);
-    if (l + 1 < count) assemblies[l + 1]->append_remote_coarse(readers);
-    assemblies[l]->append_remote_stencil(stencil);
-    auto const ghosts = remote_cells(*stack.levels[l], std::move(readers));
-    out[l].halo = Exchange(comm, *stack.levels[l], ghosts);
-    out[l].stencil_halo = Exchange(comm, *stack.levels[l], ghosts, remote_cells(*stack.levels[l], std::move(stencil)));
-  }
-  for (std::size_t l = 0; l < count; ++l) {
-    assemblies[l]->fill(out[l].halo, l > 0 ? &out[l - 1].halo : nullptr, l + 1 < count ? &out[l + 1].halo : nullptr);
-    assemblies[l]->move_into(out[l]);
+    if (!assemblies[l]) continue;
+    assemblies[l]->fill(out[l]->halo, l > 0 ? &out[l - 1]->halo : nullptr, l + 1 < count ? &out[l + 1]->halo : nullptr);
+    assemblies[l]->move_into(*out[l]);
     assemblies[l].reset();
   }
-  return out;
+  return result;
 }
 
 std::size_t LevelOperators::bytes() const {

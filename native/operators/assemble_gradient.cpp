@@ -1,3 +1,5 @@
+#include <utility>
+
 #include "operators/operators.hpp"
 #include "operators/regular_rows.hpp"
 #include "operators/terms.hpp"
@@ -68,10 +70,11 @@ std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, 
 
 }  // namespace
 
-void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& operators) {
+void assemble_gradient(LevelStack const& stack, StackOperators const& operators) {
   for (std::size_t l = stack.base; l < stack.levels.size(); ++l)
-    operators[l].gradient = gradient_of(stack, l, stack.refines(l) ? &operators[l - 1] : nullptr, operators[l],
-                                        stack.refines(l + 1) ? &operators[l + 1] : nullptr);
+    if (!std::exchange(operators[l]->has_gradient, true))
+      operators[l]->gradient = gradient_of(stack, l, stack.refines(l) ? operators[l - 1].get() : nullptr, *operators[l],
+                                           stack.refines(l + 1) ? operators[l + 1].get() : nullptr);
 }
 
 std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators) {

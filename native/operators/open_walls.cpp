@@ -11,6 +11,17 @@ OpenWalls::OpenWalls(LevelStack const& stack) : stack_(stack) {
       }
 }
 
+bool refines_open_wall(LevelStack const& stack) {
+  for (std::size_t l = stack.base + 1; l < stack.levels.size(); ++l)
+    for (Box const& box : stack.levels[l]->boxes())
+      for (int d = 0; d < 3; ++d) {
+        Box const& domain = stack.levels[l]->domain();
+        if (stack.boundary[d][0] == Boundary::open && box.lower[d] == domain.lower[d]) return true;
+        if (stack.boundary[d][1] == Boundary::open && box.upper[d] == domain.upper[d]) return true;
+      }
+  return false;
+}
+
 Real OpenWalls::first(std::size_t l, Index3 const& cell, int axis, int side) const {
   Real const own = stack_.levels[l]->spacing()[axis];
   Real const finest = refined_[axis][side] ? finest_spacing(l, cell, axis, side)

@@ -4,6 +4,9 @@
 
 namespace amrpic {
 
+/// Whether a refinement level touches an open wall.
+bool refines_open_wall(LevelStack const& stack);
+
 /// Where corrections vanish behind open walls.
 ///
 /// On each refinement level the potential is given at the ghost centres, half a cell outside; so a correction vanishes

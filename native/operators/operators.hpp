@@ -25,6 +25,11 @@ enum class CoveredField {
   difference  ///< of phi, whose covered cells hold the means: what clouds as wide as these cells feel
 };
 
+/// Cells of other ranks that the rows of a level's operators name, ascending, by the level of the columns.
+struct RemoteCells {
+  std::vector<GlobalIndex> coarse, own, fine;
+};
+
 /// The eight operators of a level. The Laplacians approximate +Laplace, in 1/m^2.
 struct LevelOperators {
   std::shared_ptr<Level const> level;
@@ -40,6 +45,8 @@ struct LevelOperators {
   Crs prolongation;                      ///< columns: next coarser level
   std::vector<char> uncovered;           ///< diagonal of the eighth operator: 1 where no finer level covers the cell
   std::array<GradientAxis, 3> gradient;  ///< empty until assemble_gradient
+  bool has_gradient = false;
+  RemoteCells reads;  ///< by the operators but the gradient
 
   Crs const& composite() const { return own_composite ? *own_composite : no_fine; }
   LocalIndex rows() const { return level->local_cells(); }
@@ -61,11 +68,24 @@ struct LevelStack {
 /// The refinement levels alone. Multigrid levels are put below them by `coarsen_below`.
 LevelStack stack_of(Hierarchy const& hierarchy);
 
-/// All operators of a stack but the gradient, counted and filled directly. Collective.
-std::vector<LevelOperators> assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation);
+/// Operators of the levels of a stack, coarse to fine; several solvers may share those of a level.
+using StackOperators = std::vector<std::shared_ptr<LevelOperators>>;
 
-/// Add the three axes of the gradient to the operators of a stack. Local.
-void assemble_gradient(LevelStack const& stack, std::vector<LevelOperators>& operators);
+/// A stack and its operators, from which those of another stack on the same domain can be taken.
+struct Assembled {
+  LevelStack stack;
+  Prolongation prolongation = Prolongation::trilinear;
+  StackOperators operators;
+  int made = 0;  ///< number of levels whose operators were not taken over
+};
+
+/// All operators of a stack but the gradient, counted and filled directly. Those of levels that lie in `former` as they
+/// are, with the same neighbours in the stack, are taken over; the others are let go before new ones take memory.
+/// Collective.
+Assembled assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation, Assembled former = {});
+
+/// Add the three axes of the gradient to those operators of a stack that lack them. Local.
+void assemble_gradient(LevelStack const& stack, StackOperators const& operators);
 
 /// The three axes of E = -grad phi in the covered cells of level l, by differences between cells of that level alone;
 /// other rows are empty. Local.

@@ -44,7 +44,7 @@ void PoissonSolver::set_truncation() {
     std::fill(truncation.begin(), truncation.end(), 0.0);
     std::size_t const place = stack_.base + std::size_t(l);
     if (place == 0) continue;
-    LevelOperators const& coarse = operators_[place - 1];
+    LevelOperators const& coarse = *operators_[place - 1];
     std::size_t const here = std::size_t(fine.rows() + fine.halo.ghosts());
     std::size_t const there = std::size_t(coarse.rows() + coarse.halo.ghosts());
 

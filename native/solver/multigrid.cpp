@@ -35,12 +35,12 @@ void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
   smoother_->smooth(right_hand_side_, correction_);
 }
 
-Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, std::vector<LevelOperators> const& operators,
+Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators,
                      std::shared_ptr<Bottom> bottom, SolverOptions const& options)
     : bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());
   for (std::size_t l = 0; l < operators.size(); ++l) {
-    LevelOperators const& o = operators[l];
+    LevelOperators const& o = *operators[l];
     std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
     if (stack.refines(l))
       smoother = make_refined_smoother(comm, o, correction_ghosts(o, stack.boundary), options);

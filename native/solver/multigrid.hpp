@@ -41,8 +41,8 @@ class MultigridLevel {
 class Multigrid {
  public:
   /// Collective.
-  Multigrid(MPI_Comm comm, LevelStack const& stack, std::vector<LevelOperators> const& operators,
-            std::shared_ptr<Bottom> bottom, SolverOptions const& options);
+  Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators, std::shared_ptr<Bottom> bottom,
+            SolverOptions const& options);
 
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
   std::size_t finest() const { return levels_.size() - 1; }

@@ -39,9 +39,11 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
       options_(options),
       stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size(),
                            options.coarse_levels)),
-      operators_(assemble(hierarchy_->comm(), stack_, options.prolongation)),
-      transfer_(hierarchy_),
       reusable_(reusable),
+      operators_(assembled()),
+      messages_before_(halo_sum(&Exchange::messages)),
+      bytes_before_(halo_sum(&Exchange::bytes)),
+      transfer_(hierarchy_),
       multigrid_(hierarchy_->comm(), stack_, operators_, bottom(), options) {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
@@ -52,12 +54,22 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
     reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), lattice_of(*hierarchy_));
 }
 
+/// The operators, with what was handed on of them.
+StackOperators PoissonSolver::assembled() {
+  Assembled former;
+  if (reusable_.operators) former = std::move(*reusable_.operators);
+  reusable_.operators =
+      std::make_shared<Assembled>(assemble(hierarchy_->comm(), stack_, options_.prolongation, std::move(former)));
+  levels_assembled_ = reusable_.operators->made;
+  return reusable_.operators->operators;
+}
+
 /// The bottom that was handed on if it serves, else a new one.
 std::shared_ptr<Bottom> PoissonSolver::bottom() {
-  if (!reusable_.bottom || !reusable_.bottom->serves(operators_.front())) {
+  if (!reusable_.bottom || !reusable_.bottom->serves(*operators_.front())) {
     reusable_.bottom.reset();  // the old one goes before the new one comes
     reusable_.bottom =
-        std::make_shared<Bottom>(hierarchy_->comm(), operators_.front(), hierarchy_->domain().singular(), options_);
+        std::make_shared<Bottom>(hierarchy_->comm(), *operators_.front(), hierarchy_->domain().singular(), options_);
     ++bottom_setups_;
   }
   return reusable_.bottom;
@@ -389,21 +401,15 @@ void PoissonSolver::difference_covered(std::vector<Field*> const& components) {
     }
 }
 
-std::int64_t PoissonSolver::messages() const {
+std::int64_t PoissonSolver::halo_sum(std::int64_t (Exchange::*of)() const) const {
   std::int64_t sum = 0;
-  for (auto const& o : operators_) sum += o.halo.messages() + o.stencil_halo.messages();
-  return sum;
-}
-
-std::int64_t PoissonSolver::message_bytes() const {
-  std::int64_t sum = 0;
-  for (auto const& o : operators_) sum += o.halo.bytes() + o.stencil_halo.bytes();
+  for (auto const& o : operators_) sum += (o->halo.*of)() + (o->stencil_halo.*of)();
   return sum;
 }
 
 std::size_t PoissonSolver::operator_bytes() const {
   std::size_t sum = 0;
-  for (auto const& o : operators_) sum += o.bytes();
+  for (auto const& o : operators_) sum += o->bytes();
   for (auto const& axes : covered_gradient_)
     for (Crs const& axis : axes) sum += axis.bytes();
   return sum;

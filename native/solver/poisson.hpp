@@ -25,9 +25,10 @@ struct SolveReport {
   std::map<std::string, Real> seconds;
 };
 
-/// What a solver can hand on to that of another hierarchy with the same base: the bottom, if its matrix is the same,
-/// and the tables of free space. Both hold for a run whose refined levels alone are made anew.
+/// What a solver can hand on to that of another hierarchy on the same domain: the operators of levels that stay with
+/// their neighbours, the bottom, if its matrix is the same, and the tables of free space.
 struct Reusable {
+  std::shared_ptr<Assembled> operators;  ///< emptied by the first solver that takes them
   std::shared_ptr<Bottom> bottom;
   std::shared_ptr<freespace::FreeSpace> free_space;
 };
@@ -54,14 +55,15 @@ class PoissonSolver {
   void electric_field(Field const& phi, std::vector<Field*> const& components, CoveredField covered);
 
   Hierarchy const& hierarchy() const { return *given_; }
-  LevelOperators const& operators(int level) const { return operators_[stack_.base + level]; }
+  LevelOperators const& operators(int level) const { return *operators_[stack_.base + level]; }
   LevelOperators const& operators_with_gradient(int level);
 
   Reusable const& reusable() const { return reusable_; }
-  std::int64_t assemblies() const { return assemblies_; }        ///< operator assemblies so far
-  std::int64_t bottom_setups() const { return bottom_setups_; }  ///< 0 if the bottom was handed on, else 1
-  std::int64_t messages() const;                                 ///< halo messages sent by this rank so far
-  std::int64_t message_bytes() const;
+  std::int64_t assemblies() const { return assemblies_; }              ///< operator assemblies so far
+  std::int64_t levels_assembled() const { return levels_assembled_; }  ///< of the stack; the others were handed on
+  std::int64_t bottom_setups() const { return bottom_setups_; }        ///< 0 if the bottom was handed on, else 1
+  std::int64_t messages() const { return halo_sum(&Exchange::messages) - messages_before_; }  ///< sent by this rank
+  std::int64_t message_bytes() const { return halo_sum(&Exchange::bytes) - bytes_before_; }
   std::size_t operator_bytes() const;  ///< of this rank's CRS storage
 
  private:
@@ -78,7 +80,9 @@ class PoissonSolver {
   Real composite_integral(bool magnitude) const;
   Real largest_phi_term() const;
 
+  StackOperators assembled();
   std::shared_ptr<Bottom> bottom();
+  std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
   void set_open_walls(Field const& rho);
   void set_right_hand_side(Field const& rho);
   void remove_net_charge();
@@ -103,9 +107,11 @@ class PoissonSolver {
   std::shared_ptr<Hierarchy const> hierarchy_;  ///< the given one in stretched coordinates
   SolverOptions options_;
   LevelStack stack_;
-  std::vector<LevelOperators> operators_;
-  Transfer transfer_;
   Reusable reusable_;
+  std::int64_t levels_assembled_ = 0;
+  StackOperators operators_;
+  std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
+  Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
   Composite phi_;              ///< own cells and ghosts

@@ -131,6 +131,15 @@ class CompositeLaplacian:
         norm: Norm,
         scale: Sequence[float],
     ) -> tuple: ...
+    def truncation(
+        self,
+        rho: Field,
+        mean: float,
+        walls: Sequence[NDArray[numpy.float64]],
+        phi: Field,
+        base_ratio: Sequence[int],
+        scale: Sequence[float],
+    ) -> tuple: ...
     def right_hand_side_norm(
         self, rho: Field, mean: float, walls: Sequence[NDArray[numpy.float64]], norm: Norm
     ) -> float: ...

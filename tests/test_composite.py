@@ -166,7 +166,11 @@ def norm_of(name: str) -> Any:
     return getattr(_native.Norm, name)
 
 
-NAMES = [*CASES, *(f"{mesh}, {walls}" for mesh in MESHES for walls in WALLS)]
+NAMES = [
+    *CASES,
+    *(f"{mesh}, mixed" for mesh in MESHES),
+    *(f"patch at an edge, {walls}" for walls in WALLS if walls != "mixed"),
+]
 
 
 def hierarchy_named(name: str, comm: Any, largest: int | None = None) -> amrpic.Hierarchy:
@@ -255,9 +259,70 @@ def test_corrections_are_added_and_averaged_down(comm, name):
     for level in range(p.hierarchy.levels):
         assert found.native.level(level) == pytest.approx(expected.native.level(level), rel=0, abs=1e-15)
     other = found.copy()
-    found.native.average_down(), p.laplacian.average_down(other.native)
+    found.native.average_down()
+    p.laplacian.average_down(other.native)
     for level in range(p.hierarchy.levels):
         assert np.array_equal(found.native.level(level), other.native.level(level))
+
+
+@each_case
+def test_truncation_error_is_what_coarser_laplacians_see(comm, name):
+    check_truncation(problem(name, comm), (2, 2, 2))
+
+
+@pytest.mark.parametrize("base_ratio", [(1, 2, 1), (2, 1, 2), (1, 1, 1)], ids=str)
+def test_truncation_error_of_a_base_that_is_coarsened_along_some_axes(comm, base_ratio):
+    check_truncation(problem("narrow periodic axis", comm), base_ratio)
+
+
+def check_truncation(p: Problem, base_ratio: tuple[int, int, int]) -> None:
+    found, clean = p.laplacian.truncation(p.rho.native, p.mean, p.walls, p.phi.native, base_ratio, p.ones)
+    assert clean
+    levels = range(p.hierarchy.levels)
+    phi, rho = (
+        [np.where(np.isinf(x), np.nan, x) for x in p.dense([f.native.level(level) for level in levels])]
+        for f in (p.phi, p.rho)
+    )
+    for level, values in enumerate(p.dense([v.astype(float) for v in found])):
+        expected = truncation_by_definition(p, phi, rho, level, (2, 2, 2) if level else base_ratio)
+        present = np.isfinite(phi[level])
+        size = np.abs(expected).max()
+        assert values[present] == pytest.approx(expected[present], rel=0, abs=1e-6 * size)
+        assert np.all(np.isinf(values[~present]))
+
+
+def truncation_by_definition(
+    p: Problem, phi: list[np.ndarray], rho: list[np.ndarray], level: int, ratio: tuple[int, ...]
+) -> np.ndarray:
+    """On dense arrays that hold nan where a level has no cells."""
+    if ratio == (1, 1, 1):
+        return np.zeros_like(phi[level])
+    f = -rho[level] / epsilon_0 - p.mean
+    covered = np.zeros(f.shape, dtype=bool)
+    if level + 1 < p.hierarchy.levels:
+        covered = np.isfinite(phi[level + 1][::2, ::2, ::2])
+    coarse_f = mean_of_blocks(np.where(covered, np.nan, f), ratio)
+    coarse_phi = phi[level - 1] if level else mean_of_blocks(phi[0], ratio)
+    seen = -coarse_f
+    for d in range(3):
+        second = np.roll(coarse_phi, 1, d) + np.roll(coarse_phi, -1, d) - 2 * coarse_phi
+        if not p.hierarchy.domain.periodic[d]:
+            for end in (0, -1):
+                second[(slice(None),) * d + (end,)] = np.nan
+        seen = seen + second / (ratio[d] * p.spacing(level)[d]) ** 2
+    out = np.nan_to_num(seen, nan=0.0) / 3
+    for d in (d for d in range(3) if ratio[d] == 2):
+        low, high = np.roll(out, 1, d), np.roll(out, -1, d)
+        if not p.hierarchy.domain.periodic[d]:
+            low[(slice(None),) * d + (0,)] = high[(slice(None),) * d + (-1,)] = 0
+        out = np.stack([0.75 * out + 0.25 * low, 0.75 * out + 0.25 * high], axis=d + 1)
+        out = out.reshape([2 * n if a == d else n for a, n in enumerate(low.shape)])
+    return np.where(covered, 0.0, out)
+
+
+def mean_of_blocks(values: np.ndarray, ratio: tuple[int, ...]) -> np.ndarray:
+    shape = [m for n, r in zip(values.shape, ratio, strict=True) for m in (n // r, r)]
+    return np.asarray(values.reshape(shape).mean(axis=(1, 3, 5)))
 
 
 @on_ranks
@@ -290,13 +355,14 @@ def results_of(p: Problem) -> tuple[list[float], dict[str, list[np.ndarray]]]:
         )
         for axis, component in zip("xyz", e, strict=True):
             fields[f"E_{axis}, {kind}"] = [component.native.level(level) for level in levels]
+    fields["truncation"], _ = p.laplacian.truncation(*source, p.phi.native, (2, 2, 2), p.ones)
     improved = p.phi.copy()
     p.laplacian.add(fields["residual"], 0.7, improved.native)
     fields["improved"] = [improved.native.level(level) for level in levels]
     averaged = p.rho.copy()
     p.laplacian.average_down(averaged.native)
     fields["averaged"] = [averaged.native.level(level) for level in levels]
-    return norms, {name: p.dense(values) for name, values in fields.items()}
+    return norms, {name: p.dense([v.astype(float) for v in values]) for name, values in fields.items()}
 
 
 @on_ranks

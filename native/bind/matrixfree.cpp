@@ -98,6 +98,17 @@ nb::tuple residual(CompositeLaplacian& laplacian, Field const& rho, Real mean, V
   return nb::make_tuple(size, out.to_arrays(), out.clean());
 }
 
+nb::tuple truncation(CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls, Field const& phi,
+                     Index3 const& base_ratio, std::vector<Real> const& scale) {
+  Padded<float> out(laplacian.hierarchy());
+  auto const data = walls_of(laplacian.hierarchy(), walls);
+  {
+    nb::gil_scoped_release release;
+    laplacian.truncation({rho, data, mean}, phi, base_ratio, scale, out.blocks());
+  }
+  return nb::make_tuple(out.to_arrays(), out.clean());
+}
+
 }  // namespace
 
 void bind_matrixfree(nb::module_& m) {
@@ -123,6 +134,7 @@ void bind_matrixfree(nb::module_& m) {
           "correction"_a, "scale"_a, "phi"_a)
       .def("residual", &residual<Real>, "rho"_a, "mean"_a, "walls"_a, "phi"_a, "norm"_a, "scale"_a)
       .def("single_residual", &residual<float>, "rho"_a, "mean"_a, "walls"_a, "phi"_a, "norm"_a, "scale"_a)
+      .def("truncation", &truncation, "rho"_a, "mean"_a, "walls"_a, "phi"_a, "base_ratio"_a, "scale"_a)
       .def(
           "right_hand_side_norm",
           [](CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls, Norm norm) {

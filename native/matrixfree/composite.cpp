@@ -72,13 +72,7 @@ void CompositeLaplacian::for_each_box(F&& f) {
 /// from the finer level through its faces. Hidden boxes have neither interfaces nor uncovered cells.
 template <class F>
 void CompositeLaplacian::visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f) {
-  plan_.cells.start([&](Piece const& piece, Real* out) {
-    Box const& own = level(piece.level).box(piece.box);
-    Real const* from = phi.level(piece.level).data() + level(piece.level).local_offset(piece.box);
-    for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
-      for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
-        out = std::copy_n(from + own.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
-  });
+  plan_.cells.start([&](Piece const& piece, Real* out) { pack_cells(phi, piece, out); });
   bool waiting = true;
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     if (hierarchy_->has_finer(l)) plan_.levels[l].finer_fluxes.finish();
@@ -95,6 +89,16 @@ void CompositeLaplacian::visit(Field const& phi, std::vector<Walls> const& walls
     }
     if (l > 0) send_fluxes(l);
   }
+}
+
+/// The cells of a piece, x fastest; returns the place after the last.
+Real* CompositeLaplacian::pack_cells(Field const& field, Piece const& piece, Real* out) const {
+  Box const& own = level(piece.level).box(piece.box);
+  Real const* from = field.level(piece.level).data() + level(piece.level).local_offset(piece.box);
+  for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
+    for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
+      out = std::copy_n(from + own.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
+  return out;
 }
 
 void CompositeLaplacian::send_fluxes(int l) {
@@ -324,25 +328,16 @@ Real CompositeLaplacian::residual(Source const& source, Field const& phi, Norm n
                                   Blocks<T> const& residual) {
   kernels::Magnitude magnitude(norm);
   visit(phi, source.walls, Hidden::skip, [&](int l, int b) {
-    int const nx = box(l, b).extent(0), ny = box(l, b).extent(1);
-    Block<T> const& out = residual[std::size_t(l)][std::size_t(b)];
-    Real const factor = scale[std::size_t(l)];
+    std::ptrdiff_t const cells = std::ptrdiff_t(box(l, b).extent(0)) * box(l, b).extent(1);
     for (int k = 0; k < box(l, b).extent(2); ++k) {
       residual_plane(l, b, k, source, phi);
-      magnitude.add(plane_.data(), std::ptrdiff_t(nx) * ny, volume(l));
-      for (int j = 0; j < ny; ++j) {
-        Real const* from = plane_.data() + std::ptrdiff_t(j) * nx;
-        T* to = out.origin + j * out.pitch_y + k * out.pitch_z;
-        for (int i = 0; i < nx; ++i) to[i] = T(factor * from[i]);
-      }
+      magnitude.add(plane_.data(), cells, volume(l));
+      write_plane(l, b, k, scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)]);
     }
   });
   for_each_box([&](int l, int b) {
-    Block<T> const& out = residual[std::size_t(l)][std::size_t(b)];
-    if (!plan(l, b).hidden) return;
-    for (int k = 0; k < box(l, b).extent(2); ++k)
-      for (int j = 0; j < box(l, b).extent(1); ++j)
-        std::fill_n(out.origin + j * out.pitch_y + k * out.pitch_z, box(l, b).extent(0), T(0));
+    for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); ++k)
+      write_plane(l, b, k, 0, residual[std::size_t(l)][std::size_t(b)]);
   });
   return global_norm(hierarchy_->comm(), norm, magnitude.part());
 }

@@ -1,11 +1,14 @@
 #pragma once
 
+#include <algorithm>
+#include <array>
 #include <memory>
 #include <vector>
 
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
 #include "mesh/norm.hpp"
+#include "mesh/window.hpp"
 #include "operators/operators.hpp"
 #include "operators/walls.hpp"
 
@@ -69,6 +72,15 @@ class CompositeLaplacian {
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.
   Real diagonal_norm(Field const& phi, Norm norm);
 
+  /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones,
+  /// rounded to T: for each cell what the Laplacian of the next coarser level makes of the mean potentials there, less
+  /// the mean of f, over three; trilinear between the coarser cells. The base's next coarser level has `base_ratio`
+  /// times its spacing; {1, 1, 1} if it has none, which leaves zeros there. Nothing is known of cells at walls, and of
+  /// those with covered children. `phi` must be averaged down. Lists are made anew by each call. Collective.
+  template <class T>
+  void truncation(Source const& source, Field const& phi, Index3 const& base_ratio, std::vector<Real> const& scale,
+                  Blocks<T> const& truncation);
+
   /// Fill the components of E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through
   /// the faces. `phi` must be averaged down. Collective.
   void electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
@@ -93,6 +105,22 @@ class CompositeLaplacian {
   void residual_plane(int l, int b, int k, Source const& source, Field const& phi);
   void right_hand_side_plane(int l, int b, int k, Source const& source);
   void diagonal_plane(int l, int b, int k, Field const& phi);
+  template <class T>
+  void prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale, Block<T> const& out);
+  /// Round scale times `plane_` into plane k of a block; zeros if the scale is zero.
+  template <class T>
+  void write_plane(int l, int b, int k, Real scale, Block<T> const& out) const {
+    int const nx = box(l, b).extent(0);
+    for (int j = 0; j < box(l, b).extent(1); ++j) {
+      Real const* __restrict from = plane_.data() + std::ptrdiff_t(j) * nx;
+      T* __restrict to = out.origin + j * out.pitch_y + k * out.pitch_z;
+      if (scale == 0)
+        std::fill_n(to, nx, T(0));
+      else
+        for (int i = 0; i < nx; ++i) to[i] = T(scale * from[i]);
+    }
+  }
+  Real* pack_cells(Field const& field, Piece const& piece, Real* out) const;
   void clear_covered(int l, int b, int k, Real* plane) const;
   template <class F>
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const;

@@ -1,0 +1,189 @@
+#include <algorithm>
+
+#include "base/constants.hpp"
+#include "matrixfree/composite.hpp"
+#include "mesh/window.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// A second-order stencil of twice the width errs four times as much; seen is what it errs more.
+constexpr Real seen_over_error = 3;
+
+/// A part of a window, in the memory of a box of this rank or as another rank sent it.
+struct Part {
+  int owner;  ///< rank that sends it, or Rectangle::here
+  std::int32_t from, pitch_y, pitch_z;
+  Box place;  ///< in the window
+};
+
+/// Lists the parts of a level's cells that make up a window, and asks for those of other ranks.
+std::vector<Part> find_parts(Level const& level, int l, Box const& window, Imports& imports) {
+  std::vector<Part> out;
+  for (auto const& o : overlaps(level, window)) {
+    Box const own = o.part.shift({-o.shift[0], -o.shift[1], -o.shift[2]});
+    Box const& box = level.box(o.box);
+    if (level.owner(o.box) == level.rank())
+      out.push_back({Rectangle::here, level.local_offset(o.box) + std::int32_t(box.offset(own.lower)), box.extent(0),
+                     box.extent(0) * box.extent(1), o.part});
+    else
+      out.push_back({level.owner(o.box), imports.ask(level.owner(o.box), {l, o.box, -1, own}), own.extent(0),
+                     own.extent(0) * own.extent(1), o.part});
+  }
+  return out;
+}
+
+/// The values of a window, zero where the level has no cells.
+Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, Imports const& imports) {
+  Window<Real> out(box, 0.0);
+  for (Part const& p : parts) {
+    Real const* from = (p.owner == Rectangle::here ? own : imports.values(p.owner)) + p.from;
+    for (int k = 0; k < p.place.extent(2); ++k)
+      for (int j = 0; j < p.place.extent(1); ++j)
+        std::copy_n(from + std::ptrdiff_t(j) * p.pitch_y + std::ptrdiff_t(k) * p.pitch_z, p.place.extent(0),
+                    &out({p.place.lower[0], p.place.lower[1] + j, p.place.lower[2] + k}));
+  }
+  return out;
+}
+
+/// The means over groups of `ratio` cells.
+Window<Real> means(Window<Real> const& fine, Index3 const& ratio) {
+  Window<Real> out(fine.box().coarsen(ratio), 0.0);
+  Real const weight = 1.0 / (ratio[0] * ratio[1] * ratio[2]);
+  for_each_cell(fine.box(), [&](Index3 const& c) {
+    out({floor_divide(c[0], ratio[0]), floor_divide(c[1], ratio[1]), floor_divide(c[2], ratio[2])}) += weight * fine(c);
+  });
+  return out;
+}
+
+/// One box for which the truncation error is sought, and what it takes for that.
+struct Task {
+  int box;                ///< local
+  Box parents;            ///< of the box and of the cells around it that prolongation reads
+  std::vector<Part> rho;  ///< of their children
+  std::vector<Part> phi;  ///< of them and their neighbours: the coarser level's, or that of this level where none is
+};
+
+/// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and it is not at a wall.
+Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
+  Window<char> out(parents, 0);
+  Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
+  auto set = [&](Box const& part, char value) { for_each_cell(part, [&](Index3 const& c) { out(c) = value; }); };
+  for (auto const& o : overlaps(level, children)) set(o.part.coarsen(ratio), 1);
+  if (finer)
+    for (auto const& o : overlaps(*finer, children.refine(refinement_ratio)))
+      set(o.part.coarsen(refinement_ratio).coarsen(ratio), 0);
+  for (int d = 0; d < 3; ++d)
+    for (int side = 0; side < 2 && !level.periodic()[d]; ++side) {
+      Box layer = parents;
+      layer.lower[d] = layer.upper[d] = side == 0 ? domain.lower[d] : domain.upper[d];
+      set(layer.intersect(parents), 0);
+    }
+  return out;
+}
+
+/// Trilinear prolongation along a row of n cells: `parent[0]` belongs to the first cell's.
+void prolong_row(int n, int ratio, Real const* parent, Real* out) {
+  for (int i = 0; i < n; ++i)
+    out[i] = ratio == 1 ? parent[i] : 0.75 * parent[i / 2] + 0.25 * parent[i % 2 == 0 ? i / 2 - 1 : i / 2 + 1];
+}
+
+/// Parent along an axis, its neighbour on the side of the cell, and the neighbour's weight.
+struct Pair {
+  int parent, neighbour;
+  Real far;
+};
+Pair parents_along(int cell, int ratio) {
+  if (ratio == 1) return {cell, cell, 0};
+  int const parent = floor_divide(cell, 2);
+  return {parent, cell == 2 * parent ? parent - 1 : parent + 1, 0.25};
+}
+
+}  // namespace
+
+template <class T>
+void CompositeLaplacian::truncation(Source const& source, Field const& phi, Index3 const& base_ratio,
+                                    std::vector<Real> const& scale, Blocks<T> const& truncation) {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Index3 const ratio = l > 0 ? refinement_ratio : base_ratio;
+    if (ratio == Index3{1, 1, 1}) {
+      for (int b = 0; b < boxes(l); ++b)
+        for (int k = 0; k < box(l, b).extent(2); ++k) write_plane(l, b, k, 0, truncation[l][b]);
+      continue;
+    }
+    Imports rho_imports, phi_imports;
+    std::vector<Task> tasks;
+    for (int b = 0; b < boxes(l); ++b) {
+      Box const parents = box(l, b).coarsen(ratio).grow({ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
+      Task task{b, parents, find_parts(level(l), l, parents.refine(ratio), rho_imports), {}};
+      task.phi = l > 0 ? find_parts(level(l - 1), l - 1, parents.grow(1), phi_imports)
+                       : find_parts(level(0), 0, parents.grow(1).refine(ratio), phi_imports);
+      tasks.push_back(std::move(task));
+    }
+    rho_imports.connect(hierarchy_->comm());
+    phi_imports.connect(hierarchy_->comm());
+    rho_imports.start([&](Piece const& piece, Real* out) { pack_cells(source.rho, piece, out); });
+    phi_imports.start([&](Piece const& piece, Real* out) { pack_cells(phi, piece, out); });
+    rho_imports.finish();
+    phi_imports.finish();
+    for (Task const& task : tasks) {
+      auto const charge =
+          means(gather(task.parents.refine(ratio), task.rho, source.rho.level(l).data(), rho_imports), ratio);
+      Box const around = task.parents.grow(1);
+      auto const potential =
+          l > 0 ? gather(around, task.phi, phi.level(l - 1).data(), phi_imports)
+                : means(gather(around.refine(ratio), task.phi, phi.level(0).data(), phi_imports), ratio);
+      auto const usable = told(level(l), hierarchy_->has_finer(l) ? &level(l + 1) : nullptr, ratio, task.parents);
+      Real3 weight;
+      for (int d = 0; d < 3; ++d) {
+        Real const h = ratio[d] * level(l).spacing()[d];
+        weight[d] = 1 / h / h;
+      }
+      Window<Real> seen(task.parents, 0.0);
+      for_each_cell(task.parents, [&](Index3 const& c) {
+        if (!usable(c)) return;
+        Real laplacian = 0;
+        for (int d = 0; d < 3; ++d) {
+          Index3 lower = c, upper = c;
+          --lower[d], ++upper[d];
+          laplacian += weight[d] * (potential(lower) + potential(upper) - 2 * potential(c));
+        }
+        Real const f = -charge(c) / vacuum_permittivity - source.mean;
+        seen(c) = (laplacian - f) / seen_over_error;
+      });
+      prolong_truncation(l, task.box, ratio, seen, scale[std::size_t(l)],
+                         truncation[std::size_t(l)][std::size_t(task.box)]);
+    }
+  }
+}
+template void CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
+                                             Blocks<float> const&);
+template void CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
+                                             Blocks<Real> const&);
+
+/// What is known in the parents, in the uncovered cells of a box.
+template <class T>
+void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale,
+                                            Block<T> const& out) {
+  Box const& own = box(l, b);
+  int const width = seen.box().extent(0), first = seen.box().lower[0];
+  int const before = floor_divide(own.lower[0], ratio[0]) - first;  // parents in front of the first cell's
+  std::vector<Real> row(std::size_t(width), 0.0);
+  for (int k = 0; k < own.extent(2); ++k) {
+    Pair const z = parents_along(own.lower[2] + k, ratio[2]);
+    for (int j = 0; j < own.extent(1); ++j) {
+      Pair const y = parents_along(own.lower[1] + j, ratio[1]);
+      Real const *nn = &seen({first, y.parent, z.parent}), *fn = &seen({first, y.neighbour, z.parent}),
+                 *nf = &seen({first, y.parent, z.neighbour}), *ff = &seen({first, y.neighbour, z.neighbour});
+      for (int i = 0; i < width; ++i)
+        row[std::size_t(i)] =
+            (1 - z.far) * ((1 - y.far) * nn[i] + y.far * fn[i]) + z.far * ((1 - y.far) * nf[i] + y.far * ff[i]);
+      prolong_row(own.extent(0), ratio[0], row.data() + before, plane_.data() + std::ptrdiff_t(j) * own.extent(0));
+    }
+    clear_covered(l, b, k, plane_.data());
+    write_plane(l, b, k, scale, out);
+  }
+}
+
+}  // namespace amrpic

@@ -101,6 +101,25 @@ def parser() -> argparse.ArgumentParser:
     verify.add_argument("topics", nargs="*", metavar="TOPIC", help="such as convergence; default all of them")
     verify.add_argument("--output", metavar="DIR", help="write verification.md and its pictures there")
 
+    scaling = _command(
+        commands, "scaling", _scaling, "measure how steps of a scene speed up with ranks, which it starts"
+    )
+    _scene_arguments(scaling)
+    scaling.add_argument("--ranks", type=_count, nargs="+", default=[1, 2], metavar="N", help="numbers of ranks")
+    scaling.add_argument(
+        "--kind",
+        choices=("strong", "weak"),
+        help="strong: the same scene on all; weak: cells and particles grow with the ranks; default both",
+    )
+    scaling.add_argument("--steps", type=_count, default=5, metavar="N", help="steps of a run; medians are told")
+    scaling.add_argument(
+        "--launcher",
+        default="mpiexec -n {ranks}",
+        metavar="COMMAND",
+        help='what starts the ranks, such as "srun -n {ranks}"',
+    )
+    scaling.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
+
     _command(commands, "doctor", _doctor, "check this machine and tell how to mend what is wrong")
     return top
 
@@ -264,6 +283,20 @@ def _verify(chosen: argparse.Namespace) -> int:
     if comm.rank == 0:
         print("all goals are met" if not missed else f"goals are missed in {'; '.join(missed)}")
     return 0 if not missed else 1
+
+
+def _scaling(chosen: argparse.Namespace) -> int:
+    from .scaling import KINDS, study, table, write
+
+    folder = _scene(chosen).directory
+    kinds = KINDS if chosen.kind is None else (chosen.kind,)
+    found = []
+    for measured in study(chosen.scene, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher):
+        found.append(measured)
+        print(f"{measured.kind}, {measured.ranks} ranks: {measured.seconds:.4g} s/step", flush=True)
+    print(table(found))
+    print(*write(found, folder), sep="\n")
+    return 0
 
 
 def _doctor(chosen: argparse.Namespace) -> int:

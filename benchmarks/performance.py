@@ -282,6 +282,13 @@ a run holds them, and at the peak of a migration, with the old ones and the new.
 
 {memory}
 
+## More ranks
+
+`amrpic scaling SCENE --ranks 1 2 4 8` measures steps of any scene on so many ranks, which it starts itself (on a cluster
+with `--launcher "srun -n {{ranks}}"`): the scene as it is, and with cells and particles in proportion to the ranks. It
+prints a table and writes `scaling.json` and `scaling.png`. Ranks need a core each: on fewer, what is measured is how long
+they wait for each other.
+
 ## Growth
 
 Power laws through medians: time ∝ size^exponent. Levels are nested cubes of 64³ cells each, so their time grows with the

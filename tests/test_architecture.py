@@ -83,6 +83,7 @@ GROUPS = {
         "simulation",
     },  # compose stages and output
     "machine": {"doctor"},
+    "study": {"scaling"},  # of whole steps, each in a run of its own
     "proof": {"verify"},
     "surface": {"cli", "__init__", "__main__"},
 }
@@ -96,6 +97,7 @@ IMPORTS = {
     "output": {"common", "native", "values", "scene parts", "reductions", "output"},
     "order": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order"},
     "machine": {"common", "native", "values", "poisson"},
+    "study": {"common", "values", "order"},
     "proof": {"common", "values", "scene parts", "stages", "reductions", "order", "proof"},
     "surface": {
         "common",
@@ -108,6 +110,7 @@ IMPORTS = {
         "order",
         "machine",
         "proof",
+        "study",
     },
 }
 

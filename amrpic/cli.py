@@ -99,7 +99,22 @@ def parser() -> argparse.ArgumentParser:
         commands, "verify", _verify, "measure accuracy against exact answers; under mpiexec on many ranks"
     )
     verify.add_argument("topics", nargs="*", metavar="TOPIC", help="such as convergence; default all of them")
-    verify.add_argument("--output", metavar="DIR", help="write verification.md and its pictures there")
+    verify.add_argument(
+        "--pareto",
+        metavar="SCENE",
+        action="append",
+        default=[],
+        help="speed against error of a scene, over meshes, tolerances, box sizes and guesses; several if repeated, with TOPIC "
+        "only if named too",
+    )
+    verify.add_argument("--quick", action="store_true", help="try fewer settings of each scene")
+    verify.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="override a value of these scenes"
+    )
+    verify.add_argument("--backend", metavar="NAME", help="of the solver; default that of the package")
+    verify.add_argument(
+        "--output", metavar="DIR", help="write verification.md and its pictures there; what was not measured now stays"
+    )
 
     scaling = _command(
         commands, "scaling", _scaling, "measure how steps of a scene speed up with ranks, which it starts"
@@ -267,12 +282,15 @@ def _schema(chosen: argparse.Namespace) -> int:
 def _verify(chosen: argparse.Namespace) -> int:
     from mpi4py import MPI
 
-    from .errors import OutputError
+    from .errors import InputError, OutputError
     from .parallel import together
+    from .scene import Scene
     from .verify import verify, write
 
     comm, found = MPI.COMM_WORLD, []
-    for topic, table in verify(comm, chosen.topics):
+    with together(comm, InputError):
+        scenes = [Scene.from_toml(path, chosen.set) for path in chosen.pareto]
+    for topic, table in verify(comm, chosen.topics, scenes, quick=chosen.quick, backend=chosen.backend):
         found.append((topic, table))
         if comm.rank == 0:
             print(f"{table.title} ({topic})\n{table.markdown()}\n", flush=True)

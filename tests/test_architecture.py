@@ -98,7 +98,7 @@ IMPORTS = {
     "order": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order"},
     "machine": {"common", "native", "values", "poisson"},
     "study": {"common", "values", "order"},
-    "proof": {"common", "values", "scene parts", "stages", "reductions", "order", "proof"},
+    "proof": {"common", "native", "values", "scene parts", "stages", "reductions", "order", "proof"},
     "surface": {
         "common",
         "native",

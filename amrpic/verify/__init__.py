@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import get_args
 
 from mpi4py import MPI
 
+from .. import menu
 from ..errors import InputError
-from . import conservation, convergence, hard, openboundary, peers, selfforce, stopping
+from ..scene import Scene
+from . import backends, conservation, convergence, hard, openboundary, pareto, peers, selfforce, stopping
+from .chosen import backend as chosen_backend
+from .draw import draw_curves
 from .table import Table
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "convergence": convergence.tables,
@@ -23,68 +26,71 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "stopping": stopping.tables,
     "conservation": conservation.tables,
     "hard-cases": hard.tables,
+    "backends": backends.tables,
 }
 
 
-def verify(comm: MPI.Comm, topics: Sequence[str] = ()) -> Iterator[tuple[str, Table]]:
-    """Topic by topic, or those named, each table as it is measured; the same on all ranks. Collective.
+def verify(
+    comm: MPI.Comm,
+    topics: Sequence[str] = (),
+    scenes: Sequence[Scene] = (),
+    *,
+    quick: bool = False,
+    backend: str | None = None,
+) -> Iterator[tuple[str, Table]]:
+    """Each table as it is measured, with its topic; the same on all ranks. Collective.
 
-    Raises InputError for a topic that does not exist.
+    Of the topics named and of speed against error of the scenes, there with fewer settings if `quick`; of all topics if
+    neither is named. `backend` is that of the solver, if not the default. Raises InputError for a topic or a backend that
+    does not exist, and for a scene whose charge has no formula.
     """
     for topic in topics:
         if topic not in TOPICS:
             raise InputError(f'verify knows no topic "{topic}"; use {", ".join(TOPICS)}')
-    for topic in topics or TOPICS:
-        for table in TOPICS[topic](comm):
-            yield topic, table
+    require_backend(backend)
+    with chosen_backend(backend):
+        for topic in topics or (() if scenes else TOPICS):
+            for table in TOPICS[topic](comm):
+                yield topic, table
+        for scene in scenes:
+            for table in pareto.tables(comm, scene, quick):
+                yield "pareto", table
+
+
+def require_backend(name: str | None) -> None:
+    """Raise InputError unless the solver has this backend, or none is named."""
+    if name is not None and name not in get_args(menu.Backend):
+        raise InputError(f'the solver has no backend "{name}"; use {", ".join(get_args(menu.Backend))}')
+
+
+OPENING = (
+    "# Verification\n\nWritten by `amrpic verify --output docs` (`make verify`). A goal stands in brackets behind each "
+    "measured value that has one; a missed goal is marked and fails the command.\n"
+)
 
 
 def write(found: Sequence[tuple[str, Table]], folder: Path) -> Path:
-    """Write `verification.md` and its pictures into a folder; return its path. OSError if that is not possible."""
-    pictures = folder / "pictures"
+    """Write `verification.md` and its pictures into a folder; return its path. OSError if that is not possible.
+
+    Tables that the file holds already and that were not measured now stay in it.
+    """
+    pictures, path = folder / "pictures", folder / "verification.md"
     pictures.mkdir(parents=True, exist_ok=True)
-    parts = [
-        "# Verification\n\nWritten by `amrpic verify --output docs` (`make verify`). A goal stands in brackets behind each "
-        "measured value that has one; a missed goal is marked and fails the command.\n"
-    ]
+    parts = _parts(path)
     for _, table in found:
-        parts.append(f"## {table.title}\n\n{table.about}\n\n{table.markdown()}\n")
-        if table.curves:
-            name = f"verify_{table.title.lower().replace(' ', '_')}.png"
-            draw(table, pictures / name)
-            parts.append(f"![{table.title}: {table.upwards}](pictures/{name})\n")
-    path = folder / "verification.md"
-    path.write_text("\n".join(parts), encoding="utf-8")
+        part = f"## {table.title}\n\n{table.about}\n\n{table.markdown()}\n"
+        if table.picture or table.curves:
+            name = f"verify_{'_'.join(re.findall(r'[a-z0-9]+', table.title.lower()))}.png"
+            (table.picture or partial(draw_curves, table))(pictures / name)
+            part += f"\n![{table.title}: {table.upwards}](pictures/{name})\n"
+        parts[table.title] = part
+    path.write_text("\n".join([OPENING, *parts.values()]), encoding="utf-8")
     return path
 
 
-def draw(table: Table, path: Path) -> None:
-    """Draw the curves of a table, both axes logarithmic over resolutions, with the slope of second order beside them."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(8, 4.5), layout="constrained")
-    markers = "os^vD<>phX*"
-    for number, (name, (at, values)) in enumerate(table.curves.items()):
-        axes.plot(at, values, marker=markers[number % len(markers)], markersize=4, linewidth=1, label=name)
-    axes.set_yscale("log")
-    if table.across.startswith("base cells"):
-        _mark_resolutions(axes, table)
-    axes.set(xlabel=table.across, ylabel=table.upwards, title=table.title)
-    axes.grid(which="major", alpha=0.3)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-
-
-def _mark_resolutions(axes: Axes, table: Table) -> None:
-    from matplotlib.ticker import NullFormatter
-
-    every = sorted({int(c) for cells, _ in table.curves.values() for c in cells})
-    top = max(error[0] for _, error in table.curves.values())
-    axes.plot(every, [top * 1.5 * (every[0] / c) ** 2 for c in every], "k--", linewidth=1, label="second order")
-    axes.set_xscale("log")
-    axes.set_xticks(every, [str(c) for c in every])
-    axes.xaxis.set_minor_formatter(NullFormatter())
+def _parts(path: Path) -> dict[str, str]:
+    """What a file holds under each title."""
+    if not path.exists():
+        return {}
+    _, *parts = re.split(r"^(?=## )", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {part.splitlines()[0].removeprefix("## "): part.rstrip("\n") + "\n" for part in parts}

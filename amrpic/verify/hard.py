@@ -11,10 +11,10 @@ from mpi4py import MPI
 from ..field import Field
 from ..hierarchy import Domain, Hierarchy
 from ..plan import Plan
-from ..poisson import PoissonSolver, SolveReport
-from ..scene import Scene
+from ..poisson import SolveReport
 from ..simulation import Simulation
 from ..step import advance, begin
+from .chosen import scene_of, solver_of
 from .errors import errors
 from .meshes import MESHES, Mesh, around
 from .sources import EPS0, Gaussian, Product, Source, Together, Wave, fill
@@ -112,7 +112,7 @@ def _contrast(comm: MPI.Comm) -> Outcome:
     """A bunch of a trillionth of the other's charge changes the potential by no more than its share and the tolerance."""
     hierarchy = Mesh(((((1, 1, 1), (7, 7, 7)),),)).hierarchy(comm, 24, "open")
     strong, weak = Gaussian((0.06,) * 3, (0.35, 0.5, 0.5)), Gaussian((0.06,) * 3, (0.65, 0.5, 0.5), 1e-12 * EPS0)
-    solver = PoissonSolver(hierarchy)
+    solver = solver_of(hierarchy)
     alone, _ = solver.solve(fill(Field(hierarchy), strong))
     both, again = solver.solve(fill(Field(hierarchy), Together((strong, weak))))
     change = max(
@@ -147,7 +147,7 @@ def _particles(comm: MPI.Comm, particles: int, sigma: float) -> Simulation:
         "bunches": [bunch],
         "refinement": {"levels": 3, "blocking_factor": 4},
     }
-    return Simulation(comm, Scene.from_dict(scene))
+    return Simulation(comm, scene_of(scene))
 
 
 # ---- scales ----
@@ -183,7 +183,7 @@ POINTS = np.random.default_rng(5).uniform(0.1, 0.9, (100, 3))
 def _rounding(comm: MPI.Comm) -> Outcome:
     hierarchy = MESHES["nested cubes"].hierarchy(comm, 32, "open")
     source = Gaussian((0.06,) * 3, (0.5,) * 3)
-    solver = PoissonSolver(hierarchy, tolerance=0)
+    solver = solver_of(hierarchy, tolerance=0)
     phi, report = solver.solve(fill(Field(hierarchy), source))
     named = "floor" in report.reason or "falls" in report.reason
     return [
@@ -194,20 +194,20 @@ def _rounding(comm: MPI.Comm) -> Outcome:
 
 
 def _no_charge(comm: MPI.Comm) -> Outcome:
-    solver = PoissonSolver(MESHES["nested cubes"].hierarchy(comm, 16, "dirichlet"))
+    solver = solver_of(MESHES["nested cubes"].hierarchy(comm, 16, "dirichlet"))
     phi, _ = solver.solve(Field(solver.hierarchy))
     return [("largest φ, V", Goal(phi.max_abs(), 0.0))]
 
 
 def _only_walls(comm: MPI.Comm) -> Outcome:
-    solver = PoissonSolver(MESHES["nested cubes"].hierarchy(comm, 16, "dirichlet"))
+    solver = solver_of(MESHES["nested cubes"].hierarchy(comm, 16, "dirichlet"))
     linear = lambda x, y, z: 3 * x - 2 * y + z  # noqa: E731
     phi, report = solver.solve(Field(solver.hierarchy), boundary_values=linear)
     return [("cycles", _cycles(report)), ("error of a linear φ", Goal(errors([phi], linear)[1], 1e-9))]
 
 
 def _converged_guess(comm: MPI.Comm) -> Outcome:
-    solver = PoissonSolver(MESHES["nested cubes"].hierarchy(comm, 24, "open"))
+    solver = solver_of(MESHES["nested cubes"].hierarchy(comm, 24, "open"))
     rho = fill(Field(solver.hierarchy), Gaussian((0.06,) * 3, (0.5,) * 3))
     phi, _ = solver.solve(rho)
     _, report = solver.solve(rho, guess=phi)
@@ -227,7 +227,7 @@ def _many_regrids(comm: MPI.Comm) -> Outcome:
         "refinement": {"levels": 1, "blocking_factor": 4, "max_grid_size": 16, "regrid_every": 1},
         "motion": {"kind": "leapfrog", "dt": 1.0},
     }
-    plan = Plan(comm, Scene.from_dict(scene))
+    plan = Plan(comm, scene_of(scene))
     state, meshes = begin(plan), 1
     drift, cycles, early = 0.0, 0, 0.0
     while meshes < 200 and state.step < 1000:
@@ -255,7 +255,7 @@ def _peak() -> float:
 
 def _solved(hierarchy: Hierarchy, source: Source) -> tuple[Field, SolveReport, float]:
     """φ of a source, how the solve went, and the largest relative error."""
-    solver = PoissonSolver(hierarchy)
+    solver = solver_of(hierarchy)
     phi, report = solver.solve(fill(Field(hierarchy), source), boundary_values=source.potential)
     return phi, report, errors([phi], source.potential)[1]
 

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from ..field import Field, VectorField
 from ..hierarchy import Domain, Hierarchy
-from ..poisson import PoissonSolver
+from .chosen import solver_of
 from .errors import errors
 from .lattice import FreeLattice
 from .meshes import MESHES
@@ -41,8 +41,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         [[str(cell), *_one_cell(comm, cell)] for cell in ((0, 24, 24), (0, 5, 16), (0, 0, 0), (47, 46, 3))],
     )
     yield Table(
-        "Refinement that touches an open wall",
-        "Largest error of φ and of E, over that with the exact potential given on the same faces.",
+        "Refinement between open walls",
+        "Meshes that touch the walls, and others: largest error of φ and of E, over that with the exact potential given on the "
+        "same faces.",
         ("source", "mesh", "φ", "E"),
         [
             [name, mesh, *_beside_exact_walls(comm, SOURCES[name], mesh)]
@@ -51,6 +52,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
                 ("bunch near an edge", "patch at an edge"),
                 ("bunch near a corner", "patch at a corner"),
                 ("bunch near a face", "nested cubes"),
+                ("ellipsoidal Gaussian", "nested cubes"),
+                ("neutral pair", "nested cubes"),
+                ("train on the diagonal", "disjoint patches"),
             )
         ],
     )
@@ -97,7 +101,7 @@ def _beside_exact_walls(comm: MPI.Comm, source: Source, mesh: str) -> list[Cell]
     found = []
     for boundary in ("open", "dirichlet"):
         hierarchy = MESHES[mesh].hierarchy(comm, CELLS, boundary)
-        solver = PoissonSolver(hierarchy)
+        solver = solver_of(hierarchy)
         phi, _ = solver.solve(fill(Field(hierarchy), source), boundary_values=source.potential)
         found.append(
             (errors([phi], source.potential)[1], errors(solver.electric_field(phi).components, source.field)[1])
@@ -119,7 +123,7 @@ def _solved(comm: MPI.Comm, source: Source) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def _solve(rho: Field) -> tuple[np.ndarray, np.ndarray]:
-    solver = PoissonSolver(rho.hierarchy, tolerance=1e-11)
+    solver = solver_of(rho.hierarchy, tolerance=1e-11)
     phi, _ = solver.solve(rho)
     efield: VectorField = solver.electric_field(phi)
     return _whole(phi), np.array([_whole(component) for component in efield.components])

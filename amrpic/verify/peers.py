@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ..field import Field
 from ..hierarchy import Domain, Hierarchy
-from ..poisson import PoissonSolver
+from .chosen import solver_of
 from .errors import level_errors
 from .sources import EPS0, Gaussian, Together
 from .table import Cell, Goal, Table
@@ -106,7 +106,7 @@ def _on_interface(comm: MPI.Comm) -> list[list[Cell]]:
 
 def _errors(hierarchy: Hierarchy, source: Gaussian | Together) -> list[tuple[float, float, float, float]]:
     """Per level: L2 and max of φ, L2 and max of E."""
-    solver = PoissonSolver(hierarchy)
+    solver = solver_of(hierarchy)
     rho = Field(hierarchy).fill(source.density)
     phi, report = solver.solve(rho, boundary_values=source.potential)
     efield = solver.electric_field(phi)

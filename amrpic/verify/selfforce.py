@@ -17,10 +17,10 @@ from ..migrate import migrate
 from ..particles import Particles
 from ..plan import Plan
 from ..poisson import PoissonSolver
-from ..scene import Scene
 from ..species import Species, SpeciesTable
 from ..step import advance, begin
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
+from .chosen import scene_of, solver_of
 from .meshes import Mesh
 from .sources import EPS0
 from .table import Cell, Goal, Table
@@ -41,7 +41,7 @@ class Place:
     mesh: Mesh
     at: tuple[float, float, float]  # m
     inside: tuple[int, int, int]
-    bound: float | None  # of the force, in q²/(4πε₀h²) of the fine cells
+    bound: float  # of the force, in q²/(4πε₀h²) of the fine cells
 
 
 CUBE = Mesh(((((2, 2, 2), (6, 6, 6)),),))
@@ -51,8 +51,8 @@ PLACES: Mapping[str, Place] = {
     "face": Place(CUBE, (0.25, 0.5, 0.5), (1, 0, 0), 1.5e-2),
     "edge": Place(CUBE, (0.25, 0.25, 0.5), (1, 1, 0), 2.5e-2),
     "convex corner": Place(CUBE, (0.25, 0.25, 0.25), (1, 1, 1), 4e-2),
-    "concave edge": Place(ELL, (0.5, 0.5, 0.5), (-1, -1, 0), None),
-    "concave corner": Place(BITTEN, (0.5, 0.5, 0.5), (-1, -1, -1), None),
+    "concave edge": Place(ELL, (0.5, 0.5, 0.5), (-1, -1, 0), 2.5e-2),
+    "concave corner": Place(BITTEN, (0.5, 0.5, 0.5), (-1, -1, -1), 4e-2),
 }
 
 
@@ -75,27 +75,29 @@ def _map(comm: MPI.Comm) -> Table:
     for name, place in PLACES.items():
         found = {mode: _along(comm, place, clouds) for mode, clouds in MODES.items()}
         peak = {mode: float(force.max()) for mode, force in found.items()}
-        matched: Cell = peak["matched"] if place.bound is None else Goal(peak["matched"], place.bound)
         deep = float(found["own-level"][DISTANCES >= 4].max())
-        rows.append([name, peak["own-level"], matched, deep])
+        rows.append([name, peak["own-level"], Goal(peak["matched"], place.bound), deep])
         for mode, force in found.items():
             curves[f"{name}, {mode}"] = (DISTANCES.tolist(), force.tolist())
     return Table(
         "Force of a particle on itself",
         "One particle, cloud-in-cell, at distances from -3 to 4.75 fine cells inside a refined region and at five places "
-        "along it: the largest force, in q²/(4πε₀h²) of the fine cells.",
+        "along it: the largest force, in q²/(4πε₀h²) of the fine cells. Beside a concave edge or corner it is the particle "
+        "outside, among coarse cells with finer ones on two or three sides, that feels itself most; it keeps the bounds of the "
+        "convex ones.",
         ("beside", "own-level", "matched", "own-level, from 4 cells inside"),
         rows,
         curves,
         INSIDE,
         "force on itself, q²/(4πε₀h²)",
+        by_line=True,
     )
 
 
 def _along(comm: MPI.Comm, place: Place, clouds: Clouds) -> np.ndarray:
     """The largest force over the offsets, per distance."""
     hierarchy = place.mesh.hierarchy(comm, CELLS, "open")
-    solver = PoissonSolver(hierarchy, tolerance=1e-9)
+    solver = solver_of(hierarchy, tolerance=1e-9)
     inside = np.array(place.inside)
     free = np.flatnonzero(inside == 0)
     largest = []
@@ -178,7 +180,7 @@ def _end_of_flight(comm: MPI.Comm, interface: str, levels: int) -> Flight:
         "particles": {"interface": interface},
         "solver": {"tolerance": 1e-8},
     }
-    plan = Plan(comm, Scene.from_dict(scene))
+    plan = Plan(comm, scene_of(scene))
     state = begin(plan)
     for _ in range(steps):
         state = advance(state, plan)

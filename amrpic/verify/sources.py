@@ -21,11 +21,15 @@ Array = np.ndarray
 Vector = tuple[Array, Array, Array]
 
 
-class Source(Protocol):
-    """A density, and the potential (V) and field (V/m) that it makes."""
+class Density(Protocol):
+    """A charge density by its averages over cells."""
 
     def mean(self, x: Array, y: Array, z: Array) -> Array:
         """Mean density (C/m³) of the cells between edges x (nx + 1,), y and z; (nx, ny, nz)."""
+
+
+class Source(Density, Protocol):
+    """A density, and the potential (V) and field (V/m) that it makes."""
 
     def potential(self, x: Array, y: Array, z: Array) -> Array:
         """φ in V; arguments broadcast."""
@@ -34,7 +38,7 @@ class Source(Protocol):
         """E in V/m; arguments broadcast."""
 
 
-def fill(density: Field, source: Source) -> Field:
+def fill(density: Field, source: Density) -> Field:
     """Set every cell to the mean density of the source there; return the field."""
     for patch in density.patches:
         patch.data[...] = source.mean(*edges(patch.hierarchy, patch.level, patch.lower, patch.upper))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Table:
     curves: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
     across: str = "base cells per axis"  # what the curves are drawn over
     upwards: str = ""  # what they show
+    by_line: bool = False  # curves are told apart by lines as well, by what their names say behind the last comma
+    picture: Callable[[Path], None] | None = None  # writes one in place of that of the curves
 
     def goals(self) -> Iterator[Goal]:
         return (cell for row in self.rows for cell in row if isinstance(cell, Goal))

@@ -1,0 +1,40 @@
+"""Solvers and scenes with the backend that the verification was told to use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+from ..hierarchy import Hierarchy
+from ..poisson import PoissonSolver
+from ..scene import Scene
+
+_backend: ContextVar[str | None] = ContextVar("backend", default=None)  # None: the package's default
+
+
+@contextmanager
+def backend(name: str | None) -> Iterator[None]:
+    """Let all solvers that are made within have this backend; None leaves the default."""
+    before = _backend.set(name)
+    try:
+        yield
+    finally:
+        _backend.reset(before)
+
+
+def solver_of(hierarchy: Hierarchy, **options: Any) -> PoissonSolver:
+    """A Poisson solver. Collective."""
+    return PoissonSolver(hierarchy, **with_backend(options))
+
+
+def scene_of(data: Mapping[str, Any]) -> Scene:
+    """A scene from nested mappings, as `Scene.from_dict`."""
+    return Scene.from_dict({**data, "solver": with_backend(data.get("solver", {}))})
+
+
+def with_backend(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Solver options with the backend, if one was chosen and they name none."""
+    name = _backend.get()
+    return {**options} if name is None else {"backend": name, **options}

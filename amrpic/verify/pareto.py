@@ -1,0 +1,334 @@
+"""Speed against error: what settings of a scene cost, and how far they are from its exact field."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import _native
+from ..field import Field, VectorField
+from ..follow import follow, make_base
+from ..hierarchy import Hierarchy
+from ..migrate import migrate
+from ..particles import concatenate
+from ..plan import Plan
+from ..populate import make_bunches
+from ..quantities import Quantities
+from ..refinement import StaticRule, every_rule
+from ..scene import NoMotion, Scene
+from .chosen import with_backend
+from .described import ExactField, Moved, density_of, exact_field
+from .draw import MARKERS, picture
+from .errors import errors
+from .sources import Array, Density, Vector, fill
+from .table import Cell, Goal, Table, text
+
+SPARED = 1.1  # what the scene may lose to the best: of its error at no more cost, or of its cost at no more error
+LEFT = 0.1  # part of the mesh's error that a solve may leave; what leaves more does not count for the frontier
+LESS = 0.99  # an error that is smaller by less is the same
+LARGEST = 4  # times the cells of the scene as it is: larger meshes are left out
+FINER = 4  # times the base cells per axis of a reference, where no exact field is known
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, "discretization")
+COLUMNS = (
+    *("base cells", "levels", "boxes", "tolerance", "guess", "cells", "cycles", "visits, 1e6", "seconds", "work units"),
+    *("set-up, s", "E error", "left by the solve", "frontier"),
+)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to solve a scene."""
+
+    cells: tuple[int, int, int]  # of the base
+    levels: int  # refined ones
+    box: int  # largest, cells per axis
+    tolerance: float | str
+    warm: bool  # starts from the potential of the charge half a finest cell away
+
+    @property
+    def mesh(self) -> tuple[tuple[int, int, int], int, int]:
+        return self.cells, self.levels, self.box
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a setting costs and yields."""
+
+    setting: Setting
+    cells: int  # of all levels, covered ones too
+    cycles: int  # with that of the estimate, where the tolerance asks for one
+    setup: float  # s
+    seconds: float  # of the solve and its field, the best of two
+    error: float  # of E, L2 over the domain relative to E
+    left: float  # of it by the solve, as a part of what the mesh makes
+
+    @property
+    def visits(self) -> int:
+        """Cells times cycles: work that no other process disturbs."""
+        return self.cells * self.cycles
+
+
+def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]:
+    """The work-precision table of a scene, with its picture. Collective.
+
+    `quick` tries fewer settings. Raises InputError for a scene whose charge has no formula.
+    """
+    density, default = density_of(scene), default_of(scene)
+    exact = exact_field(scene, density)
+    found = list(_measured(comm, scene, density, exact, settings(scene, exact is not None, quick)))
+    (own,) = (m for m in found if m.setting == default)
+    unit = comm.allreduce(_native.measure_work_unit(max(own.cells // comm.size, 1)).apply_seconds, op=MPI.MAX)
+    against = "the exact field" if exact else f"the field on {FINER} times as many base cells per axis"
+    yield Table(
+        f"Speed against error: {scene.name}",
+        f"Error of E (L2 over the domain) against {against} of the density that the bunches of `{scene.name}` are drawn from, "
+        "averaged over cells, on the mesh that their particles call for. Seconds are of a solve and its field, the best of "
+        "two; a work unit is the time of one plain 7-point Laplacian on as many cells as the scene's own mesh has "
+        f"({own.cells}); visits are cells times cycles, which the frontier goes by. A warm guess is the potential of the "
+        "charge half a finest cell away. Left by the solve: its part of the error of E over the mesh's. The goal: what the "
+        f"scene's own settings lose to the best of those that leave at most {text(LEFT)}, the lesser of their error over the "
+        "least for as many visits, and of their visits, but for one cycle, over the least for an error up to a tenth larger.",
+        COLUMNS,
+        [_row(m, unit, own, found) for m in sorted(found, key=lambda m: (m.setting.mesh, m.setting.warm, m.cycles))],
+        upwards="error of E against seconds",
+        picture=partial(draw, found, own, f"Speed against error: {scene.name}"),
+    )
+
+
+def default_of(scene: Scene) -> Setting:
+    """The settings that the scene gives: its solves but the first start from the potential before."""
+    warm = scene.schedule.last_step > 0 and not isinstance(scene.motion, NoMotion)
+    refinement = scene.refinement
+    return Setting(scene.domain.cells, refinement.levels, refinement.max_grid_size, scene.solver.tolerance, warm)
+
+
+def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
+    """What is tried: base cells and levels with each tolerance, then boxes and guesses with the scene's mesh."""
+    default, block = default_of(scene), scene.refinement.blocking_factor
+    tolerances: Sequence[float | str] = (1e-4, 1e-10, "discretization") if quick else TOLERANCES
+    tolerances = tuple(dict.fromkeys([*tolerances, default.tolerance]))
+    factors: Sequence[float] = (0.5, 1) if quick else (0.5, 0.75, 1, 1.25, 1.5)
+    levels = range(max(default.levels - 1, 0), default.levels + (2 if exact else 1))
+    if any(isinstance(rule, StaticRule) for _, rule in every_rule(scene.refinement.rule, "")):
+        factors, levels = (1,), range(default.levels, default.levels + 1)  # its boxes belong to its mesh
+    made = [
+        Setting(_scaled(default.cells, factor, block), level, default.box, tolerance, default.warm)
+        for factor in factors
+        for level in levels
+        for tolerance in tolerances
+    ]
+    boxes = [box for box in ((16,) if quick else (8, 16, 24, 32, 64)) if box % block == 0]
+    made += [Setting(default.cells, default.levels, box, default.tolerance, default.warm) for box in boxes]
+    made += [Setting(default.cells, default.levels, default.box, t, not default.warm) for t in tolerances]
+    return list(dict.fromkeys([*made, default]))
+
+
+def _scaled(cells: tuple[int, int, int], factor: float, block: int) -> tuple[int, int, int]:
+    return tuple(max(round(n * factor / block), 1) * block for n in cells)  # type: ignore[return-value]
+
+
+# ---- the frontier ----
+
+
+def frontier(found: Sequence[Measured]) -> list[Measured]:
+    """Those that no other beats in both visits and error, cheapest first, among the ones that the solve does not spoil."""
+    best: list[Measured] = []
+    for m in sorted((m for m in found if m.left <= LEFT), key=lambda m: (m.visits, m.error)):
+        if not best or m.error < LESS * best[-1].error:
+            best.append(m)
+    return best
+
+
+def loss(own: Measured, found: Sequence[Measured]) -> float:
+    """What a setting loses to the frontier: 1 on it."""
+    best = frontier([*found, own])
+    error = min(m.error for m in best if m.visits <= own.visits)
+    visits = min(m.visits for m in best if m.error <= SPARED * own.error)
+    return max(min(own.error / error, (own.visits - own.cells) / visits), 1.0)
+
+
+def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> list[Cell]:
+    s = m.setting
+    mark: Cell = "yes" if m in frontier(found) else ""
+    return [
+        "×".join(map(str, s.cells)),
+        s.levels,
+        s.box,
+        s.tolerance if isinstance(s.tolerance, str) else f"{s.tolerance:.0e}",
+        "warm" if s.warm else "zero",
+        m.cells,
+        m.cycles,
+        m.visits / 1e6,
+        m.seconds,
+        m.seconds / unit,
+        m.setup,
+        m.error,
+        m.left,
+        Goal(loss(m, found) if m.left <= LEFT else np.nan, SPARED) if m is own else mark,
+    ]
+
+
+def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
+    """Error against seconds: colours tell meshes apart, shapes tolerances; the frontier and the scene's own are marked."""
+    meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in found))
+    tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in found))
+    with picture(path, title, "seconds of a solve and its field", "relative error of E, L2") as axes:
+        for m in found:
+            axes.plot(
+                m.seconds,
+                m.error,
+                MARKERS[tolerances.index(str(m.setting.tolerance))],
+                color=f"C{meshes.index(m.setting.mesh[:2]) % 10}",
+                fillstyle="full" if m.setting.warm else "none",
+                markersize=5,
+            )
+        best = frontier(found)
+        axes.plot(
+            [m.seconds for m in best],
+            [m.error for m in best],
+            "k-",
+            linewidth=0.8,
+            alpha=0.6,
+            label="frontier (by visits)",
+        )
+        axes.plot(own.seconds, own.error, "ko", markersize=13, fillstyle="none", label="the scene as it is")
+        for number, (cells, levels) in enumerate(meshes):
+            axes.plot(
+                [],
+                [],
+                "s",
+                color=f"C{number % 10}",
+                markersize=5,
+                label=f"{'×'.join(map(str, cells))}, {levels} levels",
+            )
+        for number, tolerance in enumerate(tolerances):
+            axes.plot([], [], MARKERS[number], color="grey", markersize=5, label=f"tolerance {tolerance}")
+        axes.plot(
+            [], [], "o", color="grey", fillstyle="none", markersize=5, label="zero guess" if own.setting.warm else "…"
+        )
+        axes.set(xscale="log", yscale="log")
+
+
+# ---- measuring ----
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A mesh, and what is solved on it."""
+
+    scene: Scene
+    hierarchy: Hierarchy
+    density: Density
+
+    @property
+    def cells(self) -> int:
+        """All cells, covered ones too."""
+        return sum(self.hierarchy.cells(level) for level in range(self.hierarchy.levels))
+
+    @cached_property
+    def rho(self) -> Field:
+        """C/m³."""
+        return fill(Field(self.hierarchy), self.density)
+
+    @cached_property
+    def guess(self) -> Field:
+        """The potential of the charge half a finest cell away along all axes."""
+        shift = tuple(float(h) / 2 for h in self.hierarchy.spacing(self.hierarchy.levels - 1))
+        moved = Moved(self.density, shift)  # type: ignore[arg-type]
+        return self.plan(1e-10).solve(fill(Field(self.hierarchy), moved), None)[0]
+
+    @cached_property
+    def converged(self) -> VectorField:
+        """The field that a solve to 1e-10 gives."""
+        plan = self.plan(1e-10)
+        phi, _ = plan.solve(self.rho, self.guess)
+        return plan.poisson(self.hierarchy).electric_field(phi)
+
+    def plan(self, tolerance: float | str) -> Plan:
+        solver = self.scene.solver.model_copy(update=with_backend({"tolerance": tolerance}))
+        return Plan(self.hierarchy.comm, self.scene.model_copy(update={"solver": solver}))
+
+
+def _measured(
+    comm: MPI.Comm, scene: Scene, density: Density, exact: ExactField | None, tried: Sequence[Setting]
+) -> Iterator[Measured]:
+    most = LARGEST * _case(comm, scene, default_of(scene), density).cells
+    exact = exact or _reference(scene, density)
+    for mesh in dict.fromkeys(setting.mesh for setting in tried):
+        here = [setting for setting in tried if setting.mesh == mesh]
+        if np.prod(mesh[0]) > most:
+            continue
+        case = _case(comm, scene, here[0], density)
+        if case.cells <= most:
+            by_mesh = errors(case.converged.components, exact)[0]
+            yield from (_one(case, setting, exact, by_mesh) for setting in here)
+
+
+def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Measured:
+    comm, plan = case.hierarchy.comm, case.plan(setting.tolerance)
+    rho, guess = case.rho, case.guess if setting.warm else None
+    comm.Barrier()
+    start = time.perf_counter()
+    solver = plan.poisson(case.hierarchy)
+    setup, seconds = time.perf_counter() - start, np.inf
+    for _ in range(2):
+        comm.Barrier()
+        start = time.perf_counter()
+        phi, report = plan.solve(rho, guess)
+        efield = solver.electric_field(phi)
+        seconds = min(seconds, comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
+    error = errors(efield.components, exact)[0]
+    cycles = report.cycles + (setting.tolerance == "discretization")
+    return Measured(setting, case.cells, cycles, setup, seconds, error, _apart(efield, case.converged) / by_mesh)
+
+
+def _apart(found: VectorField, wanted: VectorField) -> float:
+    """L2 norm of a difference over that of what is wanted. Collective."""
+    squares = []
+    for less in (True, False):
+        square = Field(wanted.hierarchy)
+        for a, b in zip(found.components, wanted.components, strict=True):
+            for level in range(wanted.hierarchy.levels):
+                square.array(level)[:] += (b.array(level) - a.array(level) if less else b.array(level)) ** 2
+        squares.append(square.integral())
+    return float(np.sqrt(squares[0] / squares[1]))
+
+
+def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> Case:
+    """The mesh that the particles of the scene call for with other settings. Collective."""
+    varied = scene.model_copy(
+        update={
+            "domain": scene.domain.model_copy(update={"cells": setting.cells}),
+            "refinement": scene.refinement.model_copy(update={"levels": setting.levels, "max_grid_size": setting.box}),
+        }
+    )
+    plan = Plan(comm, varied)
+    base = make_base(plan)
+    bunches = make_bunches(comm, varied)
+    plan.settle_interface(bunches)
+    particles, _ = migrate(concatenate(bunches), base)
+    return Case(varied, follow(Quantities(particles, base, plan)).hierarchy, density)
+
+
+def _reference(scene: Scene, density: Density) -> ExactField:
+    """The field on a much finer mesh, which every rank solves by itself."""
+    default = default_of(scene)
+    block = scene.refinement.blocking_factor
+    fine = Setting(_scaled(default.cells, FINER, block), default.levels, default.box, 1e-10, False)
+    case = _case(MPI.COMM_SELF, scene, fine, density)
+    plan = case.plan(1e-8)
+    phi, _ = plan.solve(case.rho, None)
+    efield = plan.poisson(case.hierarchy).electric_field(phi)
+    return lambda *place: _sampled(efield, *place)
+
+
+def _sampled(efield: VectorField, *place: Array) -> Vector:
+    grid = np.broadcast_arrays(*place)
+    values = efield.sample(np.stack([axis.ravel() for axis in grid], axis=1))
+    return tuple(values[:, axis].reshape(grid[0].shape) for axis in range(3))  # type: ignore[return-value]

@@ -272,7 +272,9 @@ def test_frontier_holds_what_nothing_beats():
 
 @pytest.mark.mpi(ranks=(1, 2), timeout=120)
 def test_speed_against_error_of_a_scene(comm, tmp_path):
-    scene = Scene.from_toml(EXAMPLES / "drift.toml", ["bunches.0.particles=5000", "domain.cells=16", "refinement.levels=1"])
+    scene = Scene.from_toml(
+        EXAMPLES / "drift.toml", ["bunches.0.particles=5000", "domain.cells=16", "refinement.levels=1"]
+    )
     (table,) = pareto.tables(comm, scene, quick=True)
     columns = dict(zip(table.columns, zip(*table.rows, strict=True), strict=True))
     levels, error = (np.array([value(cell) for cell in columns[name]]) for name in ("levels", "E error"))

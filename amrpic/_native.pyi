@@ -248,6 +248,32 @@ def gather(
     starts: NDArray[numpy.int64],
     out: NDArray[numpy.float64],
 ) -> None: ...
+def accelerate(
+    mesh: ParticleMesh,
+    shape: Shape,
+    matched: bool,
+    x: Field,
+    y: Field,
+    z: Field,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    starts: NDArray[numpy.int64],
+    charge: NDArray[numpy.float64],
+    before: float,
+    after: float,
+    now: NDArray[numpy.float64],
+    onward: NDArray[numpy.float64],
+) -> None: ...
+def drift(
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    time_over_mass: NDArray[numpy.float64],
+    out: NDArray[numpy.float64],
+) -> None: ...
 def uniforms(seed: int, stream: int, step: int, id: NDArray[numpy.int64], out: NDArray[numpy.float64]) -> None:
     """
     Fill out (4, n) with numbers in (0, 1) that depend on the arguments alone.

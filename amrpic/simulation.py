@@ -19,7 +19,7 @@ from .poisson import SolveReport
 from .record import Recorder
 from .resume import about, load, snapshot
 from .scene import Scene
-from .step import Lost, State, advance, begin, with_force
+from .step import Lost, State, accelerated, advance, begin
 from .stop import Stop
 
 
@@ -54,7 +54,7 @@ class Simulation:
         plan = Plan(comm, scene)
         for remark in remarks:
             plan.remark(remark)
-        run._hold(plan, with_force(state, plan))
+        run._hold(plan, accelerated(state, plan, 0.0))
         plan.clock.take()
         run._recorded = True
         return run

@@ -10,14 +10,13 @@ from mpi4py import MPI
 from .errors import InputError
 from .field import Field, VectorField
 from .follow import follow, make_base, outrun
-from .gather import gather
 from .hierarchy import Hierarchy
 from .migrate import migrate
 from .particles import Particles, concatenate
 from .plan import Plan
 from .poisson import SolveReport
 from .populate import make_bunches
-from .push import drift, kick, random_walk
+from .push import accelerate, drift, random_walk
 from .quantities import Quantities
 from .scene import Leapfrog, RandomWalk
 
@@ -46,7 +45,7 @@ class State:
     rho: Field  # of the particles, C/m³; without a neutralizing background
     phi: Field  # V
     efield: VectorField  # V/m
-    force: np.ndarray | None  # the field at the particles (n, 3), V/m, where motion asks for it
+    onward: np.ndarray | None  # momenta (n, 3) half a kick later, kg m/s, where motion asks for them
     lost: Lost
     step: int
     time: float  # s
@@ -89,7 +88,7 @@ def begin(plan: Plan) -> State:
     none = VectorField(nothing, nothing, nothing)
     state = State(seen.particles, seen.hierarchy, nothing, nothing, none, None, lost, 0, 0.0, unsolved)
     state = with_field(state, seen)
-    return replace(with_force(state, plan), seconds=plan.clock.take())
+    return replace(accelerated(state, plan, 0.0), seconds=plan.clock.take())
 
 
 def set_off(state: State, plan: Plan) -> Particles:
@@ -97,8 +96,8 @@ def set_off(state: State, plan: Plan) -> Particles:
     motion = plan.scene.motion
     match motion:
         case Leapfrog():
-            assert state.force is not None
-            return drift(kick(state.particles, state.force, plan.dt / 2), plan.dt)
+            assert state.onward is not None
+            return drift(state.particles.replace(momentum=state.onward), plan.dt)
         case RandomWalk():
             return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)
     return state.particles
@@ -106,11 +105,7 @@ def set_off(state: State, plan: Plan) -> Particles:
 
 def arrive(state: State, plan: Plan) -> State:
     """Return the state after the last part of the motion, in the new field. Collective."""
-    state = with_force(state, plan)
-    with plan.clock("push"):
-        if state.force is not None:
-            state = replace(state, particles=kick(state.particles, state.force, plan.dt / 2))
-    return replace(state, seconds=plan.clock.take())
+    return replace(accelerated(state, plan, plan.dt / 2), seconds=plan.clock.take())
 
 
 def with_field(state: State, seen: Quantities) -> State:
@@ -127,12 +122,16 @@ def with_field(state: State, seen: Quantities) -> State:
     return replace(state, rho=rho, phi=phi, efield=efield, report=report)
 
 
-def with_force(state: State, plan: Plan) -> State:
-    """Return the state with the field at its particles, if their motion depends on it. Collective."""
+def accelerated(state: State, plan: Plan, before: float) -> State:
+    """Return the state with momenta after `before` s in its field, and those to set off with, if there is motion by it.
+
+    Collective.
+    """
     if not isinstance(plan.scene.motion, Leapfrog):
         return state
     with plan.clock("gather"):
-        return replace(state, force=gather(state.efield, state.particles, plan.clouds))
+        particles, onward = accelerate(state.efield, state.particles, before, plan.dt / 2, plan.clouds)
+    return replace(state, particles=particles, onward=onward)
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:

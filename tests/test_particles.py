@@ -9,12 +9,14 @@ from mpi4py import MPI
 import amrpic
 import hierarchies
 from amrpic import _native
+from amrpic.clouds import Clouds
 from amrpic.errors import ParticleError
+from amrpic.gather import gather
 from amrpic.migrate import migrate, particles_per_box
 from amrpic.particles import Particles, concatenate, recycled
-from amrpic.push import RANDOM_WALK, drift, kick, random_walk
+from amrpic.push import RANDOM_WALK, accelerate, drift, random_walk
 from amrpic.species import Species, SpeciesTable
-from particle_cases import CHARGE, MASS, ONE_KIND, Mesh, everywhere, hierarchy_of, scattered
+from particle_cases import CHARGE, MASS, ONE_KIND, Mesh, everywhere, hierarchy_of, placed, random_field, scattered
 
 CASES = list(hierarchies.all_cases().values())
 
@@ -241,14 +243,25 @@ def test_random_numbers_are_those_of_philox():
         assert move == pytest.approx(2 * (words.astype(float) / 2.0**64) - 1, abs=1e-14)
 
 
-def test_kick_and_drift_are_newtons(comm):
-    particles = scattered(hierarchy_of(CASES[0], comm), 100)
-    efield = np.random.default_rng(0).normal(size=(100, 3))
-    kicked = kick(particles, efield, 1e-9)
-    assert kicked.momentum == pytest.approx(particles.momentum + CHARGE * 1e-9 * efield, rel=1e-14, abs=0)
-    assert kicked.position is particles.position
+@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+def test_kicks_and_drift_are_newtons_in_the_field_that_is_gathered(comm):
+    """On many boxes with a few particles each, and with more particles than a cache holds."""
+    for case, count in ((CASES[0], 300), (CASES[3], 2000), (CASES[3], 250_000 * comm.size)):
+        hierarchy, particles = placed(case, comm, count)
+        fields = [random_field(hierarchy) for _ in range(3)]
+        for factor, field in enumerate(fields):
+            for patch in field.patches:
+                patch.data[...] *= factor + 1
+        efield = amrpic.VectorField(*fields)
+        for clouds in (Clouds(), Clouds("nearest-grid-point"), Clouds("triangular-shaped-cloud", matched=True)):
+            felt = gather(efield, particles, clouds)
+            assert len(felt) == 0 or np.abs(felt[:, 2]).max() > 0
+            now, onward = accelerate(efield, particles, 2e-9, 3e-9, clouds)
+            assert np.array_equal(now.momentum, particles.momentum + 2e-9 * CHARGE * felt)
+            assert np.array_equal(onward, now.momentum + 3e-9 * CHARGE * felt)
+            assert now.position is particles.position and now.sorting is particles.sorting
     moved = drift(particles, 1e-31)
-    assert moved.position == pytest.approx(particles.position + 1e-31 / MASS * particles.momentum, rel=1e-14, abs=0)
+    assert np.array_equal(moved.position, 1e-31 / MASS * particles.momentum + particles.position)
     assert moved.momentum is particles.momentum
     assert moved.sorting is None
 
@@ -258,7 +271,10 @@ def test_no_particles_migrate_and_move(comm):
     hierarchy = periodic_box(comm)
     particles, lost = migrate(Particles.empty(ONE_KIND), hierarchy)
     assert len(particles) == len(lost) == 0
-    moved = random_walk(drift(kick(particles, np.empty((0, 3)), 1.0), 1.0), 1.0, 0, 0)
+    nothing = amrpic.Field(hierarchy)
+    pushed, onward = accelerate(amrpic.VectorField(nothing, nothing, nothing), particles, 1.0, 1.0)
+    assert onward.shape == (0, 3)
+    moved = random_walk(drift(pushed, 1.0), 1.0, 0, 0)
     assert len(migrate(moved, hierarchy)[0]) == 0
     assert moved.global_count(comm) == 0 and moved.total_charge(comm) == 0
     assert sum(int(c.sum()) for c in particles_per_box(moved, hierarchy)) == 0

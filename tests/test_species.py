@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import diagnostics
+from amrpic import Domain, Field, Hierarchy, VectorField, diagnostics
 from amrpic.deposit import deposit
 from amrpic.migrate import migrate
 from amrpic.particles import Particles, concatenate
-from amrpic.push import drift, kick
+from amrpic.push import accelerate, drift
 from amrpic.scene import Scene
 from amrpic.simulation import Simulation
 from amrpic.species import Species, SpeciesTable
@@ -70,14 +70,19 @@ def test_equal_species_share_one_kind_and_take_no_memory():
 def test_charge_over_mass_tells_how_far_a_field_moves_each():
     table = SpeciesTable.of_runs([(0, ELECTRON), (1, PROTON)])
     ids = np.array([1, 0, 0])
+    hierarchy = Hierarchy(MPI.COMM_SELF, Domain((-1, -1, -1), (1, 1, 1), (8, 8, 8)))
     particles = Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(3), ids, table)
-    moved = drift(kick(particles, np.full((3, 3), 5.0), 1e-9), 2e-9)
-    ratio = np.array([1 / PROTON_MASS, -1 / ELECTRON_MASS, -1 / ELECTRON_MASS])
+    five = Field(hierarchy).fill(lambda x, y, z: 5 + 0 * (x + y + z))
+    particles, _ = migrate(particles, hierarchy)  # which sorts them by id
+    pushed, onward = accelerate(VectorField(five, five, five), particles, 0.4e-9, 0.6e-9)
+    assert onward == pytest.approx(2.5 * pushed.momentum, rel=1e-14, abs=0)
+    moved = drift(pushed.replace(momentum=onward), 2e-9)
+    ratio = np.array([-1 / ELECTRON_MASS, -1 / ELECTRON_MASS, 1 / PROTON_MASS])
     assert moved.position == pytest.approx(
         np.outer(ELEMENTARY_CHARGE * ratio * 5e-9 * 2e-9, np.ones(3)), rel=1e-14, abs=0
     )
-    assert moved.select(slice(0, 2)).charge.tolist() == [ELEMENTARY_CHARGE, -ELEMENTARY_CHARGE]
-    assert concatenate([moved, particles]).mass.tolist() == 2 * [PROTON_MASS, ELECTRON_MASS, ELECTRON_MASS]
+    assert moved.select(slice(1, 3)).charge.tolist() == [-ELEMENTARY_CHARGE, ELEMENTARY_CHARGE]
+    assert concatenate([moved, particles]).mass.tolist() == 2 * [ELECTRON_MASS, ELECTRON_MASS, PROTON_MASS]
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))

@@ -20,7 +20,7 @@ struct Cells {
 template <class Shape>
 void add_clouds(TileFrame const frame, ParticleView const particles, std::int64_t first, std::int64_t last,
                 Tile<1>& tile) {
-  constexpr int width = decltype(Shape::at(0))::width;
+  constexpr int width = Shape::width;
   std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
   Real* const origin = tile.values() + tile.box_corner();
   for (std::int64_t n = first; n < last; ++n) {

@@ -8,6 +8,7 @@ namespace {
 
 /// Three components per cell and one of padding, so that a cell fills a vector register.
 constexpr int lanes = 4;
+typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
 /// The three components of a field on one level: own cells, and ghosts beyond them.
 struct VectorCells {
@@ -54,15 +55,31 @@ void interpolate(Index3 const& cell, Surroundings const& at, Level const& coarse
   }
 }
 
+/// Interleave three components of eight consecutive cells.
+inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out) {
+  Lanes const xy[2] = {__builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11),
+                       __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15)};
+  Lanes const z0[2] = {__builtin_shufflevector(z, Lanes{}, 0, 8, 1, 9, 2, 10, 3, 11),
+                       __builtin_shufflevector(z, Lanes{}, 4, 12, 5, 13, 6, 14, 7, 15)};
+  for (int half = 0; half < 2; ++half) {
+    store(out + 16 * half, __builtin_shufflevector(xy[half], z0[half], 0, 1, 8, 9, 2, 3, 10, 11));
+    store(out + 16 * half + 8, __builtin_shufflevector(xy[half], z0[half], 4, 5, 12, 13, 6, 7, 14, 15));
+  }
+}
+
 void fill_interior(Level const& level, int b, VectorCells const& cells, Tile<lanes>& tile) {
   Box const& box = level.box(b);
+  int const length = box.extent(0), whole = length / lane_count * lane_count;
   LocalIndex place = level.local_offset(b);
   for (int k = box.lower[2]; k <= box.upper[2]; ++k)
     for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
       Real* row = tile.row(box.lower[0], j, k);
       Real const *const x = cells.own[0] + place, *const y = cells.own[1] + place, *const z = cells.own[2] + place;
-      for (int i = 0; i < box.extent(0); ++i, row += lanes) row[0] = x[i], row[1] = y[i], row[2] = z[i], row[3] = 0;
-      place += box.extent(0);
+      for (int i = 0; i < whole; i += lane_count)
+        interleave(load<Lanes>(x + i), load<Lanes>(y + i), load<Lanes>(z + i), row + lanes * i);
+      row += lanes * whole;
+      for (int i = whole; i < length; ++i, row += lanes) row[0] = x[i], row[1] = y[i], row[2] = z[i], row[3] = 0;
+      place += length;
     }
 }
 
@@ -89,33 +106,70 @@ void fill_coarse(CoarseCells const& at, VectorCells const& cells, Tile<lanes>& t
   }
 }
 
-/// Average the tile over the clouds of particles [first, last).
-template <class Shape>
-void read_clouds(TileFrame const frame, ParticleView const particles, std::int64_t first, std::int64_t last,
-                 Tile<lanes> const& tile, std::array<Real*, 3> const& out) {
-  constexpr int width = decltype(Shape::at(0))::width;
-  std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
-  Real const* const origin = tile.values() + tile.box_corner();
-  for (std::int64_t n = first; n < last; ++n) {
-    Real3 const s = frame.inside(particles, n);
-    auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-    Real const* const corner = origin + lanes * x.first + y.first * stride_y + z.first * stride_z;
-    std::array<Real, lanes> sum{};
-    for (int k = 0; k < width; ++k)
-      for (int j = 0; j < width; ++j) {
-        Real const share = z.share[k] * y.share[j];
-        Real const* const row = corner + j * stride_y + k * stride_z;
-        for (int i = 0; i < width; ++i)
-          for (int c = 0; c < lanes; ++c) sum[c] += share * x.share[i] * row[lanes * i + c];
-      }
-    for (int c = 0; c < 3; ++c) out[c][n] = sum[c];
+/// The tile averaged over the cloud of one of eight particles. `row_share` are the products of its shares along y and
+/// z; two neighbours along x are read at once.
+template <int width>
+inline Cell average(Real const* corner, std::ptrdiff_t stride_y, std::ptrdiff_t stride_z, int i,
+                    std::array<Lanes, width * width> const& row_share, std::array<Lanes, width> const& x_share) {
+  Lanes pair{};
+  Cell last{};
+  for (int k = 0; k < width; ++k)
+    for (int j = 0; j < width; ++j) {
+      Real const* const row = corner + j * stride_y + k * stride_z;
+      Real const share = row_share[width * k + j][i];
+      if constexpr (width > 1) pair += share * load<Lanes>(row);
+      if constexpr (width % 2) last += share * load<Cell>(row + lanes * (width - 1));
+    }
+  Cell sum{};
+  if constexpr (width > 1) {
+    sum = x_share[0][i] * __builtin_shufflevector(pair, pair, 0, 1, 2, 3);
+    sum += x_share[1][i] * __builtin_shufflevector(pair, pair, 4, 5, 6, 7);
   }
+  if constexpr (width % 2) sum += x_share[width - 1][i] * last;
+  return sum;
 }
 
-}  // namespace
+/// The components of eight cells, each in a vector of its own.
+inline std::array<Lanes, 3> separate(std::array<Cell, lane_count> const& cells) {
+  Lanes pair[4], xy[2], z[2];
+  for (int p = 0; p < 4; ++p) pair[p] = __builtin_shufflevector(cells[2 * p], cells[2 * p + 1], 0, 1, 2, 3, 4, 5, 6, 7);
+  for (int h = 0; h < 2; ++h) {
+    xy[h] = __builtin_shufflevector(pair[2 * h], pair[2 * h + 1], 0, 4, 8, 12, 1, 5, 9, 13);
+    z[h] = __builtin_shufflevector(pair[2 * h], pair[2 * h + 1], 2, 6, 10, 14, 3, 7, 11, 15);
+  }
+  return {__builtin_shufflevector(xy[0], xy[1], 0, 1, 2, 3, 8, 9, 10, 11),
+          __builtin_shufflevector(xy[0], xy[1], 4, 5, 6, 7, 12, 13, 14, 15),
+          __builtin_shufflevector(z[0], z[1], 0, 1, 2, 3, 8, 9, 10, 11)};
+}
 
-void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-            ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
+/// Call use(group, field) for the groups of particles [first, last) with the tile averaged over their clouds.
+template <class Shape, class Use>
+void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int64_t first, std::int64_t last,
+                 Tile<lanes> const& tile, Use const& use) {
+  constexpr int width = Shape::width;
+  LocalIndex const stride_y = LocalIndex(tile.stride_y()), stride_z = LocalIndex(tile.stride_z());
+  Real const* const origin = tile.values() + tile.box_corner();
+  WideLanes all_in = WideLanes{} - 1;
+  for_each_group(first, last, [&](LaneGroup const& group) {
+    auto const s = frame.inside(particles, group, all_in);
+    auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
+    IndexLanes const corner = lanes * x.first + stride_y * y.first + stride_z * z.first;
+    std::array<Lanes, width * width> row_share;
+    for (int k = 0; k < width; ++k)
+      for (int j = 0; j < width; ++j) row_share[width * k + j] = z.share[k] * y.share[j];
+    std::array<Cell, lane_count> felt;
+#pragma GCC unroll 8
+    for (int i = 0; i < lane_count; ++i)
+      felt[i] = average<width>(origin + corner[i], stride_y, stride_z, i, row_share, x.share);
+    use(group, separate(felt));
+  });
+  frame.require_inside(all_in, particles, first, last);
+}
+
+/// Call use(group, field) for all particles of this rank, a group at a time. Collective.
+template <class Use>
+void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+                ParticleView const& particles, std::int64_t const* starts, Use const& use) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
   std::vector<VectorCells> own, coarse;
@@ -138,10 +192,36 @@ void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3
       fill_coarse(c, coarse[c.level], tiles[r]);
     }
     for_each_run(mesh, at, buffer, particles, first, last, [&](int rise, TileFrame const& frame, auto from, auto to) {
-      with_shape(clouds.shape,
-                 [&](auto s) { read_clouds<decltype(s)>(frame, particles, from, to, tiles[rise], at_particles); });
+      with_shape(clouds.shape, [&](auto s) { read_clouds<decltype(s)>(frame, particles, from, to, tiles[rise], use); });
     });
   });
+}
+
+}  // namespace
+
+void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+            ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
+  bool const far = are_far(particles.count, at_particles[0], at_particles[1], at_particles[2]);
+  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, std::array<Lanes, 3> const& felt) {
+    for (int d = 0; d < 3; ++d) store(at_particles[d], group, felt[d], far);
+  });
+  stream_end();
+}
+
+void accelerate(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+                ParticleView const& particles, std::int64_t const* starts, Kick const& kick,
+                std::array<Real*, 3> const& now, std::array<Real*, 3> const& onward) {
+  bool const far = are_far(particles.count, now[0], now[1], now[2], onward[0], onward[1], onward[2]);
+  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, std::array<Lanes, 3> const& felt) {
+    Lanes const charge = kick.same_charge ? kick.charge[0] + Lanes{} : load(kick.charge, group);
+    Lanes const before = kick.before * charge, after = kick.after * charge;
+    for (int d = 0; d < 3; ++d) {
+      Lanes const momentum = load(particles.momentum[d], group) + before * felt[d];
+      store(now[d], group, momentum, far);
+      store(onward[d], group, momentum + after * felt[d], far);
+    }
+  });
+  stream_end();
 }
 
 }  // namespace amrpic

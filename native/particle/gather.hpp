@@ -19,4 +19,18 @@ namespace amrpic {
 void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
             ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
 
+/// How a field changes momenta.
+struct Kick {
+  Real const* charge;  ///< of a real particle, C: one for all, or one for each
+  bool same_charge;
+  Real before, after;  ///< s
+};
+
+/// Write momenta after a kick of `before` seconds by the field at the particles into `now`, and those after a further
+/// one of `after` seconds in the same field into `onward`: what `gather` would give is used and not kept. Otherwise
+/// as `gather`. Collective.
+void accelerate(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+                ParticleView const& particles, std::int64_t const* starts, Kick const& kick,
+                std::array<Real*, 3> const& now, std::array<Real*, 3> const& onward);
+
 }  // namespace amrpic

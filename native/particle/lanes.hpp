@@ -2,6 +2,8 @@
 // so one text serves all, and rounds alike on all.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 
@@ -61,6 +63,60 @@ inline Lanes pick(Real const* from, LocalIndex const* n) {
 template <class To, class From>
 inline To convert(From const& values) {
   return __builtin_convertvector(values, To);
+}
+
+// What shapes are made of, for one number and for eight.
+
+inline int index_of(Real whole) { return int(whole); }
+inline IndexLanes index_of(Lanes const& whole) { return convert<IndexLanes>(whole); }
+
+/// The largest whole number that is not above `x`, which an index can hold.
+inline Real round_down(Real x) { return std::floor(x); }
+inline Lanes round_down(Lanes const& x) {
+  Lanes const towards_zero = convert<Lanes>(convert<IndexLanes>(x));
+  return towards_zero - (towards_zero > x ? Lanes{} + 1 : Lanes{});
+}
+
+/// Those of eight consecutive places, starting at a multiple of eight, that belong to a run.
+struct LaneGroup {
+  std::int64_t first;
+  int from, to;
+  bool whole() const { return from == 0 && to == lane_count; }
+};
+
+/// Call f(group) for the groups of a run [first, last).
+template <class F>
+void for_each_group(std::int64_t first, std::int64_t last, F&& f) {
+  for (std::int64_t n = first / lane_count * lane_count; n < last; n += lane_count)
+    f(LaneGroup{n, int(std::max<std::int64_t>(0, first - n)), int(std::min<std::int64_t>(lane_count, last - n))});
+}
+
+/// The values of a group; lanes beyond it get one of its own.
+inline Lanes load(Real const* values, LaneGroup const& g) {
+  if (g.whole()) return load<Lanes>(values + g.first);
+  Lanes out{};
+  for (int i = 0; i < lane_count; ++i) out[i] = values[g.first + std::max(g.from, std::min(g.to - 1, i))];
+  return out;
+}
+
+/// Write a group, past the cache if the values are `far` and start on a cache line.
+inline void store(Real* values, LaneGroup const& g, Lanes const& from, bool far) {
+  if (!g.whole()) {
+    for (int i = g.from; i < g.to; ++i) values[g.first + i] = from[i];
+  } else if (far) {
+    stream(values + g.first, from);
+  } else {
+    store(values + g.first, from);
+  }
+}
+
+/// So many particles stay in a cache until the next stage wants them.
+constexpr std::int64_t cached_particles = 200000;
+
+/// Whether arrays of so many particles are better written past the cache, and can be.
+template <class... Columns>
+bool are_far(std::int64_t count, Columns... columns) {
+  return count > cached_particles && ((reinterpret_cast<std::uintptr_t>(columns) % sizeof(Lanes) == 0) && ...);
 }
 
 }  // namespace amrpic

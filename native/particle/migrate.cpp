@@ -8,6 +8,7 @@
 #include <limits>
 #include <numeric>
 #include <stdexcept>
+#include <tuple>
 
 #include "particle/id_sort.hpp"
 
@@ -20,9 +21,6 @@ constexpr int tag_particles = 7201;
 /// Particles that are binned, or copied, in one go: what they need stays in the first-level cache.
 constexpr std::int64_t block_size = 64, copy_size = 512;
 
-/// So many particles stay in a cache until the next stage wants them.
-constexpr std::int64_t cached_particles = 200000;
-
 bool is_finite(ParticleView const& particles, std::int64_t n) {
   Real product = 0;  // 0 times a finite number is 0, times any other nan
   for (int d = 0; d < 3; ++d) product += 0 * particles.position[d][n] + 0 * particles.momentum[d][n];
@@ -33,7 +31,7 @@ bool is_finite(ParticleView const& particles, std::int64_t n) {
 bool permute(Real const* from, LocalIndex const* source, LocalIndex count, Real* to, bool far) {
   LocalIndex const whole = count / lane_count * lane_count;
   Lanes zero{};  // nan as soon as a value is not finite
-  if (far && reinterpret_cast<std::uintptr_t>(to) % sizeof(Lanes) == 0) {
+  if (far) {
     for (LocalIndex i = 0; i < whole; i += lane_count) {
       Lanes const values = pick(from, source + i);
       zero += values - values;
@@ -282,7 +280,8 @@ void Migration::copy(std::int64_t first, LocalIndex count, ParticleView const& o
       }
   std::copy(id_.begin(), id_.begin() + count, out.id + first);
   if (particles_.count > 0) {
-    bool const far = arriving() > cached_particles;
+    auto const& [x, p] = std::tie(out.position, out.momentum);
+    bool const far = are_far(arriving(), x[0], x[1], x[2], p[0], p[1], p[2], out.weight);
     for (int d = 0; d < 3; ++d) permute(particles_.position[d], source_.data(), count, out.position[d] + first, far);
     for (int d = 0; d < 3; ++d)
       finite_ = permute(particles_.momentum[d], source_.data(), count, out.momentum[d] + first, far) && finite_;

@@ -4,45 +4,51 @@
 #pragma once
 
 #include <array>
-#include <cmath>
 #include <utility>
 
-#include "base/types.hpp"
+#include "particle/lanes.hpp"
 
 namespace amrpic {
 
-/// Cells that a cloud touches along an axis, and the share of each.
-template <int cells>
+/// Cells that a cloud touches along an axis, and the share of each; of one particle, or of eight.
+template <int cells, class Number>
 struct Shares {
-  static constexpr int width = cells;
-  int first;                      ///< leftmost cell touched
-  std::array<Real, cells> share;  ///< sum to one
+  decltype(index_of(Number{})) first;  ///< leftmost cell touched
+  std::array<Number, cells> share;     ///< sum to one
 };
 
 // Each shape: the shares of a particle at `x`, in cell widths from the lower face of cell 0.
 
 /// All charge in the particle's own cell; the field it feels jumps from cell to cell.
 struct NearestGridPoint {
-  static Shares<1> at(Real x) { return {int(std::floor(x)), {1}}; }
+  static constexpr int width = 1;
+  template <class Number>
+  static Shares<1, Number> at(Number const& x) {
+    return {index_of(round_down(x)), {Number{} + 1}};
+  }
 };
 
 /// Uniform cloud of one cell width (linear weighting).
 struct CloudInCell {
-  static Shares<2> at(Real x) {
-    Real const s = x - Real(0.5);  // in cell widths from the centre of cell 0
-    Real const left = std::floor(s);
-    Real const right_share = s - left;
-    return {int(left), {1 - right_share, right_share}};
+  static constexpr int width = 2;
+  template <class Number>
+  static Shares<2, Number> at(Number const& x) {
+    Number const s = x - Real(0.5);  // in cell widths from the centre of cell 0
+    Number const left = round_down(s);
+    Number const right_share = s - left;
+    return {index_of(left), {1 - right_share, right_share}};
   }
 };
 
 /// Triangular cloud of two cell widths (quadratic weighting): the field it feels has a continuous slope.
 struct TriangularCloud {
-  static Shares<3> at(Real x) {
-    Real const own = std::floor(x);
-    Real const s = x - own;  // in [0, 1), from the lower face of the particle's own cell
-    Real const left = Real(0.5) * (1 - s) * (1 - s), right = Real(0.5) * s * s;
-    return {int(own) - 1, {left, 1 - left - right, right}};
+  static constexpr int width = 3;
+  template <class Number>
+  static Shares<3, Number> at(Number const& x) {
+    Number const own = round_down(x);
+    Number const s = x - own;  // in [0, 1), from the lower face of the particle's own cell
+    Number const left = Real(0.5) * (1 - s) * (1 - s), right = Real(0.5) * s * s;
+    return {index_of(own) - 1, {left, 1 - left - right, right}};
   }
 };
 

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "particle/lanes.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
 
@@ -56,6 +57,28 @@ class TileFrame {
     }
     if (!in) throw Stray{particles.id[n]};
     return s;
+  }
+
+  /// The same of a group of particles; those outside the box are put into its corner, and their lanes of `all_in`
+  /// cleared.
+  std::array<Lanes, 3> inside(ParticleView const& particles, LaneGroup const& group, WideLanes& all_in) const {
+    std::array<Lanes, 3> s;
+    WideLanes in = WideLanes{} - 1;
+    for (int d = 0; d < 3; ++d) {
+      s[d] = (load(particles.position[d], group) - coordinates_.lower[d]) * coordinates_.cells_per_metre[d];
+      in &= (s[d] >= Real(box_.lower[d])) & (s[d] < Real(box_.upper[d] + 1));
+    }
+    all_in &= in;
+    for (int d = 0; d < 3; ++d) s[d] = in ? s[d] - Real(box_.lower[d]) : Lanes{};
+    return s;
+  }
+
+  /// Throw Stray if one of the particles [first, last) lies outside the box, as `all_in` says.
+  void require_inside(WideLanes const& all_in, ParticleView const& particles, std::int64_t first,
+                      std::int64_t last) const {
+    bool in = true;
+    for (int i = 0; i < lane_count; ++i) in = in && all_in[i] != 0;
+    for (std::int64_t n = first; !in && n < last; ++n) inside(particles, n);
   }
 
   /// The cell of the box's level that holds a particle. Throws Stray if the particle lies outside the box.

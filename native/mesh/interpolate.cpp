@@ -9,35 +9,44 @@ namespace amrpic {
 
 namespace {
 
-/// Values of a level at chosen cells, whoever owns them.
+/// Values of a level in chosen regions, whoever owns the cells.
 class Reader {
  public:
-  /// `cells`: numbers of the cells that will be read, in any order; entries `no_cell` are passed over. Collective.
-  Reader(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& cells, std::vector<Real> const& own)
-      : exchange_(comm, level, remote_cells(level, cells)), own_(own), ghosts_(std::size_t(exchange_.ghosts())) {
+  /// Collective.
+  Reader(MPI_Comm comm, Level const& level, std::vector<Box> const& regions, std::vector<Real> const& own)
+      : level_(level), exchange_(comm, level, remote(level, regions)), own_(own) {
+    ghosts_.resize(std::size_t(exchange_.ghosts()));
     exchange_.update({own_.data()}, {ghosts_.data()});
   }
 
-  Real operator()(GlobalIndex cell) const {
-    LocalIndex const place = exchange_.local(cell), owned = exchange_.owned();
-    return place < owned ? own_[std::size_t(place)] : ghosts_[std::size_t(place - owned)];
+  /// Call `f(values, count, first cell)` for each row along x of the level's cells in one of the regions; periodic
+  /// images included.
+  template <class F>
+  void for_each_row(Box const& region, F&& f) const {
+    level_.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
+      amrpic::for_each_row(level_, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
+        // ghosts stand in the order of their numbers, so those of a row stand side by side as own cells do
+        LocalIndex const place = exchange_.local(first), owned = exchange_.owned();
+        f(place < owned ? &own_[std::size_t(place)] : &ghosts_[std::size_t(place - owned)], count, cell);
+      });
+    });
   }
 
  private:
+  static std::vector<GlobalIndex> remote(Level const& level, std::vector<Box> const& regions) {
+    std::vector<GlobalIndex> cells;
+    for (Box const& region : regions) append_remote(level, region, cells);
+    return remote_cells(level, std::move(cells));
+  }
+
+  Level const& level_;
   Exchange exchange_;
   std::vector<Real> const& own_;
   std::vector<Real> ghosts_;
 };
 
-/// For each cell of this rank on a new level its number on the old one, `no_cell` where it is newly refined.
-std::vector<GlobalIndex> former_numbers(Level const& level, Level const* former) {
-  std::vector<GlobalIndex> out(std::size_t(level.local_cells()), no_cell);
-  if (!former) return out;
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    auto const numbers = cell_numbers(*former, level.box(b));
-    std::copy(numbers.values().begin(), numbers.values().end(), out.begin() + level.local_offset(b));
-  }
-  return out;
+std::vector<Box> local_boxes(Level const& level) {
+  return {level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box()};
 }
 
 /// Shares that the left, the middle and the right parent have in the mean over the upper (`side` = 1) or lower (-1)
@@ -51,64 +60,85 @@ std::array<Real, 3> half_cell_weights(int side, bool has_left, bool has_right) {
   return {0, 1, 0};
 }
 
-/// The mean over a child of `parent`; `has` tells on which sides the parent has neighbours.
-Real child_mean(Window<Real> const& around, Index3 const& child, Index3 const& parent,
-                std::array<std::array<bool, 2>, 3> const& has) {
-  std::array<std::array<Real, 3>, 3> w;
-  for (int d = 0; d < 3; ++d) w[d] = half_cell_weights(child[d] % 2 == 0 ? -1 : 1, has[d][0], has[d][1]);
-  Real sum = 0;
-  for_each_cell(Box{parent, parent}.grow(1), [&](Index3 const& c) {
-    sum += w[0][c[0] - parent[0] + 1] * w[1][c[1] - parent[1] + 1] * w[2][c[2] - parent[2] + 1] * around(c);
-  });
-  return sum;
+using Weights = std::array<std::array<Real, 3>, 2>;  ///< of the lower and the upper half of a parent along an axis
+
+/// Means over the children of a parent, x fastest, one axis after the other; `v` points to the parent's among its
+/// neighbours' values.
+std::array<Real, 8> child_means(Real const* v, std::ptrdiff_t y, std::ptrdiff_t z, std::array<Weights, 3> const& w) {
+  auto weigh = [](std::array<Real, 3> const& share, Real left, Real middle, Real right) {
+    return share[0] * left + share[1] * middle + share[2] * right;
+  };
+  std::array<Real, 8> out;
+  for (int a = 0; a < 2; ++a) {
+    Real line[3][3];  // [z][y]
+    for (int k = 0; k < 3; ++k)
+      for (int j = 0; j < 3; ++j) {
+        Real const* at = v + (j - 1) * y + (k - 1) * z;
+        line[k][j] = weigh(w[0][a], at[-1], at[0], at[1]);
+      }
+    for (int b = 0; b < 2; ++b) {
+      Real plane[3];
+      for (int k = 0; k < 3; ++k) plane[k] = weigh(w[1][b], line[k][0], line[k][1], line[k][2]);
+      for (int c = 0; c < 2; ++c) out[a + 2 * b + 4 * c] = weigh(w[2][c], plane[0], plane[1], plane[2]);
+    }
+  }
+  return out;
 }
 
 /// Fill the newly refined cells of a box from the parents in `around`, which reaches one parent beyond it.
-void interpolate(Level const& coarser, Window<Real> const& around, Box const& box, GlobalIndex const* former,
-                 Real* values) {
+void interpolate(Level const& coarser, Window<Real> const& around, Box const& box, char const* is_new, Real* values) {
   auto exists = [&](Index3 parent, int axis, int step) {
     parent[axis] += step;
     return coarser.periodic()[axis] || coarser.domain().contains(parent);
   };
+  std::ptrdiff_t const y = around.box().extent(0), z = y * around.box().extent(1);
   for_each_cell(box.coarsen(refinement_ratio), [&](Index3 const& parent) {
     Box const children = Box{parent, parent}.refine(refinement_ratio);
     // blocks hold whole families, so the children of one parent are all new or all old
-    if (former[box.offset(children.lower)] != no_cell) return;
-    std::array<std::array<bool, 2>, 3> has;
-    for (int d = 0; d < 3; ++d) has[d] = {exists(parent, d, -1), exists(parent, d, 1)};
-    for_each_cell(children,
-                  [&](Index3 const& child) { values[box.offset(child)] = child_mean(around, child, parent, has); });
+    if (!is_new[box.offset(children.lower)]) return;
+    std::array<Weights, 3> weights;
+    for (int d = 0; d < 3; ++d)
+      for (int side = 0; side < 2; ++side)
+        weights[d][side] = half_cell_weights(2 * side - 1, exists(parent, d, -1), exists(parent, d, 1));
+    auto const means = child_means(&around(parent), y, z, weights);
+    std::size_t n = 0;
+    for_each_cell(children, [&](Index3 const& child) { values[box.offset(child)] = means[n++]; });
   });
 }
 
-/// Copy the cells of a level that the old hierarchy has too. Collective.
-void copy_former(MPI_Comm comm, Level const& former, std::vector<Real> const& from,
-                 std::vector<GlobalIndex> const& numbers, std::vector<Real>& to) {
-  Reader const read(comm, former, numbers, from);
-  for (std::size_t i = 0; i < to.size(); ++i)
-    if (numbers[i] != no_cell) to[i] = read(numbers[i]);
+/// Copy the cells of a level that the old hierarchy has too; 1 for each cell of this rank that it lacks. Collective.
+std::vector<char> copy_former(MPI_Comm comm, Level const& level, Level const& former, std::vector<Real> const& from,
+                              std::vector<Real>& to) {
+  std::vector<char> is_new(to.size(), 1);
+  Reader const read(comm, former, local_boxes(level), from);
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+    read.for_each_row(level.box(b), [&](Real const* values, LocalIndex count, Index3 const& first) {
+      auto const place = level.local_offset(b) + level.box(b).offset(first);
+      std::copy_n(values, count, to.begin() + place);
+      std::fill_n(is_new.begin() + place, count, 0);
+    });
+  return is_new;
 }
 
 /// Interpolate the cells of a level that the old hierarchy lacks, from the finished next coarser level. Collective.
 void fill_new(MPI_Comm comm, Level const& level, Level const& coarser, std::vector<Real> const& from,
-              std::vector<GlobalIndex> const& numbers, std::vector<Real>& to) {
+              std::vector<char> const& is_new, std::vector<Real>& to) {
   std::vector<int> boxes;  // of this rank, with newly refined cells
-  std::vector<Window<GlobalIndex>> parents;
-  std::vector<GlobalIndex> wanted;
+  std::vector<Box> parents;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    auto const first = numbers.begin() + level.local_offset(b), last = first + level.box(b).cells();
-    if (std::find(first, last, no_cell) == last) continue;
+    auto const first = is_new.begin() + level.local_offset(b), last = first + level.box(b).cells();
+    if (std::find(first, last, 1) == last) continue;
     boxes.push_back(b);
-    parents.push_back(cell_numbers(coarser, level.box(b).coarsen(refinement_ratio).grow(1)));
-    wanted.insert(wanted.end(), parents.back().values().begin(), parents.back().values().end());
+    parents.push_back(level.box(b).coarsen(refinement_ratio).grow(1));
   }
-  Reader const read(comm, coarser, wanted, from);
+  Reader const read(comm, coarser, parents, from);
   for (std::size_t n = 0; n < boxes.size(); ++n) {
-    Window<Real> around(parents[n].box(), 0);
-    std::transform(parents[n].values().begin(), parents[n].values().end(), around.values().begin(),
-                   [&](GlobalIndex cell) { return cell == no_cell ? 0 : read(cell); });
+    Window<Real> around(parents[n], 0);
+    read.for_each_row(parents[n], [&](Real const* values, LocalIndex count, Index3 const& first) {
+      std::copy_n(values, count, &around(first));
+    });
     LocalIndex const offset = level.local_offset(boxes[n]);
-    interpolate(coarser, around, level.box(boxes[n]), numbers.data() + offset, to.data() + offset);
+    interpolate(coarser, around, level.box(boxes[n]), is_new.data() + offset, to.data() + offset);
   }
 }
 
@@ -117,11 +147,11 @@ void fill_new(MPI_Comm comm, Level const& level, Level const& coarser, std::vect
 void carry_over(Field const& from, Field& to) {
   Hierarchy const &old = from.hierarchy(), &hierarchy = to.hierarchy();
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    bool const existed = l < old.level_count();
-    auto const numbers = former_numbers(hierarchy.level(l), existed ? &old.level(l) : nullptr);
-    if (existed) copy_former(hierarchy.comm(), old.level(l), from.level(l), numbers, to.level(l));
-    if (l > 0)
-      fill_new(hierarchy.comm(), hierarchy.level(l), hierarchy.level(l - 1), to.level(l - 1), numbers, to.level(l));
+    auto& values = to.level(l);
+    std::vector<char> const is_new =
+        l < old.level_count() ? copy_former(hierarchy.comm(), hierarchy.level(l), old.level(l), from.level(l), values)
+                              : std::vector<char>(values.size(), 1);
+    if (l > 0) fill_new(hierarchy.comm(), hierarchy.level(l), hierarchy.level(l - 1), to.level(l - 1), is_new, values);
   }
 }
 

@@ -8,17 +8,7 @@ namespace amrpic {
 
 namespace {
 
-/// Numbers of the parents of this rank's cells of `fine`, box by box, x fastest.
-std::vector<GlobalIndex> parent_numbers(Level const& coarse, Level const& fine) {
-  std::vector<GlobalIndex> out;
-  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
-    auto const numbers = cell_numbers(coarse, fine.box(b).coarsen(refinement_ratio));
-    out.insert(out.end(), numbers.values().begin(), numbers.values().end());
-  }
-  return out;
-}
-
-/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `parent_numbers`: the
+/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `Pair::place`: the
 /// place of the first child among this rank's cells, and the distances to its neighbours along y and z.
 template <class F>
 void for_each_family(Level const& fine, F&& f) {
@@ -29,6 +19,23 @@ void for_each_family(Level const& fine, F&& f) {
       for (int j = 0; j < box.extent(1); j += 2)
         for (int i = 0; i < box.extent(0); i += 2) f(first + i + j * stride_y + k * stride_z, stride_y, stride_z);
   }
+}
+
+/// Own covered cells of `coarse` that are not among the places of the parents of own fine cells.
+std::vector<LocalIndex> bereaved(Level const& coarse, Level const& fine, std::vector<LocalIndex> const& parents) {
+  std::vector<char> has_children_here(std::size_t(coarse.local_cells()), 0);
+  for (LocalIndex place : parents)
+    if (place < coarse.local_cells()) has_children_here[std::size_t(place)] = 1;
+  std::vector<LocalIndex> out;
+  for (int b = coarse.first_local_box(); b < coarse.last_local_box(); ++b) {
+    auto const covered = covered_cells(fine, refinement_ratio, coarse.box(b));
+    LocalIndex place = coarse.local_offset(b);
+    for (char c : covered.values()) {
+      if (c && !has_children_here[std::size_t(place)]) out.push_back(place);
+      ++place;
+    }
+  }
+  return out;
 }
 
 Real mean_of_children(Real const* child, LocalIndex y, LocalIndex z) {
@@ -48,21 +55,16 @@ Transfer::Pair Transfer::make_pair(int l) const {
   Level const& fine = hierarchy_->level(l + 1);
 
   Pair pair;
-  auto const numbers = parent_numbers(coarse, fine);
-  std::vector<char> has_children_here(std::size_t(coarse.local_cells()), 0);
-  for (GlobalIndex cell : numbers)
-    if (coarse.owns(cell)) has_children_here[std::size_t(cell - coarse.first_local_cell())] = 1;
-  pair.parents = Exchange(hierarchy_->comm(), coarse, remote_cells(coarse, numbers));
-  pair.place.reserve(numbers.size());
-  for (GlobalIndex cell : numbers) pair.place.push_back(pair.parents.local(cell));
-
-  for (int b = coarse.first_local_box(); b < coarse.last_local_box(); ++b) {
-    auto const covered = covered_cells(fine, refinement_ratio, coarse.box(b));
-    LocalIndex const start = coarse.local_offset(b);
-    for (std::size_t c = 0; c < covered.values().size(); ++c)
-      if (covered.values()[c] && !has_children_here[std::size_t(start) + c])
-        pair.bereaved.push_back(start + LocalIndex(c));
+  std::vector<GlobalIndex> remote;
+  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b)
+    append_remote(coarse, fine.box(b).coarsen(refinement_ratio), remote);
+  pair.parents = Exchange(hierarchy_->comm(), coarse, remote_cells(coarse, std::move(remote)));
+  pair.place.reserve(std::size_t(fine.local_cells()) / 8);
+  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
+    auto const places = pair.parents.places(coarse, fine.box(b).coarsen(refinement_ratio));
+    pair.place.insert(pair.place.end(), places.values().begin(), places.values().end());
   }
+  if (coarse.ranks() > 1) pair.bereaved = bereaved(coarse, fine, pair.place);
   return pair;
 }
 

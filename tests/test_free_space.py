@@ -10,8 +10,10 @@ import itertools
 import numpy as np
 import pytest
 import scipy.fft
+from mpi4py import MPI
 from scipy.special import erf
 
+from amrpic import Domain, Field, Hierarchy
 from amrpic._native import FreeSpace, lattice_green, multipole_moments, translate_moments
 from amrpic.verify.lattice import FreeLattice
 
@@ -219,6 +221,17 @@ def test_neither_charge_nor_size_matters(charge, spacing):
         assert pytest.approx(charge / spacing * expected, rel=1e-12) == plane.T
 
 
+@pytest.mark.parametrize("source", SOURCES)
+def test_interpolation_over_patches_adds_nothing_that_is_seen(source, exact_48):
+    charges = np.asfortranarray(SOURCES[source](48))
+    found = []
+    for separation in (1.25, 1e9):  # 1e9: all of the tree is evaluated at every ghost
+        space = FreeSpace(MPI.COMM_SELF.py2f(), (0, 0, 0), (1, 1, 1), charges.shape, separation=separation)
+        space.set_box(0, (0, 0, 0), charges)
+        found.append(space.wall_planes(ALL_OPEN))
+    assert greatest_difference(*found) < 1e-6 * np.abs(exact_48(charges)).max()
+
+
 # ---- refined charge ----
 
 
@@ -283,6 +296,26 @@ def test_fine_ghosts_beside_coarse_charge_continue_the_coarse_potential():
     ghosts = (np.array([[-0.5, 2 * 8 + 7.5, 15.5], [-0.5, 0.5, 0.5], [-0.5, 17.5, 22.5]])) / (2 * n)
     distance = np.linalg.norm(ghosts - (np.array([2, 8, 8]) + 0.5) / n, axis=1)
     assert space.potential(ghosts, np.ones(3, np.int32)) == pytest.approx(1 / (4 * np.pi * distance), rel=2e-2)
+
+
+@pytest.mark.parametrize(("boxes", "blocking"), [(8, 8), (12, 4), (20, 4), (48, 8)])
+def test_charges_of_a_density_are_those_of_its_uncovered_cells(boxes, blocking):
+    n, low, high = 24, (0, 8, 8), (23, 31, 39)  # blocks that several boxes share, and that the patch covers in part
+    domain = Domain((0, 0, 0), (1, 1, 1), (n, n, n), "open")
+    hierarchy = Hierarchy(MPI.COMM_SELF, domain, [[(low, high)]], max_grid_size=boxes, blocking_factor=blocking)
+    rho = Field(hierarchy).fill(lambda x, y, z: np.exp(-50 * ((x - 0.1) ** 2 + (y - 0.4) ** 2 + (z - 0.5) ** 2)))
+    by_density, by_points = (free_space((n, n, n), (1 / n,) * 3) for _ in range(2))
+    by_density.set_density(rho.native)
+    positions, charges, levels = [], [], []
+    for patch in rho.patches:
+        counts = ~patch.covered
+        places = np.stack(np.broadcast_arrays(*patch.centres()), -1)
+        positions.append(places[counts])
+        charges.append(patch.data[counts] * np.prod(hierarchy.spacing(patch.level)))
+        levels.append(np.full(counts.sum(), patch.level, np.int32))
+    by_points.set_charges(np.concatenate(positions), np.concatenate(charges), np.concatenate(levels))
+    for plane, expected in zip(by_density.wall_planes(ALL_OPEN), by_points.wall_planes(ALL_OPEN), strict=True):
+        assert plane == pytest.approx(expected, rel=1e-12)
 
 
 # ---- ranks ----

@@ -2,17 +2,22 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
 #include <tuple>
 #include <utility>
 
-#include "base/all_gather.hpp"
 #include "base/error.hpp"
 
 namespace amrpic::freespace {
 
 bool BlockKey::operator<(BlockKey const& o) const {
   return std::tie(level, place[2], place[1], place[0]) < std::tie(o.level, o.place[2], o.place[1], o.place[0]);
+}
+
+Point Leaf::centre(Point const& shape) const {
+  Point out;
+  for (int d = 0; d < 3; ++d)
+    out[d] = std::ldexp((key.place[d] * block_edge + first[d] + 0.5 * extent[d]) * shape[d], -key.level);
+  return out;
 }
 
 namespace {
@@ -25,104 +30,124 @@ int place_in_block(Cell const& cell) {
   return cell[0] % block_edge + block_edge * (cell[1] % block_edge + block_edge * (cell[2] % block_edge));
 }
 
-/// Call f(block key, first, last) for the blocks that cells lower .. upper touch; first, last: the common cells.
+/// The cells that a box and a block have in common.
+struct BlockPart {
+  BlockKey key;
+  ChargeBox const* box;
+  Cell first, last;
+
+  bool is_whole() const {
+    bool out = true;
+    for (int d = 0; d < 3; ++d) out = out && last[d] - first[d] + 1 == block_edge;
+    return out;
+  }
+};
+
 template <class F>
-void for_each_block(int level, Cell const& lower, Cell const& upper, F&& f) {
-  Cell const from = block_of(level, lower).place, to = block_of(level, upper).place;
+void for_each_part(ChargeBox const& box, F&& f) {
+  Cell const from = block_of(box.level, box.lower).place, to = block_of(box.level, box.upper).place;
   Cell place;
   for (place[2] = from[2]; place[2] <= to[2]; ++place[2])
     for (place[1] = from[1]; place[1] <= to[1]; ++place[1])
       for (place[0] = from[0]; place[0] <= to[0]; ++place[0]) {
-        Cell first, last;
+        BlockPart part{{box.level, place}, &box, {}, {}};
         for (int d = 0; d < 3; ++d) {
-          first[d] = std::max(lower[d], place[d] * block_edge);
-          last[d] = std::min(upper[d], place[d] * block_edge + block_edge - 1);
+          part.first[d] = std::max(box.lower[d], place[d] * block_edge);
+          part.last[d] = std::min(box.upper[d], place[d] * block_edge + block_edge - 1);
         }
-        f(BlockKey{level, place}, first, last);
+        f(part);
       }
 }
 
-bool any_value(ChargeBox const& box, Cell const& first, Cell const& last) {
-  std::ptrdiff_t const nx = box.upper[0] - box.lower[0] + 1, ny = box.upper[1] - box.lower[1] + 1;
-  for (int k = first[2]; k <= last[2]; ++k)
-    for (int j = first[1]; j <= last[1]; ++j) {
-      double const* row = box.values + (first[0] - box.lower[0] + nx * (j - box.lower[1] + ny * (k - box.lower[2])));
-      for (int i = 0; i <= last[0] - first[0]; ++i)
-        if (row[i] != 0) return true;
+/// Call f(first, last) for the covered cells of a part.
+template <class F>
+void for_each_covered(BlockPart const& part, F&& f) {
+  for (ChargeBox::Part const& covered : part.box->covered) {
+    Cell first, last;
+    bool is_empty = false;
+    for (int d = 0; d < 3; ++d) {
+      first[d] = std::max(part.first[d], covered.lower[d]);
+      last[d] = std::min(part.last[d], covered.upper[d]);
+      is_empty = is_empty || first[d] > last[d];
     }
-  return false;
+    if (!is_empty) f(first, last);
+  }
 }
 
-/// The bounding box and the sum of |q| of one rank's part of a leaf.
-Leaf describe(BlockKey const& key, double const* charges) {
-  Leaf out{key, {}, {}, {}, 0, 0};
-  Cell first{block_edge, block_edge, block_edge}, last{-1, -1, -1};
+int cells_in(Cell const& first, Cell const& last) {
+  return (last[0] - first[0] + 1) * (last[1] - first[1] + 1) * (last[2] - first[2] + 1);
+}
+
+/// Whether any cell of a part counts. Covered parts do not overlap.
+bool has_uncovered(BlockPart const& part) {
+  int left = cells_in(part.first, part.last);
+  for_each_covered(part, [&](Cell const& first, Cell const& last) { left -= cells_in(first, last); });
+  return left > 0;
+}
+
+/// Call f(values, place in the block) for each row of a part.
+template <class F>
+void for_each_row(BlockPart const& part, F&& f) {
+  ChargeBox const& box = *part.box;
+  std::ptrdiff_t const nx = box.upper[0] - box.lower[0] + 1, ny = box.upper[1] - box.lower[1] + 1;
+  for (int k = part.first[2]; k <= part.last[2]; ++k)
+    for (int j = part.first[1]; j <= part.last[1]; ++j)
+      f(box.values + (part.first[0] - box.lower[0] + nx * (j - box.lower[1] + ny * (k - box.lower[2]))),
+        place_in_block({part.first[0], j, k}));
+}
+
+/// Short rows far apart are no pattern that the processor would see by itself.
+void prefetch(BlockPart const& part) {
+  for_each_row(part, [](double const* row, int) {
+    __builtin_prefetch(row);
+    __builtin_prefetch(row + block_edge - 1);
+  });
+}
+
+/// Put the charges of a part into its block. Boxes do not overlap.
+void fill(BlockPart const& part, BlockCharges& block) {
+  double const factor = part.box->factor;
+  int const length = part.last[0] - part.first[0] + 1;
+  for_each_row(part, [&](double const* row, int place) {
+    double* const to = block.data() + place;
+    for (int i = 0; i < length; ++i) to[i] = factor * row[i];
+  });
+  for_each_covered(part, [&](Cell const& first, Cell const& last) {
+    for (int k = first[2]; k <= last[2]; ++k)
+      for (int j = first[1]; j <= last[1]; ++j)
+        for (int i = first[0]; i <= last[0]; ++i) block[place_in_block({i, j, k})] = 0;
+  });
+}
+
+/// First number that is not zero, and how many there are up to the last one.
+std::pair<int, int> range_of(std::array<double, block_edge> const& values) {
+  int first = 0, last = block_edge - 1;
+  while (first < last && values[first] == 0) ++first;
+  while (last > first && values[last] == 0) --last;
+  return {first, last - first + 1};
+}
+
+/// The bounding box and the sum of |q|.
+Leaf describe(BlockKey const& key, BlockCharges const& charges) {
+  Lanes columns{}, by_y[block_edge] = {}, by_z[block_edge] = {};
   for (int k = 0; k < block_edge; ++k)
     for (int j = 0; j < block_edge; ++j) {
-      double const* row = charges + block_edge * (j + block_edge * k);
-      double sum = 0, greatest = 0;
-      for (int i = 0; i < block_edge; ++i) {
-        sum += std::abs(row[i]);
-        greatest = std::max(greatest, std::abs(row[i]));
-      }
-      if (sum == 0) continue;
-      out.magnitude += sum;
-      int left = 0, right = block_edge - 1;
-      while (row[left] == 0) ++left;
-      while (row[right] == 0) --right;
-      first = {std::min(first[0], left), std::min(first[1], j), std::min(first[2], k)};
-      last = {std::max(last[0], right), std::max(last[1], j), std::max(last[2], k)};
-      if (greatest > out.greatest) {
-        out.greatest = greatest;
-        out.peak = {left, j, k};
-        while (std::abs(row[out.peak[0]]) < greatest) ++out.peak[0];
-      }
+      Lanes row;
+      __builtin_memcpy(&row, charges.data() + block_edge * (j + block_edge * k), sizeof(Lanes));
+      row = absolute(row);
+      columns += row;
+      by_y[j] += row;
+      by_z[k] += row;
     }
-  out.first = first;
-  out.extent = {last[0] - first[0] + 1, last[1] - first[1] + 1, last[2] - first[2] + 1};
+  std::array<std::array<double, block_edge>, 3> sums;
+  for (int i = 0; i < block_edge; ++i)
+    sums[0][i] = columns[i], sums[1][i] = sum_of(by_y[i]), sums[2][i] = sum_of(by_z[i]);
+  Leaf out{key, {}, {}, sum_of(columns)};
+  for (int d = 0; d < 3; ++d) std::tie(out.first[d], out.extent[d]) = range_of(sums[d]);
   return out;
 }
 
-/// One leaf from the parts that two ranks hold.
-void join(Leaf& leaf, Leaf const& other) {
-  for (int d = 0; d < 3; ++d) {
-    int const end = std::max(leaf.first[d] + leaf.extent[d], other.first[d] + other.extent[d]);
-    leaf.first[d] = std::min(leaf.first[d], other.first[d]);
-    leaf.extent[d] = end - leaf.first[d];
-  }
-  leaf.magnitude += other.magnitude;
-  if (other.greatest > leaf.greatest) leaf.greatest = other.greatest, leaf.peak = other.peak;
-}
-
-/// Leaves without the weakest. Whole octaves of magnitude go at a time: a choice between leaves that are equal but for
-/// rounding would depend on the number of ranks.
-std::vector<Leaf> without_weak(std::vector<Leaf> const& leaves, double dropped) {
-  std::map<int, double> octaves;
-  double total = 0;
-  for (Leaf const& leaf : leaves) {
-    octaves[std::ilogb(leaf.magnitude)] += leaf.magnitude;
-    total += leaf.magnitude;
-  }
-  double sum = 0;
-  auto octave = octaves.begin();
-  while (octave != octaves.end() && (sum += octave->second) < dropped * total) ++octave;
-  std::vector<Leaf> out;
-  for (Leaf const& leaf : leaves)
-    if (std::ilogb(leaf.magnitude) >= octave->first) out.push_back(leaf);
-  return out;
-}
-
-/// Call f(block number, leaf number) for the blocks of this rank that are leaves; both lists are sorted.
-template <class F>
-void for_each_own_leaf(ChargeBlocks const& blocks, std::vector<Leaf> const& leaves, F&& f) {
-  std::size_t n = 0;
-  for (std::size_t b = 0; b < blocks.size(); ++b) {
-    while (n < leaves.size() && leaves[n].key < blocks.key(b)) ++n;
-    if (n < leaves.size() && leaves[n].key == blocks.key(b)) f(b, int(n));
-  }
-}
-
-Harmonics<double> moments_about_centre(double const* charges, Leaf const& leaf, Point const& shape) {
+Harmonics<double> moments_about_centre(BlockCharges const& charges, Leaf const& leaf, Point const& shape) {
   BlockPowers powers;
   for (int d = 0; d < 3; ++d) {
     double const width = std::ldexp(shape[d], -leaf.key.level), centre = leaf.first[d] + 0.5 * (leaf.extent[d] - 1);
@@ -131,149 +156,81 @@ Harmonics<double> moments_about_centre(double const* charges, Leaf const& leaf, 
       for (int n = 1; n <= order; ++n) powers[d][n][i] = powers[d][n - 1][i] * ((i - centre) * width);
     }
   }
-  return moments_of(block_monomials(charges, powers));
+  return moments_of(block_monomials(charges.data(), powers));
 }
 
 }  // namespace
 
-void ChargeBlocks::reserve_blocks(std::vector<BlockKey> keys) {
-  std::sort(keys.begin(), keys.end());
-  keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
-  keys_ = std::move(keys);
-  charges_.assign(keys_.size() * block_cells, 0.0);
-  last_ = 0;
+void ChargeBlocks::clear() {
+  leaves_.clear();
+  place_.clear();
+  charges_.clear();
 }
 
-double* ChargeBlocks::find(BlockKey const& key) {
-  if (last_ >= keys_.size() || !(keys_[last_] == key))
-    last_ = std::size_t(std::lower_bound(keys_.begin(), keys_.end(), key) - keys_.begin());
-  return last_ < keys_.size() && keys_[last_] == key ? charges_.data() + last_ * block_cells : nullptr;
+bool ChargeBlocks::is_kept(BlockKey const& key) const {
+  for (int d = 0; d < 3; ++d) {
+    int const first = key.place[d] * block_edge, end = lattice_.cells[d] << key.level;
+    if (first < kept_[d] || first + block_edge > end - kept_[d]) return true;
+  }
+  return false;
 }
 
-void ChargeBlocks::assign(Lattice const& lattice, std::vector<PointCharge> const& charges) {
-  std::vector<BlockKey> keys;
+void ChargeBlocks::add(BlockKey const& key, BlockCharges const& charges) {
+  Leaf const leaf = describe(key, charges);
+  if (leaf.magnitude == 0) return;
+  leaves_.push_back({leaf, moments_about_centre(charges, leaf, shape_)});
+  place_.push_back(-1);
+  if (!is_kept(key)) return;
+  place_.back() = int(charges_.size());
+  charges_.push_back(charges);
+}
+
+void ChargeBlocks::assign(std::vector<PointCharge> const& charges) {
+  struct Item {
+    BlockKey key;
+    int place;
+    double charge;
+  };
+  std::vector<Item> items;
   for (PointCharge const& charge : charges) {
     if (charge.charge == 0) continue;
-    Cell const cell = lattice.cell_at(charge.position, charge.level);
+    Cell const cell = lattice_.cell_at(charge.position, charge.level);
     for (int d = 0; d < 3; ++d)
-      if (cell[d] < 0 || cell[d] >= (lattice.cells[d] << charge.level))
+      if (cell[d] < 0 || cell[d] >= (lattice_.cells[d] << charge.level))
         throw SolverError("open boundary: a charge lies outside the domain; remove lost particles before the solve");
-    BlockKey const key = block_of(charge.level, cell);
-    if (keys.empty() || !(keys.back() == key)) keys.push_back(key);
+    items.push_back({block_of(charge.level, cell), place_in_block(cell), charge.charge});
   }
-  reserve_blocks(std::move(keys));
-  for (PointCharge const& charge : charges)
-    if (charge.charge != 0) {
-      Cell const cell = lattice.cell_at(charge.position, charge.level);
-      find(block_of(charge.level, cell))[place_in_block(cell)] += charge.charge;
-    }
+  std::stable_sort(items.begin(), items.end(), [](Item const& a, Item const& b) { return a.key < b.key; });
+  clear();
+  for (auto first = items.begin(); first != items.end();) {
+    BlockKey const key = first->key;
+    BlockCharges block{};
+    for (; first != items.end() && first->key == key; ++first) block[first->place] += first->charge;
+    add(key, block);
+  }
 }
 
 void ChargeBlocks::assign(std::vector<ChargeBox> const& boxes) {
-  std::vector<BlockKey> keys;
+  std::vector<BlockPart> whole, shared;  // blocks of one box, and of several perhaps
   for (ChargeBox const& box : boxes)
-    for_each_block(box.level, box.lower, box.upper, [&](BlockKey const& key, Cell const& first, Cell const& last) {
-      if (any_value(box, first, last)) keys.push_back(key);
+    for_each_part(box, [&](BlockPart const& part) {
+      if (has_uncovered(part)) (part.is_whole() ? whole : shared).push_back(part);
     });
-  reserve_blocks(std::move(keys));
-  for (ChargeBox const& box : boxes) add_box(box);
-}
-
-void ChargeBlocks::add_box(ChargeBox const& box) {
-  std::ptrdiff_t const nx = box.upper[0] - box.lower[0] + 1, ny = box.upper[1] - box.lower[1] + 1;
-  for_each_block(box.level, box.lower, box.upper, [&](BlockKey const& key, Cell const& first, Cell const& last) {
-    double* const block = find(key);
-    if (!block) return;
-    for (int k = first[2]; k <= last[2]; ++k)
-      for (int j = first[1]; j <= last[1]; ++j) {
-        double const* from = box.values + (first[0] - box.lower[0] + nx * (j - box.lower[1] + ny * (k - box.lower[2])));
-        double* to = block + place_in_block({first[0], j, k});
-        for (int i = 0; i <= last[0] - first[0]; ++i) to[i] += box.factor * from[i];
-      }
-    for (ChargeBox::Part const& part : box.covered)
-      for (int k = std::max(first[2], part.lower[2]); k <= std::min(last[2], part.upper[2]); ++k)
-        for (int j = std::max(first[1], part.lower[1]); j <= std::min(last[1], part.upper[1]); ++j)
-          for (int i = std::max(first[0], part.lower[0]); i <= std::min(last[0], part.upper[0]); ++i)
-            block[place_in_block({i, j, k})] = 0;
-  });
-}
-
-std::vector<Leaf> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& blocks, double dropped) {
-  std::vector<Leaf> mine;
-  for (std::size_t b = 0; b < blocks.size(); ++b) {
-    Leaf const leaf = describe(blocks.key(b), blocks.charges(b));
-    if (leaf.greatest != 0) mine.push_back(leaf);
+  clear();
+  BlockCharges block;
+  constexpr std::size_t ahead = 2;
+  for (std::size_t n = 0; n < whole.size(); ++n) {
+    if (n + ahead < whole.size()) prefetch(whole[n + ahead]);
+    fill(whole[n], block);
+    add(whole[n].key, block);
   }
-  std::vector<Leaf> all = all_gather(comm, mine).values;
-  std::stable_sort(all.begin(), all.end(), [](Leaf const& a, Leaf const& b) { return a.key < b.key; });
-  std::vector<Leaf> joined;
-  for (Leaf const& leaf : all) {
-    if (!joined.empty() && joined.back().key == leaf.key)
-      join(joined.back(), leaf);
-    else
-      joined.push_back(leaf);
+  std::stable_sort(shared.begin(), shared.end(), [](BlockPart const& a, BlockPart const& b) { return a.key < b.key; });
+  for (auto first = shared.begin(); first != shared.end();) {
+    BlockKey const key = first->key;
+    block.fill(0);
+    for (; first != shared.end() && first->key == key; ++first) fill(*first, block);
+    add(key, block);
   }
-  return joined.empty() ? joined : without_weak(joined, dropped);
-}
-
-std::vector<Harmonics<double>> gather_moments(MPI_Comm comm, ChargeBlocks const& blocks,
-                                              std::vector<Leaf> const& leaves, Point const& shape) {
-  struct Part {
-    int leaf;
-    Harmonics<double> moments;
-  };
-  std::vector<Part> mine;
-  for_each_own_leaf(blocks, leaves, [&](std::size_t block, int leaf) {
-    mine.push_back({leaf, moments_about_centre(blocks.charges(block), leaves[leaf], shape)});
-  });
-  std::vector<Harmonics<double>> out(leaves.size(), Harmonics<double>{});
-  for (Part const& part : all_gather(comm, mine).values)
-    for (int n = 0; n < harmonic_count; ++n) {
-      out[part.leaf][n].re += part.moments[n].re;
-      out[part.leaf][n].im += part.moments[n].im;
-    }
-  return out;
-}
-
-LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<Leaf> const& leaves,
-                         std::vector<char> const& wanted)
-    : place_(leaves.size(), -1) {
-  int count = 0;
-  for (std::size_t n = 0; n < leaves.size(); ++n)
-    if (wanted[n]) place_[n] = count++;
-  if (count == 0) return;
-
-  // Only the rows of the bounding boxes travel.
-  std::vector<int> mine;
-  std::vector<double> charges;
-  for_each_own_leaf(blocks, leaves, [&](std::size_t block, int n) {
-    if (!wanted[n]) return;
-    mine.push_back(n);
-    Leaf const& leaf = leaves[n];
-    for (int k = leaf.first[2]; k < leaf.first[2] + leaf.extent[2]; ++k)
-      for (int j = leaf.first[1]; j < leaf.first[1] + leaf.extent[1]; ++j) {
-        double const* row = blocks.charges(block) + leaf.first[0] + block_edge * (j + block_edge * k);
-        charges.insert(charges.end(), row, row + leaf.extent[0]);
-      }
-  });
-  auto const given = all_gather(comm, mine).values;
-  auto const all = all_gather(comm, charges).values;
-
-  blocks_.assign(std::size_t(count), Block{});
-  double const* from = all.data();
-  for (int n : given) {
-    double* const to = blocks_[std::size_t(place_[n])].values.data();
-    Leaf const& leaf = leaves[n];
-    for (int k = 0; k < leaf.extent[2]; ++k)
-      for (int j = 0; j < leaf.extent[1]; ++j)
-        for (int i = 0; i < leaf.extent[0]; ++i) to[i + block_edge * (j + block_edge * k)] += *from++;
-  }
-  for (Block& block : blocks_)
-    for (int row = 0; row < block_edge * block_edge; ++row) {
-      double const* const values = block.values.data() + block_edge * row;
-      if (std::any_of(values, values + block_edge, [](double q) { return q != 0; }))
-        block.rows[block.row_count++] = static_cast<unsigned char>(row);
-    }
 }
 
 }  // namespace amrpic::freespace

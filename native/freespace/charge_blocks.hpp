@@ -1,13 +1,11 @@
-// Charges sorted into blocks of 8 x 8 x 8 cells of their level: the leaves of the octree.
+// Charges of this rank, sorted into blocks of 8 x 8 x 8 cells of their level, and the moments of each block.
 //
-// A rank holds the blocks that its own cells touch. All ranks agree on one list of leaves, sorted, so that what follows
-// does not depend on how the cells are dealt out.
+// Cells are read once: what a block adds up to is found while it lies in the cache, and only charges that may be near
+// to a ghost are kept one by one.
 #pragma once
 
-#include <mpi.h>
-
 #include <array>
-#include <cstdint>
+#include <cstddef>
 #include <vector>
 
 #include "freespace/lattice.hpp"
@@ -17,6 +15,7 @@ namespace amrpic::freespace {
 
 constexpr int block_edge = 8;
 constexpr int block_cells = block_edge * block_edge * block_edge;
+using BlockCharges = std::array<double, block_cells>;  ///< x fastest
 
 /// Block `place` of a level: cells 8 place .. 8 place + 7 of that level.
 struct BlockKey {
@@ -47,69 +46,50 @@ struct ChargeBox {
   std::vector<Part> covered{};
 };
 
-/// The blocks of this rank that hold charge, sorted; the memory is kept from one solve to the next.
-class ChargeBlocks {
- public:
-  /// Charges at one place add up.
-  void assign(Lattice const& lattice, std::vector<PointCharge> const& charges);
-  void assign(std::vector<ChargeBox> const& boxes);
-
-  std::size_t size() const { return keys_.size(); }
-  BlockKey const& key(std::size_t n) const { return keys_[n]; }
-  /// 8 x 8 x 8 charges, x fastest.
-  double const* charges(std::size_t n) const { return charges_.data() + n * block_cells; }
-
- private:
-  void reserve_blocks(std::vector<BlockKey> keys);
-  /// Charges of a block of this rank, or null.
-  double* find(BlockKey const& key);
-  void add_box(ChargeBox const& box);
-
-  std::vector<BlockKey> keys_;
-  std::vector<double> charges_;
-  std::size_t last_ = 0;  ///< the block found last
-};
-
-/// A block with charge on any rank.
+/// A block with charge.
 struct Leaf {
   BlockKey key;
   Cell first, extent;  ///< occupied cells: the bounding box, inside the block
-  Cell peak;           ///< the cell with the greatest |q|
-  double greatest;     ///< that |q|
   double magnitude;    ///< sum of |q|
 
   Cell corner() const {
     return {key.place[0] * block_edge + first[0], key.place[1] * block_edge + first[1],
             key.place[2] * block_edge + first[2]};
   }
+  /// Of the bounding box of cell centres, smallest base spacing = 1.
+  Point centre(Point const& shape) const;
 };
 
-/// All leaves, sorted, the same list on every rank; the weakest are left out while they sum to less than `dropped` of
-/// all |q|. Collective.
-std::vector<Leaf> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& blocks, double dropped);
+struct LeafMoments {
+  Leaf leaf;
+  Harmonics<double> moments;  ///< about its centre
+};
 
-/// Moments of every leaf about the centre of its bounding box; `shape`: base spacings. Collective.
-std::vector<Harmonics<double>> gather_moments(MPI_Comm comm, ChargeBlocks const& blocks,
-                                              std::vector<Leaf> const& leaves, Point const& shape);
-
-/// The charges of some leaves.
-class LeafCharges {
+/// The blocks of this rank that hold charge. Boxes do not overlap; points at one place add up.
+class ChargeBlocks {
  public:
-  struct Block {
-    std::array<double, block_cells> values;                   ///< from the first cell of the leaf's bounding box on
-    std::array<unsigned char, block_edge * block_edge> rows;  ///< those with charge: y + 8 z
-    int row_count;
-  };
+  /// Charges are kept in blocks that come as near to a wall as `kept` cells of their level.
+  ChargeBlocks(Lattice const& lattice, Cell const& kept) : lattice_(lattice), shape_(lattice.shape()), kept_(kept) {}
 
-  /// Fetch those `wanted`, alike on all ranks. Collective.
-  LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<Leaf> const& leaves,
-              std::vector<char> const& wanted);
+  void assign(std::vector<PointCharge> const& charges);
+  void assign(std::vector<ChargeBox> const& boxes);
 
-  Block const& of(int leaf) const { return blocks_[std::size_t(place_[leaf])]; }
+  /// With charge of this rank alone.
+  std::vector<LeafMoments> const& leaves() const { return leaves_; }
+  bool has_charges(std::size_t leaf) const { return place_[leaf] >= 0; }
+  BlockCharges const& charges(std::size_t leaf) const { return charges_[std::size_t(place_[leaf])]; }
 
  private:
-  std::vector<int> place_;
-  std::vector<Block> blocks_;
+  void clear();
+  void add(BlockKey const& key, BlockCharges const& charges);
+  bool is_kept(BlockKey const& key) const;
+
+  Lattice lattice_;
+  Point shape_;
+  Cell kept_;
+  std::vector<LeafMoments> leaves_;
+  std::vector<int> place_;  ///< of a leaf's charges, or -1
+  std::vector<BlockCharges> charges_;
 };
 
 }  // namespace amrpic::freespace

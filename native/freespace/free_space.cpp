@@ -32,10 +32,11 @@ FreeSpace::FreeSpace(MPI_Comm comm, Lattice const& lattice, Options const& optio
     : comm_(comm),
       lattice_(lattice),
       options_(options),
+      charges_{ChargeBlocks(lattice, near_cells(lattice, options)), {}, {}},
       evaluate_(std::make_unique<TreePotential const>(lattice, 0, options)) {}
 
 void FreeSpace::set_charges(std::vector<PointCharge> const& local) {
-  charges_.blocks.assign(lattice_, local);
+  charges_.blocks.assign(local);
   build_tree();
 }
 
@@ -46,9 +47,9 @@ void FreeSpace::set_charges(std::vector<ChargeBox> const& local) {
 
 void FreeSpace::build_tree() {
   Point const shape = lattice_.shape();
-  charges_.leaves = agree_on_leaves(comm_, charges_.blocks, options_.dropped);
-  charges_.tree = build_octree(charges_.leaves, gather_moments(comm_, charges_.blocks, charges_.leaves, shape), shape);
-  int const finest = charges_.leaves.empty() ? 0 : charges_.leaves.back().key.level;
+  charges_.leaves = agree_on_leaves(comm_, charges_.blocks, shape, options_.dropped);
+  charges_.tree = build_octree(charges_.leaves, shape);
+  int const finest = charges_.leaves.empty() ? 0 : charges_.leaves.back().leaf.key.level;
   if (evaluate_->finest() < finest) evaluate_ = std::make_unique<TreePotential const>(lattice_, finest, options_);
 }
 

@@ -25,7 +25,7 @@ class FreeSpace {
   FreeSpace(MPI_Comm comm, Lattice const& lattice, Options const& options = {});
   Lattice const& lattice() const { return lattice_; }
 
-  /// The charges of the uncovered cells of this rank. Two exchanges: which leaves there are, and their moments.
+  /// The charges of the uncovered cells of this rank. One exchange: which leaves there are, with their moments.
   void set_charges(std::vector<PointCharge> const& local);
   void set_charges(std::vector<ChargeBox> const& local);
 

@@ -32,6 +32,15 @@ inline Lanes inverse_root(Lanes const& value) {
   return out;
 }
 
+inline Lanes absolute(Lanes const& value) {
+  LaneMask bits;
+  __builtin_memcpy(&bits, &value, sizeof bits);
+  bits &= 0x7fffffffffffffff;
+  Lanes out;
+  __builtin_memcpy(&out, &bits, sizeof out);
+  return out;
+}
+
 /// Bit t is set where the mask holds.
 inline unsigned bits_of(LaneMask const& mask) {
   LaneMask bits = mask & LaneMask{1, 2, 4, 8, 16, 32, 64, 128};

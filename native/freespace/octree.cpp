@@ -11,22 +11,24 @@ namespace {
 /// A node that has no parent yet, and the block it lies in at the present depth.
 struct Orphan {
   Cell place;
-  TreeNode node;
-  Harmonics<double> moments;
+  int number;  ///< among all nodes made
 };
 
 bool by_place(Orphan const& a, Orphan const& b) {
   return std::tie(a.place[2], a.place[1], a.place[0]) < std::tie(b.place[2], b.place[1], b.place[0]);
 }
 
-Orphan leaf_node(Leaf const& leaf, int number, Harmonics<double> const& moments, Point const& shape) {
+struct Member {
+  TreeNode node;
+  Harmonics<double> moments;
+};
+
+Member leaf_member(LeafMoments const& part, int number, Point const& shape) {
+  auto const& [leaf, moments] = part;
   double const scale = std::ldexp(1.0, -leaf.key.level);
   TreeNode node{};
-  Cell const corner = leaf.corner();
-  for (int d = 0; d < 3; ++d) {
-    node.centre[d] = (corner[d] + 0.5 * leaf.extent[d]) * shape[d] * scale;
-    node.half[d] = 0.5 * (leaf.extent[d] - 1) * shape[d] * scale;
-  }
+  node.centre = leaf.centre(shape);
+  for (int d = 0; d < 3; ++d) node.half[d] = 0.5 * (leaf.extent[d] - 1) * shape[d] * scale;
   node.radius = std::hypot(node.half[0], node.half[1], node.half[2]);
   node.coarsest = scale;
   node.magnitude = leaf.magnitude;
@@ -34,15 +36,15 @@ Orphan leaf_node(Leaf const& leaf, int number, Harmonics<double> const& moments,
   node.lattice.charge = moments[0].re * scale * scale;
   node.lattice.dipole = {2 * second.re * scale * scale, 2 * second.im * scale * scale, first.re * scale * scale};
   node.leaf = number;
-  return {leaf.key.place, node, moments};
+  return {node, moments};
 }
 
-/// The node around some children, without its moments.
-TreeNode enclose(Orphan const* first, Orphan const* last) {
+/// The node around some children.
+TreeNode enclose(Member const* first, Member const* last) {
   TreeNode out{};
   for (int d = 0; d < 3; ++d) {
     double lower = first->node.centre[d], upper = lower;
-    for (Orphan const* child = first; child != last; ++child) {
+    for (Member const* child = first; child != last; ++child) {
       lower = std::min(lower, child->node.centre[d] - child->node.half[d]);
       upper = std::max(upper, child->node.centre[d] + child->node.half[d]);
     }
@@ -50,7 +52,7 @@ TreeNode enclose(Orphan const* first, Orphan const* last) {
     out.half[d] = 0.5 * (upper - lower);
   }
   out.radius = std::hypot(out.half[0], out.half[1], out.half[2]);
-  for (Orphan const* child = first; child != last; ++child) {
+  for (Member const* child = first; child != last; ++child) {
     out.coarsest = std::max(out.coarsest, child->node.coarsest);
     out.magnitude += child->node.magnitude;
     out.lattice.charge += child->node.lattice.charge;
@@ -64,7 +66,7 @@ TreeNode enclose(Orphan const* first, Orphan const* last) {
 }
 
 /// Sum of the moments of some children about the centre of their parent, eight children at a time.
-Harmonics<double> join_moments(TreeNode const& parent, Orphan const* first, Orphan const* last) {
+Harmonics<double> join_moments(TreeNode const& parent, Member const* first, Member const* last) {
   Harmonics<double> out{};
   for (; first < last; first += lane_count) {
     int const count = int(std::min<std::ptrdiff_t>(lane_count, last - first));
@@ -90,39 +92,51 @@ class Builder {
  public:
   std::vector<Orphan> orphans;
 
+  void add(Cell const& place, Member const& member) {
+    orphans.push_back({place, int(made_.size())});
+    made_.push_back(member);
+  }
+
   /// Give a common parent to those of one place. An only child stays an orphan.
   void adopt() {
     std::stable_sort(orphans.begin(), orphans.end(), by_place);
-    std::vector<Orphan> parents;
-    for (auto first = orphans.begin(); first != orphans.end();) {
+    std::vector<Orphan> const children = std::move(orphans);
+    orphans.clear();
+    for (auto first = children.begin(); first != children.end();) {
       auto last = first + 1;
-      while (last != orphans.end() && last->place == first->place) ++last;
-      parents.push_back(last - first == 1 ? *first : parent_of(&*first, &*first + (last - first)));
+      while (last != children.end() && last->place == first->place) ++last;
+      if (last - first == 1)
+        orphans.push_back(*first);
+      else
+        add(first->place, parent_of(&*first, &*first + (last - first)));
       first = last;
     }
-    orphans = std::move(parents);
   }
 
   Octree finish() {
-    for (Orphan const& orphan : orphans) keep(orphan);
+    for (Orphan const& orphan : orphans) keep(made_[std::size_t(orphan.number)]);
     return std::move(tree_);
   }
 
  private:
-  Orphan parent_of(Orphan const* first, Orphan const* last) {
-    Orphan out{first->place, enclose(first, last), {}};
+  Member parent_of(Orphan const* first, Orphan const* last) {
+    children_.clear();
+    for (; first != last; ++first) children_.push_back(made_[std::size_t(first->number)]);
+    Member const *from = children_.data(), *to = from + children_.size();
+    Member out{enclose(from, to), {}};
     out.node.first_child = int(tree_.nodes.size());
-    out.moments = join_moments(out.node, first, last);
-    for (Orphan const* child = first; child != last; ++child) keep(*child);
+    out.moments = join_moments(out.node, from, to);
+    for (Member const& child : children_) keep(child);
     return out;
   }
 
-  void keep(Orphan const& orphan) {
-    tree_.nodes.push_back(orphan.node);
-    tree_.moments.push_back(orphan.moments);
-    tree_.expansions.push_back(to_expansion(orphan.moments));
+  void keep(Member const& member) {
+    tree_.nodes.push_back(member.node);
+    tree_.moments.push_back(member.moments);
+    tree_.expansions.push_back(to_expansion(member.moments));
   }
 
+  std::vector<Member> made_, children_;
   Octree tree_;
 };
 
@@ -134,17 +148,16 @@ std::array<bool, 3> axes_to_double(Point const& width) {
 
 }  // namespace
 
-Octree build_octree(std::vector<Leaf> const& leaves, std::vector<Harmonics<double>> const& moments,
-                    Point const& shape) {
+Octree build_octree(std::vector<LeafMoments> const& leaves, Point const& shape) {
   Builder builder;
-  int const finest = leaves.empty() ? 0 : leaves.back().key.level;
+  int const finest = leaves.empty() ? 0 : leaves.back().leaf.key.level;
   auto last = int(leaves.size());
   for (int level = finest; level >= 0; --level) {
     for (Orphan& orphan : builder.orphans)
       for (int& i : orphan.place) i >>= 1;
     int first = last;
-    while (first > 0 && leaves[first - 1].key.level == level) --first;
-    for (int n = first; n < last; ++n) builder.orphans.push_back(leaf_node(leaves[n], n, moments[n], shape));
+    while (first > 0 && leaves[first - 1].leaf.key.level == level) --first;
+    for (int n = first; n < last; ++n) builder.add(leaves[n].leaf.key.place, leaf_member(leaves[n], n, shape));
     last = first;
     builder.adopt();
   }

@@ -31,6 +31,7 @@ struct Octree {
   int root() const { return int(nodes.size()) - 1; }
 };
 
-Octree build_octree(std::vector<Leaf> const& leaves, std::vector<Harmonics<double>> const& moments, Point const& shape);
+/// `leaves` are sorted.
+Octree build_octree(std::vector<LeafMoments> const& leaves, Point const& shape);
 
 }  // namespace amrpic::freespace

@@ -109,21 +109,37 @@ std::array<double, monomial_count> block_monomials(double const* charges, BlockP
   return out;
 }
 
+namespace {
+
+/// What each monomial adds to the moments R(l, m) of its degree l, m = 0 .. l in the lanes.
+struct MonomialColumns {
+  std::array<Lanes, monomial_count> re{}, im{};
+
+  MonomialColumns() {
+    HarmonicPolynomials const polynomials;
+    for (int l = 0; l <= order; ++l)
+      for (int m = 0; m <= l; ++m)
+        for (int n = 0; n < monomial_count; ++n) {
+          // R(l, m) is homogeneous: only the monomials of degree l take part.
+          if (n < monomial_index(l, 0, 0) || n > monomial_index(0, 0, l)) continue;
+          re[n][m] = polynomials.re[harmonic_index(l, m)].coefficient[n];
+          im[n][m] = polynomials.im[harmonic_index(l, m)].coefficient[n];
+        }
+  }
+};
+
+}  // namespace
+
 Harmonics<double> moments_of(std::array<double, monomial_count> const& monomials) {
-  static HarmonicPolynomials const polynomials;
+  static MonomialColumns const columns;
   Harmonics<double> out;
   for (int l = 0; l <= order; ++l) {
-    // R(l, m) is homogeneous: only the monomials of degree l take part.
-    int const first = monomial_index(l, 0, 0), last = first + (l + 1) * (l + 2) / 2;
-    for (int m = 0; m <= l; ++m) {
-      int const place = harmonic_index(l, m);
-      Complex<double> sum{0, 0};
-      for (int n = first; n < last; ++n) {
-        sum.re += polynomials.re[place].coefficient[n] * monomials[n];
-        sum.im += polynomials.im[place].coefficient[n] * monomials[n];
-      }
-      out[place] = sum;
+    Lanes re{}, im{};
+    for (int n = monomial_index(l, 0, 0); n <= monomial_index(0, 0, l); ++n) {
+      re += columns.re[n] * monomials[n];
+      im += columns.im[n] * monomials[n];
     }
+    for (int m = 0; m <= l; ++m) out[harmonic_index(l, m)] = {re[m], im[m]};
   }
   return out;
 }

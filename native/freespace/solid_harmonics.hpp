@@ -5,6 +5,7 @@
 //   sum q / (4 pi |x - y|) = 1 / (4 pi) sum_l { M(l, 0) S(l, 0) + 2 sum_{m > 0} Re[conj(M(l, m)) S(l, m)(x - c)] }.
 #pragma once
 
+#include <algorithm>
 #include <array>
 
 #include "freespace/lanes.hpp"
@@ -68,18 +69,25 @@ Complex<T> with_sign(Harmonics<T> const& values, int l, int m) {
 /// Exact: R(l, m)(a + b) = sum_{j, k} R(j, k)(b) R(l - j, m - k)(a).
 template <class T>
 Harmonics<T> translate_moments(Harmonics<T> const& moments, T const& x, T const& y, T const& z) {
-  Harmonics<T> const shift = regular_harmonics(x, y, z);
+  std::array<Complex<T>, moment_count> old, shift;  // of either sign of m, at l (l + 1) + m
+  Harmonics<T> const regular = regular_harmonics(x, y, z);
+  for (int l = 0; l <= order; ++l)
+    for (int m = -l; m <= l; ++m) {
+      old[l * (l + 1) + m] = with_sign(moments, l, m);
+      shift[l * (l + 1) + m] = with_sign(regular, l, m);
+    }
   Harmonics<T> out;
   for (int l = 0; l <= order; ++l)
     for (int m = 0; m <= l; ++m) {
       Complex<T> sum = moments[harmonic_index(l, m)];
-      for (int j = 0; j < l; ++j)
-        for (int k = -j; k <= j; ++k) {
-          if (m - k > l - j || k - m > l - j) continue;
-          Complex<T> const a = with_sign(moments, j, k), b = with_sign(shift, l - j, m - k);
-          sum.re += a.re * b.re - a.im * b.im;
-          sum.im += a.re * b.im + a.im * b.re;
+      for (int j = 0; j < l; ++j) {
+        int const i = l - j;
+        Complex<T> const *a = &old[j * (j + 1)], *b = &shift[i * (i + 1) + m];
+        for (int k = std::max(-j, m - i); k <= std::min(j, m + i); ++k) {
+          sum.re += a[k].re * b[-k].re - a[k].im * b[-k].im;
+          sum.im += a[k].re * b[-k].im + a[k].im * b[-k].re;
         }
+      }
       out[harmonic_index(l, m)] = sum;
     }
   return out;

@@ -32,16 +32,22 @@ Cell table_reach(Lattice const& lattice, int finest, double distance) {
 double table_entries(Cell const& reach) { return (2.0 * reach[0] + 1) * (2.0 * reach[1] + 1) * (2.0 * reach[2] + 1); }
 
 /// Up to where the charges of a leaf of level 0 are summed one by one, in units of the smallest spacing.
-double near_distance(Lattice const& lattice, int finest, Options const& options) {
-  Point const shape = lattice.shape();
+double near_distance(Point const& shape, Options const& options) {
   double const leaf_radius = 0.5 * (block_edge - 1) * std::hypot(shape[0], shape[1], shape[2]);
   double const longest = std::max({shape[0], shape[1], shape[2]});
-  double const distance = std::max(options.lattice_limit * longest, leaf_radius / options.acceptance);
-  if (table_entries(table_reach(lattice, finest, distance)) > table_limit)
+  return std::max(options.lattice_limit * longest, leaf_radius / options.acceptance);
+}
+
+/// The reach of the kernel tables.
+Cell checked_reach(Lattice const& lattice, int finest, Options const& options) {
+  Point const shape = lattice.shape();
+  Cell const out = table_reach(lattice, finest, near_distance(shape, options));
+  if (table_entries(out) > table_limit)
     throw SolverError(
-        "open boundary: cells are " + std::to_string(int(longest)) +
-        " times longer than wide, too much for the table of the lattice Green's function; use cells closer to cubes");
-  return distance;
+        "open boundary: cells are " + std::to_string(int(std::max({shape[0], shape[1], shape[2]}))) +
+        " times longer than wide, too much for the table of the lattice Green's function; use cells closer "
+        "to cubes");
+  return out;
 }
 
 /// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
@@ -188,13 +194,20 @@ struct TreePotential::NearGhosts {
   }
 };
 
+Cell near_cells(Lattice const& lattice, Options const& options) {
+  Point const shape = lattice.shape();
+  Cell out;
+  for (int d = 0; d < 3; ++d) out[d] = int(std::ceil(near_distance(shape, options) / shape[d]));
+  return out;
+}
+
 TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& options)
     : lattice_(lattice),
       finest_(finest),
       options_(options),
       shape_(lattice.shape()),
       longest_spacing_(std::max({shape_[0], shape_[1], shape_[2]})),
-      kernels_(shape_, table_reach(lattice, finest, near_distance(lattice, finest, options))) {}
+      kernels_(shape_, checked_reach(lattice, finest, options)) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
   return std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
@@ -365,7 +378,7 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
   for (std::size_t n = 0; n < near.size(); ++n) {
     NearRow const& row = near[n];
     if (n > 0 && near[n - 1].patch != row.patch) ghosts.clear();
-    Leaf const& leaf = charges.leaves[row.leaf];
+    Leaf const& leaf = charges.leaves[row.leaf].leaf;
     auto const [entry, is_new] = ghosts.try_emplace(leaf.key.level);
     if (is_new) entry->second = NearGhosts(lattice_, patches[row.patch], leaf.key.level, kernels_);
     add_near(leaf, fetched.of(row.leaf), entry->second, row, out.data() + (row.patch - first) * patch_values);

@@ -8,6 +8,7 @@
 
 #include "freespace/ghost_patches.hpp"
 #include "freespace/kernel_table.hpp"
+#include "freespace/leaves.hpp"
 #include "freespace/octree.hpp"
 
 namespace amrpic::freespace {
@@ -20,10 +21,13 @@ struct Options {
   double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
 };
 
+/// So many cells from a wall, of their level, charges may have to be summed one by one.
+Cell near_cells(Lattice const& lattice, Options const& options);
+
 /// Charges as the evaluation needs them.
 struct ChargeTree {
-  ChargeBlocks blocks;       ///< of this rank
-  std::vector<Leaf> leaves;  ///< of all ranks, as the tree
+  ChargeBlocks blocks;              ///< of this rank
+  std::vector<LeafMoments> leaves;  ///< of all ranks, as the tree
   Octree tree;
 };
 

@@ -1,0 +1,39 @@
+// The leaves of the octree: blocks with charge on any rank.
+//
+// All ranks agree on one sorted list, so that what follows does not depend on how the cells are dealt out.
+#pragma once
+
+#include <mpi.h>
+
+#include <array>
+#include <vector>
+
+#include "freespace/charge_blocks.hpp"
+
+namespace amrpic::freespace {
+
+/// All leaves, sorted, the same list on every rank; the weakest are left out while they sum to less than `dropped` of
+/// all |q|. `shape`: base spacings. Collective.
+std::vector<LeafMoments> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& blocks, Point const& shape, double dropped);
+
+/// The charges of some leaves.
+class LeafCharges {
+ public:
+  struct Block {
+    BlockCharges values;                                      ///< from the first cell of the leaf's bounding box on
+    std::array<unsigned char, block_edge * block_edge> rows;  ///< those with charge: y + 8 z
+    int row_count;
+  };
+
+  /// Fetch those `wanted`, alike on all ranks. Collective.
+  LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<LeafMoments> const& leaves,
+              std::vector<char> const& wanted);
+
+  Block const& of(int leaf) const { return blocks_[std::size_t(place_[leaf])]; }
+
+ private:
+  std::vector<int> place_;
+  std::vector<Block> blocks_;
+};
+
+}  // namespace amrpic::freespace

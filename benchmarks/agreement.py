@@ -1,6 +1,6 @@
-"""Solve on the meshes of the verification by both backends and measure how far their potentials are apart.
+"""Solve on the meshes of the verification by both backends and measure how far their potentials and residuals are apart.
 
-The charge is rough, point values drawn from its cells' places, so that every row of every operator counts. A worker of
+Charge, and the potential whose residual both take, are rough, so that every row of every operator counts. A worker of
 benchmarks/bench.py.
 """
 
@@ -49,29 +49,33 @@ def blocks(comm: MPI.Comm, chosen: Callable[[tuple[int, ...]], bool]) -> amrpic.
 
 
 def rough(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """A density without a scale of its own, the same whatever boxes and ranks there are."""
-    return 1e-12 * np.sin(1e3 * (x + 1.3 * y + 1.7 * z) ** 2)
+    """A function without a scale of its own, the same whatever boxes and ranks there are."""
+    return np.sin(1e3 * (x + 1.3 * y + 1.7 * z) ** 2)
 
 
 def apart(comm: MPI.Comm, name: str, hierarchy: amrpic.Hierarchy) -> Record:
-    """Return the record of a mesh: how far the potentials are apart, over the largest; cycles of both. Collective."""
-    rho = amrpic.Field(hierarchy).fill(rough)
+    """Return the record of a mesh: how far potentials are apart, over the largest, and residuals; cycles. Collective."""
+    rho = amrpic.Field(hierarchy).fill(lambda *x: 1e-12 * rough(*x))
+    guess = amrpic.Field(hierarchy).fill(lambda *x: rough(*x[::-1]))
     background = "neutralizing" if hierarchy.domain.singular else None
     found = {}
     for backend in BACKENDS:
         solver = PoissonSolver(hierarchy, tolerance=TOLERANCE, backend=backend, background=background)
         seconds, (phi, report) = timed(comm, 1, partial(solver.solve, rho))
-        found[backend] = phi, report, seconds
-    (phi, one, seconds), *others = found.values()
-    difference = 0.0
-    for other, _, _ in others:
+        _, of_guess = solver.solve(rho, guess=guess)
+        found[backend] = phi, report, seconds, of_guess.residuals[0]
+    (phi, _, seconds, residual), *others = found.values()
+    difference = residuals = 0.0
+    for other, _, _, others_residual in others:
+        residuals = max(residuals, abs(others_residual / residual - 1))
         worst = max(float(np.abs(phi.array(l) - other.array(l)).max(initial=0.0)) for l in range(hierarchy.levels))
         difference = max(difference, comm.allreduce(worst, op=MPI.MAX) / phi.max_abs())
     facts = {
         "difference": difference,
+        "residuals apart": residuals,
         "backends": list(found),
-        "cycles": [report.cycles for _, report, _ in found.values()],
-        "converged": all(report.converged for _, report, _ in found.values()),
+        "cycles": [report.cycles for _, report, _, _ in found.values()],
+        "converged": all(report.converged for _, report, _, _ in found.values()),
     }
     cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
     return Record(f"agreement, {name}", seconds, cells=cells, facts=facts)

@@ -16,6 +16,7 @@ from walls import walls_name
 
 NAN = float("nan")
 SAME = 1e-8  # largest difference of the backends' potentials over the largest that counts as none
+ROUNDING = 1e-12  # of the largest residual of a rough potential, relative
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,8 @@ def backends(found: Found) -> Iterator[Goal]:
     if not all(record.facts["converged"] for record in compared):
         worst = math.inf
     yield Goal(f"matrix-free against CRS: φ on {len(compared)} meshes of the verification", worst, SAME)
+    apart = max((float(record.facts["residuals apart"]) for record in compared), default=NAN)
+    yield Goal("matrix-free against CRS: residual of a rough φ on them", apart, ROUNDING)
 
 
 def least(values: Iterable[float]) -> float:

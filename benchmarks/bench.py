@@ -23,7 +23,7 @@ import charts
 import performance
 from goals import goals, printed, table
 from growth import laws, rows
-from measuring import BACKEND, BACKENDS, ROOT, Record, launch, write
+from measuring import BACKEND, BACKENDS, ROOT, Record, launch, share_of_core, write
 
 HERE = Path(__file__).parent
 MEMORY_CASES = ("static 128", "bunch 64")
@@ -64,6 +64,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
     ]
 
 
+QUIET = 0.9  # of a core, below which a run is told to be disturbed
 NAMES = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
 
 
@@ -121,6 +122,8 @@ def main() -> int:
         print("\n" + printed(rows(found)))
     if not (given.quick or failed or len(given.only) < len(NAMES)):
         print(performance.write(given.output / "bench.json", ROOT / "docs"))
+    if (share := share_of_core(records)) < QUIET:
+        print(f"The machine did other work: a solve on one rank had {share:.0%} of a core, so figures are too high.")
     for sentence in failed:
         print(sentence, file=sys.stderr)
     return 1 if failed else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import inspect
 import json
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, get_args
@@ -26,6 +27,7 @@ ROOT = Path(__file__).parents[1]
 BACKENDS = get_args(menu.Backend)
 BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
 LEAST_SHARE = 0.8  # of a triad's bytes per second, below which a work unit is void
+CORE = "share of a core"
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -100,6 +102,20 @@ def timed(comm: MPI.Comm, runs: int, work: Callable[[], Any]) -> tuple[list[floa
         out = work()
         seconds.append(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
     return seconds, out
+
+
+@contextlib.contextmanager
+def watched(facts: dict[str, Any]) -> Iterator[None]:
+    """Note in `facts` what part of a core this rank had while a block ran: less than all where the machine did other work."""
+    start, own = time.perf_counter(), time.process_time()
+    yield
+    facts[CORE] = (time.process_time() - own) / (time.perf_counter() - start)
+
+
+def share_of_core(records: Sequence[Record]) -> float:
+    """Return the part of a core that half of the solves on one rank had at most; 1 without any."""
+    shares = [record.facts[CORE] for record in records if CORE in record.facts and ", 1 rank, " in record.name]
+    return statistics.median(shares) if shares else 1.0
 
 
 def slowest(comm: MPI.Comm, stages: dict[str, float]) -> dict[str, float]:

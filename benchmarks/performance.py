@@ -15,7 +15,7 @@ import goals
 import growth
 from cases import FAMILIES
 from goals import figure, markdown
-from measuring import LEAST_SHARE, ROOT, Record, read
+from measuring import LEAST_SHARE, ROOT, Record, read, share_of_core
 from particles import STAGES
 from peers import peer_name
 from reference import MLMG, MLMG_CYCLES
@@ -32,7 +32,7 @@ def document(records: Sequence[Record], about: dict[str, Any]) -> str:
     return TEXT.format(
         processor=machine["processor"],
         cores=machine["cores"],
-        load=machine["load"],
+        core=share_of_core(records),
         time=machine["time"],
         commit=machine["commit"],
         runs=about["runs"],
@@ -175,9 +175,10 @@ def told(value: float, unit: str = "") -> str:
 TEXT = """# Performance
 
 Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
-{processor}, backend `{backend}`, at a load of {load:.1f} before it began. Figures are medians of {runs} runs. Seconds
-belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py BEFORE.json AFTER.json`
-tells two runs apart, by work units where it can, and ends with status 1 if something became slower.
+{processor}, backend `{backend}`, where solves on one rank had {core:.0%} of a core to themselves. Figures are medians of
+{runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
+BEFORE.json AFTER.json` tells two runs apart, by work units where it can, and ends with status 1 if something became
+slower.
 
 ## Goals
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 from cases import FAMILIES, STRETCHED, Problem, problem
-from measuring import BACKEND, BACKENDS, Record, reset_peak, resident, slowest, timed, work_unit, write
+from measuring import BACKEND, BACKENDS, Record, reset_peak, resident, slowest, timed, watched, work_unit, write
 from mpi4py import MPI
 
 import amrpic
@@ -49,9 +49,10 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         if tolerance != FULL:
             solver = PoissonSolver(hierarchy, tolerance=tolerance, backend=backend)
         solver.solve(given.rho, boundary_values=given.walls)  # remembers the walls; pages of scratch come into being
-        seconds, (phi, report) = timed(comm, runs, partial(solver.solve, given.rho, boundary_values=given.walls))
-        facts = {
-            **levels,
+        facts: dict[str, Any] = dict(levels)
+        with watched(facts):
+            seconds, (phi, report) = timed(comm, runs, partial(solver.solve, given.rho, boundary_values=given.walls))
+        facts |= {
             "cycles": report.cycles,
             "converged": report.converged,
             "residual": report.residuals[-1],

@@ -32,9 +32,12 @@ test: setup  ## all tests, JOBS files at a time; ARGS go to pytest
 	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
 verify: setup  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
-	mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs
-	AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_decomposition.py tests/test_kill_restart.py \
-	  tests/test_memory.py $(ARGS)
+	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
+	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_verify.py tests/test_decomposition.py \
+	  tests/test_kill_restart.py tests/test_memory.py $(ARGS); \
+	exit $$failed
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
 	@:

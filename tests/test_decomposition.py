@@ -43,7 +43,7 @@ class Outcome:
 
 def run(comm: MPI.Comm, *changes: str) -> Outcome:
     """Run the scene to its end without writing anything."""
-    scene = Scene.from_toml(SCENE, [*([] if LONG else SMALLER), *changes])
+    scene = Scene.from_toml(SCENE, ["solver.tolerance=1e-10", *([] if LONG else SMALLER), *changes])
     plan = Plan(comm, scene)
     state = begin(plan)
     out = Outcome([], [], [], np.zeros(0), 0.0, 0.0)

@@ -123,7 +123,7 @@ def main() -> int:
     if not (given.quick or failed or len(given.only) < len(NAMES)):
         print(performance.write(given.output / "bench.json", ROOT / "docs"))
     if (share := share_of_core(records)) < QUIET:
-        print(f"The machine did other work: a solve on one rank had {share:.0%} of a core, so figures are too high.")
+        print(f"The machine did other work: a rank had {share:.0%} of a core, so times are too long.")
     for sentence in failed:
         print(sentence, file=sys.stderr)
     return 1 if failed else 0

@@ -113,8 +113,8 @@ def watched(facts: dict[str, Any]) -> Iterator[None]:
 
 
 def share_of_core(records: Sequence[Record]) -> float:
-    """Return the part of a core that half of the solves on one rank had at most; 1 without any."""
-    shares = [record.facts[CORE] for record in records if CORE in record.facts and ", 1 rank, " in record.name]
+    """Return the part of a core that half of what was watched on one rank had at most; 1 if nothing was."""
+    shares = [record.facts[CORE] for record in records if CORE in record.facts and " ranks" not in record.name]
     return statistics.median(shares) if shares else 1.0
 
 

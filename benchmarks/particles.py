@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-from measuring import Record, reset_peak, resident, write
+from measuring import Record, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
 
 import amrpic
@@ -131,11 +131,22 @@ def main() -> None:
     records = []
     for count in map(int, options.particles):
         for shape in options.shape:
-            found = timings(count, options.cells, options.box, shape, options.repeats)
+            facts: dict[str, Any] = {}
+            with watched(facts):
+                found = timings(count, options.cells, options.box, shape, options.repeats)
             figures = "  ".join(f"{name} {1e9 * median(taken) / count:6.1f}" for name, taken in found.items())
             print(f"{count:.0e} particles, {shape:24}{figures}  ns/particle", flush=True)
+            unit = work_unit(MPI.COMM_SELF, options.cells**3)
             records += [
-                Record(record_name(stage, count, shape), taken, particles=count) for stage, taken in found.items()
+                Record(
+                    record_name(stage, count, shape),
+                    taken,
+                    unit.seconds,
+                    unit.share_of_triad,
+                    particles=count,
+                    facts=facts,
+                )
+                for stage, taken in found.items()
             ]
     if options.output:
         write(options.output, records)

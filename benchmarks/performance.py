@@ -175,7 +175,7 @@ def told(value: float, unit: str = "") -> str:
 TEXT = """# Performance
 
 Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
-{processor}, backend `{backend}`, where solves on one rank had {core:.0%} of a core to themselves. Figures are medians of
+{processor}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
 {runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
 BEFORE.json AFTER.json` tells two runs apart, by work units where it can, and ends with status 1 if something became
 slower.

@@ -339,6 +339,11 @@ class Krylov(enum.Enum):
 
     bicgstab = 2
 
+class Backend(enum.Enum):
+    matrix_free = 0
+
+    crs = 1
+
 class CoveredField(enum.Enum):
     mean = 0
 
@@ -356,6 +361,10 @@ def measure_work_unit(cells: int) -> WorkUnit: ...
 
 class SolverOptions:
     def __init__(self) -> None: ...
+    @property
+    def backend(self) -> Backend: ...
+    @backend.setter
+    def backend(self, arg: Backend, /) -> None: ...
     @property
     def tolerance(self) -> float: ...
     @tolerance.setter
@@ -460,4 +469,4 @@ class PoissonSolver:
     @property
     def message_bytes(self) -> int: ...
     @property
-    def operator_bytes(self) -> int: ...
+    def backend_bytes(self) -> int: ...

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 from .units import complaint
 
 Norm = Literal["max", "l1", "l2"]
-Backend = Literal["crs"]
+Backend = Literal["matrix-free", "crs"]
 Smoother = Literal["red-black", "jacobi", "gauss-seidel", "symmetric-gauss-seidel", "chebyshev"]
 Prolongation = Literal["trilinear", "constant"]
 Bottom = Literal["gmres", "cg", "bicgstab", "multigrid", "direct"]
@@ -77,6 +77,28 @@ def refusal(
             "is no multigrid, which is to stand alone",
             "use smoothed-aggregation, plain-aggregation or brick-aggregation",
         )
+    return None
+
+
+# What the matrix-free backend has one of, and which.
+MATRIX_FREE = {
+    "smoother": "red-black",
+    "prolongation": "trilinear",
+    "coarse_levels": None,
+    "bottom": "gmres",
+    "bottom_preconditioner": None,
+    "krylov": "none",
+}
+
+
+def backend_refusal(backend: str, choices: Mapping[str, object]) -> Refusal | None:
+    """Return which of the choices the backend does not offer, or None."""
+    if backend == "crs":
+        return None
+    for option, only in MATRIX_FREE.items():
+        if choices[option] != only:
+            what = "is a choice of the backend of compressed rows alone"
+            return Refusal(option, choices[option], what, 'leave it out, or set backend to "crs"')
     return None
 
 

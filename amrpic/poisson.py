@@ -44,9 +44,11 @@ class PoissonSolver:
     With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
     that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
 
-    The cycle is a V-cycle with `sweeps` (before, after) of a smoother over the levels of the hierarchy and `coarse_levels`
-    multigrid levels below its base, of which the coarsest is solved by the `bottom` method. `amrpic.scene.Solver` tells what
-    each choice does. `reuse` is the `base_setup` of the solver of an earlier hierarchy on the same domain.
+    The cycle is a V-cycle with `sweeps` (before, after) of a smoother over the levels of the hierarchy and multigrid levels
+    below its base, of which the coarsest is solved exactly. Backend "matrix-free" loops over the rows of boxes; "crs" holds
+    the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
+    `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.Solver` tells what each choice does. `reuse` is
+    the `base_setup` of the solver of an earlier hierarchy on the same domain.
 
     Raises SolverError for an option out of range, or one that does not go with the others or the hierarchy.
     """
@@ -56,7 +58,7 @@ class PoissonSolver:
         hierarchy: Hierarchy,
         tolerance: float | Literal["discretization"] = 1e-10,
         norm: str = "max",
-        backend: str = "crs",
+        backend: str = "matrix-free",
         *,
         absolute_tolerance: float = 0.0,
         smoother: str = "red-black",
@@ -106,9 +108,19 @@ class PoissonSolver:
         if coarse_levels is not None and coarse_levels < 0:
             raise SolverError(f"coarse_levels is {coarse_levels}; give zero or a positive number")
         wrong = menu.refusal(smoother, relaxation, before_and_after, bottom, bottom_preconditioner) or stopping
+        choices = {
+            "smoother": smoother,
+            "prolongation": prolongation,
+            "coarse_levels": coarse_levels,
+            "bottom": bottom,
+            "bottom_preconditioner": bottom_preconditioner,
+            "krylov": krylov,
+        }
+        wrong = wrong or menu.backend_refusal(backend, choices)
         if wrong:
             raise SolverError(f"{wrong.option} is {wrong.found!r}, which {wrong.what}; {wrong.remedy}")
         options = _native.SolverOptions()
+        options.backend = _choice(_native.Backend, backend)
         options.tolerance = tolerance
         options.to_discretisation = to_discretization
         options.absolute_tolerance = absolute_tolerance

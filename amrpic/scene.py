@@ -178,7 +178,10 @@ class Solver(Section):
         description="Norm of the residual over uncovered cells, l1 and l2 weighted by volume; max sees every cell alike.",
     )
     backend: menu.Backend = Field(
-        default="crs", description="How the operators are executed: as Tpetra's sparse matrices."
+        default="matrix-free",
+        description="How the stencils are executed. matrix-free: loops over the rows of boxes, by far the fastest and "
+        "smallest. crs: compressed rows (Tpetra's matrices), with the whole menu of smoothers, prolongation, coarse_levels, "
+        "bottoms and krylov, which matrix-free does not have.",
     )
     smoother: menu.Smoother = Field(
         default="red-black",
@@ -241,6 +244,7 @@ class Solver(Section):
     def _goes_together(self) -> Self:
         wrong = menu.refusal(self.smoother, self.relaxation, self.sweeps, self.bottom, self.bottom_preconditioner)
         wrong = wrong or menu.stopping_refusal(self.tolerance, self.krylov)
+        wrong = wrong or menu.backend_refusal(self.backend, {name: getattr(self, name) for name in menu.MATRIX_FREE})
         if wrong:
             raise complaint(wrong.what, wrong.remedy, path=wrong.option, found=wrong.found)
         return self

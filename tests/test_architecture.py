@@ -31,7 +31,7 @@ NATIVE = {
 CONFINED = {
     r'#include\s*[<"](nanobind|Python)': {"bind"},
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
-    r"#include\s*<(Tpetra|Teuchos)": {"base", "operators", "solver"},
+    r"#include\s*<(Tpetra|Teuchos)": {"base", "matrixfree", "operators", "solver"},
     r"\bParameterList\b": {"solver"},
     r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
 }

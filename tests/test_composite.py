@@ -42,7 +42,7 @@ class Problem:
 
     def __init__(self, hierarchy: amrpic.Hierarchy, stretch: Sequence[float] = (1, 1, 1)) -> None:
         self.hierarchy, self.stretch = hierarchy, np.array(stretch, dtype=float)
-        self.solver = amrpic.PoissonSolver(hierarchy, bottom="direct", stretch=stretch)
+        self.solver = amrpic.PoissonSolver(hierarchy, backend="crs", bottom="direct", stretch=stretch)
         self.laplacian = _native.CompositeLaplacian(hierarchy.native, list(self.stretch))
         rng = np.random.default_rng(1)
         self.rho, self.phi = self.drawn(rng, epsilon_0), self.drawn(rng, 1.0)

@@ -75,15 +75,15 @@ def test_operators_take_the_bytes_that_are_counted(comm):
     solver = PoissonSolver(hierarchy)
     scene = Scene.from_dict({"domain": {"lower": -1, "upper": 1, "cells": 32}, "refinement": {"levels": 2}})
     parts = run_memory(scene, [hierarchy.boxes(level) for level in range(3)], 0, 1)
-    own = solver.native.operator_bytes
+    own = solver.native.backend_bytes
     solver.electric_field(solver.solve(Field(hierarchy))[0])
-    assert parts["operators"] + parts["operators of E"] == pytest.approx(solver.native.operator_bytes, rel=0.05)
+    assert parts["operators"] + parts["operators of E"] == pytest.approx(solver.native.backend_bytes, rel=0.05)
     assert own == pytest.approx(parts["operators"], rel=0.1)
-    before = solver.native.operator_bytes
+    before = solver.native.backend_bytes
     solver.electric_field(solver.solve(Field(hierarchy))[0], covered="difference")
     matched = run_memory(scene.with_interface("matched"), [hierarchy.boxes(level) for level in range(3)], 0, 1)
     more = matched["operators of E"] - parts["operators of E"]
-    assert more == pytest.approx(solver.native.operator_bytes - before, rel=0.1)
+    assert more == pytest.approx(solver.native.backend_bytes - before, rel=0.1)
 
 
 def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):

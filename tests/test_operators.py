@@ -64,7 +64,9 @@ def expected_for(name: str, hierarchy: amrpic.Hierarchy) -> tuple[Oracle, list[d
 def differences(name: str, comm: Any) -> dict[tuple[int, str], float]:
     """Return by level and operator how far it is from the oracle's; empty but on rank 0. Collective."""
     hierarchy = hierarchy_of(CASES[name], comm)
-    trilinear, constant = (amrpic.PoissonSolver(hierarchy, prolongation=p) for p in ("trilinear", "constant"))
+    trilinear, constant = (
+        amrpic.PoissonSolver(hierarchy, prolongation=p, backend="crs") for p in ("trilinear", "constant")
+    )
     result: dict[tuple[int, str], float] = {}
     for level in range(hierarchy.levels):
         found = by_name(matrices(trilinear, level))
@@ -143,22 +145,22 @@ HERE, THERE = ((80, 80, 80), (111, 111, 111)), ((96, 96, 96), (127, 127, 127))
 @pytest.mark.mpi(ranks=(1, 2, 3))
 def test_only_levels_that_changed_are_assembled_anew(comm):
     """The finest level moves: its operators and the next coarser ones are new, all others are handed on, and equal."""
-    first = amrpic.PoissonSolver(nested(comm, HERE))
+    first = amrpic.PoissonSolver(nested(comm, HERE), backend="crs")
     every = first.native.levels_assembled
     entries(first)  # the gradient is handed on as well
-    moved = amrpic.PoissonSolver(nested(comm, THERE), reuse=first.base_setup)
+    moved = amrpic.PoissonSolver(nested(comm, THERE), reuse=first.base_setup, backend="crs")
     # With other ghosts on the next coarser level, the one below it must be numbered anew.
     assert moved.native.levels_assembled == 2 if comm.size == 1 else moved.native.levels_assembled <= 3
     assert every == 8
-    fresh = amrpic.PoissonSolver(nested(comm, THERE))
+    fresh = amrpic.PoissonSolver(nested(comm, THERE), backend="crs")
     assert fresh.native.levels_assembled == every
     for ours, theirs in zip(entries(moved), entries(fresh), strict=True):
         assert np.array_equal(ours, theirs)
     rho = amrpic.Field(moved.hierarchy).fill(lambda x, y, z: np.sin(7 * x) * np.cos(5 * y + z))
-    phi, expected = moved.solve(rho)[0], amrpic.PoissonSolver(moved.hierarchy).solve(rho)[0]
+    phi, expected = moved.solve(rho)[0], amrpic.PoissonSolver(moved.hierarchy, backend="crs").solve(rho)[0]
     for level in range(4):
         assert np.array_equal(phi.array(level), expected.array(level))
-    again = amrpic.PoissonSolver(nested(comm, THERE), reuse=moved.base_setup)
+    again = amrpic.PoissonSolver(nested(comm, THERE), reuse=moved.base_setup, backend="crs")
     assert again.native.levels_assembled == 0
     assert again.native.messages == 0
 
@@ -169,8 +171,8 @@ def test_open_walls_are_seen_by_all_levels_below(comm):
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), "open")
     levels = [[((0, 8, 8), (15, 23, 23))], [((0, 24, 24), (15, 39, 39))]]
     one, two = (amrpic.Hierarchy(comm, domain, levels[:n], 8) for n in (1, 2))
-    solver = amrpic.PoissonSolver(two, reuse=amrpic.PoissonSolver(one).base_setup)
-    fresh = amrpic.PoissonSolver(two)
+    solver = amrpic.PoissonSolver(two, backend="crs", reuse=amrpic.PoissonSolver(one, backend="crs").base_setup)
+    fresh = amrpic.PoissonSolver(two, backend="crs")
     assert solver.native.levels_assembled == fresh.native.levels_assembled
     for ours, theirs in zip(entries(solver), entries(fresh), strict=True):
         assert np.array_equal(ours, theirs)

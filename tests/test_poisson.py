@@ -28,15 +28,30 @@ def middle(cells: int) -> list:
     return [[((cells // 2,) * 3, (3 * cells // 2 - 1,) * 3)]]
 
 
+# residuals of static 64 after the first cycles
+HISTORY = {
+    "crs": [3.852016e-2, 7.657602e-4, 1.684301e-5],
+    "matrix-free": [3.857884e-2, 7.695202e-4, 1.701628e-5],
+}
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=120)
 @pytest.mark.parametrize("max_grid_size", [16, 24, 32, 64])
-def test_static_64_takes_eight_cycles_on_any_decomposition(comm, max_grid_size):
+def test_static_64_takes_seven_cycles_on_any_decomposition(comm, max_grid_size):
     _, phi, report = solve_static(comm, 64, max_grid_size)
     assert report.converged
-    assert report.cycles <= 8
+    assert report.cycles == 7
     assert max(np.divide(report.residuals[2:], report.residuals[1:-1])) < 0.05
-    # the history of the cycle is the same on any decomposition
-    assert report.residuals[1:4] == pytest.approx([3.852016e-2, 7.657602e-4, 1.684301e-5], rel=1e-5)
+    # the history of the cycle is the same on any decomposition, but for the rounding of single precision
+    assert report.residuals[1:4] == pytest.approx(HISTORY["matrix-free"], rel=2e-5)
+
+
+@pytest.mark.mpi(ranks=(1, 3), timeout=120)
+@pytest.mark.parametrize("max_grid_size", [16, 64])
+def test_compressed_rows_take_as_many_cycles_on_any_decomposition(comm, max_grid_size):
+    _, phi, report = solve_static(comm, 64, max_grid_size, backend="crs")
+    assert report.converged and report.cycles == 7
+    assert report.residuals[1:4] == pytest.approx(HISTORY["crs"], rel=1e-5)
 
 
 @pytest.mark.mpi(ranks=(2,), timeout=120)
@@ -72,7 +87,9 @@ def test_potential_is_the_same_on_one_rank_and_on_all(comm):
 @pytest.mark.parametrize("prolongation", ["trilinear", "constant"])
 def test_every_cycle_finds_the_same_potential(sweeps, prolongation):
     _, wanted, _ = solve_static(MPI.COMM_SELF, 32, tolerance=1e-11)
-    _, phi, report = solve_static(MPI.COMM_SELF, 32, tolerance=1e-11, sweeps=sweeps, prolongation=prolongation)
+    _, phi, report = solve_static(
+        MPI.COMM_SELF, 32, tolerance=1e-11, sweeps=sweeps, prolongation=prolongation, backend="crs"
+    )
     assert report.converged
     assert phi.sample(POINTS) == pytest.approx(wanted.sample(POINTS), rel=1e-8, abs=1e-9)
 
@@ -211,12 +228,12 @@ def test_units_do_not_matter(scale, charge):
 def test_a_further_solve_assembles_nothing():
     solver, phi, _ = solve_static(MPI.COMM_SELF, 32)
     solver.electric_field(phi)
-    before = solver.native.assemblies, solver.native.operator_bytes
+    before = solver.native.assemblies, solver.native.backend_bytes
     rho = amrpic.Field(solver.hierarchy).fill(STATIC.density)
     for _ in range(3):
         phi, _ = solver.solve(rho, guess=phi, boundary_values=lambda x, y, z: x)
         solver.electric_field(phi)
-    assert (solver.native.assemblies, solver.native.operator_bytes) == before
+    assert (solver.native.assemblies, solver.native.backend_bytes) == before
 
 
 @pytest.mark.mpi(ranks=(2, 3))

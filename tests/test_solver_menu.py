@@ -37,8 +37,9 @@ def charge(hierarchy: amrpic.Hierarchy) -> amrpic.Field:
     return rho
 
 
-def solved(hierarchy: amrpic.Hierarchy, **options) -> tuple[amrpic.Field, amrpic.poisson.SolveReport]:
-    phi, report = PoissonSolver(hierarchy, tolerance=1e-11, background=None, **options).solve(charge(hierarchy))
+def solved(hierarchy: amrpic.Hierarchy, backend="crs", **options) -> tuple[amrpic.Field, amrpic.poisson.SolveReport]:
+    solver = PoissonSolver(hierarchy, tolerance=1e-11, background=None, backend=backend, **options)
+    phi, report = solver.solve(charge(hierarchy))
     assert report.converged, (options, report.reason)
     return phi, report
 
@@ -89,7 +90,7 @@ def test_every_bottom_solves_a_singular_base(bottom, comm):
 def test_cg_is_accepted_where_the_base_is_symmetric_and_refused_where_its_ghosts_are_quadratic():
     solved(refined(MPI.COMM_SELF, "open"), coarse_levels=0, bottom="cg")
     with pytest.raises(SolverError, match='bottom is "cg", but the coarsest level\'s matrix is not symmetric'):
-        PoissonSolver(refined(MPI.COMM_SELF, "dirichlet"), coarse_levels=0, bottom="cg")
+        PoissonSolver(refined(MPI.COMM_SELF, "dirichlet"), coarse_levels=0, bottom="cg", backend="crs")
 
 
 @pytest.mark.parametrize("bottom", ["gmres", "direct"])
@@ -98,7 +99,7 @@ def test_a_bottom_beyond_its_method_is_refused(bottom):
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, "dirichlet")
     hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, max_grid_size=cells, blocking_factor=2)
     with pytest.raises(SolverError, match=rf"the coarsest level (would have|has) {cells**3} cells"):
-        PoissonSolver(hierarchy, coarse_levels=0, bottom=bottom)
+        PoissonSolver(hierarchy, coarse_levels=0, bottom=bottom, backend="crs")
 
 
 @pytest.mark.mpi(ranks=(1, 2))
@@ -107,9 +108,9 @@ def test_accelerated_residuals_are_those_of_the_potential(krylov, comm):
     """A solve that starts from the result finds the residual that was reported last."""
     hierarchy = static_hierarchy(comm, 16, 8)
     rho = amrpic.Field(hierarchy).fill(STATIC.density)
-    solver = PoissonSolver(hierarchy, tolerance=1e-6, krylov=krylov)
+    solver = PoissonSolver(hierarchy, tolerance=1e-6, krylov=krylov, backend="crs")
     phi, report = solver.solve(rho, boundary_values=STATIC.potential)
-    again = PoissonSolver(hierarchy, max_cycles=1)
+    again = PoissonSolver(hierarchy, max_cycles=1, backend="crs")
     _, checked = again.solve(rho, guess=phi, boundary_values=STATIC.potential)
     assert checked.residuals[0] == pytest.approx(report.residuals[-1], rel=1e-6)
     assert len(report.residuals) == report.cycles + 1
@@ -117,7 +118,7 @@ def test_accelerated_residuals_are_those_of_the_potential(krylov, comm):
 
 @pytest.mark.parametrize("krylov", ["none", "fgmres", "bicgstab"])
 def test_rounding_floor_is_recognised_with_every_acceleration(krylov):
-    _, _, report = solve_static(MPI.COMM_SELF, 16, tolerance=0.0, krylov=krylov)
+    _, _, report = solve_static(MPI.COMM_SELF, 16, tolerance=0.0, krylov=krylov, backend="crs")
     assert report.converged and "rounding" in report.reason
     assert report.residuals[-1] <= 10 * report.floor
 
@@ -141,10 +142,10 @@ def test_sweeps_are_one_number_or_two():
 def test_the_base_set_up_lasts_while_refined_levels_change(comm):
     """The bottom is set up anew only where its matrix changes, as it does for levels that come to touch an open wall."""
     places = {8: 0, 4: 0, 0: 1}  # where the refined level begins, and the set-ups that it needs
-    kept = PoissonSolver(refined(comm, "open", first=12)).base_setup
+    kept = PoissonSolver(refined(comm, "open", first=12), backend="crs").base_setup
     for first, setups in places.items():
         hierarchy = refined(comm, "open", first=first)
-        solver = PoissonSolver(hierarchy, tolerance=1e-11, reuse=kept)
+        solver = PoissonSolver(hierarchy, tolerance=1e-11, reuse=kept, backend="crs")
         kept = solver.base_setup
         assert solver.native.bottom_setups == setups, first
         phi, report = solver.solve(charge(hierarchy))
@@ -197,6 +198,7 @@ def test_a_scene_hands_every_choice_to_the_solver():
     from amrpic.plan import Plan
 
     chosen: dict[str, Any] = {
+        "backend": "crs",
         "smoother": "chebyshev",
         "sweeps": [1, 3],
         "prolongation": "constant",
@@ -218,12 +220,13 @@ def test_a_scene_hands_every_choice_to_the_solver():
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.parametrize("backend", get_args(menu.Backend))
 @pytest.mark.parametrize("boundary", ["dirichlet", "periodic", "neumann", "open", MIXED], ids=str)
-def test_long_and_flat_cells_converge_like_cubes_on_any_decomposition(boundary, comm):
+def test_long_and_flat_cells_converge_like_cubes_on_any_decomposition(boundary, backend, comm):
     """Cells of 1:1:10 took 100 cycles in a refined level, and 27 in a base, by a point smoother and linear ghosts alone."""
     for first, stretch in ((None, (1, 1, 10)), (None, (1, 2.5, 10)), (8, (1, 1, 10)), (0, (1, 5, 1)), (8, (8, 8, 1))):
         hierarchies = [refined(on, boundary, first=first) for on in (comm, MPI.COMM_SELF)]
-        (phi, report), (alone, single) = (solved(h, stretch=stretch) for h in hierarchies)
+        (phi, report), (alone, single) = (solved(h, backend, stretch=stretch) for h in hierarchies)
         assert report.cycles <= (10 if first is None else 15), (stretch, report.cycles)
         assert report.cycles == single.cycles
         assert phi.sample(POINTS) == pytest.approx(alone.sample(POINTS), rel=1e-8, abs=1e-9 * alone.max_abs())
@@ -237,11 +240,12 @@ def test_every_smoother_serves_long_cells(smoother):
     assert difference(phi, solved(hierarchy, stretch=(1, 1, 10))[0]) < 1e-9
 
 
+@pytest.mark.parametrize("backend", get_args(menu.Backend))
 @pytest.mark.parametrize("sweeps", [(0, 2), (2, 0)])
-def test_long_cells_converge_with_sweeps_on_one_side_alone(comm, sweeps):
+def test_long_cells_converge_with_sweeps_on_one_side_alone(comm, sweeps, backend):
     """Their own cycles need sweeps on both: 57 and 50 cycles without."""
     domain = amrpic.Domain((0, 0, 0), (1, 1, 10), (16, 16, 16), boundary="dirichlet")
     hierarchy = amrpic.Hierarchy(comm, domain, [[((8, 8, 8), (23, 23, 23))]], blocking_factor=8)
     rho = amrpic.Field(hierarchy).fill(lambda x, y, z: 1e-9 * np.exp(-((x - 0.4) ** 2) * 40) + 0 * (y + z))
-    _, report = PoissonSolver(hierarchy, sweeps=sweeps).solve(rho)
+    _, report = PoissonSolver(hierarchy, sweeps=sweeps, backend=backend).solve(rho)
     assert report.converged and report.cycles <= 22

@@ -4,6 +4,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include "base/constants.hpp"
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
 #include "solver/poisson.hpp"
@@ -45,6 +46,8 @@ void bind_solver(nb::module_& m) {
       .value("fgmres", KrylovKind::fgmres)
       .value("bicgstab", KrylovKind::bicgstab);
 
+  nb::enum_<BackendKind>(m, "Backend").value("matrix_free", BackendKind::matrix_free).value("crs", BackendKind::crs);
+
   nb::enum_<CoveredField>(m, "CoveredField")
       .value("mean", CoveredField::mean)
       .value("difference", CoveredField::difference);
@@ -57,6 +60,7 @@ void bind_solver(nb::module_& m) {
 
   nb::class_<SolverOptions>(m, "SolverOptions")
       .def(nb::init<>())
+      .def_rw("backend", &SolverOptions::backend)
       .def_rw("tolerance", &SolverOptions::tolerance)
       .def_rw("to_discretisation", &SolverOptions::to_discretisation)
       .def_rw("absolute_tolerance", &SolverOptions::absolute_tolerance)
@@ -98,7 +102,7 @@ void bind_solver(nb::module_& m) {
           "electric_field",
           [](PoissonSolver& solver, Field const& phi, CoveredField covered, Field& x, Field& y, Field& z) {
             nb::gil_scoped_release release;
-            solver.electric_field(phi, {&x, &y, &z}, covered);
+            solver.electric_field(phi, std::array<Field*, 3>{&x, &y, &z}, covered);
           },
           "phi"_a, "covered"_a, "x"_a, "y"_a, "z"_a)
       .def(
@@ -128,10 +132,10 @@ void bind_solver(nb::module_& m) {
           "level"_a)
       .def("operators", &PoissonSolver::operators_with_gradient, "level"_a, nb::rv_policy::reference_internal)
       .def_prop_ro("reusable", &PoissonSolver::reusable, nb::rv_policy::copy)
-      .def_prop_ro("bottom_setups", &PoissonSolver::bottom_setups)
-      .def_prop_ro("levels_assembled", &PoissonSolver::levels_assembled)
-      .def_prop_ro("assemblies", &PoissonSolver::assemblies)
-      .def_prop_ro("messages", &PoissonSolver::messages)
-      .def_prop_ro("message_bytes", &PoissonSolver::message_bytes)
-      .def_prop_ro("operator_bytes", &PoissonSolver::operator_bytes);
+      .def_prop_ro("bottom_setups", [](PoissonSolver const& s) { return s.backend().bottom_setups(); })
+      .def_prop_ro("levels_assembled", [](PoissonSolver const& s) { return s.backend().levels_assembled(); })
+      .def_prop_ro("assemblies", [](PoissonSolver const& s) { return s.backend().assemblies(); })
+      .def_prop_ro("messages", [](PoissonSolver const& s) { return s.backend().messages(); })
+      .def_prop_ro("message_bytes", [](PoissonSolver const& s) { return s.backend().message_bytes(); })
+      .def_prop_ro("backend_bytes", [](PoissonSolver const& s) { return s.backend().bytes(); });
 }

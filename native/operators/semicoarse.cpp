@@ -64,10 +64,10 @@ Row special_row(Level const& level, Window<GlobalIndex> const& number, Correctio
 
 }  // namespace
 
-CorrectionGhosts correction_ghosts(LevelOperators const& operators,
+CorrectionGhosts correction_ghosts(Level const& level, WallGhosts const& walls,
                                    std::array<std::array<Boundary, 2>, 3> const& boundary) {
-  Real3 const& h = operators.level->spacing();
-  CorrectionGhosts out{operators.walls, {}, {}, h};  // beyond the level at the coarse cells' centres
+  Real3 const& h = level.spacing();
+  CorrectionGhosts out{walls, {}, {}, h};  // beyond the level at the coarse cells' centres
   out.interface.fill({interface_ghost::first, interface_ghost::second, 0});
   for (int d = 0; d < 3; ++d)
     for (int side = 0; side < 2; ++side) {
@@ -95,10 +95,15 @@ Index3 semicoarsening_of(Level const& level) {
   return ratio;
 }
 
+std::shared_ptr<Level const> semicoarse_level(Level const& level, Index3 const& ratio, CorrectionGhosts& ghosts) {
+  auto out = coarsened(level, ratio);
+  coarsen(ghosts, ratio, out->spacing());
+  return out;
+}
+
 LevelOperators semicoarsened(MPI_Comm comm, Level const& fine, Index3 const& ratio, CorrectionGhosts& ghosts) {
   LevelOperators out;
-  out.level = coarsened(fine, ratio);
-  coarsen(ghosts, ratio, out.level->spacing());
+  out.level = semicoarse_level(fine, ratio, ghosts);
   Level const& level = *out.level;
   Real3 const& h = level.spacing();
   CrsBuilder builder(level.local_cells(), level);

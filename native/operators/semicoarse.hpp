@@ -15,15 +15,19 @@ struct CorrectionGhosts {
 };
 
 /// Those of the level itself.
-CorrectionGhosts correction_ghosts(LevelOperators const& operators,
+CorrectionGhosts correction_ghosts(Level const& level, WallGhosts const& walls,
                                    std::array<std::array<Boundary, 2>, 3> const& boundary);
 
 /// By how much to coarsen each axis of a refinement level by itself: 2 along the axes of smallest spacing while another
 /// spacing is more than twice that; all ones where it is not, or where the boxes do not allow it.
 Index3 semicoarsening_of(Level const& level);
 
-/// The boxes of a level with fewer cells along some axes, on the same ranks in the same order, and of its operators
-/// `no_fine` and the halo alone. `ghosts` become those of the coarser level. Collective.
+/// The boxes of a level with fewer cells along some axes, on the same ranks in the same order. `ghosts` become those of
+/// the coarser level.
+std::shared_ptr<Level const> semicoarse_level(Level const& level, Index3 const& ratio, CorrectionGhosts& ghosts);
+
+/// The same with its operators, of which `no_fine` and the halo alone are made. `ghosts` become those of the coarser
+/// level. Collective.
 LevelOperators semicoarsened(MPI_Comm comm, Level const& level, Index3 const& ratio, CorrectionGhosts& ghosts);
 
 }  // namespace amrpic

@@ -3,7 +3,7 @@
 #include <cmath>
 
 #include "base/rows.hpp"
-#include "solver/poisson.hpp"
+#include "solver/crs_backend.hpp"
 
 namespace amrpic {
 
@@ -20,7 +20,7 @@ std::vector<char> rows_at_walls(Domain const& domain, Level const& level) {
 
 }  // namespace
 
-Real PoissonSolver::largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&)) {
+Real CrsBackend::largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&)) {
   Real result = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     auto const& v = values(cycle_level(l));
@@ -30,14 +30,14 @@ Real PoissonSolver::largest_uncovered(std::vector<Real> const& (*values)(Multigr
   return result;
 }
 
-Real PoissonSolver::largest_correction() {
+Real CrsBackend::largest_correction() {
   return largest_uncovered([](MultigridLevel& level) -> std::vector<Real> const& { return level.correction(); });
 }
 
 /// The truncation error of the composite Laplacian, into the right-hand sides of the cycle: for each cell what the
 /// Laplacian of the next coarser level makes of the mean potentials there, less the mean of f, over three. Nothing is
 /// known of cells at walls, and of the base where nothing coarser exists. `phi_` must be averaged down.
-void PoissonSolver::set_truncation() {
+void CrsBackend::set_truncation() {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     LevelOperators const& fine = operators(l);
     auto& truncation = cycle_level(l).right_hand_side();
@@ -77,7 +77,7 @@ void PoissonSolver::set_truncation() {
 /// is too large beside it to tell. What the cells of phi stand for is what those of f stand for: where f is the mean
 /// over a cell, this is the error of the means of phi, which at cell centres is another one, by h^2/24 times f. Finds
 /// and leaves the residual in the right-hand sides of the cycle.
-Real PoissonSolver::discretisation_error() {
+Real CrsBackend::discretisation_error() {
   auto const right_hand_side = [](MultigridLevel& level) -> std::vector<Real> const& {
     return level.right_hand_side();
   };
@@ -86,7 +86,7 @@ Real PoissonSolver::discretisation_error() {
   set_truncation();
   Real error = 0;
   if (residual < 0.1 * largest_uncovered(right_hand_side)) {
-    multigrid_.cycle();
+    multigrid_.cycle(stopwatch_);
     error = largest_correction();
   }
   compute_residual();

@@ -43,20 +43,20 @@ Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators cons
     LevelOperators const& o = *operators[l];
     std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
     if (stack.refines(l))
-      smoother = make_refined_smoother(comm, o, correction_ghosts(o, stack.boundary), options);
+      smoother = make_refined_smoother(comm, o, correction_ghosts(*o.level, o.walls, stack.boundary), options);
     else if (l > 0)
       smoother = make_smoother(comm, o, options);
     levels_.emplace_back(o, std::move(smoother));
   }
 }
 
-void Multigrid::cycle(std::size_t l) {
+void Multigrid::cycle(std::size_t l, Stopwatch& stopwatch) {
   if (l == 0) {
-    stopwatch_.time("bottom", [&] { bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction()); });
+    stopwatch.time("bottom", [&] { bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction()); });
   } else {
-    stopwatch_.time("pre_smooth_and_restrict", [&] { levels_[l].pre_smooth_and_restrict(levels_[l - 1]); });
-    cycle(l - 1);
-    stopwatch_.time("prolong_and_post_smooth", [&] { levels_[l].prolong_and_post_smooth(levels_[l - 1]); });
+    stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].pre_smooth_and_restrict(levels_[l - 1]); });
+    cycle(l - 1, stopwatch);
+    stopwatch.time("prolong_and_post_smooth", [&] { levels_[l].prolong_and_post_smooth(levels_[l - 1]); });
   }
   levels_[l].operators().halo.update(levels_[l].correction().data());
 }

@@ -49,16 +49,13 @@ class Multigrid {
 
   /// One V-cycle for the corrections from the finest level down; reads every refinement level's right-hand side.
   /// Collective.
-  void cycle() { cycle(finest()); }
-
-  Stopwatch& stopwatch() { return stopwatch_; }
+  void cycle(Stopwatch& stopwatch) { cycle(finest(), stopwatch); }
 
  private:
-  void cycle(std::size_t l);
+  void cycle(std::size_t l, Stopwatch& stopwatch);
 
   std::vector<MultigridLevel> levels_;
   std::shared_ptr<Bottom> bottom_;
-  Stopwatch stopwatch_;
 };
 
 }  // namespace amrpic

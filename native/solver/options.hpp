@@ -11,6 +11,12 @@ class ParameterList;
 
 namespace amrpic {
 
+/// What executes the stencils.
+enum class BackendKind {
+  matrix_free,  ///< loops over the rows of boxes; red-black relaxation, exact bottom
+  crs           ///< operators as compressed rows, and with them all that follows here
+};
+
 /// What relaxes the errors of a level.
 enum class SmootherKind { red_black, jacobi, gauss_seidel, symmetric_gauss_seidel, chebyshev };
 
@@ -40,6 +46,7 @@ struct SolverOptions {
   Real absolute_tolerance = 0;     ///< residual in `norm`, V/m^2 (times m^3 for l1, times m^1.5 for l2)
   bool to_discretisation = false;  ///< stop where the error left is a tenth of the estimated one of the mesh
   Norm norm = Norm::max;
+  BackendKind backend = BackendKind::matrix_free;  ///< the fastest
   int max_cycles = 100;
   SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and alike on any decomposition
   int pre_sweeps = 2, post_sweeps = 2;

@@ -1,0 +1,131 @@
+#include "matrixfree/coarsening.hpp"
+
+#include <algorithm>
+
+namespace amrpic::matrixfree {
+
+namespace {
+
+/// Whether every box of a level is the parent of the same rank's box in the finer one.
+bool follows(Level const& coarser, Level const& finer, Index3 const& ratio) {
+  if (coarser.ranks() != finer.ranks() || coarser.box_count() != finer.box_count()) {
+    // one rank: joined, both are the whole domain
+    return coarser.ranks() == 1 && finer.ranks() == 1 && finer.cells() == finer.domain().cells();
+  }
+  for (int r = 0; r < finer.ranks(); ++r)
+    if (coarser.first_box(r) != finer.first_box(r)) return false;
+  for (int b = 0; b < finer.box_count(); ++b)
+    if (!(coarser.box(b) == finer.box(b).coarsen(ratio))) return false;
+  return true;
+}
+
+}  // namespace
+
+Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
+                       EndFactor const& behind)
+    : comm_(comm),
+      fine_(fine),
+      coarse_(coarse),
+      ratio_(ratio),
+      refines_(refines),
+      in_place_(!refines && follows(coarse.level(), fine.level(), ratio)),
+      gathers_(coarse.level().ranks() == 1 && fine.level().ranks() > 1) {
+  surround(comm, behind);
+  if (refines)
+    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), surroundings_, fine.stencil().weight(),
+                                coarse.stencil().weight());
+}
+
+/// Lay out the cells around the own blocks' parents, and plan how their values come.
+void Coarsening::surround(MPI_Comm comm, EndFactor const& behind) {
+  Layout const& layout = fine_.layout();
+  Level const& coarser = coarse_.level();
+  std::vector<Wanted> wanted;
+  std::size_t size = 0;
+  for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
+    Box const parents = layout.blocks()[b].box.coarsen(ratio_);
+    Surroundings around{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
+    around.cells.origin = std::ptrdiff_t(size);
+    around.cells.pitch_y = around.box.extent(0);
+    around.cells.pitch_z = around.cells.pitch_y * around.box.extent(1);
+    size += std::size_t(around.cells.pitch_z * around.box.extent(2));
+    std::vector<char> known(std::size_t(around.box.cells()), 0);
+    coarser.for_each_overlap(around.box, [&](int box, Box const& part, Index3 const& shift) {
+      Rectangle copy = around.cells;
+      copy.origin = around.place(part.lower);
+      wanted.push_back({box, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
+      for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+        for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+          std::fill_n(&known[std::size_t(around.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
+    });
+    add_ends(parents, around, known, behind);
+    Rectangle cells = around.cells;
+    cells.origin = around.place(parents.lower);
+    sources_.push_back({cells, ratio_});
+    targets_.push_back(in_place_ ? Parents{coarse_.layout().blocks()[b].cells, ratio_} : sources_.back());
+    surroundings_.push_back(around);
+  }
+  values_.resize(size + 64);  // a vector that starts in the last row may reach beyond it
+  parents_ = RectangleExchange(comm, coarser, coarse_.layout(), wanted);
+}
+
+/// A correction behind a wall, or where the coarser level ends, is a multiple of that before it; corners follow axis
+/// after axis.
+void Coarsening::add_ends(Box const& parents, Surroundings const& around, std::vector<char>& known,
+                          EndFactor const& behind) {
+  Box const domain = coarse_.level().domain();
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      Box layer = parents.grow(1);
+      layer.lower[axis] = layer.upper[axis] = side == 0 ? layer.lower[axis] : layer.upper[axis];
+      for_each_cell(layer, [&](Index3 const& ghost) {
+        char& filled = known[std::size_t(around.box.offset(ghost))];
+        if (filled) return;
+        Index3 before = ghost;
+        before[axis] += side == 0 ? 1 : -1;
+        if (!known[std::size_t(around.box.offset(before))]) return;
+        Index3 inside = before;
+        for (int d = 0; d < 3; ++d)
+          if (!coarse_.level().periodic()[d]) inside[d] = std::clamp(before[d], domain.lower[d], domain.upper[d]);
+        ends_.push_back(
+            {std::int32_t(around.place(before)), std::int32_t(around.place(ghost)), float(behind(inside, axis, side))});
+        filled = 1;
+      });
+    }
+}
+
+void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
+  Vector& target = in_place_ ? coarse_.right_hand_side() : values_;
+  float const share = float(coarse_.scale() / fine_.scale() / (ratio_[0] * ratio_[1] * ratio_[2]));
+  if (!in_place_) std::fill(values_.begin(), values_.end(), 0.0f);
+  stages.push_back([&](std::size_t b, int k) {
+    if (b < targets_.size())
+      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], share, target);
+  });
+  fine_.run(stages);
+  if (in_place_) return;
+  interface_.subtract_flux(fine_.correction(), values_);
+  Vector& r = coarse_.right_hand_side();
+  if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
+  parents_.add(values_.data(), r.data());
+  if (gathers_) MPI_Allreduce(MPI_IN_PLACE, r.data(), int(r.size()), MPI_FLOAT, MPI_SUM, comm_);
+}
+
+std::vector<PlaneStage> Coarsening::prolongation() {
+  parents_.update({{coarse_.correction().data(), values_.data()}});
+  for (Copy const& c : ends_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
+  interface_.subtract_coarse(values_, fine_.right_hand_side());
+  std::vector<PlaneStage> const stages{[this](std::size_t b, int k) {
+    if (b < sources_.size()) fine_.sweep().prolong(b, k, sources_[b], values_, fine_.correction());
+  }};
+  if (!fine_.has_halo()) return stages;
+  fine_.run(stages);
+  fine_.exchange_halo(true, refines_);
+  return {};
+}
+
+std::size_t Coarsening::bytes() const {
+  return values_.size() * sizeof(float) + interface_.bytes() + ends_.size() * sizeof(Copy);
+}
+
+}  // namespace amrpic::matrixfree

@@ -1,0 +1,59 @@
+#pragma once
+
+#include <functional>
+
+#include "matrixfree/interface_cells.hpp"
+#include "matrixfree/swept_level.hpp"
+
+namespace amrpic::matrixfree {
+
+/// The coarse correction behind a wall, or where the coarser level ends, over the one before it: axis, side, the cell
+/// before it.
+using EndFactor = std::function<Real(Index3 const&, int, int)>;
+
+/// What passes between a level and the next coarser one in a cycle.
+class Coarsening {
+ public:
+  /// `refines`: the finer level covers but a part of the coarser one, whose right-hand side elsewhere is its own.
+  /// Collective.
+  Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
+             EndFactor const& behind);
+
+  /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
+  ///
+  /// Parents receive the mean of the remaining residual; cells beside the finer level lose what its correction sends
+  /// through the common faces.
+  void sweep_and_restrict(std::vector<PlaneStage> stages);
+
+  /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
+  /// adds it to the finer correction, and is to be run first. Collective.
+  std::vector<PlaneStage> prolongation();
+
+  std::int64_t messages() const { return parents_.messages(); }
+  std::int64_t message_bytes() const { return parents_.bytes(); }
+  std::size_t bytes() const;
+
+ private:
+  struct Copy {
+    std::int32_t from, to;
+    float factor;
+  };
+  void surround(MPI_Comm comm, EndFactor const& behind);
+  void add_ends(Box const& parents, Surroundings const& around, std::vector<char>& known, EndFactor const& behind);
+
+  MPI_Comm comm_;
+  SweptLevel& fine_;
+  SweptLevel& coarse_;
+  Index3 ratio_;
+  bool refines_;
+  bool in_place_;  ///< whether all parents lie in this rank's memory, block by block
+  bool gathers_;   ///< whether every rank holds all of the coarser level, but only a part of the finer one
+  std::vector<Surroundings> surroundings_;  ///< of each own block
+  Vector values_;                           ///< what they hold
+  std::vector<Parents> sources_, targets_;  ///< of each own block: parents in `values_`; where residuals go
+  std::vector<Copy> ends_;                  ///< in `values_`
+  RectangleExchange parents_;
+  InterfaceCells interface_;
+};
+
+}  // namespace amrpic::matrixfree

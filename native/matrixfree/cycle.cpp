@@ -1,0 +1,159 @@
+#include "matrixfree/cycle.hpp"
+
+#include <algorithm>
+
+#include "matrixfree/stack.hpp"
+
+#ifdef __SSE2__
+#include <xmmintrin.h>
+#endif
+
+namespace amrpic::matrixfree {
+
+namespace {
+
+/// Numbers too small for full precision count as zero while this lives: far from all charge corrections fade to
+/// nothing, and the processor would take a hundred times as long with them.
+class NoDenormals {
+ public:
+#ifdef __SSE2__
+  NoDenormals() : before_(_mm_getcsr()) { _mm_setcsr(before_ | 0x8040); }
+  ~NoDenormals() { _mm_setcsr(before_); }
+
+ private:
+  unsigned before_;
+#endif
+};
+
+/// What corrections meet at the ends of level l of a stack.
+Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l) {
+  Ends out;
+  out.walls = stack.walls[l];
+  if (stack.refines(l)) out.interface.fill({interface_ghost::first, interface_ghost::second, 0});
+  // Covered cells hold corrections of finer ones alone, and those vanish where the finest level's do.
+  bool const hidden = l < stack.base;
+  Level const* finer = l + 1 < stack.levels.size() ? stack.levels[l + 1].get() : nullptr;
+  out.more = [&stack, &open_walls, l, hidden, finer](Index3 const& cell, int axis, int side) -> Real {
+    if (stack.boundary[axis][side] != Boundary::open) return 0;
+    bool const covered = hidden || (finer && finer->find({2 * cell[0], 2 * cell[1], 2 * cell[2]}) >= 0);
+    return covered ? open_walls.first(l, cell, axis, side) : 0;
+  };
+  return out;
+}
+
+/// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
+WallGhosts walls_of_coarsest(LevelStack const& stack, OpenWalls const& open_walls) {
+  WallGhosts out = stack.walls.front();
+  Box const& domain = stack.levels.front()->domain();
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side)
+      if (stack.boundary[axis][side] == Boundary::open && stack.base > 0) {
+        Index3 cell{domain.extent(0) / 2, domain.extent(1) / 2, domain.extent(2) / 2};
+        cell[axis] = side == 0 ? domain.lower[axis] : domain.upper[axis];
+        out[axis][side].first += open_walls.first(0, cell, axis, side);
+      }
+  return out;
+}
+
+}  // namespace
+
+Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relaxation const& relaxation)
+    : comm_(comm), stack_(coarsen_in_place(stack, domain)), relaxation_(relaxation) {
+  OpenWalls const open_walls(stack_);
+  for (std::size_t l = 0; l < stack_.levels.size(); ++l) {
+    CycleLevel level;
+    Ends const ends = ends_of(stack_, open_walls, l);
+    level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, relaxation);
+    if (l > 0)
+      level.coarsening = std::make_unique<Coarsening>(
+          comm, *level.swept, *levels_.back().swept, stack_.ratio[l], stack_.refines(l),
+          [&](Index3 const& cell, int axis, int side) {
+            Boundary const kind = stack_.boundary[axis][side];
+            return kind == Boundary::open ? open_walls.first(l - 1, cell, axis, side) : coarse_wall_ghost(kind).first;
+          });
+    if (stack_.refines(l)) level.local = make_local_cycle(comm, *level.swept, ends, stack_.boundary, relaxation);
+    levels_.push_back(std::move(level));
+  }
+  Level const& coarsest = *stack_.levels.front();
+  Box const& box = coarsest.domain();
+  Real3 weight;
+  for (int d = 0; d < 3; ++d) weight[d] = levels_[0].swept->scale() / coarsest.spacing()[d] / coarsest.spacing()[d];
+  direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, weight,
+                                                  walls_of_coarsest(stack_, open_walls), coarsest.periodic());
+}
+
+void Cycle::run() {
+  NoDenormals const guard;
+  cycle(levels_.size() - 1);
+}
+
+void Cycle::cycle(std::size_t l) {
+  if (l == 0) return solve_coarsest();
+  pre_smooth_and_restrict(levels_[l]);
+  cycle(l - 1);
+  prolong_and_post_smooth(levels_[l]);
+}
+
+/// From a zero correction: smooth, then leave the right-hand side of the coarser level.
+void Cycle::pre_smooth_and_restrict(CycleLevel& level) {
+  level.swept->exchange_halo(false, true);
+  auto stages = level.swept->relaxations(relaxation_.pre_sweeps, true);
+  if (level.local) stages = level.local->improve(stages);
+  level.coarsening->sweep_and_restrict(stages);
+}
+
+/// Add the coarser level's correction, take its part of the ghosts into account, smooth.
+void Cycle::prolong_and_post_smooth(CycleLevel& level) {
+  auto stages = level.coarsening->prolongation();
+  for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false)) stages.push_back(stage);
+  level.swept->run(stages);
+}
+
+/// Gathered on every rank where it is not yet there.
+void Cycle::solve_coarsest() {
+  Level const& level = *stack_.levels.front();
+  Layout const& layout = levels_[0].swept->layout();
+  values_.assign(std::size_t(level.cells()), 0.0);
+  auto for_each_own_row = [&](auto&& f) {
+    for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
+      Box const& box = layout.blocks()[b].box;
+      for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+        for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
+          Index3 const first{box.lower[0], j, k};
+          f(std::size_t(layout.blocks()[b].place(first)), std::size_t(level.domain().offset(first)), box.extent(0));
+        }
+    }
+  };
+  Vector const& r = levels_[0].swept->right_hand_side();
+  for_each_own_row([&](std::size_t place, std::size_t value, int n) { std::copy_n(&r[place], n, &values_[value]); });
+  if (level.ranks() > 1) MPI_Allreduce(MPI_IN_PLACE, values_.data(), int(values_.size()), MPI_DOUBLE, MPI_SUM, comm_);
+  direct_->solve(values_);
+  Vector& e = levels_[0].swept->correction();
+  for_each_own_row([&](std::size_t place, std::size_t value, int n) {
+    std::transform(&values_[value], &values_[value] + n, &e[place], [](Real v) { return float(v); });
+  });
+}
+
+std::int64_t Cycle::messages() const {
+  std::int64_t sum = 0;
+  for (auto const& l : levels_)
+    sum += l.swept->messages() + (l.coarsening ? l.coarsening->messages() : 0) + (l.local ? l.local->messages() : 0);
+  return sum;
+}
+
+std::int64_t Cycle::message_bytes() const {
+  std::int64_t sum = 0;
+  for (auto const& l : levels_)
+    sum += l.swept->message_bytes() + (l.coarsening ? l.coarsening->message_bytes() : 0) +
+           (l.local ? l.local->message_bytes() : 0);
+  return sum;
+}
+
+std::size_t Cycle::bytes() const {
+  std::size_t sum = 0;
+  for (auto const& l : levels_)
+    sum += l.swept->bytes() + (l.coarsening ? l.coarsening->bytes() : 0) + (l.local ? l.local->bytes() : 0);
+  return sum;
+}
+
+}  // namespace amrpic::matrixfree

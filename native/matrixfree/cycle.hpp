@@ -1,0 +1,51 @@
+#pragma once
+
+#include <memory>
+
+#include "matrixfree/coarsening.hpp"
+#include "matrixfree/direct.hpp"
+#include "matrixfree/local_cycle.hpp"
+#include "operators/open_walls.hpp"
+
+namespace amrpic::matrixfree {
+
+/// The V-cycle over refinement levels and multigrid levels alike, for corrections in residual form, in single
+/// precision and without matrices.
+class Cycle {
+ public:
+  /// `stack`: the refinement levels. Collective.
+  Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relaxation const& relaxation);
+
+  /// One V-cycle for the corrections from the finest level down; reads every refinement level's right-hand side.
+  /// Collective.
+  void run();
+
+  SweptLevel& level(std::size_t l) { return *levels_[stack_.base + l].swept; }  ///< a refinement level, or the base
+
+  /// Cells of the base per cell of the multigrid level below it, along each axis; ones if there is none.
+  Index3 ratio_below_base() const { return stack_.base > 0 ? stack_.ratio[stack_.base] : Index3{1, 1, 1}; }
+
+  std::int64_t messages() const;
+  std::int64_t message_bytes() const;
+  std::size_t bytes() const;  ///< of this rank's memory
+
+ private:
+  struct CycleLevel {
+    std::unique_ptr<SweptLevel> swept;
+    std::unique_ptr<Coarsening> coarsening;  ///< to the level below; none for the coarsest
+    std::unique_ptr<LocalCycle> local;       ///< of a refinement level of long or flat cells
+  };
+  void cycle(std::size_t l);
+  void pre_smooth_and_restrict(CycleLevel& level);
+  void prolong_and_post_smooth(CycleLevel& level);
+  void solve_coarsest();
+
+  MPI_Comm comm_;
+  LevelStack stack_;
+  Relaxation relaxation_;
+  std::vector<CycleLevel> levels_;
+  std::unique_ptr<FastDiagonalisation> direct_;
+  std::vector<Real> values_;
+};
+
+}  // namespace amrpic::matrixfree

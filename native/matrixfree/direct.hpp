@@ -1,0 +1,34 @@
+#pragma once
+
+#include <vector>
+
+#include "stencil/boundary.hpp"
+
+namespace amrpic::matrixfree {
+
+/// Solves a 7-point equation on a whole cuboid exactly: its operator is a sum of operators along one axis each, and in
+/// the product of their eigenvectors it is diagonal (Lynch, Rice and Thomas, Numer. Math. 6, 185, 1964).
+class FastDiagonalisation {
+ public:
+  /// sum over axes of weight_d (lower neighbour - 2 + upper neighbour), with ghosts behind walls.
+  FastDiagonalisation(Index3 const& cells, Real3 const& weight, WallGhosts const& walls,
+                      std::array<bool, 3> const& periodic);
+
+  /// Replace the right-hand side (x fastest) by the solution; the one without a constant if constants solve the
+  /// homogeneous equation.
+  void solve(std::vector<Real>& values);
+
+ private:
+  struct Axis {
+    std::vector<Real> eigenvalue;
+    std::vector<Real> to, from;  ///< into the eigenvectors' coordinates and back, row by row
+  };
+  static Axis axis(int n, Real weight, std::array<WallGhost, 2> const& walls, bool periodic);
+  void transform(int axis, std::vector<Real> const& matrix, std::vector<Real>& values);
+
+  Index3 cells_;
+  std::array<Axis, 3> axes_;
+  std::vector<Real> scratch_;
+};
+
+}  // namespace amrpic::matrixfree

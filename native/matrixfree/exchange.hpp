@@ -1,0 +1,59 @@
+#pragma once
+
+#include <mpi.h>
+
+#include "matrixfree/layout.hpp"
+
+namespace amrpic::matrixfree {
+
+/// Some cells of one box of a level, and where a copy of them belongs.
+struct Wanted {
+  int box;    ///< number of the box on the level
+  Box cells;  ///< in the indices of that box
+  Rectangle copy;
+};
+
+/// The plan by which copies of cells follow the cells, on whatever rank these live, and give what they hold back. All
+/// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
+class RectangleExchange {
+ public:
+  RectangleExchange() = default;
+
+  /// `layout` holds the boxes of `level`. Collective, unless every rank holds the whole level.
+  RectangleExchange(MPI_Comm comm, Level const& level, Layout const& layout, std::vector<Wanted> const& wanted);
+
+  /// Fill the copies of each pair (cells, copies), which may be one vector. Collective.
+  void update(std::vector<std::pair<float const*, float*>> const& fields) const;
+
+  /// Add the copies to the cells. Collective.
+  void add(float const* copies, float* cells) const;
+
+  std::int64_t messages() const { return messages_; }  ///< sent by this rank so far
+  std::int64_t bytes() const { return bytes_; }
+
+ private:
+  struct Piece {
+    Index3 extent;
+    Rectangle at;
+    std::size_t cells() const { return std::size_t(extent[0]) * extent[1] * extent[2]; }
+  };
+  struct Neighbour {
+    int rank;
+    std::vector<Piece> pieces;
+    std::size_t cells = 0;
+    mutable std::vector<float> buffer;
+  };
+  struct Local {
+    Index3 extent;
+    Rectangle cells, copy;
+  };
+  void pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to, std::size_t fields) const;
+
+  MPI_Comm comm_ = MPI_COMM_NULL;
+  std::vector<Local> local_;
+  std::vector<Neighbour> sources_, readers_;
+  mutable std::vector<MPI_Request> requests_;
+  mutable std::int64_t messages_ = 0, bytes_ = 0;
+};
+
+}  // namespace amrpic::matrixfree

@@ -1,0 +1,143 @@
+#include "matrixfree/ghosts.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <map>
+#include <string>
+
+namespace amrpic::matrixfree {
+
+Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation)
+    : relaxation_(relaxation), keep_(float(1 - relaxation)) {
+  Real3 const& h = level.spacing();
+  Real const least = smallest_spacing(level);
+  for (int d = 0; d < 3; ++d) weight_[d] = float(least * least / h[d] / h[d]);
+  for (Block const& block : layout.blocks()) {
+    BlockStencil out;
+    std::array<std::array<std::vector<Ghost>, 2>, 3> all;
+    for (int axis = 0; axis < 3; ++axis)
+      for (int side = 0; side < 2; ++side) {
+        all[axis][side] = ghosts(level, layout, ends, block, axis, side);
+        if (axis > 0) add_runs(out, block, axis, side, all[axis][side]);
+      }
+    add_coefficients(out, block, all);
+    out.x = std::move(all[0]);
+    blocks_.push_back(std::move(out));
+  }
+  known_.clear();
+}
+
+/// The layer behind a face, cell by cell, the lower tangential axis fastest.
+std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
+                                   int axis, int side) {
+  Box layer = block.box;
+  layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
+  int const inward = side == 0 ? 1 : -1;
+  bool const wall = !level.periodic()[axis] &&
+                    (layer.lower[axis] < level.domain().lower[axis] || layer.lower[axis] > level.domain().upper[axis]);
+  WallGhost const& end = wall ? ends.walls[axis][side] : ends.interface[axis];
+  bool const thick = block.box.extent(axis) > 1;
+  std::vector<Ghost> out;
+  out.reserve(std::size_t(layer.cells()));
+  for_each_cell(layer, [&](Index3 cell) {
+    cell[axis] += inward;
+    Ghost ghost{0, float(end.second), float(end.first)};
+    if (wall && ends.more) ghost.first += float(ends.more(cell, axis, side));
+    cell[axis] += inward;
+    std::ptrdiff_t const second = thick || ghost.factor == 0 ? block.place(cell) : layout.find(cell);
+    if (second < 0) ghost.factor = 0;
+    if (ghost.factor != 0) ghost.source = std::int32_t(second);
+    out.push_back(ghost);
+  });
+  if (wall) return out;
+  layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
+    Index3 const back{-shift[0], -shift[1], -shift[2]};
+    for_each_cell(part, [&](Index3 const& cell) {
+      Box const image = Box{cell, cell}.shift(back);
+      out[std::size_t(layer.offset(cell))] = {std::int32_t(other.place(image.lower)), 1.0f, 0.0f};
+    });
+  });
+  return out;
+}
+
+void Stencil::add_runs(BlockStencil& out, Block const& block, int axis, int side, std::vector<Ghost> const& ghosts) {
+  int const n = block.box.extent(0);
+  auto& runs = out.runs[std::size_t(axis - 1)][side];
+  auto& first = out.first_run[std::size_t(axis - 1)][side];
+  for (std::size_t row = 0; row * n < ghosts.size(); ++row) {
+    first.push_back(std::int32_t(runs.size()));
+    for (int i = 0; i < n; ++i) {
+      Ghost const& g = ghosts[row * n + i];
+      bool const follows = i > 0 && runs.back().factor == g.factor &&
+                           (g.factor == 0 || g.source == runs.back().source + runs.back().count);
+      if (follows)
+        ++runs.back().count;
+      else
+        runs.push_back({i, 1, g.source, g.factor});
+    }
+  }
+  first.push_back(std::int32_t(runs.size()));
+}
+
+void Stencil::add_coefficients(BlockStencil& out, Block const& block,
+                               std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
+  int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
+  float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]);
+  std::vector<float> diagonal;
+  std::map<std::array<float, 2>, std::int32_t> inner;  // of rows away from the faces of y and z, by their two ends
+  for (int k = 0; k < nz; ++k)
+    for (int j = 0; j < ny; ++j) {
+      std::size_t const row = std::size_t(j + ny * k);
+      float const lower = ghosts[0][0][row].first, upper = ghosts[0][1][row].first;
+      bool const inside = j > 0 && j < ny - 1 && k > 0 && k < nz - 1;
+      if (inside)
+        if (auto const known = inner.find({lower, upper}); known != inner.end()) {
+          out.coefficients.push_back(known->second);
+          continue;
+        }
+      diagonal.assign(std::size_t(nx), plain);
+      diagonal.front() -= weight_[0] * lower;
+      diagonal.back() -= weight_[0] * upper;
+      auto subtract = [&](int axis, int side, int t) {
+        Ghost const* const g = &ghosts[axis][side][std::size_t(t) * nx];
+        for (int i = 0; i < nx; ++i) diagonal[std::size_t(i)] -= weight_[axis] * g[i].first;
+      };
+      if (j == 0) subtract(1, 0, k);
+      if (j == ny - 1) subtract(1, 1, k);
+      if (k == 0) subtract(2, 0, j);
+      if (k == nz - 1) subtract(2, 1, j);
+      std::int32_t const start = pooled(block, diagonal);
+      if (inside) inner[{lower, upper}] = start;
+      out.coefficients.push_back(start);
+    }
+}
+
+std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diagonal) {
+  std::size_t const pitch = std::size_t(block.cells.pitch_y);
+  std::string key(diagonal.size() * sizeof(float) + sizeof pitch, '\0');
+  std::memcpy(key.data(), diagonal.data(), diagonal.size() * sizeof(float));
+  std::memcpy(key.data() + diagonal.size() * sizeof(float), &pitch, sizeof pitch);
+  auto const [at, fresh] = known_.emplace(key, std::int32_t(pool_.size()));
+  if (fresh) {
+    std::size_t const start = pool_.size();
+    pool_.resize(start + (3 * pitch + 15) / 16 * 16);
+    for (std::size_t i = 0; i < diagonal.size(); ++i) {
+      pool_[start + i] = diagonal[i];
+      pool_[start + (1 + i % 2) * pitch + i] = float(relaxation_) / diagonal[i];
+    }
+  }
+  return at->second;
+}
+
+std::size_t Stencil::bytes() const {
+  std::size_t sum = pool_.size() * sizeof(float);
+  for (BlockStencil const& b : blocks_) {
+    sum += (b.x[0].size() + b.x[1].size()) * sizeof(Ghost) + b.coefficients.size() * sizeof(std::int32_t);
+    for (int axis = 0; axis < 2; ++axis)
+      for (int side = 0; side < 2; ++side)
+        sum += b.runs[axis][side].size() * sizeof(Run) + b.first_run[axis][side].size() * sizeof(std::int32_t);
+  }
+  return sum;
+}
+
+}  // namespace amrpic::matrixfree

@@ -1,0 +1,86 @@
+#pragma once
+
+#include <algorithm>
+#include <functional>
+#include <string>
+#include <unordered_map>
+
+#include "matrixfree/layout.hpp"
+#include "stencil/boundary.hpp"
+
+namespace amrpic::matrixfree {
+
+/// The value behind a face of a block in the equations of a correction e: factor * e[source] + first * (the cell before
+/// the face). A neighbour's value has factor 1 and first 0; behind a wall or where the level ends, `source` is the
+/// second cell inside.
+struct Ghost {
+  std::int32_t source = 0;
+  float factor = 0;
+  float first = 0;
+};
+
+/// What a level's corrections meet where its cells end.
+struct Ends {
+  WallGhosts walls;
+  std::array<WallGhost, 3> interface {
+  };  ///< beyond the level's own cells, per axis; zero where the level covers the domain
+  /// More of `first` behind a wall than `walls` has: axis, side, cell.
+  std::function<Real(Index3 const&, int, int)> more = nullptr;
+};
+
+/// A run of ghosts along x: factor * e[source + i] for `count` cells from `place` on.
+struct Run {
+  std::int32_t place, count;
+  std::int32_t source;
+  float factor;
+};
+
+inline Real smallest_spacing(Level const& level) {
+  return std::min({level.spacing()[0], level.spacing()[1], level.spacing()[2]});
+}
+
+/// All about a block that its sweeps need besides e and r.
+struct BlockStencil {
+  std::array<std::vector<Ghost>, 2> x;                                ///< [side][j + ny k]
+  std::array<std::array<std::vector<Run>, 2>, 2> runs;                ///< [y or z][side]
+  std::array<std::array<std::vector<std::int32_t>, 2>, 2> first_run;  ///< row t: [first_run[t], first_run[t + 1])
+  std::vector<std::int32_t> coefficients;  ///< [j + ny k]: where the row's coefficients start
+};
+
+/// The operator h² (Laplacian of a level as if nothing finer existed), h the smallest spacing, over the blocks of a
+/// layout: S e - d e, S the weighted sum over neighbours, d the diagonal with what ghosts add to it.
+class Stencil {
+ public:
+  /// `relaxation`: factor of a Gauss-Seidel step.
+  Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation);
+
+  BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
+  std::array<float, 3> const& weight() const { return weight_; }  ///< h² / h_d²
+  bool isotropic() const { return weight_[0] == weight_[1] && weight_[1] == weight_[2]; }
+  float keep() const { return keep_; }  ///< 1 - relaxation
+
+  // Coefficients of a row are three vectors over its cells: the diagonal d, then relaxation / d of even and of odd
+  // places, zero in between. Many rows share them.
+  float const* diagonal(std::int32_t start) const { return &pool_[std::size_t(start)]; }
+  float const* step(std::int32_t start, std::ptrdiff_t pitch, int parity) const {
+    return &pool_[std::size_t(start)] + (1 + parity) * pitch;
+  }
+  std::size_t bytes() const;
+
+ private:
+  static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
+                                   int axis, int side);
+  static void add_runs(BlockStencil& out, Block const& block, int axis, int side, std::vector<Ghost> const& ghosts);
+  void add_coefficients(BlockStencil& out, Block const& block,
+                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
+  std::int32_t pooled(Block const& block, std::vector<float> const& diagonal);
+
+  Real relaxation_;
+  std::array<float, 3> weight_;
+  float keep_;
+  std::vector<BlockStencil> blocks_;
+  Vector pool_;
+  std::unordered_map<std::string, std::int32_t> known_;
+};
+
+}  // namespace amrpic::matrixfree

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <cstddef>
+#include <cstring>
+
+namespace amrpic::matrixfree {
+
+/// N numbers in a vector register (or in several), by the compiler's vector extension.
+template <int N>
+struct Lanes;
+
+template <>
+struct Lanes<16> {
+  typedef float Type __attribute__((vector_size(64)));
+  typedef int Mask __attribute__((vector_size(64)));
+  static constexpr Mask numbers{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  /// The numbers one place lower, `low` before them, or one place higher, `high` after them.
+  static Type from_left(Type low, Type a) {
+    return __builtin_shufflevector(low, a, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30);
+  }
+  static Type from_right(Type a, Type high) {
+    return __builtin_shufflevector(a, high, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16);
+  }
+  static Type even(Type a, Type b) {
+    return __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+  }
+  static Type odd(Type a, Type b) {
+    return __builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
+  }
+  static Type interleave_low(Type a, Type b) {
+    return __builtin_shufflevector(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+  }
+  static Type interleave_high(Type a, Type b) {
+    return __builtin_shufflevector(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+  }
+};
+
+template <>
+struct Lanes<8> {
+  typedef float Type __attribute__((vector_size(32)));
+  typedef int Mask __attribute__((vector_size(32)));
+  static constexpr Mask numbers{0, 1, 2, 3, 4, 5, 6, 7};
+  static Type from_left(Type low, Type a) { return __builtin_shufflevector(low, a, 7, 8, 9, 10, 11, 12, 13, 14); }
+  static Type from_right(Type a, Type high) { return __builtin_shufflevector(a, high, 1, 2, 3, 4, 5, 6, 7, 8); }
+  static Type even(Type a, Type b) { return __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14); }
+  static Type odd(Type a, Type b) { return __builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15); }
+  static Type interleave_low(Type a, Type b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11); }
+  static Type interleave_high(Type a, Type b) { return __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15); }
+};
+
+template <int N>
+typename Lanes<N>::Type load(float const* from) {
+  typename Lanes<N>::Type out;
+  std::memcpy(&out, from, sizeof out);
+  return out;
+}
+
+template <int N>
+void store(float* to, typename Lanes<N>::Type const& values) {
+  std::memcpy(to, &values, sizeof values);
+}
+
+template <int N>
+typename Lanes<N>::Type all(float value) {
+  return value - typename Lanes<N>::Type{};
+}
+
+}  // namespace amrpic::matrixfree

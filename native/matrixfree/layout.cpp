@@ -1,0 +1,162 @@
+#include "matrixfree/layout.hpp"
+
+#include <algorithm>
+#include <map>
+
+namespace amrpic::matrixfree {
+
+namespace {
+
+constexpr std::ptrdiff_t line = 16;  // floats of a cache line
+
+std::ptrdiff_t rounded_up(std::ptrdiff_t n, std::ptrdiff_t to) { return (n + to - 1) / to * to; }
+
+/// Cells per vector of a row: the wide ones, unless they would carry too much padding.
+int lanes_of(int cells) { return 8 * rounded_up(cells, 16) <= 9 * rounded_up(cells, 8) ? 16 : 8; }
+
+/// Join boxes that follow each other along an axis.
+void join(std::vector<Box>& boxes, int axis) {
+  auto const [u, v] = tangential_axes(axis);
+  auto key = [&, u = u, v = v](Box const& b) {
+    return std::array<int, 5>{b.lower[v], b.upper[v], b.lower[u], b.upper[u], b.lower[axis]};
+  };
+  std::sort(boxes.begin(), boxes.end(), [&](Box const& a, Box const& b) { return key(a) < key(b); });
+  std::vector<Box> out;
+  for (Box const& box : boxes) {
+    if (!out.empty()) {
+      Box wanted = out.back();  // what the neighbour would be
+      wanted.lower[axis] = wanted.upper[axis] + 1;
+      wanted.upper[axis] = box.upper[axis];
+      if (wanted == box) {
+        out.back().upper[axis] = box.upper[axis];
+        continue;
+      }
+    }
+    out.push_back(box);
+  }
+  boxes = std::move(out);
+}
+
+}  // namespace
+
+std::vector<Box> joined(std::vector<Box> boxes) {
+  for (std::size_t before = 0; before != boxes.size();) {
+    before = boxes.size();
+    for (int axis = 0; axis < 3; ++axis) join(boxes, axis);
+  }
+  std::sort(boxes.begin(), boxes.end(), [](Box const& a, Box const& b) {
+    return std::array<int, 3>{a.lower[2], a.lower[1], a.lower[0]} <
+           std::array<int, 3>{b.lower[2], b.lower[1], b.lower[0]};
+  });
+  return boxes;
+}
+
+Layout::Layout(Level const& level, int depth)
+    : domain_(level.domain()), periodic_(level.periodic()), first_box_(level.first_local_box()) {
+  std::vector<Box> own(level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box());
+  auto const large = joined(own);
+  for (Box const& box : large) add(box);
+  own_blocks_ = blocks_.size();
+
+  // One copy of a box (or image) holds all that any own block needs of it. Images across x and y of own cells are read
+  // in place; those across z are copied, because a plane is swept when the one at the other end is not yet.
+  std::map<std::pair<int, Index3>, Box> wanted;
+  for (Box const& box : large)
+    level.for_each_overlap(box.grow(depth), [&](int b, Box const& part, Index3 const& shift) {
+      bool const mine = b >= level.first_local_box() && b < level.last_local_box();
+      if (mine && shift[2] == 0) return;
+      auto const [at, fresh] = wanted.emplace(std::make_pair(b, shift), part);
+      for (int d = 0; d < 3 && !fresh; ++d) {
+        at->second.lower[d] = std::min(at->second.lower[d], part.lower[d]);
+        at->second.upper[d] = std::max(at->second.upper[d], part.upper[d]);
+      }
+    });
+  std::vector<Box> copies;
+  for (auto const& [key, part] : wanted) {
+    Index3 const& shift = key.second;
+    halo_.push_back({key.first, part.shift({-shift[0], -shift[1], -shift[2]}), shift});
+    copies.push_back(part);
+  }
+  for (Box const& box : joined(copies)) add(box);
+  size_ += 64;  // a vector that starts in the last row may reach beyond it
+
+  for (Box const& box : own)
+    for (std::size_t b = 0; b < own_blocks_; ++b)
+      if (blocks_[b].box.contains(box)) {
+        Rectangle cells = blocks_[b].cells;
+        cells.origin = blocks_[b].place(box.lower);
+        boxes_.push_back(cells);
+        break;
+      }
+
+  if (blocks_.empty()) return;
+  int last = blocks_[0].box.upper[2];
+  first_plane_ = blocks_[0].box.lower[2];
+  for (Block const& block : blocks_) {
+    first_plane_ = std::min(first_plane_, block.box.lower[2]);
+    last = std::max(last, block.box.upper[2]);
+  }
+  plane_.resize(std::size_t(last - first_plane_ + 1));
+  for (std::size_t b = 0; b < blocks_.size(); ++b)
+    for (int k = blocks_[b].box.lower[2]; k <= blocks_[b].box.upper[2]; ++k)
+      plane_[std::size_t(k - first_plane_)].push_back(int(b));
+}
+
+void Layout::add(Box const& box) {
+  Block block;
+  block.box = box;
+  block.lanes = lanes_of(box.extent(0));
+  block.cells.origin = std::ptrdiff_t(size_);
+  block.cells.pitch_y = rounded_up(box.extent(0), block.lanes);
+  // one line more than a power of two, else the planes' rows would share the same few sets of the cache
+  std::ptrdiff_t const plane = rounded_up(block.cells.pitch_y * box.extent(1), line);
+  block.cells.pitch_z = plane % 1024 == 0 ? plane + line : plane;
+  size_ += std::size_t(block.cells.pitch_z * box.extent(2));
+  blocks_.push_back(block);
+}
+
+Rectangle Layout::halo_place(Halo const& halo) const {
+  Box const copy = halo.cells.shift(halo.shift);
+  for (std::size_t b = own_blocks_; b < blocks_.size(); ++b)
+    if (blocks_[b].box.contains(copy)) {
+      Rectangle out = blocks_[b].cells;
+      out.origin = blocks_[b].place(copy.lower);
+      return out;
+    }
+  return {};
+}
+
+std::vector<Index3> Layout::images(Box const& region) const {
+  std::vector<Index3> out;
+  for (int y : {-1, 1, 0})
+    for (int x : {-1, 1, 0}) {
+      Index3 const shift{x * domain_.extent(0), y * domain_.extent(1), 0};
+      if ((x != 0 && !periodic_[0]) || (y != 0 && !periodic_[1])) continue;
+      Box reach = domain_.shift(shift);
+      reach.lower[2] = region.lower[2], reach.upper[2] = region.upper[2];
+      if (!region.intersect(reach).empty() || shift == Index3{0, 0, 0}) out.push_back(shift);
+    }
+  return out;
+}
+
+std::vector<int> Layout::near(int lower_plane, int upper_plane) const {
+  if (plane_.empty()) return {};
+  int const first = std::max(lower_plane, first_plane_);
+  int const last = std::min(upper_plane, first_plane_ + planes() - 1);
+  if (first > last) return {};
+  if (first == last) return on_plane(first);
+  std::vector<int> out;
+  for (std::size_t b = 0; b < blocks_.size(); ++b)
+    if (blocks_[b].box.lower[2] <= last && blocks_[b].box.upper[2] >= first) out.push_back(int(b));
+  return out;
+}
+
+std::ptrdiff_t Layout::find(Index3 const& cell) const {
+  std::ptrdiff_t out = -1;  // the last one found is not an image
+  for_each_overlap({cell, cell}, [&](Block const& block, Box const& part, Index3 const& shift) {
+    out = block.place({part.lower[0] - shift[0], part.lower[1] - shift[1], part.lower[2]});
+  });
+  return out;
+}
+
+}  // namespace amrpic::matrixfree

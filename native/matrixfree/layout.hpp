@@ -1,0 +1,95 @@
+#pragma once
+
+#include <vector>
+
+#include "matrixfree/memory.hpp"
+#include "mesh/level.hpp"
+
+namespace amrpic::matrixfree {
+
+/// Where a rectangle of cells lies in a Vector: cell (i, j, k) past its lower corner at origin + i + j pitch_y + k
+/// pitch_z.
+struct Rectangle {
+  std::ptrdiff_t origin = 0, pitch_y = 0, pitch_z = 0;
+
+  std::ptrdiff_t place(int i, int j, int k) const { return origin + i + j * pitch_y + k * pitch_z; }
+  std::ptrdiff_t stride(int axis) const { return axis == 0 ? 1 : axis == 1 ? pitch_y : pitch_z; }
+};
+
+/// A box of cells in this rank's memory: boxes of the level that make up a larger box, or cells of other ranks that the
+/// sweeps need.
+struct Block {
+  Box box;          ///< beyond the domain where it is the image across a periodic boundary
+  Rectangle cells;  ///< rows padded to whole vectors
+  int lanes = 16;   ///< cells per vector
+
+  std::ptrdiff_t place(Index3 const& c) const {
+    return cells.place(c[0] - box.lower[0], c[1] - box.lower[1], c[2] - box.lower[2]);
+  }
+  int vectors() const { return int(cells.pitch_y) / lanes; }
+};
+
+/// Cells of another rank, or of this one across a periodic boundary, that a rank keeps a copy of.
+struct Halo {
+  int source;    ///< box of the level that holds the cells
+  Box cells;     ///< in that box's indices
+  Index3 shift;  ///< added, gives the indices of the copy
+};
+
+/// How a level lies in a rank's memory for the sweeps: its own boxes, joined to larger ones where they fill them, so
+/// that the size of boxes hardly matters, then the halo.
+class Layout {
+ public:
+  /// `halo`: how many cells deep the copies of other ranks' cells are.
+  Layout(Level const& level, int halo);
+
+  std::vector<Block> const& blocks() const { return blocks_; }  ///< own ones first
+  std::size_t own_blocks() const { return own_blocks_; }
+  bool has_halo() const { return !halo_.empty(); }
+  std::vector<Halo> const& halo() const { return halo_; }
+  Rectangle halo_place(Halo const& halo) const;
+
+  std::size_t size() const { return size_; }  ///< of a Vector that holds the level
+  Rectangle box(int b) const {
+    return boxes_[std::size_t(b - first_box_)];
+  }  ///< of this rank, by its number on the level
+
+  /// Place of a cell, also across a periodic boundary of x and y; -1 if it is not in memory.
+  std::ptrdiff_t find(Index3 const& cell) const;
+
+  /// Call f(block, part, shift) where a region meets blocks, shifted ones across periodic x and y first: `part` in the
+  /// region's indices, `part` minus `shift` inside the block.
+  template <class F>
+  void for_each_overlap(Box const& region, F&& f) const {
+    for (auto const& shift : images(region))
+      for (int b : near(region.lower[2], region.upper[2])) {
+        Box const part = region.intersect(blocks_[std::size_t(b)].box.shift(shift));
+        if (!part.empty()) f(blocks_[std::size_t(b)], part, shift);
+      }
+  }
+
+  /// Blocks that hold cells of a plane of z, lowest plane first.
+  int first_plane() const { return first_plane_; }
+  int planes() const { return int(plane_.size()); }
+  std::vector<int> const& on_plane(int k) const { return plane_[std::size_t(k - first_plane_)]; }
+
+ private:
+  std::vector<Index3> images(Box const& region) const;
+  std::vector<int> near(int lower_plane, int upper_plane) const;
+  void add(Box const& box);
+
+  Box domain_;
+  std::array<bool, 3> periodic_;
+  int first_box_;
+  std::vector<Block> blocks_;
+  std::size_t own_blocks_ = 0, size_ = 0;
+  std::vector<Halo> halo_;
+  std::vector<Rectangle> boxes_;
+  int first_plane_ = 0;
+  std::vector<std::vector<int>> plane_;
+};
+
+/// Fewer, larger boxes that hold the same cells: neighbours with a common face of equal extent are joined.
+std::vector<Box> joined(std::vector<Box> boxes);
+
+}  // namespace amrpic::matrixfree

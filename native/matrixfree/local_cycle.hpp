@@ -1,0 +1,46 @@
+#pragma once
+
+#include <memory>
+
+#include "matrixfree/coarsening.hpp"
+
+namespace amrpic::matrixfree {
+
+/// Smooths a refinement level of long or flat cells by a V-cycle of its own, over copies of the level with fewer cells
+/// along the axes of small spacing.
+///
+/// A point smoother reduces no error that is smooth along those axes, and the next coarser level, with half the cells
+/// along all axes, does not see it where it oscillates along the others.
+class LocalCycle {
+ public:
+  /// `fine` is relaxed by the caller; `level` has fewer cells by `ratio`. Collective.
+  LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level const> level, Index3 const& ratio, Ends const& ends,
+             Relaxation const& relaxation);
+
+  /// Run stages over the finer level, find a correction for what they leave, and return stages that add it and smooth.
+  /// Collective.
+  std::vector<PlaneStage> improve(std::vector<PlaneStage> const& stages);
+
+  std::unique_ptr<LocalCycle>& next() { return next_; }
+  SweptLevel& swept() { return swept_; }
+  std::int64_t messages() const { return swept_.messages() + coarsening_.messages() + (next_ ? next_->messages() : 0); }
+  std::int64_t message_bytes() const {
+    return swept_.message_bytes() + coarsening_.message_bytes() + (next_ ? next_->message_bytes() : 0);
+  }
+  std::size_t bytes() const { return swept_.bytes() + coarsening_.bytes() + (next_ ? next_->bytes() : 0); }
+
+ private:
+  SweptLevel& fine_;
+  Relaxation relaxation_;
+  SweptLevel swept_;
+  Coarsening coarsening_;
+  std::unique_ptr<LocalCycle> next_;
+};
+
+/// The local cycle of a refinement level; null where its cells are not so long that it needs one, or where boxes cannot
+/// be halved. Collective.
+std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, Ends const& ends,
+                                             std::array<std::array<Boundary, 2>, 3> const& boundary,
+                                             Relaxation const& relaxation);
+
+}  // namespace amrpic::matrixfree

@@ -1,0 +1,120 @@
+// What is done to one row of cells along x, on whole vectors. Places beyond the row's end, up to its pitch, take part;
+// what they hold is never read by a cell.
+#pragma once
+
+#include <array>
+
+#include "matrixfree/lanes.hpp"
+
+namespace amrpic::matrixfree {
+
+/// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
+struct Row {
+  float* here;
+  float const *y_below, *y_above, *z_below, *z_above;
+  float left, right;
+  int vectors;  ///< of N cells
+  int last;     ///< lane of the last cell in the last vector
+};
+
+/// Call f(v, e, sum) for each vector of a row: its values, and the weighted sum over its neighbours.
+template <int N, bool isotropic, class F>
+inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, F&& f) {
+  using L = Lanes<N>;
+  typename L::Type before = all<N>(row.left), here = load<N>(row.here);
+  for (int v = 0; v < row.vectors; ++v) {
+    bool const at_end = v + 1 == row.vectors;
+    typename L::Type const after = at_end ? all<N>(row.right) : load<N>(row.here + (v + 1) * N);
+    typename L::Type right = L::from_right(here, after);
+    if (at_end) right = L::numbers == row.last ? after : right;
+    typename L::Type const x = L::from_left(before, here) + right;
+    typename L::Type const y = load<N>(row.y_below + v * N) + load<N>(row.y_above + v * N);
+    typename L::Type const z = load<N>(row.z_below + v * N) + load<N>(row.z_above + v * N);
+    if constexpr (isotropic)
+      f(v, here, x + y + z);
+    else
+      f(v, here, weight[0] * x + weight[1] * y + weight[2] * z);
+    before = here;
+    here = after;
+  }
+}
+
+/// One colour of a row relaxed: e = keep e + step (sum - r); `step` is zero in the other colour, of which `parity`
+/// tells the places.
+template <int N, bool isotropic>
+inline void relax(Row const& row, std::array<float, 3> const& weight, float const* r, float const* step, float keep,
+                  int parity) {
+  using L = Lanes<N>;
+  typename L::Type const keeps = (L::numbers & 1) == parity ? all<N>(keep) : all<N>(1);
+  for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
+    store<N>(row.here + v * N, keeps * e + load<N>(step + v * N) * (sum - load<N>(r + v * N)));
+  });
+}
+
+/// The same from zero: the other colour is set to zero.
+template <int N>
+inline void relax_from_zero(float* e, float const* r, float const* step, int vectors) {
+  for (int v = 0; v < vectors; ++v) store<N>(e + v * N, -load<N>(step + v * N) * load<N>(r + v * N));
+}
+
+/// What of r is left: r - (sum - d e).
+template <int N, bool isotropic>
+inline void residual(Row const& row, std::array<float, 3> const& weight, float const* r, float const* diagonal,
+                     float* out) {
+  for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
+    store<N>(out + v * N, load<N>(r + v * N) - (sum - load<N>(diagonal + v * N) * e));
+  });
+}
+
+/// Set `n` numbers to `values`, or add these; n at most N.
+template <int N>
+inline void put(float* to, typename Lanes<N>::Type const& values, std::ptrdiff_t n, bool set) {
+  if (n >= N) return store<N>(to, set ? values : load<N>(to) + values);
+  for (std::ptrdiff_t i = 0; i < n; ++i) to[i] = set ? values[i] : to[i] + values[i];
+}
+
+/// Set a coarse row of `cells` to `share` times the sum of each one's children in a fine row (one or two), or add it.
+template <int N>
+inline void restrict_row(float const* fine, int cells, int ratio, float share, bool set, float* coarse) {
+  using L = Lanes<N>;
+  for (std::ptrdiff_t place = 0; place < cells; place += N) {
+    float const* const children = fine + place * ratio;
+    if (ratio == 1) {
+      put<N>(coarse + place, share * load<N>(children), cells - place, set);
+    } else {
+      typename L::Type const a = load<N>(children), b = load<N>(children + N);
+      put<N>(coarse + place, share * (L::even(a, b) + L::odd(a, b)), cells - place, set);
+    }
+  }
+}
+
+/// Up to four rows of a coarser level, and what a fine row takes of each; `row` points at the first parent.
+struct CoarseRows {
+  std::array<float const*, 4> row;
+  std::array<float, 4> share;
+  int count;
+};
+
+/// Add the trilinear interpolation between coarse rows to a fine row of `vectors`.
+template <int N>
+inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, float* fine) {
+  using L = Lanes<N>;
+  auto mean = [&](int place) {
+    typename L::Type sum = coarse.share[0] * load<N>(coarse.row[0] + place);
+    for (int c = 1; c < coarse.count; ++c) sum += coarse.share[c] * load<N>(coarse.row[c] + place);
+    return sum;
+  };
+  if (ratio == 1) {
+    for (int v = 0; v < vectors; ++v) store<N>(fine + v * N, load<N>(fine + v * N) + mean(v * N));
+    return;
+  }
+  for (int v = 0; v < vectors; v += 2) {
+    int const place = v / 2 * N;
+    typename L::Type const here = 0.75f * mean(place);
+    typename L::Type const lower = here + 0.25f * mean(place - 1), upper = here + 0.25f * mean(place + 1);
+    store<N>(fine + v * N, load<N>(fine + v * N) + L::interleave_low(lower, upper));
+    if (v + 1 < vectors) store<N>(fine + (v + 1) * N, load<N>(fine + (v + 1) * N) + L::interleave_high(lower, upper));
+  }
+}
+
+}  // namespace amrpic::matrixfree

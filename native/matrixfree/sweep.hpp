@@ -1,0 +1,50 @@
+#pragma once
+
+#include <functional>
+
+#include "matrixfree/ghosts.hpp"
+
+namespace amrpic::matrixfree {
+
+/// Where the children of a block's cells, or their parents, lie in another Vector.
+struct Parents {
+  Rectangle cells;  ///< the parent of the block's lower corner, and the pitches
+  Index3 ratio;
+};
+
+/// What is done to one plane of one block.
+using PlaneStage = std::function<void(std::size_t block, int plane)>;
+
+/// Run stages over all planes of a layout in one pass: stage s of a plane comes after stage s - 1 of the plane above
+/// it, so that a plane stays in the cache from the first stage to the last.
+void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages);
+
+/// The acts on one plane of a block (k in the level's indices), vectorised along x.
+class Sweep {
+ public:
+  Sweep(Layout const& layout, Stencil const& stencil);
+
+  /// One colour (0 or 1: the parity of i + j + k) relaxed from zero; the other becomes zero.
+  void relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
+  void relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
+
+  /// The plane's share in the coarse right-hand side: `share` times the sum of the children's residuals. The first of
+  /// the planes that share parents sets, the others add.
+  void restrict_residual(std::size_t block, int k, Vector const& r, Vector& e, Parents const& parents, float share,
+                         Vector& coarse) const;
+
+  /// Add the coarse correction, interpolated trilinearly along the axes of ratio 2; coarse cells around the block's
+  /// parents must hold what lies there.
+  void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, Vector& e) const;
+
+ private:
+  template <class F>
+  void for_each_row(std::size_t block, int k, float* e, bool alternating, F&& f) const;
+  float const* ghost_row(std::size_t block, int axis, int side, int t, float const* e, float* buffer) const;
+
+  Layout const& layout_;
+  Stencil const& stencil_;
+  mutable std::array<Vector, 5> buffer_;  ///< rows behind the four faces, and a residual
+};
+
+}  // namespace amrpic::matrixfree

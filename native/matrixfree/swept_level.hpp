@@ -1,0 +1,56 @@
+#pragma once
+
+#include "matrixfree/exchange.hpp"
+#include "matrixfree/sweep.hpp"
+
+namespace amrpic::matrixfree {
+
+/// How often and how strongly the cycle relaxes.
+struct Relaxation {
+  int pre_sweeps = 2, post_sweeps = 2;
+  Real factor = 1.25;
+
+  int halo() const { return 2 * std::max(pre_sweeps, post_sweeps); }  ///< each half-sweep reads one cell further
+};
+
+/// A level with corrections e and right-hand sides r in single precision, r = h² (residual) for the smallest spacing h
+/// of the level, and all that sweeps over it need.
+class SweptLevel {
+ public:
+  /// Collective.
+  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Relaxation const& relaxation);
+  SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
+  SweptLevel& operator=(SweptLevel const&) = delete;
+
+  /// Sweeps over both colours as stages of a wavefront.
+  std::vector<PlaneStage> relaxations(int sweeps, bool from_zero);
+  void run(std::vector<PlaneStage> const& stages) const { wavefront(layout_, stages); }
+
+  /// Whether parts of the level are copies, which other ranks or the other end of the domain must fill.
+  bool has_halo() const { return level_->ranks() > 1 || layout_.has_halo(); }
+  /// Collective.
+  void exchange_halo(bool corrections, bool right_hand_sides);
+
+  Level const& level() const { return *level_; }
+  Layout const& layout() const { return layout_; }
+  Stencil const& stencil() const { return stencil_; }
+  Sweep const& sweep() const { return sweep_; }
+  Vector& right_hand_side() { return r_; }
+  Vector& correction() { return e_; }
+  Real scale() const { return scale_; }  ///< h²
+
+  std::int64_t messages() const { return halo_.messages(); }
+  std::int64_t message_bytes() const { return halo_.bytes(); }
+  std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
+
+ private:
+  std::shared_ptr<Level const> level_;
+  Real scale_;
+  Layout layout_;
+  Stencil stencil_;
+  Sweep sweep_;
+  Vector r_, e_;
+  RectangleExchange halo_;
+};
+
+}  // namespace amrpic::matrixfree

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "mesh/field.hpp"
+#include "operators/operators.hpp"
+#include "operators/walls.hpp"
+#include "solver/options.hpp"
+#include "solver/stopwatch.hpp"
+
+namespace amrpic {
+
+/// An integral over all uncovered cells, and that of the magnitude.
+struct Integral {
+  Real net, magnitude;
+};
+
+/// One execution of the equations f - Laplace phi = 0 over all levels at once, and of the cycle that improves phi. All
+/// calls are collective; norms are those of the options, over uncovered cells.
+class Backend {
+ public:
+  virtual ~Backend() = default;
+
+  /// Make f of a charge density (C/m^3), which is kept as long as the solve lasts, and of the walls' data.
+  virtual void set_right_hand_side(Field const& rho) = 0;
+  virtual Integral integrate_right_hand_side() = 0;
+  virtual void subtract_from_right_hand_side(Real mean) = 0;
+  virtual Real right_hand_side_norm() = 0;
+
+  /// Take phi, which holds the first guess (V), to be improved until `finish`.
+  virtual void start(Field& phi) = 0;
+  /// The norm of the residual, which the next cycle will reduce.
+  virtual Real residual() = 0;
+  virtual void improve() = 0;
+  virtual Real largest_correction() = 0;  ///< change of phi by the latest cycle, V
+  /// Norm of the largest single term in the residual: what rounding is relative to.
+  virtual Real largest_phi_term() = 0;
+  /// Estimate of the largest error of phi that the mesh makes, V; 0 if it cannot be told, or not yet.
+  virtual Real discretisation_error() = 0;
+  /// Leave in phi what was found, means of the children in covered cells.
+  virtual void finish() = 0;
+
+  /// Fill the three components of E, -(1/s_d^2) d phi/dx_d (V/m).
+  virtual void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) = 0;
+
+  /// The operators of a level as compressed rows, those of E among them; assembled now if the backend does without.
+  virtual LevelOperators const& operators_with_gradient(int level) = 0;
+
+  virtual std::int64_t assemblies() const = 0;                 ///< of operators, so far
+  virtual std::int64_t levels_assembled() const { return 0; }  ///< the others were handed on
+  virtual std::int64_t bottom_setups() const { return 0; }     ///< 1 if the bottom was set up here and not handed on
+  virtual std::int64_t messages() const = 0;                   ///< halo messages sent by this rank so far
+  virtual std::int64_t message_bytes() const = 0;
+  virtual std::size_t bytes() const = 0;  ///< of this rank's operators, lists and vectors
+
+  Stopwatch& stopwatch() { return stopwatch_; }
+
+ protected:
+  Stopwatch stopwatch_;
+};
+
+/// The equations that a backend executes.
+struct Problem {
+  std::shared_ptr<Hierarchy const> given;
+  std::shared_ptr<Hierarchy const> hierarchy;  ///< the given one in stretched coordinates
+  SolverOptions const& options;
+  std::vector<Walls> const& walls;  ///< of each level, with their data
+};
+
+}  // namespace amrpic

@@ -1,0 +1,271 @@
+#include "solver/crs_backend.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "base/constants.hpp"
+#include "base/rows.hpp"
+#include "solver/coarsening.hpp"
+
+namespace amrpic {
+
+CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
+    : problem_(problem),
+      hierarchy_(problem.hierarchy),
+      options_(problem.options),
+      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size(),
+                           options_.coarse_levels)),
+      operators_(assembled(reusable)),
+      messages_before_(halo_sum(&Exchange::messages)),
+      bytes_before_(halo_sum(&Exchange::bytes)),
+      transfer_(hierarchy_),
+      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), options_),
+      krylov_(make_krylov(options_.krylov, equations())) {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
+  phi_ = zero();
+}
+
+/// The operators, with what was handed on of them.
+StackOperators CrsBackend::assembled(Reusable& reusable) {
+  Assembled former;
+  if (reusable.operators) former = std::move(*reusable.operators);
+  reusable.operators =
+      std::make_shared<Assembled>(assemble(hierarchy_->comm(), stack_, options_.prolongation, std::move(former)));
+  levels_assembled_ = reusable.operators->made;
+  return reusable.operators->operators;
+}
+
+/// The bottom that was handed on if it serves, else a new one.
+std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
+  if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
+    reusable.bottom.reset();  // the old one goes before the new one comes
+    reusable.bottom =
+        std::make_shared<Bottom>(hierarchy_->comm(), *operators_.front(), hierarchy_->domain().singular(), options_);
+    ++bottom_setups_;
+  }
+  return reusable.bottom;
+}
+
+/// Zeros on all levels, with room for ghosts.
+Composite CrsBackend::zero() const {
+  Composite out;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.ghosts()));
+  return out;
+}
+
+/// The chosen norm over uncovered cells of the whole hierarchy of value(level, row); nan if one is.
+template <class Value>
+Real CrsBackend::norm(Value&& value) const {
+  bool const largest = options_.norm == Norm::max;
+  Real result = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Real const volume = problem_.given->level(l).cell_volume();  // as it is, for the absolute tolerance
+    for_each_uncovered(l, [&](LocalIndex row) {
+      Real const v = std::abs(value(l, row));
+      if (largest)
+        result = v <= result || std::isnan(result) ? result : v;  // a nan stays
+      else
+        result += volume * (options_.norm == Norm::l1 ? v : v * v);
+    });
+  }
+  return global_norm(hierarchy_->comm(), options_.norm, result);
+}
+
+Integral CrsBackend::integrate_right_hand_side() {
+  Integral sum{0, 0};
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Real const volume = hierarchy_->level(l).cell_volume();
+    for_each_uncovered(l, [&](LocalIndex row) {
+      Real const f = right_hand_side_[l][row];
+      sum.net += volume * f;
+      sum.magnitude += volume * std::abs(f);
+    });
+  }
+  MPI_Allreduce(MPI_IN_PLACE, &sum, 2, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
+  return sum;
+}
+
+void CrsBackend::subtract_from_right_hand_side(Real mean) {
+  for (auto& level : right_hand_side_)
+    for (Real& f : level) f -= mean;
+}
+
+Real CrsBackend::right_hand_side_norm() {
+  return norm([&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
+}
+
+Real CrsBackend::largest_phi_term() {
+  return norm([&](int l, LocalIndex row) {
+    Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
+    return diagonal * phi_[l][row];
+  });
+}
+
+void CrsBackend::set_right_hand_side(Field const& rho) {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    auto& f = right_hand_side_[l];
+    auto const& density = rho.level(l);
+    for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = -density[row] / vacuum_permittivity; });
+    subtract_from_laplacian(problem_.walls[l], operators(l).walls, hierarchy_->level(l).spacing(), f);
+  }
+}
+
+void CrsBackend::start(Field& phi) {
+  result_ = &phi;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
+  krylov_ = make_krylov(options_.krylov, equations());
+}
+
+void CrsBackend::finish() {
+  average_down(phi_);
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    std::copy(phi_[l].begin(), phi_[l].begin() + operators(l).rows(), result_->level(l).begin());
+}
+
+/// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
+/// face may be a covered one.
+void CrsBackend::average_down(Composite& x) const {
+  for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
+    if (hierarchy_->has_finer(l)) {
+      Crs const& restriction = operators(l).restriction;
+      restriction.for_each_row([&](LocalIndex row) {
+        if (!operators(l).uncovered[row]) x[l][row] = restriction.dot(row, x[l + 1].data());
+      });
+    }
+    operators(l).halo.update(x[l].data());
+  }
+}
+
+/// f - A x in the uncovered cells of a level, zero in the others; x is averaged down.
+template <class F>
+void CrsBackend::subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const {
+  LevelOperators const& o = operators(l);
+  Real const* const own = x[l].data();
+  for_rows(o.rows(),
+           [&, own](LocalIndex row) { out[row] = o.uncovered[row] ? f(row) - o.composite().dot(row, own) : 0.0; });
+  if (l > 0) add_multiply(-1.0, o.coarse_boundary, x[l - 1].data(), out.data());
+  if (hierarchy_->has_finer(l)) add_multiply(-1.0, o.fine_boundary, x[l + 1].data(), out.data());
+}
+
+/// Composite residual of the uncovered cells, into the right-hand sides of the cycle.
+void CrsBackend::compute_residual() {
+  average_down(phi_);
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    subtract(
+        l, [&](LocalIndex row) { return right_hand_side_[l][row]; }, phi_, cycle_level(l).right_hand_side());
+}
+
+Real CrsBackend::residual() {
+  stopwatch_.time("residual", [&] { compute_residual(); });
+  return norm([&](int l, LocalIndex row) { return cycle_level(l).right_hand_side()[row]; });
+}
+
+CompositeEquations CrsBackend::equations() {
+  auto multiply = [this](Composite& x, Composite& out) {
+    average_down(x);
+    for (int l = 0; l < hierarchy_->level_count(); ++l) {
+      subtract(
+          l, [](LocalIndex) { return 0.0; }, x, out[l]);
+      for (Real& v : out[l]) v = -v;
+    }
+  };
+  auto dot = [this](Composite const& x, Composite const& y) {
+    Real sum = 0;
+    for (int l = 0; l < hierarchy_->level_count(); ++l)
+      for_each_uncovered(l, [&](LocalIndex row) { sum += x[l][row] * y[l][row]; });
+    MPI_Allreduce(MPI_IN_PLACE, &sum, 1, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
+    return sum;
+  };
+  return {[this] { return zero(); }, multiply, dot};
+}
+
+/// One cycle for the residual, and what it gives added to phi.
+void CrsBackend::improve() {
+  std::size_t const levels = phi_.size();
+  Composite values(levels);
+  if (krylov_) {
+    for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
+    Composite const& direction = krylov_->direction(values);
+    for (std::size_t l = 0; l < levels; ++l)
+      std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
+  }
+  multigrid_.cycle(stopwatch_);
+  if (krylov_) {
+    for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).correction();
+    values = krylov_->step(values);
+  }
+  for (std::size_t l = 0; l < levels; ++l) {
+    auto& phi = phi_[l];
+    auto const& correction = krylov_ ? values[l] : cycle_level(int(l)).correction();
+    for_rows(operators(int(l)).rows(), [&](LocalIndex row) { phi[row] += correction[row]; });
+  }
+}
+
+LevelOperators const& CrsBackend::operators_with_gradient(int level) {
+  if (!has_gradient_) {
+    assemble_gradient(stack_, operators_);
+    has_gradient_ = true;
+    ++assemblies_;
+  }
+  return operators(level);
+}
+
+void CrsBackend::electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) {
+  int const levels = hierarchy_->level_count();
+  operators_with_gradient(0);
+  for (int l = 0; l < levels; ++l) {
+    std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
+    operators(l).halo.update(phi_[l].data());
+  }
+  for (int axis = 0; axis < 3; ++axis) {
+    for (int l = 0; l < levels; ++l) {
+      LevelOperators const& o = operators(l);
+      auto& e = components[axis]->level(l);
+      multiply(o.gradient[axis].own, phi_[l].data(), e.data());
+      if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, phi_[l - 1].data(), e.data());
+      if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, phi_[l + 1].data(), e.data());
+      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, true, e);
+    }
+  }
+  transfer_.average_down({components.begin(), components.end()});
+  if (covered == CoveredField::difference) difference_covered(components);
+  for (int axis = 0; axis < 3; ++axis)
+    for (int l = 0; l < levels && options_.stretch[axis] != 1; ++l)
+      for (Real& e : components[axis]->level(l)) e /= options_.stretch[axis];
+}
+
+/// The field in covered cells from the potentials in `phi_`, whose ghosts are up to date; not yet stretched.
+void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
+  if (covered_gradient_.empty())
+    for (int l = 0; hierarchy_->has_finer(l); ++l)
+      covered_gradient_.push_back(assemble_covered_gradient(stack_, stack_.base + std::size_t(l), operators(l)));
+  for (int l = 0; hierarchy_->has_finer(l); ++l)
+    for (int axis = 0; axis < 3; ++axis) {
+      LevelOperators const& o = operators(l);
+      auto& e = components[axis]->level(l);
+      Crs const& gradient = covered_gradient_[l][axis];
+      gradient.for_each_row([&](LocalIndex row) {
+        if (!o.uncovered[row]) e[row] = gradient.dot(row, phi_[l].data());
+      });
+      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, false, e);
+    }
+}
+
+std::int64_t CrsBackend::halo_sum(std::int64_t (Exchange::*of)() const) const {
+  std::int64_t sum = 0;
+  for (auto const& o : operators_) sum += (o->halo.*of)() + (o->stencil_halo.*of)();
+  return sum;
+}
+
+std::size_t CrsBackend::bytes() const {
+  std::size_t sum = 0;
+  for (auto const& o : operators_) sum += o->bytes();
+  for (auto const& axes : covered_gradient_)
+    for (Crs const& axis : axes) sum += axis.bytes();
+  return sum;
+}
+
+}  // namespace amrpic

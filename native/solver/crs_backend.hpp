@@ -1,0 +1,87 @@
+#pragma once
+
+#include "mesh/transfer.hpp"
+#include "solver/backend.hpp"
+#include "solver/krylov.hpp"
+#include "solver/multigrid.hpp"
+#include "solver/reusable.hpp"
+
+namespace amrpic {
+
+/// The eight operators of each level as compressed rows, with the solver's whole menu.
+class CrsBackend : public Backend {
+ public:
+  /// `reusable`: of a solver of the same options, or empty; becomes what is in use. Collective.
+  CrsBackend(Problem const& problem, Reusable& reusable);
+  CrsBackend(CrsBackend const&) = delete;  // the cycle refers to the operators
+  CrsBackend& operator=(CrsBackend const&) = delete;
+
+  void set_right_hand_side(Field const& rho) override;
+  Integral integrate_right_hand_side() override;
+  void subtract_from_right_hand_side(Real mean) override;
+  Real right_hand_side_norm() override;
+
+  void start(Field& phi) override;
+  Real residual() override;
+  void improve() override;
+  Real largest_correction() override;
+  Real largest_phi_term() override;
+  Real discretisation_error() override;
+  void finish() override;
+
+  void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) override;
+
+  LevelOperators const& operators(int level) const { return *operators_[stack_.base + std::size_t(level)]; }
+  LevelOperators const& operators_with_gradient(int level) override;
+
+  std::int64_t assemblies() const override { return assemblies_; }
+  std::int64_t bottom_setups() const override { return bottom_setups_; }
+  std::int64_t levels_assembled() const override { return levels_assembled_; }
+  std::int64_t messages() const override { return halo_sum(&Exchange::messages) - messages_before_; }
+  std::int64_t message_bytes() const override { return halo_sum(&Exchange::bytes) - bytes_before_; }
+  std::size_t bytes() const override;
+
+ private:
+  MultigridLevel& cycle_level(int l) { return multigrid_.level(stack_.base + std::size_t(l)); }
+  /// Call f(row) for each cell of a level that no finer level covers.
+  template <class F>
+  void for_each_uncovered(int l, F&& f) const {
+    LevelOperators const& o = operators(l);
+    for (LocalIndex row = 0; row < o.rows(); ++row)
+      if (o.uncovered[row]) f(row);
+  }
+  template <class Value>
+  Real norm(Value&& value) const;
+  StackOperators assembled(Reusable& reusable);
+  std::shared_ptr<Bottom> bottom(Reusable& reusable);
+  std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
+  Composite zero() const;
+  void average_down(Composite& x) const;
+  template <class F>
+  void subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const;
+  void compute_residual();
+  CompositeEquations equations();
+  void set_truncation();
+  Real largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&));
+  void difference_covered(std::array<Field*, 3> const& components);
+
+  Problem problem_;
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  SolverOptions const& options_;
+  LevelStack stack_;
+  std::int64_t levels_assembled_ = 0;
+  StackOperators operators_;
+  std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
+  Transfer transfer_;
+  std::int64_t bottom_setups_ = 0;
+  Multigrid multigrid_;
+  std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
+  Composite phi_;                   ///< own cells and ghosts
+  Composite right_hand_side_;       ///< f = -rho / eps0 minus what walls add
+  Field* result_ = nullptr;
+  bool has_gradient_ = false;
+  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for
+  std::int64_t assemblies_ = 1;
+};
+
+}  // namespace amrpic

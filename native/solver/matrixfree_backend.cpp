@@ -1,0 +1,121 @@
+#include "solver/matrixfree_backend.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace amrpic {
+
+MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
+    : problem_(problem),
+      composite_(problem.hierarchy, problem.options.stretch),
+      cycle_(problem.hierarchy->comm(), stack_of(*problem.hierarchy), problem.hierarchy->domain(),
+             {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation}),
+      residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
+      correction_(blocks(&matrixfree::SweptLevel::correction)),
+      scale_(std::size_t(levels())) {}
+
+/// Where the boxes' cells lie in a vector of the cycle.
+Blocks<float> MatrixFreeBackend::blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)()) {
+  Blocks<float> out;
+  for (int l = 0; l < levels(); ++l) {
+    auto& swept = cycle_.level(std::size_t(l));
+    auto& of_level = out.emplace_back();
+    Level const& level = problem_.hierarchy->level(l);
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      auto const cells = swept.layout().box(b);
+      of_level.push_back({(swept.*vector)().data() + cells.origin, cells.pitch_y, cells.pitch_z});
+    }
+  }
+  return out;
+}
+
+void MatrixFreeBackend::set_right_hand_side(Field const& rho) { source_.emplace(Source{rho, problem_.walls}); }
+
+Integral MatrixFreeBackend::integrate_right_hand_side() {
+  auto const [net, magnitude] = composite_.integrate_right_hand_side(*source_);
+  return {net, magnitude};
+}
+
+void MatrixFreeBackend::subtract_from_right_hand_side(Real mean) { source_->mean += mean; }
+
+Real MatrixFreeBackend::right_hand_side_norm() {
+  Real const largest = composite_.right_hand_side_norm(*source_, Norm::max);
+  unit_ = std::isnormal(largest) ? largest : 1;
+  for (int l = 0; l < levels(); ++l) scale_[std::size_t(l)] = cycle_.level(std::size_t(l)).scale() / unit_;
+  return problem_.options.norm == Norm::max ? largest
+                                            : composite_.right_hand_side_norm(*source_, problem_.options.norm);
+}
+
+void MatrixFreeBackend::start(Field& phi) {
+  phi_ = &phi;
+  composite_.average_down(phi);
+}
+
+Real MatrixFreeBackend::residual() {
+  Real out = 0;
+  stopwatch_.time("residual",
+                  [&] { out = composite_.residual(*source_, *phi_, problem_.options.norm, scale_, residual_); });
+  return out;
+}
+
+void MatrixFreeBackend::improve() {
+  stopwatch_.time("cycle", [&] { cycle_.run(); });
+  stopwatch_.time("correction", [&] { composite_.add(correction_, unit_, *phi_); });
+}
+
+/// Largest magnitude on all levels of a vector of the cycle, over the scale of each level.
+Real MatrixFreeBackend::largest(matrixfree::Vector& (matrixfree::SweptLevel::*vector)(),
+                                std::vector<Real> const& scale) {
+  Real out = 0;
+  for (int l = 0; l < levels(); ++l) {
+    auto& swept = cycle_.level(std::size_t(l));
+    for (std::size_t b = 0; b < swept.layout().own_blocks(); ++b) {
+      auto const& block = swept.layout().blocks()[b];
+      for (int k = 0; k < block.box.extent(2); ++k)
+        for (int j = 0; j < block.box.extent(1); ++j) {
+          float const* const row = (swept.*vector)().data() + block.cells.place(0, j, k);
+          float most = 0;
+          for (int i = 0; i < block.box.extent(0); ++i) most = std::max(most, std::abs(row[i]));
+          out = std::max(out, most / scale[std::size_t(l)]);
+        }
+    }
+  }
+  MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE, MPI_MAX, problem_.hierarchy->comm());
+  return out;
+}
+
+Real MatrixFreeBackend::largest_correction() {
+  return largest(&matrixfree::SweptLevel::correction, std::vector<Real>(std::size_t(levels()), 1 / unit_));
+}
+
+Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*phi_, problem_.options.norm); }
+
+/// One cycle with the truncation error; 0 while the residual is too large beside it to tell.
+Real MatrixFreeBackend::discretisation_error() {
+  Index3 const below = cycle_.ratio_below_base();
+  if (levels() == 1 && below == Index3{1, 1, 1}) return 0;  // nothing is coarser than the base, nothing finer
+  Real const residual = largest(&matrixfree::SweptLevel::right_hand_side, scale_);
+  composite_.truncation(*source_, *phi_, below, scale_, residual_);
+  Real error = 0;
+  if (residual < 0.1 * largest(&matrixfree::SweptLevel::right_hand_side, scale_)) {
+    cycle_.run();
+    error = largest_correction();
+  }
+  composite_.residual(*source_, *phi_, problem_.options.norm, scale_, residual_);
+  return error;
+}
+
+void MatrixFreeBackend::electric_field(Field const& phi, std::array<Field*, 3> const& components,
+                                       CoveredField covered) {
+  composite_.electric_field(phi, problem_.walls, covered, components);
+}
+
+LevelOperators const& MatrixFreeBackend::operators_with_gradient(int level) {
+  if (shown_.operators.empty()) {
+    shown_ = assemble(problem_.hierarchy->comm(), stack_of(*problem_.hierarchy), problem_.options.prolongation);
+    assemble_gradient(shown_.stack, shown_.operators);
+  }
+  return *shown_.operators[std::size_t(level)];
+}
+
+}  // namespace amrpic

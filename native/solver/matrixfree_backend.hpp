@@ -1,0 +1,55 @@
+#pragma once
+
+#include <optional>
+
+#include "matrixfree/composite.hpp"
+#include "matrixfree/cycle.hpp"
+#include "solver/backend.hpp"
+
+namespace amrpic {
+
+/// Stencils evaluated box by box: potential and residual in double precision, corrections in single.
+class MatrixFreeBackend : public Backend {
+ public:
+  /// Collective.
+  explicit MatrixFreeBackend(Problem const& problem);
+
+  void set_right_hand_side(Field const& rho) override;
+  Integral integrate_right_hand_side() override;
+  void subtract_from_right_hand_side(Real mean) override;
+  Real right_hand_side_norm() override;
+
+  void start(Field& phi) override;
+  Real residual() override;
+  void improve() override;
+  Real largest_correction() override;
+  Real largest_phi_term() override;
+  Real discretisation_error() override;
+  void finish() override {}
+
+  void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) override;
+
+  LevelOperators const& operators_with_gradient(int level) override;
+
+  std::int64_t assemblies() const override { return shown_.operators.empty() ? 0 : 1; }
+  std::int64_t messages() const override { return composite_.messages() + cycle_.messages(); }
+  std::int64_t message_bytes() const override { return composite_.message_bytes() + cycle_.message_bytes(); }
+  std::size_t bytes() const override { return composite_.bytes() + cycle_.bytes(); }
+
+ private:
+  Blocks<float> blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)());
+  Real largest(matrixfree::Vector& (matrixfree::SweptLevel::*vector)(), std::vector<Real> const& scale);
+  int levels() const { return problem_.hierarchy->level_count(); }
+
+  Problem problem_;
+  CompositeLaplacian composite_;
+  matrixfree::Cycle cycle_;
+  Blocks<float> residual_, correction_;
+  std::optional<Source> source_;
+  Real unit_ = 1;            ///< what 1 stands for in the residuals of the cycle, V/m^2
+  std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
+  Field* phi_ = nullptr;
+  Assembled shown_;  ///< empty until asked for
+};
+
+}  // namespace amrpic

@@ -253,17 +253,31 @@ void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& sourc
   Real const* const cells = values.data() + offset(l, b);
   Real const* const rho = source.rho.level(l).data() + offset(l, b) + k * plane;
   kernels::Residual const formula(level(l).spacing(), inverse_permittivity, source.mean);
+  Real const* const c = cells + k * plane;
+  Real const* const below = k > 0 ? c - plane : beyond_[4].data();
+  Real const* const above = k + 1 < nz ? c + plane : beyond_[5].data();
+  auto neighbours = [&](int j) {
+    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
+    return kernels::Neighbours{j > 0 ? c + at - nx : beyond_[2].data() + std::ptrdiff_t(k) * nx,
+                               j + 1 < ny ? c + at + nx : beyond_[3].data() + std::ptrdiff_t(k) * nx, below + at,
+                               above + at};
+  };
+  // Rows between the first and the last lie side by side, as their neighbours do. Only memory of the level is read.
+  Real const *const level_begin = values.data(), *const level_end = level_begin + values.size();
+  auto sweep = [&](int first, int last) {
+    std::ptrdiff_t const at = std::ptrdiff_t(first) * nx, cells_here = std::ptrdiff_t(last - first) * nx;
+    bool const starts = c + at == level_begin, ends = c + at + cells_here == level_end;
+    kernels::residual_run(formula, starts ? 1 : 0, cells_here - (ends ? 1 : 0), c + at, neighbours(first), rho + at,
+                          plane_.data() + at);
+  };
+  sweep(0, 1);
+  sweep(1, ny - 1);
+  sweep(ny - 1, ny);
   for (int j = 0; j < ny; ++j) {
-    Real const* c = cells + k * plane + std::ptrdiff_t(j) * nx;
-    kernels::Row const row{c,
-                           j > 0 ? c - nx : beyond_[2].data() + std::ptrdiff_t(k) * nx,
-                           j + 1 < ny ? c + nx : beyond_[3].data() + std::ptrdiff_t(k) * nx,
-                           k > 0 ? c - plane : beyond_[4].data() + std::ptrdiff_t(j) * nx,
-                           k + 1 < nz ? c + plane : beyond_[5].data() + std::ptrdiff_t(j) * nx,
-                           beyond_[0][std::size_t(j + k * ny)],
-                           beyond_[1][std::size_t(j + k * ny)]};
-    kernels::residual_row(formula, nx, row, c == values.data(), c + nx == values.data() + values.size(),
-                          rho + std::ptrdiff_t(j) * nx, plane_.data() + std::ptrdiff_t(j) * nx);
+    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
+    std::size_t const end = std::size_t(j) + std::size_t(k) * std::size_t(ny);
+    kernels::residual_ends(formula, nx, c + at, neighbours(j), beyond_[0][end], beyond_[1][end], rho + at,
+                           plane_.data() + at);
   }
   Real const coefficient[3] = {formula.cx, formula.cy, formula.cz};
   for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int, Real excess) {

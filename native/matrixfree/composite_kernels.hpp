@@ -41,22 +41,27 @@ struct Residual {
   }
 };
 
-/// A row of phi: `cell` in the box, the rows beside it, and the values beyond its ends.
-struct Row {
-  Real const *cell, *ym, *yp, *zm, *zp;
-  Real xm, xp;
+/// Where the neighbours of a run of cells lie that are contiguous in memory.
+struct Neighbours {
+  Real const *ym, *yp, *zm, *zp;
 };
 
-/// f - Laplace phi along a row of n cells. The row's memory goes on by at least one value before it unless `first`, and
-/// after it unless `last`: reading on lets the loop run over whole vectors; what it then finds is put right.
-inline void residual_row(Residual const& formula, int n, Row const& row, bool first, bool last,
-                         Real const* __restrict rho, Real* __restrict out) {
-  Real const *c = row.cell, *ym = row.ym, *yp = row.yp, *zm = row.zm, *zp = row.zp;
+/// f - Laplace phi of the cells [first, last) of a run; those at the ends of rows take what memory holds beside them
+/// for their neighbours along x. So the loop has whole vectors, and the ends are put right afterwards.
+inline void residual_run(Residual const& formula, std::ptrdiff_t first, std::ptrdiff_t last, Real const* c,
+                         Neighbours const& n, Real const* __restrict rho, Real* __restrict out) {
+  Real const *ym = n.ym, *yp = n.yp, *zm = n.zm, *zp = n.zp;
   Residual const f = formula;
-  for (int i = first ? 1 : 0; i < n - (last ? 1 : 0); ++i)
+  for (std::ptrdiff_t i = first; i < last; ++i)
     out[i] = f(rho[i], c[i], c[i - 1], c[i + 1], ym[i], yp[i], zm[i], zp[i]);
-  out[0] = f(rho[0], c[0], row.xm, c[1], ym[0], yp[0], zm[0], zp[0]);
-  out[n - 1] = f(rho[n - 1], c[n - 1], c[n - 2], row.xp, ym[n - 1], yp[n - 1], zm[n - 1], zp[n - 1]);
+}
+
+/// The same of one row of nx cells, only its ends, between the values beyond them.
+inline void residual_ends(Residual const& f, int nx, Real const* c, Neighbours const& n, Real xm, Real xp,
+                          Real const* rho, Real* out) {
+  int const e = nx - 1;
+  out[0] = f(rho[0], c[0], xm, c[1], n.ym[0], n.yp[0], n.zm[0], n.zp[0]);
+  out[e] = f(rho[e], c[e], c[e - 1], xp, n.ym[e], n.yp[e], n.zm[e], n.zp[e]);
 }
 
 /// One rank's part of a norm over cells.
@@ -86,14 +91,17 @@ class Magnitude {
  private:
   /// The bits of magnitudes order as whole numbers, infinity and nan above all others.
   void add_largest(Real const* values, std::ptrdiff_t n) {
-    std::int64_t largest = largest_;
-    for (std::ptrdiff_t i = 0; i < n; ++i) {
-      std::int64_t bits;
-      std::memcpy(&bits, values + i, sizeof bits);
-      bits &= INT64_MAX;
-      largest = bits > largest ? bits : largest;
-    }
-    largest_ = largest;
+    std::int64_t largest[16] = {};  // side by side, so that none waits for another
+    std::ptrdiff_t i = 0;
+    for (; i + 16 <= n; i += 16)
+      for (int q = 0; q < 16; ++q) largest[q] = std::max(largest[q], magnitude_bits(values[i + q]));
+    for (; i < n; ++i) largest[0] = std::max(largest[0], magnitude_bits(values[i]));
+    for (std::int64_t part : largest) largest_ = std::max(largest_, part);
+  }
+  static std::int64_t magnitude_bits(Real value) {
+    std::int64_t bits;
+    std::memcpy(&bits, &value, sizeof bits);
+    return bits & INT64_MAX;
   }
 
   Norm norm_;

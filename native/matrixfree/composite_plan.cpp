@@ -104,9 +104,10 @@ class LevelPlanner {
       plan_->covered.last = std::int32_t(out_.covered.size());
       plan_->hidden = cells == box_.cells();
       plan_->refined.first = std::int32_t(out_.refined.size());
-      for (auto const& o : near)
-        for (int axis = 0; axis < 3; ++axis)
-          for (int side = 0; side < 2; ++side) plan_refined_side(fine, o, axis, side, covered);
+      // By axis and side first: a cell with several such faces rounds alike however the boxes are cut.
+      for (int axis = 0; axis < 3; ++axis)
+        for (int side = 0; side < 2; ++side)
+          for (auto const& o : near) plan_refined_side(fine, o, axis, side, covered);
       plan_->refined.last = std::int32_t(out_.refined.size());
     }
     std::stable_sort(families.begin(), families.end(), [](auto const& a, auto const& b) { return a.first < b.first; });

@@ -211,6 +211,13 @@ def test_cells_that_are_not_cubes(spacing):
     assert greatest_difference(walls(charges, spacing), ghost_planes(expected)) < 2e-4 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("spacing", [(1.0, 1.0, 10.0), (10.0, 1.0, 1.0)])
+def test_long_cells_with_charge_all_over(spacing):
+    charges = np.random.default_rng(6).random((40, 40, 40)) ** 8
+    expected = FreeLattice(charges.shape, spacing)(charges)
+    assert greatest_difference(walls(charges, spacing), ghost_planes(expected)) < 5e-5 * np.abs(expected).max()
+
+
 @pytest.mark.parametrize("charge", [1e-30, 1e3])
 @pytest.mark.parametrize("spacing", [1e-9, 1e6])
 def test_neither_charge_nor_size_matters(charge, spacing):

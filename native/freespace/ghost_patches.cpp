@@ -12,34 +12,20 @@ namespace {
 
 constexpr double pi = 3.14159265358979323846;
 
-using Points = std::array<double, patch_points>;
 /// Row i: weights of the points of the parent for point i of the child.
-using Weights = std::array<Points, patch_points>;
+using Weights = std::array<std::array<double, patch_points>, patch_points>;
 
-/// Points of a patch along an axis, from -1 to 1 between its first and its last ghost.
-Points points_along(int extent) {
-  Points out;
-  for (int i = 0; i < patch_points; ++i)
-    out[i] = extent == patch_points ? 2.0 * i / (patch_points - 1) - 1 : -std::cos(pi * (i + 0.5) / patch_points);
-  return out;
-}
-
-/// The place of point `s` in -1 .. 1 of a patch along an axis, in cells.
-double cell_at(int first, int extent, double s) { return first + 0.5 * (extent - 1) * (1 + s); }
-
-/// Lagrange's weights along an axis, for a child whose first ghost is `offset` cells behind that of its parent.
+/// Lagrange's weights along an axis, for a child whose first ghost is `offset` behind that of its parent.
 Weights interpolation_weights(int parent_extent, int extent, int offset) {
   Weights out;
-  Points const nodes = points_along(parent_extent), points = points_along(extent);
-  for (int i = 0; i < patch_points; ++i) {
-    double const x = 2 * cell_at(offset, extent, points[i]) / (parent_extent - 1) - 1;
+  auto const nodes = point_cells(parent_extent), points = point_cells(extent);
+  for (int i = 0; i < patch_points; ++i)
     for (int n = 0; n < patch_points; ++n) {
       double weight = 1;
       for (int m = 0; m < patch_points; ++m)
-        if (m != n) weight *= (x - nodes[m]) / (nodes[n] - nodes[m]);
+        if (m != n) weight *= double(offset + points[i] - nodes[m]) / (nodes[n] - nodes[m]);
       out[i][n] = weight;
     }
-  }
   return out;
 }
 
@@ -103,6 +89,16 @@ void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point cons
 
 }  // namespace
 
+std::array<int, patch_points> point_cells(int extent) {
+  std::array<int, patch_points> out;
+  for (int i = 0; i < patch_points / 2; ++i) {
+    double const node = 0.5 * (1 - std::cos(pi * (i + 0.5) / patch_points));
+    out[i] = extent == patch_points ? i : int(std::lround((extent - 1) * node));
+    out[patch_points - 1 - i] = extent - 1 - out[i];
+  }
+  return out;
+}
+
 bool GhostBlock::operator==(GhostBlock const& o) const {
   return face == o.face && level == o.level && place == o.place;
 }
@@ -131,10 +127,9 @@ PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch) : norm
   place = patch.face % 2 == 0 ? -ghost : lattice.cells[normal] * shape[normal] + ghost;
   for (int t = 0; t < 2; ++t) {
     double const spacing = std::ldexp(shape[axes[t]], -patch.level);
-    Points const points = points_along(patch.extent[t]);
-    for (int i = 0; i < patch_points; ++i)
-      along[t][i] = (cell_at(patch.first[t], patch.extent[t], points[i]) + 0.5) * spacing;
-    centre[t] = (cell_at(patch.first[t], patch.extent[t], 0) + 0.5) * spacing;
+    auto const cells = point_cells(patch.extent[t]);
+    for (int i = 0; i < patch_points; ++i) along[t][i] = (patch.first[t] + cells[i] + 0.5) * spacing;
+    centre[t] = (patch.first[t] + 0.5 * patch.extent[t]) * spacing;
     half[t] = 0.5 * (patch.extent[t] - 1) * spacing;
     if (patch.extent[t] > patch_points) width = std::max(width, half[t]);
   }

@@ -1,8 +1,8 @@
 // The layers of ghost centres behind the walls, cut into a quadtree of patches.
 //
-// The potential of charge far away is smooth: over a patch it is the polynomial through 8 x 8 points. So each box of
-// charge is evaluated on the largest patches that it is far enough from, and what is found there is passed down to the
-// smallest ones, of which the points are the ghosts themselves.
+// The potential of charge far away is smooth: over a patch it is the polynomial through 8 x 8 of its ghosts. So each
+// box of charge is evaluated on the largest patches that it is far enough from, and what is found there is passed down
+// to the smallest ones, of which the points are all ghosts.
 #pragma once
 
 #include <array>
@@ -41,8 +41,10 @@ struct GhostPatch {
 /// sorted.
 std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks);
 
-/// Where the points of a patch are, smallest base spacing = 1. Along an axis where a patch is as wide as a block they
-/// are the ghosts, else Chebyshev's nodes.
+/// The points of a patch along an axis, counted from its first ghost: all of them, or those next to Chebyshev's nodes.
+std::array<int, patch_points> point_cells(int extent);
+
+/// Where the points of a patch are, smallest base spacing = 1.
 struct PatchPoints {
   PatchPoints(Lattice const& lattice, GhostPatch const& patch);
 

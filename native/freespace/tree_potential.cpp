@@ -14,17 +14,20 @@ namespace {
 
 constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
+constexpr unsigned all_points = (1u << lane_count) - 1;
 constexpr int lowest_order = 2;
 constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
 constexpr double table_limit = 1 << 26;   ///< entries of a kernel table; only very long cells come near
 
-/// Points that a kernel table must reach for charges at most `distance` away.
+/// Points that a kernel table must reach for charges at most `distance` away, and along long cells for the rest of a
+/// block of ghosts that is partly as near.
 Cell table_reach(Lattice const& lattice, int finest, double distance) {
   Point const shape = lattice.shape();
   Cell out;
   for (int d = 0; d < 3; ++d) {
     double const inside_domain = std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
-    out[d] = int(std::min(std::ceil(distance / shape[d]), inside_domain)) + block_edge + 1;
+    int const beyond = shape[d] > 2 ? 2 * block_edge : block_edge;
+    out[d] = int(std::min(std::ceil(distance / shape[d]), inside_domain)) + beyond + 1;
   }
   return out;
 }
@@ -82,42 +85,15 @@ std::array<double, count> direct_sums(LeafCharges::Block const& charges,
   return out;
 }
 
+/// Distance along an axis, as far as it smooths the potential: across the first layers of long cells the lattice
+/// smooths as if they were short, since short waves fade by 1 / (k h)^2 per layer there, not by exp(-k h). `aspect`: of
+/// a cell.
+double smoothing_distance(double distance, double spacing, double aspect) {
+  constexpr double layers = 3;
+  return distance - std::min(distance, layers * spacing) * (1 - 1 / aspect);
+}
+
 double gap(double distance, double half) { return std::max(0.0, std::abs(distance) - half); }
-
-/// The ghosts of a patch as a box, flat along the normal.
-struct Rectangle {
-  Point centre, half;
-  double radius;
-
-  explicit Rectangle(PatchPoints const& points) {
-    auto const axes = plane_axes(points.normal);
-    centre[points.normal] = points.place;
-    half[points.normal] = 0;
-    for (int t = 0; t < 2; ++t) {
-      centre[axes[t]] = points.centre[t];
-      half[axes[t]] = points.half[t];
-    }
-    radius = std::hypot(points.half[0], points.half[1]);
-  }
-
-  /// Squared distance from the centre of a node, and from the box of its charges.
-  double to_centre2(TreeNode const& node) const {
-    double out = 0;
-    for (int d = 0; d < 3; ++d) {
-      double const g = gap(centre[d] - node.centre[d], half[d]);
-      out += g * g;
-    }
-    return out;
-  }
-  double to_charges2(TreeNode const& node) const {
-    double out = 0;
-    for (int d = 0; d < 3; ++d) {
-      double const g = gap(centre[d] - node.centre[d], half[d] + node.half[d]);
-      out += g * g;
-    }
-    return out;
-  }
-};
 
 /// The points of a patch, row after row.
 struct Rows {
@@ -163,16 +139,56 @@ void add_lanes(Lanes const& value, double* to) {
 
 }  // namespace
 
-/// The ghosts of a block among the lattice points of a level with charge.
-struct TreePotential::NearGhosts {
+/// The ghosts of a patch as a box, flat along the normal.
+struct TreePotential::Rectangle {
+  Point centre, half;
+  double radius;
+
+  explicit Rectangle(PatchPoints const& points) {
+    auto const axes = plane_axes(points.normal);
+    centre[points.normal] = points.place;
+    half[points.normal] = 0;
+    for (int t = 0; t < 2; ++t) {
+      centre[axes[t]] = points.centre[t];
+      half[axes[t]] = points.half[t];
+    }
+    radius = std::hypot(points.half[0], points.half[1]);
+  }
+
+  /// Squared distances between the centres, from the centre of a node, and from the box of its charges.
+  double between_centres2(TreeNode const& node) const {
+    double out = 0;
+    for (int d = 0; d < 3; ++d) out += (centre[d] - node.centre[d]) * (centre[d] - node.centre[d]);
+    return out;
+  }
+  double to_centre2(TreeNode const& node) const {
+    double out = 0;
+    for (int d = 0; d < 3; ++d) {
+      double const g = gap(centre[d] - node.centre[d], half[d]);
+      out += g * g;
+    }
+    return out;
+  }
+  double to_charges2(TreeNode const& node) const {
+    double out = 0;
+    for (int d = 0; d < 3; ++d) {
+      double const g = gap(centre[d] - node.centre[d], half[d] + node.half[d]);
+      out += g * g;
+    }
+    return out;
+  }
+};
+
+/// The points of a patch among the lattice points of a level with charge.
+struct TreePotential::NearPoints {
   struct Ghost {
     KernelTable const* kernel;
     Cell point;
   };
   std::array<Ghost, patch_values> at;
 
-  NearGhosts() = default;
-  NearGhosts(Lattice const& lattice, GhostPatch const& patch, int level, KernelTables& kernels) {
+  NearPoints() = default;
+  NearPoints(Lattice const& lattice, GhostPatch const& patch, int level, KernelTables& kernels) {
     int const normal = patch.face / 2;
     auto const axes = plane_axes(normal);
     Ghost ghost{};
@@ -182,11 +198,12 @@ struct TreePotential::NearGhosts {
       ghost.point[d] = place.point;
       shift[d] = place.shift;
     };
+    auto const columns = point_cells(patch.extent[0]), rows = point_cells(patch.extent[1]);
     put(normal, patch.face % 2 == 0 ? -1 : lattice.cells[normal] << patch.level);
     for (int row = 0; row < patch_points; ++row) {
-      put(axes[1], patch.first[1] + row);
+      put(axes[1], patch.first[1] + rows[row]);
       for (int t = 0; t < patch_points; ++t) {
-        put(axes[0], patch.first[0] + t);
+        put(axes[0], patch.first[0] + columns[t]);
         if (!ghost.kernel || shift != made_for) ghost.kernel = &kernels.at(shift), made_for = shift;
         at[row * patch_points + t] = ghost;
       }
@@ -207,7 +224,8 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       options_(options),
       shape_(lattice.shape()),
       longest_spacing_(std::max({shape_[0], shape_[1], shape_[2]})),
-      kernels_(shape_, checked_reach(lattice, finest, options)) {}
+      reach_(checked_reach(lattice, finest, options)),
+      kernels_(shape_, reach_) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
   return std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
@@ -236,17 +254,34 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
       TreeNode const& node = tree.nodes[n];
       double const distance2 = rectangle.to_centre2(node);
       bool const is_far = distance2 > limits[n] * limits[n];
+      bool const is_mostly_near = !is_far && rectangle.between_centres2(node) < 0.5 * limits[n] * limits[n];
       if (is_far && rectangle.to_charges2(node) >= separation * separation)
         out[p].far.push_back(multipole(tree, n, distance2));
-      else if (!is_far && node.leaf < 0 && node.radius > rectangle.radius)
+      else if (!is_far && node.leaf < 0 && (node.radius > rectangle.radius || is_mostly_near))
         for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
       else if (patch.is_block())
         out[p].mixed.push_back(n);
+      else if (!is_far && is_summed(node, rectangle, separation))
+        out[p].near.push_back(n);
       else
         left[p].push_back(n);
     }
   }
   return out;
+}
+
+/// Whether the charges of a leaf are to be summed at the points of a patch, and interpolated: where it is far enough
+/// for that, but too near for multipoles to most parts of the patch. It comes to that where cells are long.
+bool TreePotential::is_summed(TreeNode const& node, Rectangle const& rectangle, double separation) const {
+  if (node.leaf < 0) return false;
+  double distance2 = 0;
+  for (int d = 0; d < 3; ++d) {
+    double const apart = rectangle.centre[d] - node.centre[d], spacing = shape_[d] * node.coarsest;
+    if ((std::abs(apart) + rectangle.half[d]) / spacing + block_edge > reach_[d]) return false;
+    double const distance = smoothing_distance(gap(apart, rectangle.half[d] + node.half[d]), spacing, shape_[d]);
+    distance2 += distance * distance;
+  }
+  return distance2 >= separation * separation;
 }
 
 /// How a node counts at points no nearer than this.
@@ -301,7 +336,6 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
     int node;
     unsigned active;
   };
-  constexpr unsigned all = (1u << lane_count) - 1;
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   std::vector<Visit> stack;
   Rows const rows(points);
@@ -309,7 +343,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
     auto const& at = rows.at[row];
     Lanes sum{};
     for (int start : nodes) {
-      stack.assign(1, {start, all});
+      stack.assign(1, {start, all_points});
       while (!stack.empty()) {
         auto const [n, active] = stack.back();
         stack.pop_back();
@@ -322,7 +356,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
           Lanes const inverse_r = inverse_root(r2);
           Lanes const value = multipole_potential<order>(tree.expansions[n], x, y, z, inverse_r) +
                               lattice_correction(node.lattice, x, y, z, inverse_r, h2);
-          sum += far == all ? value : (mask_of(far) ? value : Lanes{});
+          sum += far == all_points ? value : (mask_of(far) ? value : Lanes{});
         }
         unsigned const rest = active & ~far;
         if (!rest) continue;
@@ -334,21 +368,21 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   }
 }
 
-/// The charges of a leaf one by one, at the ghosts of a row that it is near to.
-void TreePotential::add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearGhosts const& ghosts,
+/// The charges of a leaf one by one, at the points of a row that it is near to.
+void TreePotential::add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearPoints const& points,
                              NearRow const& row, double* values) const {
   constexpr std::size_t at_once = 4;
   std::array<double const*, at_once> kernels;
   std::array<int, at_once> numbers;
   Cell const corner = leaf.corner();
   double const scale = four_pi * std::ldexp(1.0, leaf.key.level);  // lengths are 2^level times smaller there
-  unsigned left = row.ghosts;
+  unsigned left = row.points;
   while (left) {
     std::size_t count = 0;
     KernelTable const* table = nullptr;
     for (; left && count < at_once; left &= left - 1) {
       int const number = row.row * patch_points + __builtin_ctz(left);
-      auto const& [kernel, point] = ghosts.at[number];
+      auto const& [kernel, point] = points.at[number];
       table = kernel;
       kernels[count] = kernel->row(corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]);
       numbers[count++] = number;
@@ -369,18 +403,20 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
     double* const values = out.data() + (p - first) * patch_values;
     add_far(charges.tree, interactions[p].far, points, values);
     add_mixed(charges.tree, interactions[p].mixed, points, p, values, near);
+    for (int n : interactions[p].near)
+      for (int row = 0; row < patch_points; ++row) near.push_back({p, row, all_points, charges.tree.nodes[n].leaf});
   }
   std::vector<char> wanted(charges.leaves.size(), 0);
   for (NearRow const& row : near) wanted[row.leaf] = 1;
   MPI_Allreduce(MPI_IN_PLACE, wanted.data(), int(wanted.size()), MPI_SIGNED_CHAR, MPI_MAX, comm);
   LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted);
-  std::map<int, NearGhosts> ghosts;  // of one patch, by the level of the charge
+  std::map<int, NearPoints> points;  // of one patch, by the level of the charge
   for (std::size_t n = 0; n < near.size(); ++n) {
     NearRow const& row = near[n];
-    if (n > 0 && near[n - 1].patch != row.patch) ghosts.clear();
+    if (n > 0 && near[n - 1].patch != row.patch) points.clear();
     Leaf const& leaf = charges.leaves[row.leaf].leaf;
-    auto const [entry, is_new] = ghosts.try_emplace(leaf.key.level);
-    if (is_new) entry->second = NearGhosts(lattice_, patches[row.patch], leaf.key.level, kernels_);
+    auto const [entry, is_new] = points.try_emplace(leaf.key.level);
+    if (is_new) entry->second = NearPoints(lattice_, patches[row.patch], leaf.key.level, kernels_);
     add_near(leaf, fetched.of(row.leaf), entry->second, row, out.data() + (row.patch - first) * patch_values);
   }
   return out;

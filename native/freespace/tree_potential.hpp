@@ -39,9 +39,10 @@ struct Interactions {
     bool on_lattice;  ///< whether the lattice counts at this distance
   };
   std::vector<Far> far;    ///< as multipoles at all points
+  std::vector<int> near;   ///< leaves, charge by charge at all points
   std::vector<int> mixed;  ///< of blocks: nodes too near to some of the ghosts for that
 
-  double cost() const { return double(far.size()) + 4.0 * double(mixed.size()); }
+  double cost() const { return double(far.size()) + 4.0 * double(near.size() + mixed.size()); }
 };
 
 class TreePotential {
@@ -59,21 +60,23 @@ class TreePotential {
                          std::vector<Interactions> const& interactions, std::size_t first, std::size_t last) const;
 
  private:
-  /// A leaf that is near to some ghosts of one row of a block.
+  /// A leaf that is near to some of one row of points.
   struct NearRow {
     std::size_t patch;
     int row;
-    unsigned ghosts;  ///< bit t: number t of the row
+    unsigned points;  ///< bit t: number t of the row
     int leaf;
   };
-  struct NearGhosts;
+  struct NearPoints;
+  struct Rectangle;
   double far_limit(TreeNode const& node) const;
+  bool is_summed(TreeNode const& node, Rectangle const& rectangle, double separation) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                double* values) const;
   void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, std::size_t patch,
                  double* values, std::vector<NearRow>& near) const;
-  void add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearGhosts const& ghosts, NearRow const& row,
+  void add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearPoints const& points, NearRow const& row,
                 double* values) const;
 
   Lattice lattice_;
@@ -81,6 +84,7 @@ class TreePotential {
   Options options_;
   Point shape_;
   double longest_spacing_;
+  Cell reach_;                    ///< of the kernel tables
   mutable KernelTables kernels_;  ///< guarded by itself
 };
 

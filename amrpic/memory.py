@@ -1,6 +1,6 @@
 """How much memory a run takes: the bytes of what it holds at its fullest, as its structures are laid out.
 
-Operators are compressed rows. What is counted is what a whole run holds at once; the few numbers that were measured say so.
+What is counted is what a whole run holds at once; the few numbers that were measured say so.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a 
 NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
 PARTICLE = 8 * NUMBER  # position, momentum, weight, id
 
+# The matrix-free backend: a correction and a right-hand side in single precision, with rows padded to whole vectors, the
+# ghosts around boxes, and the coarser values around each box; on each fine face at the edge of a level the lists of fits.
+VECTORS, FACE_LISTS = 2 * 4 + 0.4, 16
+
 # Entries that a fine face at the edge of a level adds: nine coarse cells for its ghost, in the Laplacian and in E; and a
 # quarter of what its coarse cell takes instead of one neighbour, eight fine cells and as many coarse ones, likewise twice.
 INTERFACE = 2 * 9 + 2 * (8 + 8) // 4
@@ -36,20 +40,34 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
     cells = [int(cells_of(level).sum()) for level in boxes]
     covered = [n // CHILDREN for n in cells[1:]] + [0]
     faces = sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
-    total, uncovered = sum(cells), sum(cells) - sum(covered)
+    total = sum(cells)
     below = cells[0] // (CHILDREN - 1)  # multigrid levels under the base, each covered by the next: 1/8 + 1/64 + …
-    operators = _operators(scene, below, below) + sum(
-        _operators(scene, *one) for one in zip(cells, covered, strict=True)
-    )
     quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
-        "operators": operators + INTERFACE * ENTRY * faces,
-        "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)),
-        "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER,
+        **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, cells, covered, below, faces),
         "fields": total * NUMBER * _fields(scene),
         "particles": particles * _particle(scene),
         "pictures": DRAWING if "pictures" in scene.output.write else 0,
+    }
+
+
+def _matrix_free(scene: Scene, cells: list[int], covered: list[int], below: int, faces: int) -> dict[str, int]:
+    """Bytes of the matrix-free backend."""
+    around_parents = 0.6 * (sum(cells) + below)  # an eighth of the cells, and those beside them, in single precision
+    return {"solver": int(VECTORS * (sum(cells) + below) + around_parents + FACE_LISTS * faces)}
+
+
+def _compressed_rows(scene: Scene, cells: list[int], covered: list[int], below: int, faces: int) -> dict[str, int]:
+    """Bytes of the backend of compressed rows."""
+    total, uncovered = sum(cells), sum(cells) - sum(covered)
+    operators = _operators(scene, below, below) + sum(
+        _operators(scene, *one) for one in zip(cells, covered, strict=True)
+    )
+    return {
+        "operators": operators + INTERFACE * ENTRY * faces,
+        "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)),
+        "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER,
     }
 
 

@@ -404,4 +404,4 @@ def test_lists_take_little_memory(comm):
     p = Problem(MESHES["nested cubes"].hierarchy(comm, 32, "dirichlet", max_grid_size=32))
     cells = sum(p.hierarchy.cells(level) for level in range(p.hierarchy.levels))
     assert p.laplacian.bytes < 4 * cells
-    assert p.laplacian.bytes < 0.02 * p.solver.native.operator_bytes
+    assert p.laplacian.bytes < 0.02 * p.solver.native.backend_bytes

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import mpi_batch
 from amrpic import Domain, Field, Hierarchy, PoissonSolver, Scene
@@ -72,8 +73,14 @@ def test_operators_take_the_bytes_that_are_counted(comm):
     domain = Domain((-1, -1, -1), (1, 1, 1), (32, 32, 32), "open")
     levels = [[((16, 16, 16), (47, 47, 47))], [((48, 48, 48), (79, 79, 79))]]
     hierarchy = Hierarchy(comm, domain, levels, 16, 8)
-    solver = PoissonSolver(hierarchy)
-    scene = Scene.from_dict({"domain": {"lower": -1, "upper": 1, "cells": 32}, "refinement": {"levels": 2}})
+    solver = PoissonSolver(hierarchy, backend="crs")
+    scene = Scene.from_dict(
+        {
+            "domain": {"lower": -1, "upper": 1, "cells": 32},
+            "refinement": {"levels": 2},
+            "solver": {"backend": "crs"},
+        }
+    )
     parts = run_memory(scene, [hierarchy.boxes(level) for level in range(3)], 0, 1)
     own = solver.native.backend_bytes
     solver.electric_field(solver.solve(Field(hierarchy))[0])
@@ -84,6 +91,18 @@ def test_operators_take_the_bytes_that_are_counted(comm):
     matched = run_memory(scene.with_interface("matched"), [hierarchy.boxes(level) for level in range(3)], 0, 1)
     more = matched["operators of E"] - parts["operators of E"]
     assert more == pytest.approx(solver.native.backend_bytes - before, rel=0.1)
+
+
+@pytest.mark.parametrize("max_grid_size", [8, 32])
+def test_the_matrix_free_solver_takes_the_bytes_that_are_counted(max_grid_size):
+    domain = Domain((-1, -1, -1), (1, 1, 1), (64, 64, 64), "dirichlet")
+    levels = [[((32, 32, 32), (95, 95, 95))], [((96, 96, 96), (159, 159, 159))]]
+    hierarchy = Hierarchy(MPI.COMM_SELF, domain, levels, max_grid_size, 8)
+    scene = Scene.from_dict({"domain": {"lower": -1, "upper": 1, "cells": 64}, "refinement": {"levels": 2}})
+    parts = run_memory(scene, [hierarchy.boxes(level) for level in range(3)], 0, 1)
+    taken = PoissonSolver(hierarchy).native.backend_bytes
+    assert parts["solver"] == pytest.approx(taken, rel=0.15)
+    assert taken <= 15 * sum(hierarchy.cells(level) for level in range(3))
 
 
 def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):

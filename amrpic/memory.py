@@ -5,7 +5,8 @@ What is counted is what a whole run holds at once; the few numbers that were mea
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -21,15 +22,17 @@ DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
 
 ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a number of a field
 NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
+LAPLACIAN = ROW + NEIGHBOURS * ENTRY
 PARTICLE = 8 * NUMBER  # position, momentum, weight, id
 
 # The matrix-free backend: a correction and a right-hand side in single precision, with rows padded to whole vectors, the
-# ghosts around boxes, and the coarser values around each box; on each fine face at the edge of a level the lists of fits.
-VECTORS, FACE_LISTS = 2 * 4 + 0.4, 16
+# ghosts around boxes, and the coarser values around each box, those of an eighth of the cells and of those beside them; on
+# each fine face at the edge of a level the lists of fits.
+SWEPT, FACE_LISTS = 2 * 4 + 0.4 + 0.6, 16
 
-# Entries that a fine face at the edge of a level adds: nine coarse cells for its ghost, in the Laplacian and in E; and a
-# quarter of what its coarse cell takes instead of one neighbour, eight fine cells and as many coarse ones, likewise twice.
-INTERFACE = 2 * 9 + 2 * (8 + 8) // 4
+# Entries that a fine face at the edge of a level adds to the Laplacian, and to E: nine coarse cells for its ghost, and a
+# quarter of what its coarse cell takes instead of one neighbour, eight fine cells and as many coarse ones.
+INTERFACE = 9 + (8 + 8) // 4
 
 
 def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> dict[str, int]:
@@ -37,50 +40,114 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
 
     `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later.
     """
-    cells = [int(cells_of(level).sum()) for level in boxes]
-    covered = [n // CHILDREN for n in cells[1:]] + [0]
-    faces = sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
-    total = sum(cells)
-    below = cells[0] // (CHILDREN - 1)  # multigrid levels under the base, each covered by the next: 1/8 + 1/64 + …
+    total = sum(int(cells_of(level).sum()) for level in boxes)
     quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
-        **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, cells, covered, below, faces),
+        **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, boxes),
         "fields": total * NUMBER * _fields(scene),
         "particles": particles * _particle(scene),
         "pictures": DRAWING if "pictures" in scene.output.write else 0,
     }
 
 
-def _matrix_free(scene: Scene, cells: list[int], covered: list[int], below: int, faces: int) -> dict[str, int]:
-    """Bytes of the matrix-free backend."""
-    around_parents = 0.6 * (sum(cells) + below)  # an eighth of the cells, and those beside them, in single precision
-    return {"solver": int(VECTORS * (sum(cells) + below) + around_parents + FACE_LISTS * faces)}
-
-
-def _compressed_rows(scene: Scene, cells: list[int], covered: list[int], below: int, faces: int) -> dict[str, int]:
-    """Bytes of the backend of compressed rows."""
+def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
+    """Return the bytes of the backend of compressed rows."""
+    cells = [int(cells_of(level).sum()) for level in boxes]
+    covered = [n // CHILDREN for n in cells[1:]] + [0]
+    at_edges = INTERFACE * ENTRY * _faces(scene, boxes)
     total, uncovered = sum(cells), sum(cells) - sum(covered)
-    operators = _operators(scene, below, below) + sum(
-        _operators(scene, *one) for one in zip(cells, covered, strict=True)
-    )
+    copied, copies = _all_copies(scene, boxes)
+    operators = sum(_operators(scene, *level) for level in _cycle(scene, cells)) + copies * LAPLACIAN
+    of_axis = 3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)
+    vectors = (total + sum(_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER
+    of_copies = copies * (2 * NUMBER + _smoother(scene)) + copied * 4
     return {
-        "operators": operators + INTERFACE * ENTRY * faces,
-        "operators of E": AXES * (3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)),
-        "multigrid": (total + below) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER,
+        "operators": operators + at_edges,
+        "operators of E": AXES * of_axis + at_edges,
+        "multigrid": vectors + of_copies,
     }
 
 
-def _operators(scene: Scene, cells: int, covered: int) -> int:
-    """Bytes of the operators of a level but that of E, away from its edges."""
-    coarse = CHILDREN if scene.solver.prolongation == "trilinear" else 1
-    laplacian = cells * (ROW + NEIGHBOURS * ENTRY)
-    from_coarser = cells * (2 * ROW + coarse * ENTRY)  # coarse_boundary, prolongation
+def _matrix_free(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
+    """Return the bytes of the matrix-free backend."""
+    swept = sum(int(cells_of(level).sum()) for level in boxes) + sum(_below(scene)) + _all_copies(scene, boxes)[1]
+    return {"solver": int(SWEPT * swept + FACE_LISTS * _faces(scene, boxes))}
+
+
+def _faces(scene: Scene, boxes: Sequence[Array]) -> int:
+    """Return the number of faces at the edges of refinement levels."""
+    return sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
+
+
+def _all_copies(scene: Scene, boxes: Sequence[Array]) -> tuple[int, int]:
+    """Return the sums over all levels of what `_copies` tells of one."""
+    copied, copies = zip(*(_copies(scene, n, level) for n, level in enumerate(boxes)), strict=True)
+    return sum(copied), sum(copies)
+
+
+def _cycle(scene: Scene, cells: Sequence[int]) -> Iterator[tuple[int, int, int, int]]:
+    """Yield of each level of the cycle its cells, the parents of each, how many of them the next finer level covers, and the
+    cells of that level. `cells` are those of the base and the refinement levels.
+    """
+    below = _below(scene)
+    parents = [fine // coarse for fine, coarse in itertools.pairwise([cells[0], *below])] + [0]
+    for level, finer in enumerate([*cells[1:], 0]):
+        yield cells[level], CHILDREN if level > 0 else parents[0], finer // CHILDREN, finer
+    for n, above, finer in zip(below, parents[1:], [cells[0], *below[:-1]], strict=True):
+        yield n, above, n, finer
+
+
+def _operators(scene: Scene, cells: int, parents: int, covered: int, children: int) -> int:
+    """Return the bytes of the operators of a level but that of E, away from its edges; see `_cycle` for the numbers."""
+    if scene.solver.prolongation != "trilinear":
+        parents = min(parents, 1)
+    coarser = cells * (2 * ROW + parents * ENTRY)  # coarse_boundary, prolongation
     if covered == 0:
-        return laplacian + from_coarser
+        return cells * LAPLACIAN + coarser
     composite = cells * ROW + (cells - covered) * NEIGHBOURS * ENTRY
-    from_finer = cells * 2 * ROW + covered * CHILDREN * ENTRY  # fine_boundary, restriction
-    return laplacian + from_coarser + composite + from_finer
+    finer = cells * 2 * ROW + children * ENTRY  # fine_boundary, restriction
+    return cells * LAPLACIAN + coarser + composite + finer
+
+
+def _widths(scene: Scene, level: int) -> Array:
+    """Return the cell widths of a level in the coordinates of the solver, (3,)."""
+    return scene.domain.value.spacing * np.array(scene.solver.stretch) / 2**level
+
+
+def _below(scene: Scene) -> list[int]:
+    """Return the cells of the multigrid levels under the base, fine to coarse: half as many along axes of small spacing."""
+    cells, h = np.array(scene.domain.cells), _widths(scene, 0)
+    most = np.inf if scene.solver.coarse_levels is None else scene.solver.coarse_levels
+    out: list[int] = []
+    while len(out) < most:
+        short = h <= 1.5 * h.min()
+        if np.any(short & ((cells % 2 != 0) | (cells <= 2))):
+            break
+        cells, h = np.where(short, cells // 2, cells), np.where(short, 2 * h, h)
+        out.append(int(cells.prod()))
+    return out
+
+
+def _copies(scene: Scene, level: int, boxes: Array) -> tuple[int, int]:
+    """Return the cells of a level that is coarsened by itself, and of all its copies; zeros where cells are near cubes."""
+    copied = copies = 0
+    h, period = _widths(scene, level), np.array(scene.domain.cells) * 2**level
+    periodic = np.array(scene.domain.value.periodic)
+    while level > 0 and h.max() > 2.01 * h.min():
+        ratio = np.where(h <= 1.5 * h.min(), 2, 1)
+        sizes = boxes[:, 3:] - boxes[:, :3] + 1
+        if (
+            (period % np.where(periodic, 2 * ratio, ratio)).any()
+            or (boxes[:, :3] % ratio).any()
+            or (sizes % ratio).any()
+        ):
+            break
+        copied += int(cells_of(boxes).sum())
+        boxes = boxes // np.tile(ratio, 2)
+        copies += int(cells_of(boxes).sum())
+        h, period = h * ratio, period // ratio
+    return copied, copies
 
 
 def _of_covered(scene: Scene, cells: Sequence[int], covered: Sequence[int]) -> int:

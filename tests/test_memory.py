@@ -15,7 +15,7 @@ from mpi4py import MPI
 import mpi_batch
 from amrpic import Domain, Field, Hierarchy, PoissonSolver, Scene
 from amrpic.boxes import outer_faces
-from amrpic.memory import run_memory
+from amrpic.memory import LAPLACIAN, _copies, run_memory
 from hierarchies import all_cases
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -103,6 +103,29 @@ def test_the_matrix_free_solver_takes_the_bytes_that_are_counted(max_grid_size):
     taken = PoissonSolver(hierarchy).native.backend_bytes
     assert parts["solver"] == pytest.approx(taken, rel=0.15)
     assert taken <= 15 * sum(hierarchy.cells(level) for level in range(3))
+
+
+@pytest.mark.parametrize(
+    ("upper", "stretch"), [((0, 0, 15), (1, 1, 1)), ((0, 15, 15), (1, 1, 1)), ((0, 0, 1), (1, 1, 12))]
+)
+def test_copies_of_levels_with_long_cells_count(comm, upper, stretch):
+    """Such levels are coarsened by themselves, and so is the base below it along its short axes first."""
+    reach = tuple(float(1 + u) for u in upper)
+    domain = Domain((-1, -1, -1), reach, (32, 32, 32), "open")
+    hierarchy = Hierarchy(comm, domain, [[((16, 16, 16), (47, 47, 47))]], 16, 8)
+    solver = PoissonSolver(hierarchy, stretch=stretch, backend="crs")
+    scene = Scene.from_dict(
+        {
+            "domain": {"lower": -1, "upper": reach, "cells": 32},
+            "refinement": {"levels": 1},
+            "solver": {"stretch": stretch, "backend": "crs"},
+        }
+    )
+    parts = run_memory(scene, [hierarchy.boxes(level) for level in range(2)], 0, 1)
+    taken = solver.native.backend_bytes
+    assert taken == pytest.approx(parts["operators"], rel=0.03)
+    without = parts["operators"] - LAPLACIAN * _copies(scene, 1, hierarchy.boxes(1))[1]
+    assert taken != pytest.approx(without, rel=0.01), "the copies are not counted"
 
 
 def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):

@@ -17,10 +17,10 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
       stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size(),
                            options_.coarse_levels)),
       operators_(assembled(reusable)),
-      messages_before_(halo_sum(&Exchange::messages)),
-      bytes_before_(halo_sum(&Exchange::bytes)),
       transfer_(hierarchy_),
       multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), options_),
+      messages_before_(halo_sum(&Exchange::messages)),
+      bytes_before_(halo_sum(&Exchange::bytes)),
       krylov_(make_krylov(options_.krylov, equations())) {
   for (int l = 0; l < hierarchy_->level_count(); ++l) right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
   phi_ = zero();
@@ -256,13 +256,15 @@ void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
 
 std::int64_t CrsBackend::halo_sum(std::int64_t (Exchange::*of)() const) const {
   std::int64_t sum = 0;
-  for (auto const& o : operators_) sum += (o->halo.*of)() + (o->stencil_halo.*of)();
+  for (MultigridLevel const& level : multigrid_.levels())
+    for (auto const* o : level.all_operators()) sum += (o->halo.*of)() + (o->stencil_halo.*of)();
   return sum;
 }
 
 std::size_t CrsBackend::bytes() const {
   std::size_t sum = 0;
-  for (auto const& o : operators_) sum += o->bytes();
+  for (MultigridLevel const& level : multigrid_.levels())
+    for (auto const* o : level.all_operators()) sum += o->bytes();
   for (auto const& axes : covered_gradient_)
     for (Crs const& axis : axes) sum += axis.bytes();
   return sum;

@@ -71,13 +71,13 @@ class CrsBackend : public Backend {
   LevelStack stack_;
   std::int64_t levels_assembled_ = 0;
   StackOperators operators_;
-  std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
-  Composite phi_;                   ///< own cells and ghosts
-  Composite right_hand_side_;       ///< f = -rho / eps0 minus what walls add
+  std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
+  std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
+  Composite phi_;                                ///< own cells and ghosts
+  Composite right_hand_side_;                    ///< f = -rho / eps0 minus what walls add
   Field* result_ = nullptr;
   bool has_gradient_ = false;
   std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for

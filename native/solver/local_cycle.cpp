@@ -45,6 +45,12 @@ void LocalCycle::smooth(std::vector<Real> const& f, std::vector<Real>& x) {
   points_->smooth(f, x);
 }
 
+std::vector<LevelOperators const*> LocalCycle::own_levels() const {
+  auto out = coarse_->own_levels();
+  out.push_back(&coarse_operators_);
+  return out;
+}
+
 /// Add what the coarser copies find for the residual: its mean goes down, the correction comes back to each child.
 void LocalCycle::correct(std::vector<Real> const& f, std::vector<Real>& x) {
   operators_.stencil_halo.update(x.data());

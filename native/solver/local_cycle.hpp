@@ -18,6 +18,7 @@ class LocalCycle : public Smoother {
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override;
   void smooth(std::vector<Real> const& f, std::vector<Real>& x) override;
+  std::vector<LevelOperators const*> own_levels() const override;
 
  private:
   void correct(std::vector<Real> const& f, std::vector<Real>& x);

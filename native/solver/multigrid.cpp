@@ -13,6 +13,12 @@ MultigridLevel::MultigridLevel(LevelOperators const& operators, std::unique_ptr<
   residual_.resize(all);
 }
 
+std::vector<LevelOperators const*> MultigridLevel::all_operators() const {
+  auto out = smoother_ ? smoother_->own_levels() : std::vector<LevelOperators const*>{};
+  out.push_back(&operators_);
+  return out;
+}
+
 void MultigridLevel::pre_smooth_and_restrict(MultigridLevel& coarser) {
   smoother_->smooth_from_zero(right_hand_side_, correction_);
   operators_.halo.update(correction_.data());

@@ -27,6 +27,8 @@ class MultigridLevel {
   void prolong_and_post_smooth(MultigridLevel const& coarser);
 
   LevelOperators const& operators() const { return operators_; }
+  /// Operators of this level and of those that its smoother has for itself.
+  std::vector<LevelOperators const*> all_operators() const;
   std::vector<Real>& right_hand_side() { return right_hand_side_; }  ///< own cells
   std::vector<Real>& correction() { return correction_; }            ///< own cells and ghosts
   std::vector<Real> const& correction() const { return correction_; }
@@ -44,6 +46,7 @@ class Multigrid {
   Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators, std::shared_ptr<Bottom> bottom,
             SolverOptions const& options);
 
+  std::vector<MultigridLevel> const& levels() const { return levels_; }
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
   std::size_t finest() const { return levels_.size() - 1; }
 

@@ -21,6 +21,9 @@ class Smoother {
 
   /// x from what it holds, by the sweeps after the coarse correction. Collective.
   virtual void smooth(std::vector<Real> const& f, std::vector<Real>& x) = 0;
+
+  /// Operators of levels that it has for itself.
+  virtual std::vector<LevelOperators const*> own_levels() const { return {}; }
 };
 
 /// The smoother that the options name, for a level whose operators outlive it. Collective.

@@ -328,7 +328,7 @@ def test_charges_of_a_density_are_those_of_its_uncovered_cells(boxes, blocking):
 # ---- ranks ----
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.mpi(ranks=(1, 2, 3, 4))
 def test_walls_do_not_depend_on_the_ranks(comm):
     n = 32
     positions, charges, levels = split_by_patch(

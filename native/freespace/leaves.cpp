@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <stdexcept>
 
 #include "base/all_gather.hpp"
 
@@ -116,12 +117,14 @@ LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<
       for (int j = 0; j < leaf.extent[1]; ++j)
         for (int i = 0; i < leaf.extent[0]; ++i) to[i + block_edge * (j + block_edge * k)] += *from++;
   }
-  for (Block& block : blocks_)
+  for (Block& block : blocks_) {
     for (int row = 0; row < block_edge * block_edge; ++row) {
       double const* const values = block.values.data() + block_edge * row;
       if (std::any_of(values, values + block_edge, [](double q) { return q != 0; }))
         block.rows[block.row_count++] = static_cast<unsigned char>(row);
     }
+    if (block.row_count == 0) throw std::logic_error("LeafCharges: no rank kept the charges of a leaf near a wall");
+  }
 }
 
 }  // namespace amrpic::freespace

@@ -22,6 +22,7 @@ from reference import PARTICLES as REFERENCE_PARTICLES
 from solving import BOXES, name
 
 OURS, OTHERS, REFERENCE, GOOD, BAD = "#1f5fa8", "#b0b7c0", "#d98c2b", "#2e8b57", "#c0392b"
+LEAST_SHOWN = 0.05  # of a goal; bars that end below it are off the chart
 STAGES = matplotlib.colormaps["tab20"]
 
 
@@ -39,22 +40,24 @@ def draw(records: Sequence[Record], folder: Path, prefix: str = "") -> list[Path
 
 def standing(known: Mapping[str, Record]) -> Figure | None:
     """Return how each figure stands to its goal: bars to what was measured, over what must be."""
-    measured = [goal for goal in goals(list(known.values())) if goal.must > 0 and not math.isnan(goal.measured)]
+    reached = [goal for goal in goals(list(known.values())) if goal.must > 0 and not math.isnan(goal.measured)]
+    measured = [goal for goal in reached if relative(goal, goal.measured) > LEAST_SHOWN]
     if not measured:
         return None
     figure = Figure(figsize=(9, 0.6 + 0.28 * len(measured)), layout="constrained")
     panel = figure.add_subplot()
     for row, goal in enumerate(reversed(measured)):
         panel.barh(row, relative(goal, goal.measured), color=BAD if goal.verdict == "missed" else GOOD, height=0.62)
-        value = f" {figure_of(goal.measured)}{goal.unit}"
-        panel.annotate(value, (relative(goal, goal.measured), row), va="center", fontsize=8)
+        value = f"{figure_of(goal.measured)}{goal.unit}"
+        panel.annotate(value, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=8)
         if goal.aim is not None:
             panel.plot([relative(goal, goal.aim)] * 2, [row - 0.42, row + 0.42], color="black", linewidth=1.6)
     panel.axvline(1, color="black", linewidth=1, linestyle="--")
     panel.set_yticks(range(len(measured)), [goal.what for goal in reversed(measured)], fontsize=8)
     panel.set_xscale("log")
     panel.set_xlabel("time or amount over what it must be at most (dashed); aims are black ticks")
-    panel.margins(x=0.2, y=0.01)
+    panel.margins(y=0.01)
+    panel.set_xlim(left=LEAST_SHOWN)
     return figure
 
 
@@ -130,7 +133,7 @@ def stages(known: Mapping[str, Record]) -> Figure | None:
     labels = [record.name.replace("solve, ", "").replace(", 1e-10", "").replace(", 1 rank", "") for record in shown]
     left = np.zeros(len(shown))
     for at, stage in enumerate(kinds):
-        parts = np.array([record.facts["stages"].get(stage, 0.0) / record.median for record in shown])
+        parts = np.array([record.facts["stages"].get(stage, 0.0) / whole(record) for record in shown])
         panel.barh(labels, parts, left=left, label=stage, color=STAGES(at % 20), height=0.7)
         left += parts
     panel.invert_yaxis()
@@ -138,6 +141,11 @@ def stages(known: Mapping[str, Record]) -> Figure | None:
     panel.set_xlim(0, 1.02 * max(1.0, float(left.max())))
     panel.legend(fontsize=7, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     return figure
+
+
+def whole(record: Record) -> float:
+    """Return the seconds that stages are a share of: the median, unless the stages, of another run, are longer."""
+    return max(record.median, sum(record.facts["stages"].values()))
 
 
 def growth(known: Mapping[str, Record]) -> Figure | None:

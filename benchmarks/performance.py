@@ -225,16 +225,22 @@ fifteen plain ones, and no smoothing on matrices comes near the roof. What makes
 what it brings:
 
 1. **Few cycles.** Over-relaxed red-black Gauss-Seidel (ω = 1.25) in the exact global colour order, two sweeps before and
-   two after, trilinear prolongation: the residual falls to a fortieth per cycle, the same for every cutting into boxes and
-   ranks. Colours frozen at box or rank borders, or reversed after the coarse correction, cost twice the cycles.
-2. **Single precision where it suffices.** φ, ρ and the composite residual are double; corrections and residuals are single,
-   scaled level by level, inside a defect correction. Cycle counts are those of double precision, the traffic is half.
+   two after the coarse correction, trilinear prolongation: the residual falls to a fortieth per cycle, the same for every
+   cutting into boxes and ranks. Colours frozen at box or rank borders, or reversed after the coarse correction, cost twice
+   the cycles. Levels of long or flat cells are smoothed by a cycle of their own, over copies that are coarser along the
+   short axes.
+2. **Single precision where it suffices.** φ, ρ and the composite residual are double; corrections are single, scaled level by
+   level so that SI magnitudes do not underflow, inside a defect correction. Cycle counts are those of double precision, the
+   traffic is half.
 3. **Fused passes.** All half-sweeps of a level run in one pass, as a wavefront over planes: while a plane takes its first
    half-sweep, those behind it take their later ones, out of the second-level cache. Restriction is done at the tail of the
-   pass before the coarse correction, prolongation at the head of the pass after it: two passes per level and cycle.
-4. **No ghost copies inside a rank.** Rows of neighbouring boxes are read by pointer; only rank borders are exchanged.
-5. **Interfaces as exceptions.** Coarse-fine faces are lists of rectangles beside the regular loops, in double precision;
-   the loops themselves know nothing of them.
+   pass before the coarse correction, prolongation at the head of the pass after it: two passes per level and cycle, the
+   first of which starts from a zero that is never stored.
+4. **Large blocks.** For the sweeps, boxes of a rank are joined to the largest blocks that they fill, rows padded to whole
+   vectors, so that the size of boxes hardly matters. Neighbouring blocks are read by pointer; copies of cells, four deep so
+   that one exchange serves a whole pass, exist at rank borders alone. Small levels are held by every rank.
+5. **Interfaces as exceptions.** Coarse-fine faces are lists of rectangles beside the regular loops, and those of the
+   composite residual are taken in double precision; the loops themselves know nothing of them.
 6. **Nothing twice.** Set-up makes lists, no matrices; the coarsest level is solved exactly from its eigenvectors along each
    axis.
 

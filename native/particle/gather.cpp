@@ -19,6 +19,9 @@ struct VectorCells {
   void get(LocalIndex place, Real* out) const {
     for (int c = 0; c < 3; ++c) out[c] = place < owned ? own[c][place] : ghosts[c][std::size_t(place - owned)];
   }
+  void prefetch(LocalIndex place) const {
+    for (int c = 0; c < 3; ++c) __builtin_prefetch(own[c] + place);  // harmless beyond the end
+  }
 };
 
 VectorCells with_ghosts(std::array<Field const*, 3> const& field, int level, Exchange const& exchange) {
@@ -86,10 +89,12 @@ void fill_interior(Level const& level, int b, VectorCells const& cells, Tile<lan
 void fill_shell(Hierarchy const& hierarchy, Surroundings const& at, VectorCells const& cells, VectorCells const& coarse,
                 Tile<lanes>& tile) {
   Level const& level = hierarchy.level(at.level);
-  LocalIndex const* place = at.shell.data();
+  LocalIndex const *place = at.shell.data(), *const end = place + at.shell.size();
   for_each_shell_row(level.box(at.box), [&](int first, int last, int j, int k) {
     Real* value = tile.row(first, j, k);
     for (int i = first; i <= last; ++i, ++place, value += lanes) {
+      constexpr std::ptrdiff_t ahead = 24;  // these cells lie all over the memory
+      if (end - place > ahead && place[ahead] >= 0) cells.prefetch(place[ahead]);
       if (*place >= 0)
         cells.get(*place, value);
       else

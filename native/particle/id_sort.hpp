@@ -17,7 +17,7 @@ struct Keyed {
   Keyed from(std::ptrdiff_t n) const { return {id + n, value + n}; }
 };
 
-/// `sort_by_id` reads and writes whatever lies so far behind the last one.
+/// `sort_by_id` reads whatever lies so far behind the last one, and writes it behind the last one.
 constexpr LocalIndex sort_slack = lane_count;
 
 /// At most as many as there are lanes: each one's place is the number of those that come before it. No branch depends
@@ -32,7 +32,7 @@ inline void sort_few_by_id(Keyed const& in, LocalIndex count, Keyed const& out) 
   for (int j = 0; j < lane_count; ++j) before -= key[j] < id - (lane_number > j);  // of equal ids the first one
   store(place, before);
 #pragma GCC unroll 8
-  for (int i = 0; i < lane_count; ++i) out.id[place[i]] = key[i], out.value[place[i]] = in.value[i];
+  for (int i = 0; i < lane_count; ++i) out.id[place[i]] = in.id[i], out.value[place[i]] = in.value[i];
 }
 
 inline void sort_many_by_id(Keyed const& in, LocalIndex count, Keyed const& out) {
@@ -43,16 +43,12 @@ inline void sort_many_by_id(Keyed const& in, LocalIndex count, Keyed const& out)
   for (LocalIndex i = 0; i < count; ++i) out.id[i] = pairs[i].first, out.value[i] = pairs[i].second;
 }
 
-/// Write `count` particles in order of their ids; equal ids keep their order.
+/// Write `count` particles in order of their ids; equal ids keep their order. What follows them is written as it is.
 inline void sort_by_id(Keyed const& in, LocalIndex count, Keyed const& out) {
-  if (count == 1) {
-    out.id[0] = in.id[0];
-    out.value[0] = in.value[0];
-  } else if (count <= lane_count) {
+  if (count <= lane_count)
     sort_few_by_id(in, count, out);
-  } else {
+  else
     sort_many_by_id(in, count, out);
-  }
 }
 
 }  // namespace amrpic

@@ -65,6 +65,15 @@ inline To convert(From const& values) {
   return __builtin_convertvector(values, To);
 }
 
+/// One byte per lane, not zero where the comparison of lanes holds.
+inline std::uint64_t bytes_of(IndexLanes const& mask) {
+  typedef std::int8_t ByteLanes __attribute__((vector_size(lane_count)));
+  auto const bytes = convert<ByteLanes>(mask);
+  std::uint64_t out;
+  std::memcpy(&out, &bytes, sizeof out);
+  return out;
+}
+
 // What shapes are made of, for one number and for eight.
 
 inline int index_of(Real whole) { return int(whole); }

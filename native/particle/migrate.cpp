@@ -19,7 +19,7 @@ namespace {
 constexpr int tag_particles = 7201;
 
 /// Particles that are binned, or copied, in one go: what they need stays in the first-level cache.
-constexpr std::int64_t block_size = 64, copy_size = 512;
+constexpr std::int64_t block_size = 64, copy_size = 128;
 
 bool is_finite(ParticleView const& particles, std::int64_t n) {
   Real product = 0;  // 0 times a finite number is 0, times any other nan
@@ -68,9 +68,9 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
     : mesh_(mesh),
       particles_(particles),
       cell_(std::size_t(particles.count)),
-      end_(std::size_t(mesh.first_cell().back())),
+      start_(std::size_t(mesh.first_cell().back()) + 1),
       leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
-  std::fill(end_.begin(), end_.end(), 0);
+  std::fill(start_.begin(), start_.end(), 0);
   for (std::int64_t n = 0; n < particles.count; n += block_size) bin(n, std::min(n + block_size, particles.count));
   announce();
 }
@@ -115,7 +115,7 @@ void Migration::bin(std::int64_t first, std::int64_t last) {
       ++astray;
       look_up(first + i);
     } else {
-      ++end_[cell[i]];
+      ++start_[cell[i] + 1];
     }
   staying_ += count - astray;
   if (2 * astray > count && latest_.box >= 0) near_ = plain(latest_);
@@ -139,7 +139,7 @@ void Migration::look_up(std::int64_t n) {
   int const owner = level.owner(latest_.box);
   if (owner == level.rank() && x == before) {
     cell_[n] = cell_number(latest_.level, latest_.box, latest_.cell);
-    ++end_[cell_[n]];
+    ++start_[cell_[n] + 1];
     ++staying_;
   } else {
     leaving_[owner].push_back({n, latest_});
@@ -193,25 +193,25 @@ void Migration::place(std::int64_t* starts) {
   std::vector<LocalIndex> received_cell;
   for (Parcel const& p : received_) {
     received_cell.push_back(cell_number(p.level, p.box, p.cell));
-    ++end_[received_cell.back()];
+    ++start_[received_cell.back() + 1];
   }
   auto const& first_cell = mesh_.first_cell();
   LocalIndex sum = 0;
   for (std::size_t s = 0; s + 1 < first_cell.size(); ++s) {
     starts[s] = sum;
     for (LocalIndex c = first_cell[s]; c < first_cell[s + 1]; ++c) {
-      LocalIndex const count = end_[c];
-      end_[c] = sum;
+      LocalIndex const count = start_[c + 1];
+      start_[c + 1] = sum;
       sum += count;
     }
   }
   starts[first_cell.size() - 1] = sum;
 
-  order_ = Scratch<LocalIndex>(std::size_t(arriving()));
+  order_ = Scratch<LocalIndex>(std::size_t(arriving() + sort_slack));
   for (LocalIndex n = 0; n < particles_.count; ++n)
-    if (cell_[n] >= 0) order_[end_[cell_[n]]++] = n;
+    if (cell_[n] >= 0) order_[start_[cell_[n] + 1]++] = n;
   for (std::size_t r = 0; r < received_.size(); ++r)
-    order_[end_[received_cell[r]]++] = LocalIndex(particles_.count + std::int64_t(r));
+    order_[start_[received_cell[r] + 1]++] = LocalIndex(particles_.count + std::int64_t(r));
 }
 
 bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
@@ -222,11 +222,11 @@ bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   for (LocalIndex from = 0, to = 0, kept = 0; from < cells; from = to) {  // so many whole cells at a time
     constexpr LocalIndex stride = 16;
     std::int64_t const first = written + kept;
-    while (to < cells && end_[std::min(to + stride, cells) - 1] <= first + copy_size) to = std::min(to + stride, cells);
+    while (to < cells && start_[std::min(to + stride, cells)] <= first + copy_size) to = std::min(to + stride, cells);
     if (to == from) to = std::min(to + 1, cells);
-    prefetch(end_[to - 1], std::min(end_[to - 1] + copy_size, arriving()));
+    prefetch(start_[to], std::min(start_[to] + copy_size, arriving()));
     sort_cells(from, to, kept);
-    LocalIndex const ready = LocalIndex(end_[to - 1] - written), whole = ready / lane_count * lane_count;
+    LocalIndex const ready = LocalIndex(start_[to] - written), whole = ready / lane_count * lane_count;
     LocalIndex const now = to < cells ? whole : ready;
     copy(written, now, out);
     std::copy(id_.begin() + now, id_.begin() + ready, id_.begin());
@@ -243,30 +243,39 @@ void Migration::prefetch(std::int64_t first, std::int64_t last) const {
   for (std::int64_t n = first; n < last; ++n) {
     LocalIndex const from = order_[n];  // a place beyond the arrays does no harm here
     for (int d = 0; d < 3; ++d) {
-      __builtin_prefetch(particles_.position[d] + from, 0, 2);
-      __builtin_prefetch(particles_.momentum[d] + from, 0, 2);
+      __builtin_prefetch(particles_.position[d] + from);
+      __builtin_prefetch(particles_.momentum[d] + from);
     }
-    __builtin_prefetch(particles_.weight + from, 0, 2);
-    __builtin_prefetch(particles_.id + from, 0, 2);
+    __builtin_prefetch(particles_.weight + from);
+    __builtin_prefetch(particles_.id + from);
   }
 }
 
 /// Put the particles of cells [from, to) in order of their ids within each cell, behind `kept` of the cells before.
 void Migration::sort_cells(LocalIndex from, LocalIndex to, LocalIndex kept) {
-  LocalIndex const first = from > 0 ? end_[from - 1] : 0, count = end_[to - 1] - first;
+  LocalIndex const first = start_[from], count = start_[to] - first;
   LocalIndex* const order = order_.data() + first;
   unsorted_id_.resize(std::size_t(count + sort_slack));
   id_.resize(std::size_t(kept + count + sort_slack));
   source_.resize(std::size_t(kept + count + sort_slack));
   for (LocalIndex i = 0; i < count; ++i)
     unsorted_id_[i] = order[i] < particles_.count ? particles_.id[order[i]] : received_[order[i] - particles_.count].id;
-  for (LocalIndex c = from, start = 0; c < to; ++c) {
-    LocalIndex const end = end_[c] - first;
-    if (end > start)
-      sort_by_id({unsorted_id_.data() + start, order + start}, end - start,
-                 {id_.data() + kept + start, source_.data() + kept + start});
-    start = end;
-  }
+  std::copy(unsorted_id_.begin(), unsorted_id_.end(), id_.begin() + kept);
+  std::copy(order, order + count, source_.begin() + kept);
+  auto const sort_cell = [&](LocalIndex c) {
+    LocalIndex const start = start_[c] - first;
+    sort_by_id({unsorted_id_.data() + start, order + start}, start_[c + 1] - start_[c],
+               {id_.data() + kept + start, source_.data() + kept + start});
+  };
+  LocalIndex c = from;
+  for (; c + lane_count <= to; c += lane_count)  // often most cells have one particle, or none
+    for (auto more = bytes_of(load<IndexLanes>(&start_[c + 1]) - load<IndexLanes>(&start_[c]) > 1); more;) {
+      int const lane = __builtin_ctzll(more) / 8;
+      sort_cell(c + lane);
+      more &= ~(std::uint64_t(255) << (8 * lane));
+    }
+  for (; c < to; ++c)
+    if (start_[c + 1] - start_[c] > 1) sort_cell(c);
 }
 
 /// Write `count` particles whose sources are at hand to places from `first`, a multiple of the lanes.

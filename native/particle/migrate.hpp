@@ -70,9 +70,11 @@ class Migration {
   bool finite_ = true;
   std::vector<std::int64_t> lost_;
   std::int64_t staying_ = 0;
-  Scratch<LocalIndex> cell_;   ///< of each particle that stays, among this rank's cells; -1: it does not stay
-  Scratch<LocalIndex> end_;    ///< of each cell: how many it has, then where the next one goes, then where it ends
-  Scratch<LocalIndex> order_;  ///< place in the old arrays, or beyond them among those received
+  Scratch<LocalIndex> cell_;  ///< of each particle that stays, among this rank's cells; -1: it does not stay
+  /// Where each cell starts, one value more. Before that, value c + 1 is how many particles cell c has, then where the
+  /// next one of them goes.
+  Scratch<LocalIndex> start_;
+  Scratch<LocalIndex> order_;                   ///< place in the old arrays, or beyond them among those received
   std::vector<std::vector<Leaving>> leaving_;   ///< by rank; this one too, for those that were wrapped
   std::vector<Parcel> sent_, received_;         ///< by rank
   std::vector<std::int64_t> unsorted_id_, id_;  ///< of the cells that are being copied

@@ -18,12 +18,11 @@ namespace amrpic {
 template <int components>
 class Tile {
  public:
-  /// Take the place of another box; what the values are then is left open.
+  /// Take the place of another box. Values keep their places in memory, new ones are zero.
   void reset(Box const& box) {
     box_ = box.grow(tile_reach);
-    values_.resize(std::size_t(box_.cells()) * components);
+    values_.resize(std::size_t(box_.cells()) * components + lane_count);  // vectors may touch what lies beyond
   }
-  void clear() { std::fill(values_.begin(), values_.end(), Real(0)); }
   Real* row(int i, int j, int k) { return values_.data() + components * box_.offset({i, j, k}); }
   Real const* values() const { return values_.data(); }
   Real* values() { return values_.data(); }

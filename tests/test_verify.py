@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -36,7 +38,6 @@ SOURCES = {
 }
 EXAMPLES = Path(__file__).parents[1] / "examples"
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
-ALIKE = ("convergence", "open-boundary", "self-force", "stopping", "conservation", "hard-cases")
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -144,17 +145,25 @@ def some_of_conservation(comm):
     yield from itertools.islice(conservation.tables(comm), 1)
 
 
-SOME = {"convergence": some_of_convergence, "conservation": some_of_conservation}
+Tables = Callable[[MPI.Comm], Iterator[Table]]
+SOME: dict[str, Tables] = {"convergence": some_of_convergence, "conservation": some_of_conservation}
+ALL: dict[str, Tables] = {
+    **{
+        name: TOPICS[name]
+        for name in ("open-boundary", "self-force", "stopping", "conservation", "hard-cases", "backends")
+    },
+    "convergence": partial(convergence.tables, resolutions=2),
+}
 
 
 @pytest.mark.mpi(ranks=(3,), timeout=2000 if LONG else 120)
-@pytest.mark.parametrize("topic", ALIKE if LONG else SOME)
+@pytest.mark.parametrize("topic", ALL if LONG else SOME)
 def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
     """The first rank by itself and, at the same time, the two others together; then all three."""
-    tables = TOPICS[topic] if LONG else SOME[topic]
+    tables = (ALL if LONG else SOME)[topic]
     apart = list(tables(comm.Split(comm.rank > 0)))
     together = list(tables(comm))
-    assert len(apart) == len(together) > 0
+    assert len(apart) == len(together)
     for found, wanted in zip(apart, together, strict=True):
         assert_same(found, wanted)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
@@ -32,20 +32,22 @@ class Case:
     orders: tuple[float | None, float | None, float | None] = (1.9, 1.9, 0.95)
 
 
-def tables(comm: MPI.Comm) -> Iterator[Table]:
-    """The tables of this topic, one after the other. Collective."""
+def tables(comm: MPI.Comm, resolutions: int | None = None) -> Iterator[Table]:
+    """The tables of this topic, one after the other; of the so many coarsest resolutions alone, if told. Collective."""
     yield _table(
         comm,
         "Meshes",
         "A smooth manufactured potential between Dirichlet walls. φ is second order in the max norm, E in L2; at coarse-fine "
         "faces E is first order at least.",
         {name: Case(mesh, smooth(mesh.size)) for name, mesh in MESHES.items()},
+        resolutions,
     )
     yield _table(
         comm,
         "Faces",
         "Manufactured potentials on two nested cubes: smooth, of high frequency, with a boundary layer.",
         dict(_faces()),
+        resolutions,
     )
     yield _table(
         comm,
@@ -54,6 +56,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         "faces add, which falls with their own accuracy, has tables of its own. Two nested cubes, or one with its face or "
         "corner in the middle of the charge. No order is known for the max norm of a sphere, whose density jumps.",
         dict(_charge()),
+        resolutions,
     )
 
 
@@ -102,9 +105,10 @@ def _charge() -> Iterator[tuple[str, Case]]:
         yield name, Case(mesh, source, "dirichlet", fine, orders)
 
 
-def _table(comm: MPI.Comm, title: str, about: str, cases: dict[str, Case]) -> Table:
+def _table(comm: MPI.Comm, title: str, about: str, cases: dict[str, Case], resolutions: int | None = None) -> Table:
     rows, curves = [], {}
-    for name, case in cases.items():
+    for name, whole in cases.items():
+        case = replace(whole, cells=whole.cells[:resolutions])
         error, cycles = _measured(comm, case)
         rows.append([name, *_row(case, error), Goal(cycles, CYCLES)])
         curves[name] = list(case.cells), error[:, 2].tolist()

@@ -40,7 +40,8 @@ void MatrixFreeBackend::subtract_from_right_hand_side(Real mean) { source_->mean
 
 Real MatrixFreeBackend::right_hand_side_norm() {
   Real const largest = composite_.right_hand_side_norm(*source_, Norm::max);
-  unit_ = std::isnormal(largest) ? largest : 1;
+  Real const base = cycle_.level(0).scale();  // so that corrections and residuals are of the order of one in any units
+  unit_ = base * (std::isnormal(largest) ? largest : 1);
   for (int l = 0; l < levels(); ++l) scale_[std::size_t(l)] = cycle_.level(std::size_t(l)).scale() / unit_;
   return problem_.options.norm == Norm::max ? largest
                                             : composite_.right_hand_side_norm(*source_, problem_.options.norm);

@@ -46,7 +46,7 @@ class MatrixFreeBackend : public Backend {
   matrixfree::Cycle cycle_;
   Blocks<float> residual_, correction_;
   std::optional<Source> source_;
-  Real unit_ = 1;            ///< what 1 stands for in the residuals of the cycle, V/m^2
+  Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
   Field* phi_ = nullptr;
   Assembled shown_;  ///< empty until asked for

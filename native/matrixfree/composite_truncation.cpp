@@ -47,13 +47,21 @@ Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* 
   return out;
 }
 
-/// The means over groups of `ratio` cells.
+/// The means over groups of `ratio` cells, of which the window holds whole ones.
 Window<Real> means(Window<Real> const& fine, Index3 const& ratio) {
   Window<Real> out(fine.box().coarsen(ratio), 0.0);
   Real const weight = 1.0 / (ratio[0] * ratio[1] * ratio[2]);
-  for_each_cell(fine.box(), [&](Index3 const& c) {
-    out({floor_divide(c[0], ratio[0]), floor_divide(c[1], ratio[1]), floor_divide(c[2], ratio[2])}) += weight * fine(c);
-  });
+  Box const& box = fine.box();
+  int const n = out.box().extent(0);
+  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+    for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
+      Real const* const from = &fine({box.lower[0], j, k});
+      Real* const to = &out({out.box().lower[0], floor_divide(j, ratio[1]), floor_divide(k, ratio[2])});
+      if (ratio[0] == 1)
+        for (int i = 0; i < n; ++i) to[i] += weight * from[i];
+      else
+        for (int i = 0; i < n; ++i) to[i] += weight * (from[2 * i] + from[2 * i + 1]);
+    }
   return out;
 }
 
@@ -69,7 +77,12 @@ struct Task {
 Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
   Window<char> out(parents, 0);
   Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
-  auto set = [&](Box const& part, char value) { for_each_cell(part, [&](Index3 const& c) { out(c) = value; }); };
+  auto set = [&](Box const& part, char value) {
+    if (part.empty()) return;
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+        std::fill_n(&out({part.lower[0], j, k}), part.extent(0), value);
+  };
   for (auto const& o : overlaps(level, children)) set(o.part.coarsen(ratio), 1);
   if (finer)
     for (auto const& o : overlaps(*finer, children.refine(refinement_ratio)))
@@ -83,10 +96,16 @@ Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, B
   return out;
 }
 
-/// Trilinear prolongation along a row of n cells: `parent[0]` belongs to the first cell's.
+/// Trilinear prolongation along a row of n cells: `parent[0]` belongs to the first cell's, which is a lower child.
 void prolong_row(int n, int ratio, Real const* parent, Real* out) {
-  for (int i = 0; i < n; ++i)
-    out[i] = ratio == 1 ? parent[i] : 0.75 * parent[i / 2] + 0.25 * parent[i % 2 == 0 ? i / 2 - 1 : i / 2 + 1];
+  if (ratio == 1) {
+    std::copy_n(parent, n, out);
+    return;
+  }
+  for (int i = 0; i < n / 2; ++i) {
+    out[2 * i] = 0.75 * parent[i] + 0.25 * parent[i - 1];
+    out[2 * i + 1] = 0.75 * parent[i] + 0.25 * parent[i + 1];
+  }
 }
 
 /// Parent along an axis, its neighbour on the side of the cell, and the neighbour's weight.
@@ -98,6 +117,19 @@ Pair parents_along(int cell, int ratio) {
   if (ratio == 1) return {cell, cell, 0};
   int const parent = floor_divide(cell, 2);
   return {parent, cell == 2 * parent ? parent - 1 : parent + 1, 0.25};
+}
+
+/// The truncation error in a row of n cells, from the potentials in a window around them and the means of rho.
+void see_row(int n, Real3 const& weight, Real const* potential, Box const& window, Real const* charge, Real mean,
+             char const* usable, Real* seen) {
+  std::ptrdiff_t const y = window.extent(0), z = y * window.extent(1);
+  for (int i = 0; i < n; ++i) {
+    Real const* const phi = potential + i;
+    Real const laplacian = weight[0] * (phi[-1] + phi[1] - 2 * phi[0]) + weight[1] * (phi[-y] + phi[y] - 2 * phi[0]) +
+                           weight[2] * (phi[-z] + phi[z] - 2 * phi[0]);
+    Real const f = -charge[i] / vacuum_permittivity - mean;
+    seen[i] = usable[i] ? (laplacian - f) / seen_over_error : 0;
+  }
 }
 
 }  // namespace
@@ -141,17 +173,13 @@ void CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
         weight[d] = 1 / h / h;
       }
       Window<Real> seen(task.parents, 0.0);
-      for_each_cell(task.parents, [&](Index3 const& c) {
-        if (!usable(c)) return;
-        Real laplacian = 0;
-        for (int d = 0; d < 3; ++d) {
-          Index3 lower = c, upper = c;
-          --lower[d], ++upper[d];
-          laplacian += weight[d] * (potential(lower) + potential(upper) - 2 * potential(c));
+      Box const& p = task.parents;
+      for (int k = p.lower[2]; k <= p.upper[2]; ++k)
+        for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
+          Index3 const first{p.lower[0], j, k};
+          see_row(p.extent(0), weight, &potential(first), potential.box(), &charge(first), source.mean, &usable(first),
+                  &seen(first));
         }
-        Real const f = -charge(c) / vacuum_permittivity - source.mean;
-        seen(c) = (laplacian - f) / seen_over_error;
-      });
       prolong_truncation(l, task.box, ratio, seen, scale[std::size_t(l)],
                          truncation[std::size_t(l)][std::size_t(task.box)]);
     }

@@ -128,7 +128,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi) {
       throw SolverError("the guess holds values that are not finite; solve without one");
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
     if (residual > 1e6 * std::max(report.residuals.front(), Real(1))) return finish(false, "the cycles diverge");
-    if (options_.to_discretisation && report.cycles > 0 && below_discretisation(report))
+    if (options_.to_discretisation && report.cycles > 1 && below_discretisation(report))
       return finish(true, "error left is below a tenth of the estimated " + scientific(report.discretisation_error) +
                               " V of the mesh");
     if (report.cycles > 0) {

@@ -53,7 +53,7 @@ class WorkUnit:
         return self.share_of_triad < LEAST_SHARE
 
 
-def work_unit(comm: MPI.Comm, cells: int, trials: int = 3) -> WorkUnit:
+def work_unit(comm: MPI.Comm, cells: int, trials: int = 8) -> WorkUnit:
     """Return the work unit of so many cells; one that is void is measured again, up to `trials` times. Collective."""
     for _ in range(trials):
         comm.Barrier()

@@ -300,6 +300,7 @@ they wait for each other.
 
 Power laws through medians: time ∝ size^exponent. Levels are nested cubes of 64³ cells each, so their time grows with the
 cells that they bring; boxes cut one mesh of 64³ cells finer and finer; cells are those of `static` at bases of 32 to 128.
+Particle stages pay for the 128³ cells that they pass over as well, which the time of few particles shows.
 
 {growth}
 

@@ -74,7 +74,7 @@ def apart(comm: MPI.Comm, name: str, hierarchy: amrpic.Hierarchy) -> Record:
         "difference": difference,
         "residuals apart": residuals,
         "backends": list(found),
-        "cycles": [report.cycles for _, report, _, _ in found.values()],
+        "cycles of each": [report.cycles for _, report, _, _ in found.values()],
         "converged": all(report.converged for _, report, _, _ in found.values()),
     }
     cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))

@@ -1,9 +1,9 @@
 """Tell two runs of the benchmarks apart: python benchmarks/compare.py BEFORE.json AFTER.json
 
-What was timed beside a work unit in both is compared in work units, so that a slower machine is not slower code; the rest in
-seconds. A difference counts where the medians are further apart than the threshold and than the noise, three standard errors
-of the medians as the spread of the runs gives them. More cycles, or more memory beyond the threshold, count as slower. The exit
-status is 1 if anything became slower.
+What was timed beside a work unit in both is compared in work units, so that a slower machine is not slower code; the rest
+in seconds. A difference counts where the medians are further apart than the threshold and than the noise, three standard
+errors of the medians as the spread of the runs gives them; what ran but once has none, and its time is left out. More
+cycles, or more memory beyond the threshold, count as slower. The exit status is 1 if anything became slower.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def changes(before: Sequence[Record], after: Sequence[Record]) -> list[Change]:
     for record in after:
         old = known.get(record.name)
         if old is not None:
-            out += [changed(old, record), *counted(old, record)]
+            timed = min(len(old.seconds), len(record.seconds)) > 1
+            out += [*([changed(old, record)] if timed else []), *counted(old, record)]
     return out
 
 
@@ -68,6 +69,8 @@ def counted(old: Record, new: Record) -> list[Change]:
     """Return the changes of what is counted, not timed: any cycle more is one, bytes are held to the threshold."""
     out = []
     for what, value in new.facts.items():
+        if not isinstance(value, int | float):
+            continue
         if what in old.facts and what == "cycles":
             out.append(Change(f"{new.name}: cycles", "", old.facts[what], value, exact=True))
         elif what in old.facts and what.startswith("bytes"):

@@ -113,7 +113,9 @@ def parser() -> argparse.ArgumentParser:
     )
     verify.add_argument("--backend", metavar="NAME", help="of the solver; default that of the package")
     verify.add_argument(
-        "--output", metavar="DIR", help="write verification.md and its pictures there; what was not measured now stays"
+        "--output",
+        metavar="DIR",
+        help="write verification.md and its pictures there; single topics leave the rest of it",
     )
 
     scaling = _command(
@@ -296,7 +298,7 @@ def _verify(chosen: argparse.Namespace) -> int:
             print(f"{table.title} ({topic})\n{table.markdown()}\n", flush=True)
     with together(comm, OutputError):
         if comm.rank == 0 and chosen.output is not None:
-            write(found, Path(chosen.output))
+            write(found, Path(chosen.output), afresh=not chosen.topics and not chosen.pareto)
     missed = [f"{topic}: {table.title}" for topic, table in found if not table.met]
     if comm.rank == 0:
         print("all goals are met" if not missed else f"goals are missed in {'; '.join(missed)}")

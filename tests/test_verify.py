@@ -111,6 +111,8 @@ def test_what_was_not_measured_now_stays_in_the_document(tmp_path):
     text = path.read_text()
     assert text.index("## One") < text.index("## Two") and text.count("## ") == 2
     assert "| here | 1     |" in text and "| there | 2     |" in text
+    write([("odd", tables["Two"])], tmp_path, afresh=True)
+    assert "## One" not in path.read_text()
 
 
 # ---- the same tables on any number of ranks ----
@@ -123,13 +125,13 @@ def value(cell):
     return cell.measured if isinstance(cell, Goal) else float(cell)
 
 
-def assert_same(found, wanted):
+def assert_same(found, wanted, rel):
     assert found.title == wanted.title and len(found.rows) == len(wanted.rows)
     for row, expected in zip(found.rows, wanted.rows, strict=True):
         if any(isinstance(cell, str) and word in cell for cell in row for word in OF_THIS_RUN):
             continue
         for cell, other in zip(row, expected, strict=True):
-            assert cell == other or value(cell) == pytest.approx(value(other), rel=1e-4, abs=ROUNDING), (
+            assert cell == other or value(cell) == pytest.approx(value(other), rel=rel, abs=ROUNDING), (
                 found.title,
                 expected[0],
             )
@@ -165,7 +167,8 @@ def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
     together = list(tables(comm))
     assert len(apart) == len(together)
     for found, wanted in zip(apart, together, strict=True):
-        assert_same(found, wanted)
+        # a solve that stops at a tenth of an error is told apart by the rounding of its single-precision corrections
+        assert_same(found, wanted, 1e-3 if topic == "stopping" else 1e-4)
 
 
 # ---- backends ----

@@ -69,14 +69,14 @@ OPENING = (
 )
 
 
-def write(found: Sequence[tuple[str, Table]], folder: Path) -> Path:
+def write(found: Sequence[tuple[str, Table]], folder: Path, afresh: bool = False) -> Path:
     """Write `verification.md` and its pictures into a folder; return its path. OSError if that is not possible.
 
-    Tables that the file holds already and that were not measured now stay in it.
+    Tables that the file holds already and that were not measured now stay in it, unless it is written `afresh`.
     """
     pictures, path = folder / "pictures", folder / "verification.md"
     pictures.mkdir(parents=True, exist_ok=True)
-    parts = _parts(path)
+    parts = {} if afresh else _parts(path)
     for _, table in found:
         part = f"## {table.title}\n\n{table.about}\n\n{table.markdown()}\n"
         if table.picture or table.curves:

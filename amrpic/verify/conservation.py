@@ -34,7 +34,7 @@ BUNCH = Gaussian((0.08, 0.07, 0.09), (0.5, 0.5, 0.5))
 def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of this topic. Collective."""
     yield Table(
-        "Charge",
+        "Conservation of charge",
         "5000 particles of either sign all over the domain, some within a rounding error of its walls, on three levels that "
         "touch them; clouds of each shape, own-level and matched, the worse of the two. Charge on the mesh less that of the "
         "particles; after the density is carried over to another mesh; of the base alone, whose covered cells hold the means "

@@ -32,7 +32,7 @@ from .table import Cell, Goal, Table, text
 SPARED = 1.1  # what the scene may lose to the best: of its error at no more cost, or of its cost at no more error
 LEFT = 0.1  # part of the mesh's error that a solve may leave; what leaves more does not count for the frontier
 LESS = 0.99  # an error that is smaller by less is the same
-LARGEST = 4  # times the cells of the scene as it is: larger meshes are left out
+LARGEST = 4, 2  # times the cells of the scene as it is: larger meshes are left out, also where few settings are tried
 FINER = 4  # times the base cells per axis of a reference, where no exact field is known
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, "discretization")
 COLUMNS = (
@@ -64,7 +64,7 @@ class Measured:
     cells: int  # of all levels, covered ones too
     cycles: int  # with that of the estimate, where the tolerance asks for one
     setup: float  # s
-    seconds: float  # of the solve and its field, the best of two
+    seconds: float  # of the solve and its field, the best of three
     error: float  # of E, L2 over the domain relative to E
     left: float  # of it by the solve, as a part of what the mesh makes
 
@@ -81,7 +81,8 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
     """
     density, default = density_of(scene), default_of(scene)
     exact = exact_field(scene, density)
-    found = list(_measured(comm, scene, density, exact, settings(scene, exact is not None, quick)))
+    tried = settings(scene, exact is not None, quick)
+    found = list(_measured(comm, scene, density, exact, tried, LARGEST[quick]))
     (own,) = (m for m in found if m.setting == default)
     unit = comm.allreduce(_native.measure_work_unit(max(own.cells // comm.size, 1)).apply_seconds, op=MPI.MAX)
     against = "the exact field" if exact else f"the field on {FINER} times as many base cells per axis"
@@ -89,7 +90,7 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
         f"Speed against error: {scene.name}",
         f"Error of E (L2 over the domain) against {against} of the density that the bunches of `{scene.name}` are drawn from, "
         "averaged over cells, on the mesh that their particles call for. Seconds are of a solve and its field, the best of "
-        "two; a work unit is the time of one plain 7-point Laplacian on as many cells as the scene's own mesh has "
+        "three; a work unit is the time of one plain 7-point Laplacian on as many cells as the scene's own mesh has "
         f"({own.cells}); visits are cells times cycles, which the frontier goes by. A warm guess is the potential of the "
         "charge half a finest cell away. Left by the solve: its part of the error of E over the mesh's. The goal: what the "
         f"scene's own settings lose to the best of those that leave at most {text(LEFT)}, the lesser of their error over the "
@@ -205,13 +206,12 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
                 "s",
                 color=f"C{number % 10}",
                 markersize=5,
-                label=f"{'×'.join(map(str, cells))}, {levels} levels",
+                label=f"{'×'.join(map(str, cells))}, {levels} refined",
             )
         for number, tolerance in enumerate(tolerances):
             axes.plot([], [], MARKERS[number], color="grey", markersize=5, label=f"tolerance {tolerance}")
-        axes.plot(
-            [], [], "o", color="grey", fillstyle="none", markersize=5, label="zero guess" if own.setting.warm else "…"
-        )
+        for style, label in (("full", "from a warm guess"), ("none", "from zero")):
+            axes.plot([], [], "o", color="grey", fillstyle=style, markersize=5, label=label)
         axes.set(xscale="log", yscale="log")
 
 
@@ -256,9 +256,9 @@ class Case:
 
 
 def _measured(
-    comm: MPI.Comm, scene: Scene, density: Density, exact: ExactField | None, tried: Sequence[Setting]
+    comm: MPI.Comm, scene: Scene, density: Density, exact: ExactField | None, tried: Sequence[Setting], largest: int
 ) -> Iterator[Measured]:
-    most = LARGEST * _case(comm, scene, default_of(scene), density).cells
+    most = largest * _case(comm, scene, default_of(scene), density).cells
     exact = exact or _reference(scene, density)
     for mesh in dict.fromkeys(setting.mesh for setting in tried):
         here = [setting for setting in tried if setting.mesh == mesh]
@@ -277,7 +277,7 @@ def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Mea
     start = time.perf_counter()
     solver = plan.poisson(case.hierarchy)
     setup, seconds = time.perf_counter() - start, np.inf
-    for _ in range(2):
+    for _ in range(3):
         comm.Barrier()
         start = time.perf_counter()
         phi, report = plan.solve(rho, guess)

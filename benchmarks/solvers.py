@@ -96,12 +96,13 @@ CASES: dict[str, Callable[[MPI.Comm, bool], Problem]] = {
 def rows(quick: bool) -> Iterator[tuple[str, list[Options]]]:
     """Yield the groups of the table: what is varied, and the options of each row; of few of them to be quick."""
     for group, choices in all_rows():
-        yield group, [choices[0], *choices[-1:]] if quick and group != "default" else choices
+        yield group, [choices[0], *choices[1:][-1:]] if quick and group != "default" else choices
 
 
 def all_rows() -> Iterator[tuple[str, list[Options]]]:
     """Yield the groups of the table: what is varied, and the options of each row."""
     yield "default", [{}]
+    yield "backend", [{"backend": "matrix-free"}]
     yield "smoother", [{"smoother": name} for name in get_args(menu.Smoother)[1:]]
     yield (
         "sweeps",
@@ -202,6 +203,11 @@ def measure(comm: MPI.Comm, case: str, quick: bool) -> Table:
     return table
 
 
+def made(hierarchy: amrpic.Hierarchy, **options: Any) -> PoissonSolver:
+    """Return a solver by compressed rows, which offer the whole menu, unless the options say otherwise. Collective."""
+    return PoissonSolver(hierarchy, **{"tolerance": TOLERANCE, "backend": "crs", **options})
+
+
 def measured(
     problem: Problem, group: str, options: Options, wanted: amrpic.Field | None
 ) -> tuple[Measured, amrpic.Field | None]:
@@ -210,7 +216,7 @@ def measured(
     comm.Barrier()
     start = time.perf_counter()
     try:
-        solver = PoissonSolver(problem.rho.hierarchy, tolerance=TOLERANCE, **options)
+        solver = made(problem.rho.hierarchy, **options)
     except SolverError as refused:
         row.refused = str(refused)
         return row, None
@@ -229,11 +235,13 @@ def measured(
 
 
 def contest(problem: Problem, rows: list[Measured]) -> list[tuple[Options, float]]:
-    """Return the seconds of the default and of the three fastest other rows, solved again in turns, best of three."""
-    others = sorted((row for row in rows[1:] if row.converged), key=lambda row: row.seconds)
+    """Return the seconds of the default and of the three fastest other rows by compressed rows, in turns, best of three."""
+    others = sorted(
+        (row for row in rows[1:] if row.converged and "backend" not in row.options), key=lambda row: row.seconds
+    )
     choices: list[Options] = [{}, *(row.options for row in others[:3])]
     hierarchy, comm = problem.rho.hierarchy, problem.rho.comm
-    solvers = [PoissonSolver(hierarchy, tolerance=TOLERANCE, **options) for options in choices]
+    solvers = [made(hierarchy, **options) for options in choices]
     best = [np.inf] * len(solvers)
     for _, (number, solver) in itertools.product(range(3), enumerate(solvers)):
         comm.Barrier()
@@ -260,7 +268,7 @@ def reuse(problem: Problem) -> list[tuple[str, float, float]]:
         for _ in range(2):
             comm.Barrier()
             start = time.perf_counter()
-            solver = PoissonSolver(hierarchy, tolerance=0.5, reuse=kept, coarse_levels=levels)
+            solver = made(hierarchy, tolerance=0.5, reuse=kept, coarse_levels=levels)
             _, report = solver.solve(problem.rho, boundary_values=problem.values)
             own = time.perf_counter() - start - sum(report.seconds.values()) + report.seconds.get("open boundary", 0.0)
             seconds.append(comm.allreduce(own, op=MPI.MAX))
@@ -328,11 +336,12 @@ Made by `make solvers` (`benchmarks/solvers.py`), which fails unless every row b
 {TOLERANCE:.0e} (max norm) to the default's potential within {SAME:.0e} of its largest value, or is refused at construction.
 What the options mean, and why the defaults are what they are: `[solver]` in [scene.md](scene.md).
 
-Each row differs from the default in what it names. *Solve* is the faster of two solves from a zero guess, without the
-potential of open faces, which no option touches; *set-up* is the solver's construction. A *work unit* is the time of one
-plain, vectorised 7-point apply in double precision on one array with as many cells as the hierarchy, best of five, in the
-same run. Times are of one run on a machine of two cores that others used as well: only the comparison in turns above
-each table tells small differences.
+The menu is that of compressed rows (`backend = "crs"`), which offer all of it; without matrices there is one choice, the
+row "backend matrix-free". Each row differs from the default with compressed rows in what it names. *Solve* is the faster
+of two solves from a zero guess, without the potential of open faces, which no option touches; *set-up* is the solver's
+construction. A *work unit* is the time of one plain, vectorised 7-point apply in double precision on one array with as
+many cells as the hierarchy, best of five, in the same run. Times are of one run on a machine of two cores that others
+used as well: only the comparison in turns above each table tells small differences.
 
 With as many multigrid levels below the base as it has factors of two, the default, the bottom has few cells and every
 bottom solver does the same; so they are compared with two levels below the base. A "bottom" row without a preconditioner

@@ -36,19 +36,19 @@ def picture(path: Path, title: str, across: str, upwards: str) -> Iterator[Axes]
 def draw_curves(table: Table, path: Path) -> None:
     """Draw the curves of a table; those over resolutions with both axes logarithmic and the slope of second order.
 
-    What a name says before its last comma is told by the colour, what it says behind it by the line.
+    Colours tell them apart; `by_line`, what a name says behind its last comma is told by the line instead.
     """
-    kinds = list(dict.fromkeys(_kind(name)[0] for name in table.curves))
-    lines = list(dict.fromkeys(_kind(name)[1] for name in table.curves))
+    parts = {name: _parts(name) if table.by_line else (name, "") for name in table.curves}
+    kinds, lines = (list(dict.fromkeys(part)) for part in zip(*parts.values(), strict=True))
     with picture(path, table.title, table.across, table.upwards) as axes:
         for name, (at, values) in table.curves.items():
-            kind, line = (options.index(part) for options, part in zip((kinds, lines), _kind(name), strict=True))
+            kind, line = (options.index(part) for options, part in zip((kinds, lines), parts[name], strict=True))
             axes.plot(
                 at,
                 values,
                 color=f"C{kind}",
                 marker=MARKERS[kind % len(MARKERS)],
-                linestyle=STYLES[line % len(STYLES)] if table.by_line else "-",
+                linestyle=STYLES[line % len(STYLES)],
                 markersize=4,
                 linewidth=1,
                 label=name,
@@ -58,7 +58,7 @@ def draw_curves(table: Table, path: Path) -> None:
             _mark_resolutions(axes, table)
 
 
-def _kind(name: str) -> tuple[str, str]:
+def _parts(name: str) -> tuple[str, str]:
     kind, _, line = name.rpartition(", ")
     return (kind, line) if kind else (line, "")
 

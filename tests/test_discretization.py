@@ -29,7 +29,7 @@ def test_estimate_is_the_true_error_and_little_is_lost(comm):
         assert l2_stopped < 1.02 * l2 and largest_stopped < 1.02 * largest
     _, _, alone = solve_static(MPI.COMM_SELF, 48, tolerance="discretization")
     assert alone.cycles == short.cycles
-    assert short.discretization_error == pytest.approx(alone.discretization_error, rel=1e-6)
+    assert short.discretization_error == pytest.approx(alone.discretization_error, rel=1e-4)
 
 
 def test_a_good_guess_costs_one_cycle(comm):

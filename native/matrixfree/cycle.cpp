@@ -41,6 +41,12 @@ Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l
   return out;
 }
 
+/// Where cells are long or flat, errors couple along fewer axes, and the best over-relaxation lies closer to one.
+Relaxation relaxation_of(Relaxation relaxation, Level const& level) {
+  if (needs_local_cycle(level)) relaxation.factor = 1 + 0.6 * (relaxation.factor - 1);
+  return relaxation;
+}
+
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
 WallGhosts walls_of_coarsest(LevelStack const& stack, OpenWalls const& open_walls) {
   WallGhosts out = stack.walls.front();
@@ -63,7 +69,10 @@ Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relax
   for (std::size_t l = 0; l < stack_.levels.size(); ++l) {
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
-    level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, relaxation);
+    Relaxation const own = relaxation_of(relaxation, *stack_.levels[l]);
+    // a cycle of its own starts from a residual, which reads one cell further
+    int const halo = own.halo() + (stack_.refines(l) && needs_local_cycle(*stack_.levels[l]) ? 1 : 0);
+    level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, stack_.ratio[l], stack_.refines(l),
@@ -71,7 +80,7 @@ Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relax
             Boundary const kind = stack_.boundary[axis][side];
             return kind == Boundary::open ? open_walls.first(l - 1, cell, axis, side) : coarse_wall_ghost(kind).first;
           });
-    if (stack_.refines(l)) level.local = make_local_cycle(comm, *level.swept, ends, stack_.boundary, relaxation);
+    if (stack_.refines(l)) level.local = make_local_cycle(comm, *level.swept, ends, stack_.boundary, own);
     levels_.push_back(std::move(level));
   }
   Level const& coarsest = *stack_.levels.front();
@@ -97,15 +106,15 @@ void Cycle::cycle(std::size_t l) {
 /// From a zero correction: smooth, then leave the right-hand side of the coarser level.
 void Cycle::pre_smooth_and_restrict(CycleLevel& level) {
   level.swept->exchange_halo(false, true);
-  auto stages = level.swept->relaxations(relaxation_.pre_sweeps, true);
-  if (level.local) stages = level.local->improve(stages);
-  level.coarsening->sweep_and_restrict(stages);
+  level.coarsening->sweep_and_restrict(level.swept->relaxations(relaxation_.pre_sweeps, true));
 }
 
-/// Add the coarser level's correction, take its part of the ghosts into account, smooth.
+/// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own comes
+/// here, where it also finds what the coarser correction brought in along the coarse axis.
 void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation();
   for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false)) stages.push_back(stage);
+  if (level.local) stages = level.local->improve(stages);
   level.swept->run(stages);
 }
 

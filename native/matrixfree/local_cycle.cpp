@@ -15,11 +15,16 @@ Relaxation on_either_side(Relaxation relaxation) {
 
 }  // namespace
 
+bool needs_local_cycle(Level const& level) {
+  auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
+  return *most > 2.01 * *least;
+}
+
 LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level const> level, Index3 const& ratio,
                        Ends const& ends, Relaxation const& relaxation)
     : fine_(fine),
       relaxation_(on_either_side(relaxation)),
-      swept_(comm, std::move(level), ends, relaxation_),
+      swept_(comm, std::move(level), ends, relaxation_, relaxation_.halo()),
       coarsening_(comm, fine, swept_, ratio, false, [&](Index3 const& cell, int axis, int side) {
         Box const& domain = swept_.level().domain();
         bool const at_wall =

@@ -5,16 +5,16 @@
 namespace amrpic::matrixfree {
 
 SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends,
-                       Relaxation const& relaxation)
+                       Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
-      layout_(*level_, relaxation.halo()),
+      layout_(*level_, halo),
       stencil_(*level_, layout_, ends, relaxation.factor),
       sweep_(layout_, stencil_),
       r_(layout_.size()),
       e_(layout_.size()) {
   std::vector<Wanted> copies;
-  for (Halo const& halo : layout_.halo()) copies.push_back({halo.source, halo.cells, layout_.halo_place(halo)});
+  for (Halo const& copy : layout_.halo()) copies.push_back({copy.source, copy.cells, layout_.halo_place(copy)});
   halo_ = RectangleExchange(comm, *level_, layout_, copies);
 }
 

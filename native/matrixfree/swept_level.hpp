@@ -1,5 +1,8 @@
 #pragma once
 
+#include <algorithm>
+#include <memory>
+
 #include "matrixfree/exchange.hpp"
 #include "matrixfree/sweep.hpp"
 
@@ -17,8 +20,9 @@ struct Relaxation {
 /// of the level, and all that sweeps over it need.
 class SweptLevel {
  public:
-  /// Collective.
-  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Relaxation const& relaxation);
+  /// `halo`: how deep the copies of other ranks' cells are. Collective.
+  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Relaxation const& relaxation,
+             int halo);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 

@@ -109,8 +109,8 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level) {
   level.coarsening->sweep_and_restrict(level.swept->relaxations(relaxation_.pre_sweeps, true));
 }
 
-/// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own comes
-/// here, where it also finds what the coarser correction brought in along the coarse axis.
+/// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own
+/// comes here, where it also finds what the coarser correction brought in along the coarse axis.
 void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation();
   for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false)) stages.push_back(stage);

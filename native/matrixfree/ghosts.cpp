@@ -50,6 +50,10 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
     out.push_back(ghost);
   });
   if (wall) return out;
+  // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
+  level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
+    for_each_cell(part, [&](Index3 const& cell) { out[std::size_t(layer.offset(cell))] = {}; });
+  });
   layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
     Index3 const back{-shift[0], -shift[1], -shift[2]};
     for_each_cell(part, [&](Index3 const& cell) {

@@ -163,7 +163,7 @@ def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> 
         s.box,
         s.tolerance if isinstance(s.tolerance, str) else f"{s.tolerance:.0e}",
         "warm" if s.warm else "zero",
-        m.cells,
+        str(m.cells),
         m.cycles,
         m.visits / 1e6,
         m.seconds,

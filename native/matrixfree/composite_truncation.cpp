@@ -18,18 +18,22 @@ struct Part {
   Box place;  ///< in the window
 };
 
-/// Lists the parts of a level's cells that make up a window, and asks for those of other ranks.
-std::vector<Part> find_parts(Level const& level, int l, Box const& window, Imports& imports) {
+int cells_per_parent(Index3 const& ratio) { return ratio[0] * ratio[1] * ratio[2]; }
+
+/// Lists the parts of a window that lie in the boxes of a level, all in cells `ratio` times coarser than the level's, and
+/// asks for those of other ranks.
+std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, Box const& window, Imports& imports) {
   std::vector<Part> out;
-  for (auto const& o : overlaps(level, window)) {
-    Box const own = o.part.shift({-o.shift[0], -o.shift[1], -o.shift[2]});
-    Box const& box = level.box(o.box);
+  for (auto const& o : overlaps(level, window.refine(ratio))) {
+    Box const own = o.part.shift({-o.shift[0], -o.shift[1], -o.shift[2]}).coarsen(ratio);
+    Box const box = level.box(o.box).coarsen(ratio), place = o.part.coarsen(ratio);
     if (level.owner(o.box) == level.rank())
-      out.push_back({Rectangle::here, level.local_offset(o.box) + std::int32_t(box.offset(own.lower)), box.extent(0),
-                     box.extent(0) * box.extent(1), o.part});
+      out.push_back({Rectangle::here,
+                     level.local_offset(o.box) / cells_per_parent(ratio) + std::int32_t(box.offset(own.lower)),
+                     box.extent(0), box.extent(0) * box.extent(1), place});
     else
       out.push_back({level.owner(o.box), imports.ask(level.owner(o.box), {l, o.box, -1, own}), own.extent(0),
-                     own.extent(0) * own.extent(1), o.part});
+                     own.extent(0) * own.extent(1), place});
   }
   return out;
 }
@@ -47,21 +51,33 @@ Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* 
   return out;
 }
 
-/// The means over groups of `ratio` cells, of which the window holds whole ones.
-Window<Real> means(Window<Real> const& fine, Index3 const& ratio) {
-  Window<Real> out(fine.box().coarsen(ratio), 0.0);
-  Real const weight = 1.0 / (ratio[0] * ratio[1] * ratio[2]);
-  Box const& box = fine.box();
-  int const n = out.box().extent(0);
-  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-    for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-      Real const* const from = &fine({box.lower[0], j, k});
-      Real* const to = &out({out.box().lower[0], floor_divide(j, ratio[1]), floor_divide(k, ratio[2])});
-      if (ratio[0] == 1)
-        for (int i = 0; i < n; ++i) to[i] += weight * from[i];
-      else
-        for (int i = 0; i < n; ++i) to[i] += weight * (from[2 * i] + from[2 * i + 1]);
-    }
+/// The means over groups of `ratio` cells of this rank's boxes, one box after the other, x fastest.
+std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fine) {
+  std::vector<Real> out(std::size_t(level.local_cells() / cells_per_parent(ratio)), 0.0);
+  Real const weight = 1.0 / cells_per_parent(ratio);
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    Box const &box = level.box(b), parents = box.coarsen(ratio);
+    Real* const first = out.data() + level.local_offset(b) / cells_per_parent(ratio);
+    int const n = parents.extent(0);
+    for (int k = 0; k < box.extent(2); ++k)
+      for (int j = 0; j < box.extent(1); ++j, fine += box.extent(0)) {
+        Real* const to = first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
+        if (ratio[0] == 1)
+          for (int i = 0; i < n; ++i) to[i] += weight * fine[i];
+        else
+          for (int i = 0; i < n; ++i) to[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
+      }
+  }
+  return out;
+}
+
+/// Pack a piece of such means.
+Real* pack_means(Level const& level, Index3 const& ratio, std::vector<Real> const& means, Piece const& piece, Real* out) {
+  Box const parents = level.box(piece.box).coarsen(ratio);
+  Real const* const from = means.data() + level.local_offset(piece.box) / cells_per_parent(ratio);
+  for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
+    for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
+      out = std::copy_n(from + parents.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
   return out;
 }
 
@@ -69,8 +85,8 @@ Window<Real> means(Window<Real> const& fine, Index3 const& ratio) {
 struct Task {
   int box;                ///< local
   Box parents;            ///< of the box and of the cells around it that prolongation reads
-  std::vector<Part> rho;  ///< of their children
-  std::vector<Part> phi;  ///< of them and their neighbours: the coarser level's, or that of this level where none is
+  std::vector<Part> rho;  ///< means over their children
+  std::vector<Part> phi;  ///< in them and their neighbours: the coarser level's, or means where none is
 };
 
 /// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and it is not at a wall.
@@ -148,24 +164,25 @@ void CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
     std::vector<Task> tasks;
     for (int b = 0; b < boxes(l); ++b) {
       Box const parents = box(l, b).coarsen(ratio).grow({ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
-      Task task{b, parents, find_parts(level(l), l, parents.refine(ratio), rho_imports), {}};
-      task.phi = l > 0 ? find_parts(level(l - 1), l - 1, parents.grow(1), phi_imports)
-                       : find_parts(level(0), 0, parents.grow(1).refine(ratio), phi_imports);
+      Task task{b, parents, find_parts(level(l), l, ratio, parents, rho_imports), {}};
+      task.phi = l > 0 ? find_parts(level(l - 1), l - 1, {1, 1, 1}, parents.grow(1), phi_imports)
+                       : find_parts(level(0), 0, ratio, parents.grow(1), phi_imports);
       tasks.push_back(std::move(task));
     }
+    auto const charges = means(level(l), ratio, source.rho.level(l).data());
+    auto const potentials = l > 0 ? std::vector<Real>() : means(level(0), ratio, phi.level(0).data());
+    Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
     rho_imports.connect(hierarchy_->comm());
     phi_imports.connect(hierarchy_->comm());
-    rho_imports.start([&](Piece const& piece, Real* out) { pack_cells(source.rho, piece, out); });
-    phi_imports.start([&](Piece const& piece, Real* out) { pack_cells(phi, piece, out); });
+    rho_imports.start([&](Piece const& piece, Real* out) { pack_means(level(l), ratio, charges, piece, out); });
+    phi_imports.start([&](Piece const& piece, Real* out) {
+      l > 0 ? pack_cells(phi, piece, out) : pack_means(level(0), ratio, potentials, piece, out);
+    });
     rho_imports.finish();
     phi_imports.finish();
     for (Task const& task : tasks) {
-      auto const charge =
-          means(gather(task.parents.refine(ratio), task.rho, source.rho.level(l).data(), rho_imports), ratio);
-      Box const around = task.parents.grow(1);
-      auto const potential =
-          l > 0 ? gather(around, task.phi, phi.level(l - 1).data(), phi_imports)
-                : means(gather(around.refine(ratio), task.phi, phi.level(0).data(), phi_imports), ratio);
+      auto const charge = gather(task.parents, task.rho, charges.data(), rho_imports);
+      auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, phi_imports);
       auto const usable = told(level(l), hierarchy_->has_finer(l) ? &level(l + 1) : nullptr, ratio, task.parents);
       Real3 weight;
       for (int d = 0; d < 3; ++d) {

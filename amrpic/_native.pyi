@@ -344,6 +344,11 @@ class Backend(enum.Enum):
 
     crs = 1
 
+class Kernels(enum.Enum):
+    tuned = 0
+
+    portable = 1
+
 class CoveredField(enum.Enum):
     mean = 0
 
@@ -365,6 +370,10 @@ class SolverOptions:
     def backend(self) -> Backend: ...
     @backend.setter
     def backend(self, arg: Backend, /) -> None: ...
+    @property
+    def kernels(self) -> Kernels: ...
+    @kernels.setter
+    def kernels(self, arg: Kernels, /) -> None: ...
     @property
     def tolerance(self) -> float: ...
     @tolerance.setter

@@ -9,6 +9,7 @@ from .units import complaint
 
 Norm = Literal["max", "l1", "l2"]
 Backend = Literal["matrix-free", "crs"]
+Kernels = Literal["tuned", "portable"]
 Smoother = Literal["red-black", "jacobi", "gauss-seidel", "symmetric-gauss-seidel", "chebyshev"]
 Prolongation = Literal["trilinear", "constant"]
 Bottom = Literal["gmres", "cg", "bicgstab", "multigrid", "direct"]

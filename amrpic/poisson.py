@@ -45,7 +45,8 @@ class PoissonSolver:
     that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
 
     The cycle is a V-cycle with `sweeps` (before, after) of a smoother over the levels of the hierarchy and multigrid levels
-    below its base, of which the coarsest is solved exactly. Backend "matrix-free" loops over the rows of boxes; "crs" holds
+    below its base, of which the coarsest is solved exactly. Backend "matrix-free" loops over the rows of boxes, by `kernels`
+    "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs" holds
     the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
     `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.Solver` tells what each choice does. `reuse` is
     the `base_setup` of the solver of an earlier hierarchy on the same domain.
@@ -60,6 +61,7 @@ class PoissonSolver:
         norm: str = "max",
         backend: str = "matrix-free",
         *,
+        kernels: str = "tuned",
         absolute_tolerance: float = 0.0,
         smoother: str = "red-black",
         relaxation: float | None = None,
@@ -76,6 +78,7 @@ class PoissonSolver:
     ) -> None:
         _one_of("norm", norm, get_args(menu.Norm))
         _one_of("backend", backend, get_args(menu.Backend))
+        _one_of("kernels", kernels, get_args(menu.Kernels))
         _one_of("smoother", smoother, get_args(menu.Smoother))
         _one_of("prolongation", prolongation, get_args(menu.Prolongation))
         _one_of("bottom", bottom, get_args(menu.Bottom))
@@ -121,6 +124,7 @@ class PoissonSolver:
             raise SolverError(f"{wrong.option} is {wrong.found!r}, which {wrong.what}; {wrong.remedy}")
         options = _native.SolverOptions()
         options.backend = _choice(_native.Backend, backend)
+        options.kernels = _choice(_native.Kernels, kernels)
         options.tolerance = tolerance
         options.to_discretisation = to_discretization
         options.absolute_tolerance = absolute_tolerance

@@ -20,8 +20,8 @@ struct Part {
 
 int cells_per_parent(Index3 const& ratio) { return ratio[0] * ratio[1] * ratio[2]; }
 
-/// Lists the parts of a window that lie in the boxes of a level, all in cells `ratio` times coarser than the level's, and
-/// asks for those of other ranks.
+/// Lists the parts of a window that lie in the boxes of a level, all in cells `ratio` times coarser than the level's,
+/// and asks for those of other ranks.
 std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, Box const& window, Imports& imports) {
   std::vector<Part> out;
   for (auto const& o : overlaps(level, window.refine(ratio))) {
@@ -61,7 +61,8 @@ std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fin
     int const n = parents.extent(0);
     for (int k = 0; k < box.extent(2); ++k)
       for (int j = 0; j < box.extent(1); ++j, fine += box.extent(0)) {
-        Real* const to = first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
+        Real* const to =
+            first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
         if (ratio[0] == 1)
           for (int i = 0; i < n; ++i) to[i] += weight * fine[i];
         else
@@ -72,7 +73,8 @@ std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fin
 }
 
 /// Pack a piece of such means.
-Real* pack_means(Level const& level, Index3 const& ratio, std::vector<Real> const& means, Piece const& piece, Real* out) {
+Real* pack_means(Level const& level, Index3 const& ratio, std::vector<Real> const& means, Piece const& piece,
+                 Real* out) {
   Box const parents = level.box(piece.box).coarsen(ratio);
   Real const* const from = means.data() + level.local_offset(piece.box) / cells_per_parent(ratio);
   for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "matrixfree/portable_sweep.hpp"
 #include "matrixfree/rows.hpp"
 
 namespace amrpic::matrixfree {
@@ -13,7 +14,8 @@ void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages) {
       for (int b : layout.on_plane(first + step - s)) stages[std::size_t(s)](std::size_t(b), first + step - s);
 }
 
-Sweep::Sweep(Layout const& layout, Stencil const& stencil) : layout_(layout), stencil_(stencil) {
+Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)
+    : layout_(layout), stencil_(stencil), kernels_(kernels) {
   std::ptrdiff_t pitch = 0;
   for (Block const& b : layout.blocks()) pitch = std::max(pitch, b.cells.pitch_y);
   for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 64);
@@ -80,6 +82,9 @@ int parity(Block const& b, int j, int k, int colour) { return (colour + b.box.lo
 }  // namespace
 
 void Sweep::relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
+  if (kernels_ == Kernels::portable)
+    return portable::relax_from_zero({layout_.blocks()[block], stencil_.block(block), stencil_, k}, colour, r.data(),
+                                     e.data());
   Block const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
   int const ny = b.box.extent(1), plane = k - b.box.lower[2];
@@ -95,6 +100,8 @@ void Sweep::relax_from_zero(std::size_t block, int k, int colour, Vector const& 
 }
 
 void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
+  if (kernels_ == Kernels::portable)
+    return portable::relax({layout_.blocks()[block], stencil_.block(block), stencil_, k}, colour, r.data(), e.data());
   Block const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
@@ -109,6 +116,9 @@ void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector&
 
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector& e, Parents const& parents, float share,
                               Vector& coarse) const {
+  if (kernels_ == Kernels::portable)
+    return portable::restrict_residual({layout_.blocks()[block], stencil_.block(block), stencil_, k}, r.data(),
+                                       e.data(), parents, share, coarse.data());
   Block const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
   int const plane = k - b.box.lower[2];
@@ -125,6 +135,9 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector&
 }
 
 void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, Vector& e) const {
+  if (kernels_ == Kernels::portable)
+    return portable::prolong({layout_.blocks()[block], stencil_.block(block), stencil_, k}, parents, coarse.data(),
+                             e.data());
   Block const& b = layout_.blocks()[block];
   int const plane = k - b.box.lower[2], ny = b.box.extent(1);
   // a fine row lies between its parents' row and the next one on its own side

@@ -19,10 +19,16 @@ using PlaneStage = std::function<void(std::size_t block, int plane)>;
 /// it, so that a plane stays in the cache from the first stage to the last.
 void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages);
 
+/// Which form of the kernels runs.
+enum class Kernels {
+  tuned,    ///< vector registers by the compiler's extension: the fastest on processors
+  portable  ///< Kokkos
+};
+
 /// The acts on one plane of a block (k in the level's indices), vectorised along x.
 class Sweep {
  public:
-  Sweep(Layout const& layout, Stencil const& stencil);
+  Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels);
 
   /// One colour (0 or 1: the parity of i + j + k) relaxed from zero; the other becomes zero.
   void relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
@@ -44,6 +50,7 @@ class Sweep {
 
   Layout const& layout_;
   Stencil const& stencil_;
+  Kernels kernels_;
   mutable std::array<Vector, 5> buffer_;  ///< rows behind the four faces, and a residual
 };
 

@@ -10,7 +10,7 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends c
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       layout_(*level_, halo),
       stencil_(*level_, layout_, ends, relaxation.factor),
-      sweep_(layout_, stencil_),
+      sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {
   std::vector<Wanted> copies;

@@ -12,6 +12,7 @@ namespace amrpic::matrixfree {
 struct Relaxation {
   int pre_sweeps = 2, post_sweeps = 2;
   Real factor = 1.25;
+  Kernels kernels = Kernels::tuned;
 
   int halo() const { return 2 * std::max(pre_sweeps, post_sweeps); }  ///< each half-sweep reads one cell further
 };

@@ -25,7 +25,8 @@ MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
     : problem_(problem),
       composite_(problem.hierarchy, problem.options.stretch),
       cycle_(problem.hierarchy->comm(), stack_of(*problem.hierarchy), problem.hierarchy->domain(),
-             {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation}),
+             {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation,
+              problem.options.kernels}),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
       correction_(blocks(&matrixfree::SweptLevel::correction)),
       scale_(std::size_t(levels())) {}

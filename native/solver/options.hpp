@@ -2,6 +2,7 @@
 
 #include <string>
 
+#include "matrixfree/sweep.hpp"
 #include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
 
@@ -47,6 +48,7 @@ struct SolverOptions {
   bool to_discretisation = false;  ///< stop where the error left is a tenth of the estimated one of the mesh
   Norm norm = Norm::max;
   BackendKind backend = BackendKind::matrix_free;  ///< the fastest
+  matrixfree::Kernels kernels = matrixfree::Kernels::tuned;
   int max_cycles = 100;
   SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and alike on any decomposition
   int pre_sweeps = 2, post_sweeps = 2;

@@ -1,0 +1,160 @@
+#include "matrixfree/portable_sweep.hpp"
+
+#include <Kokkos_Core.hpp>
+
+namespace amrpic::matrixfree::portable {
+
+namespace {
+
+using Space = Kokkos::DefaultHostExecutionSpace;
+using Policy = Kokkos::TeamPolicy<Space>;
+using Member = Policy::member_type;
+using Scratch = Kokkos::View<float*, Space::scratch_memory_space, Kokkos::MemoryUnmanaged>;
+
+/// A row of a plane and the values around it.
+struct RowView {
+  float const *here, *y_below, *y_above, *z_below, *z_above;
+  float left, right;
+  int n;
+  KOKKOS_INLINE_FUNCTION float sum(int i, Kokkos::Array<float, 3> const& w) const {
+    float const x = (i > 0 ? here[i - 1] : left) + (i + 1 < n ? here[i + 1] : right);
+    return w[0] * x + w[1] * (y_below[i] + y_above[i]) + w[2] * (z_below[i] + z_above[i]);
+  }
+};
+
+/// The row behind a face, put together in scratch memory by the whole team.
+float const* ghost_row(Member const& team, Plane const& p, int axis, int side, int t, float const* e,
+                       Scratch const& buffer) {
+  auto const& runs = p.ghosts.runs[std::size_t(axis - 1)][std::size_t(side)];
+  auto const& first = p.ghosts.first_run[std::size_t(axis - 1)][std::size_t(side)];
+  for (std::int32_t r = first[std::size_t(t)]; r < first[std::size_t(t) + 1]; ++r) {
+    Run const run = runs[std::size_t(r)];
+    Kokkos::parallel_for(Kokkos::TeamVectorRange(team, run.count),
+                         [&](int i) { buffer(run.place + i) = run.factor * e[run.source + i]; });
+  }
+  team.team_barrier();
+  return buffer.data();
+}
+
+/// Run f(team, row number j, row) for the rows of a plane, each by a team.
+template <class F>
+void for_each_row(Plane const& p, float const* e, F const& f) {
+  int const nx = p.block.box.extent(0), ny = p.block.box.extent(1), nz = p.block.box.extent(2);
+  int const k = p.k - p.block.box.lower[2];
+  std::size_t const bytes = 4 * Scratch::shmem_size(std::size_t(nx));
+  Kokkos::parallel_for(
+      "rows", Policy(ny, Kokkos::AUTO).set_scratch_size(0, Kokkos::PerTeam(int(bytes))), [&](Member const& team) {
+        int const j = team.league_rank();
+        Rectangle const& cells = p.block.cells;
+        std::array<Scratch, 4> buffer;
+        for (Scratch& b : buffer) b = Scratch(team.team_scratch(0), std::size_t(nx));
+        RowView row;
+        row.n = nx;
+        row.here = e + cells.place(0, j, k);
+        row.y_below = j > 0 ? row.here - cells.pitch_y : ghost_row(team, p, 1, 0, k, e, buffer[0]);
+        row.y_above = j + 1 < ny ? row.here + cells.pitch_y : ghost_row(team, p, 1, 1, k, e, buffer[1]);
+        row.z_below = k > 0 ? row.here - cells.pitch_z : ghost_row(team, p, 2, 0, j, e, buffer[2]);
+        row.z_above = k + 1 < nz ? row.here + cells.pitch_z : ghost_row(team, p, 2, 1, j, e, buffer[3]);
+        Ghost const &low = p.ghosts.x[0][std::size_t(j + ny * k)], &high = p.ghosts.x[1][std::size_t(j + ny * k)];
+        row.left = low.factor * e[low.source];
+        row.right = high.factor * e[high.source];
+        f(team, j, row);
+      });
+}
+
+/// Parity of the places in a row whose cells have a colour.
+int parity(Plane const& p, int j, int colour) {
+  return (colour + p.block.box.lower[0] + p.block.box.lower[1] + j + p.k) & 1;
+}
+
+std::int32_t coefficients(Plane const& p, int j) {
+  return p.ghosts.coefficients[std::size_t(j + p.block.box.extent(1) * (p.k - p.block.box.lower[2]))];
+}
+
+Kokkos::Array<float, 3> weights(Plane const& p) {
+  auto const& w = p.stencil.weight();
+  return {w[0], w[1], w[2]};
+}
+
+}  // namespace
+
+void relax_from_zero(Plane const& p, int colour, float const* r, float* e) {
+  int const k = p.k - p.block.box.lower[2];
+  Kokkos::parallel_for("relax from zero", Policy(p.block.box.extent(1), Kokkos::AUTO), [&](Member const& team) {
+    int const j = team.league_rank();
+    std::ptrdiff_t const row = p.block.cells.place(0, j, k);
+    float const* const step = p.stencil.step(coefficients(p, j), p.block.cells.pitch_y, parity(p, j, colour));
+    Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)),
+                         [&](int i) { e[row + i] = -step[i] * r[row + i]; });
+  });
+}
+
+void relax(Plane const& p, int colour, float const* r, float* e) {
+  auto const weight = weights(p);
+  float const keep = p.stencil.keep();
+  for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
+    int const odd = parity(p, j, colour);
+    float const* const step = p.stencil.step(coefficients(p, j), p.block.cells.pitch_y, odd);
+    float* const here = e + (row.here - e);
+    float const* const right_hand_side = r + (row.here - e);
+    // cells of one colour read none of their own, so any order gives the same
+    Kokkos::parallel_for(Kokkos::TeamVectorRange(team, (row.n - odd + 1) / 2), [&](int half) {
+      int const i = 2 * half + odd;
+      here[i] = keep * here[i] + step[i] * (row.sum(i, weight) - right_hand_side[i]);
+    });
+  });
+}
+
+void restrict_residual(Plane const& p, float const* r, float const* e, Parents const& parents, float share,
+                       float* coarse) {
+  auto const weight = weights(p);
+  int const k = p.k - p.block.box.lower[2];
+  Index3 const ratio = parents.ratio;
+  // rows that share parents, one after the other
+  for (int offset = 0; offset < ratio[1]; ++offset)
+    for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
+      if (j % ratio[1] != offset) return;
+      float const* const diagonal = p.stencil.diagonal(coefficients(p, j));
+      float const* const right_hand_side = r + (row.here - e);
+      float* const to = coarse + parents.cells.place(0, j / ratio[1], k / ratio[2]);
+      bool const set = offset == 0 && k % ratio[2] == 0;
+      Kokkos::parallel_for(Kokkos::TeamVectorRange(team, row.n / ratio[0]), [&](int parent) {
+        float sum = 0;
+        for (int i = parent * ratio[0]; i < (parent + 1) * ratio[0]; ++i)
+          sum += right_hand_side[i] - (row.sum(i, weight) - diagonal[i] * row.here[i]);
+        to[parent] = (set ? 0 : to[parent]) + share * sum;
+      });
+    });
+}
+
+void prolong(Plane const& p, Parents const& parents, float const* coarse, float* e) {
+  int const k = p.k - p.block.box.lower[2];
+  Index3 const ratio = parents.ratio;
+  std::array<std::ptrdiff_t, 3> const stride{1, parents.cells.pitch_y, parents.cells.pitch_z};
+  Kokkos::parallel_for("prolong", Policy(p.block.box.extent(1), Kokkos::AUTO), [&](Member const& team) {
+    int const j = team.league_rank();
+    float* const row = e + p.block.cells.place(0, j, k);
+    Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)), [&](int i) {
+      int const cell[3] = {i, j, k};
+      float const* const parent = coarse + parents.cells.place(i / ratio[0], j / ratio[1], k / ratio[2]);
+      float sum = 0;
+      for (int corner = 0; corner < 8; ++corner) {
+        float share = 1;
+        std::ptrdiff_t at = 0;
+        for (int d = 0; d < 3; ++d) {
+          bool const far = (corner >> d) & 1;
+          if (ratio[d] == 1) {
+            share *= far ? 0 : 1;
+            continue;
+          }
+          share *= far ? 0.25f : 0.75f;
+          if (far) at += cell[d] % 2 == 0 ? -stride[std::size_t(d)] : stride[std::size_t(d)];
+        }
+        if (share != 0) sum += share * parent[at];
+      }
+      row[i] += sum;
+    });
+  });
+}
+
+}  // namespace amrpic::matrixfree::portable

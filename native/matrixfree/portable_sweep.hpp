@@ -1,0 +1,26 @@
+#pragma once
+
+#include "matrixfree/sweep.hpp"
+
+namespace amrpic::matrixfree {
+
+/// The acts of `Sweep` as Kokkos kernels: a team per row, cells of a row as its vector range, ghost rows in the team's
+/// scratch memory. They run on whatever Kokkos' host space was built for; a test holds both forms to the same answer.
+namespace portable {
+
+/// All that a kernel reads of a plane of a block.
+struct Plane {
+  Block const& block;
+  BlockStencil const& ghosts;
+  Stencil const& stencil;
+  int k;  ///< in the level's indices
+};
+
+void relax_from_zero(Plane const& plane, int colour, float const* r, float* e);
+void relax(Plane const& plane, int colour, float const* r, float* e);
+void restrict_residual(Plane const& plane, float const* r, float const* e, Parents const& parents, float share,
+                       float* coarse);
+void prolong(Plane const& plane, Parents const& parents, float const* coarse, float* e);
+
+}  // namespace portable
+}  // namespace amrpic::matrixfree

@@ -51,6 +51,14 @@ Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* 
   return out;
 }
 
+/// Add to a row of n parents `weight` times the sum of each one's children in a row.
+void add_parents(int n, int ratio, Real weight, Real const* __restrict fine, Real* __restrict parents) {
+  if (ratio == 1)
+    for (int i = 0; i < n; ++i) parents[i] += weight * fine[i];
+  else
+    for (int i = 0; i < n; ++i) parents[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
+}
+
 /// The means over groups of `ratio` cells of this rank's boxes, one box after the other, x fastest.
 std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fine) {
   std::vector<Real> out(std::size_t(level.local_cells() / cells_per_parent(ratio)), 0.0);
@@ -63,10 +71,7 @@ std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fin
       for (int j = 0; j < box.extent(1); ++j, fine += box.extent(0)) {
         Real* const to =
             first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
-        if (ratio[0] == 1)
-          for (int i = 0; i < n; ++i) to[i] += weight * fine[i];
-        else
-          for (int i = 0; i < n; ++i) to[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
+        add_parents(n, ratio[0], weight, fine, to);
       }
   }
   return out;
@@ -115,7 +120,7 @@ Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, B
 }
 
 /// Trilinear prolongation along a row of n cells: `parent[0]` belongs to the first cell's, which is a lower child.
-void prolong_row(int n, int ratio, Real const* parent, Real* out) {
+void prolong_row(int n, int ratio, Real const* __restrict parent, Real* __restrict out) {
   if (ratio == 1) {
     std::copy_n(parent, n, out);
     return;
@@ -138,8 +143,9 @@ Pair parents_along(int cell, int ratio) {
 }
 
 /// The truncation error in a row of n cells, from the potentials in a window around them and the means of rho.
-void see_row(int n, Real3 const& weight, Real const* potential, Box const& window, Real const* charge, Real mean,
-             char const* usable, Real* seen) {
+void see_row(int n, Real3 const& weights, Real const* __restrict potential, Box const& window,
+             Real const* __restrict charge, Real mean, char const* __restrict usable, Real* __restrict seen) {
+  Real3 const weight = weights;
   std::ptrdiff_t const y = window.extent(0), z = y * window.extent(1);
   for (int i = 0; i < n; ++i) {
     Real const* const phi = potential + i;
@@ -223,9 +229,9 @@ void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, W
       Pair const y = parents_along(own.lower[1] + j, ratio[1]);
       Real const *nn = &seen({first, y.parent, z.parent}), *fn = &seen({first, y.neighbour, z.parent}),
                  *nf = &seen({first, y.parent, z.neighbour}), *ff = &seen({first, y.neighbour, z.neighbour});
+      Real* __restrict const mixed = row.data();
       for (int i = 0; i < width; ++i)
-        row[std::size_t(i)] =
-            (1 - z.far) * ((1 - y.far) * nn[i] + y.far * fn[i]) + z.far * ((1 - y.far) * nf[i] + y.far * ff[i]);
+        mixed[i] = (1 - z.far) * ((1 - y.far) * nn[i] + y.far * fn[i]) + z.far * ((1 - y.far) * nf[i] + y.far * ff[i]);
       prolong_row(own.extent(0), ratio[0], row.data() + before, plane_.data() + std::ptrdiff_t(j) * own.extent(0));
     }
     clear_covered(l, b, k, plane_.data());

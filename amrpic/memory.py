@@ -173,7 +173,8 @@ def _particle(scene: Scene) -> int:
     if scene.schedule.last_step > 0 and isinstance(scene.motion, Leapfrog):
         # before and after a step; momenta to set off with, before and after, and those that the kick replaces
         return 2 * PARTICLE + 3 * 3 * NUMBER
-    return 3 * PARTICLE  # at the start: bunches, all of them together, and sorted
+    # at the start: bunches, all of them together, sorted, and the memory that sorting keeps for the next time
+    return 5 * PARTICLE
 
 
 def base_boxes(scene: Scene) -> list[Array]:

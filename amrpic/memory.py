@@ -15,7 +15,7 @@ from .bunches import Train
 from .scene import Leapfrog, Scene
 
 MIB = 2**20
-PROCESS = 134 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
+PROCESS = 150 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
 MESSAGES = 20 * MIB  # measured: buffers of a process that has others to talk to
 QUIET = 44 * MIB  # measured: SciPy's quasi-random numbers in a process
 DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0

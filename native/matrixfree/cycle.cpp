@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "matrixfree/stack.hpp"
+#include "operators/semicoarse.hpp"
 
 #ifdef __SSE2__
 #include <xmmintrin.h>
@@ -43,7 +44,7 @@ Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l
 
 /// Where cells are long or flat, errors couple along fewer axes, and the best over-relaxation lies closer to one.
 Relaxation relaxation_of(Relaxation relaxation, Level const& level) {
-  if (needs_local_cycle(level)) relaxation.factor = 1 + 0.6 * (relaxation.factor - 1);
+  if (has_long_cells(level)) relaxation.factor = 1 + 0.6 * (relaxation.factor - 1);
   return relaxation;
 }
 
@@ -71,7 +72,7 @@ Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relax
     Ends const ends = ends_of(stack_, open_walls, l);
     Relaxation const own = relaxation_of(relaxation, *stack_.levels[l]);
     // a cycle of its own starts from a residual, which reads one cell further
-    int const halo = own.halo() + (stack_.refines(l) && needs_local_cycle(*stack_.levels[l]) ? 1 : 0);
+    int const halo = own.halo() + (stack_.refines(l) && has_long_cells(*stack_.levels[l]) ? 1 : 0);
     level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(

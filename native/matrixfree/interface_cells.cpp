@@ -1,7 +1,6 @@
 #include "matrixfree/interface_cells.hpp"
 
-#include <unordered_map>
-
+#include "matrixfree/fits.hpp"
 #include "mesh/window.hpp"
 
 namespace amrpic::matrixfree {
@@ -23,24 +22,6 @@ Window<char> usable_cells(Level const& level, Level const& finer, Box const& reg
   return out;
 }
 
-/// The fits that were met, by what is usable around the cell behind the ghosts.
-class Fits {
- public:
-  std::int32_t number(unsigned usable) {
-    auto const [at, fresh] = known_.emplace(usable, std::int32_t(all_.size()));
-    if (fresh) {
-      auto& four = all_.emplace_back();
-      for (int q = 0; q < 4; ++q) four[std::size_t(q)] = plane_fit(usable, q & 1 ? 0.25 : -0.25, q & 2 ? 0.25 : -0.25);
-    }
-    return at->second;
-  }
-  std::vector<std::array<PlaneFit, 4>> const& all() const { return all_; }
-
- private:
-  std::unordered_map<unsigned, std::int32_t> known_;
-  std::vector<std::array<PlaneFit, 4>> all_;  ///< same terms, other weights
-};
-
 /// The usable ones among the 25 cells of the plane around a cell; `stride`: steps in the window along its two axes.
 unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& stride) {
   unsigned out = 0;
@@ -55,7 +36,6 @@ unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& st
 InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout const& layout,
                                std::vector<Surroundings> const& surroundings, std::array<float, 3> const& weight,
                                std::array<float, 3> const& coarse_weight) {
-  Fits fits;
   std::vector<std::array<std::ptrdiff_t, 2>> tangential;  // of each face, in the surroundings
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Block const& block = layout.blocks()[b];
@@ -84,7 +64,7 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
           if (level_has(ghost)) return;
           ghost[axis] += side == 0 ? 1 : -1;
           groups_.push_back({std::int32_t(block.place(ghost)), std::int32_t(around.place(parent)),
-                             fits.number(usable_around(&usable(parent), {step[u], step[v]}))});
+                             fit_number(usable_around(&usable(parent), {step[u], step[v]}))});
         });
         Face face;
         face.end = groups_.size();
@@ -97,18 +77,22 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         tangential.push_back({around.cells.stride(u), around.cells.stride(v)});
       }
   }
-  for (auto const& four : fits.all()) {
+  FitNumber most = 0;
+  for (Group const& group : groups_) most = std::max(most, FitNumber(group.fit));
+  for (int number = 0; number <= most; ++number) {
+    NumberedFit const& from = numbered_fit(FitNumber(number));
     Fit& fit = fits_.emplace_back();
-    fit.count = four[0].count;
-    for (std::size_t t = 0; t < std::size_t(fit.count); ++t)
-      for (std::size_t q = 0; q < 4; ++q) fit.weight[t][int(q)] = float(four[q].terms[t].weight);
-  }
-  for (std::size_t f = 0; f < faces_.size(); ++f)
-    for (auto const& four : fits.all()) {
+    fit.count = from.count;
+    for (int t = 0; t < from.count; ++t)
+      for (int q = 0; q < 4; ++q)
+        fit.weight[t][q] = float(from.terms[std::size_t(t)].weight[std::size_t(q / 2)][std::size_t(q % 2)]);
+    for (std::size_t f = 0; f < faces_.size(); ++f) {
       auto& steps = faces_[f].steps.emplace_back();
-      for (std::size_t t = 0; t < std::size_t(four[0].count); ++t)
-        steps[t] = four[0].terms[t].i * tangential[f][0] + four[0].terms[t].j * tangential[f][1];
+      for (int t = 0; t < from.count; ++t)
+        steps[std::size_t(t)] =
+            from.terms[std::size_t(t)].i * tangential[f][0] + from.terms[std::size_t(t)].j * tangential[f][1];
     }
+  }
 }
 
 void InterfaceCells::subtract_coarse(Vector const& surroundings, Vector& r) const {

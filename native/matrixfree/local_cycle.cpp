@@ -15,11 +15,6 @@ Relaxation on_either_side(Relaxation relaxation) {
 
 }  // namespace
 
-bool needs_local_cycle(Level const& level) {
-  auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
-  return *most > 2.01 * *least;
-}
-
 LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level const> level, Index3 const& ratio,
                        Ends const& ends, Relaxation const& relaxation)
     : fine_(fine),

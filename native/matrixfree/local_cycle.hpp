@@ -37,9 +37,6 @@ class LocalCycle {
   std::unique_ptr<LocalCycle> next_;
 };
 
-/// Whether the cells of a level are so long or flat that points are not enough to smooth it.
-bool needs_local_cycle(Level const& level);
-
 /// The local cycle of a refinement level; null where its cells are not so long that it needs one, or where boxes cannot
 /// be halved. Collective.
 std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, Ends const& ends,

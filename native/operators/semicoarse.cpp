@@ -79,10 +79,15 @@ CorrectionGhosts correction_ghosts(Level const& level, WallGhosts const& walls,
   return out;
 }
 
+bool has_long_cells(Level const& level) {
+  auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
+  return *most > 2.01 * *least;
+}
+
 Index3 semicoarsening_of(Level const& level) {
   Real3 const& h = level.spacing();
   Real const finest = *std::min_element(h.begin(), h.end());
-  if (*std::max_element(h.begin(), h.end()) <= 2.01 * finest) return {1, 1, 1};
+  if (!has_long_cells(level)) return {1, 1, 1};
   Index3 ratio{1, 1, 1};
   for (int d = 0; d < 3; ++d)
     if (h[d] <= 1.5 * finest) ratio[d] = 2;

@@ -18,6 +18,9 @@ struct CorrectionGhosts {
 CorrectionGhosts correction_ghosts(Level const& level, WallGhosts const& walls,
                                    std::array<std::array<Boundary, 2>, 3> const& boundary);
 
+/// Whether the cells of a level are so long or flat, more than 2 to 1, that relaxing points is not enough to smooth it.
+bool has_long_cells(Level const& level);
+
 /// By how much to coarsen each axis of a refinement level by itself: 2 along the axes of smallest spacing while another
 /// spacing is more than twice that; all ones where it is not, or where the boxes do not allow it.
 Index3 semicoarsening_of(Level const& level);

@@ -14,14 +14,12 @@ Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Rea
   for (int d = 0; d < 3; ++d) weight_[d] = float(least * least / h[d] / h[d]);
   for (Block const& block : layout.blocks()) {
     BlockStencil out;
+    out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
-      for (int side = 0; side < 2; ++side) {
-        all[axis][side] = ghosts(level, layout, ends, block, axis, side);
-        if (axis > 0) add_runs(out, block, axis, side, all[axis][side]);
-      }
+      for (int side = 0; side < 2; ++side) all[axis][side] = ghosts(level, layout, ends, block, axis, side);
+    add_rows(out, layout, block, all);
     add_coefficients(out, block, all);
-    out.x = std::move(all[0]);
     blocks_.push_back(std::move(out));
   }
   known_.clear();
@@ -64,23 +62,51 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
   return out;
 }
 
-void Stencil::add_runs(BlockStencil& out, Block const& block, int axis, int side, std::vector<Ghost> const& ghosts) {
-  int const n = block.box.extent(0);
-  auto& runs = out.runs[std::size_t(axis - 1)][side];
-  auto& first = out.first_run[std::size_t(axis - 1)][side];
-  for (std::size_t row = 0; row * n < ghosts.size(); ++row) {
-    first.push_back(std::int32_t(runs.size()));
-    for (int i = 0; i < n; ++i) {
-      Ghost const& g = ghosts[row * n + i];
-      bool const follows = i > 0 && runs.back().factor == g.factor &&
-                           (g.factor == 0 || g.source == runs.back().source + runs.back().count);
-      if (follows)
-        ++runs.back().count;
-      else
-        runs.push_back({i, 1, g.source, g.factor});
+/// What lies on each side of each row.
+void Stencil::add_rows(BlockStencil& out, Layout const& layout, Block const& block,
+                       std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
+  int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
+  out.first_run.push_back(0);
+  for (int k = 0; k < nz; ++k)
+    for (int j = 0; j < ny; ++j) {
+      RowStencil row{};
+      auto beside = [&](int axis, int side, bool inside, int t) {
+        std::ptrdiff_t const pitch = axis == 1 ? block.cells.pitch_y : block.cells.pitch_z;
+        row.beside[std::size_t(2 * (axis - 1) + side)] =
+            inside ? std::int32_t(block.cells.place(0, j, k) + (side == 0 ? -pitch : pitch))
+                   : compose(out, &ghosts[axis][side][std::size_t(t) * nx], nx, layout.zero_row());
+      };
+      beside(1, 0, j > 0, k);
+      beside(1, 1, j + 1 < ny, k);
+      beside(2, 0, k > 0, j);
+      beside(2, 1, k + 1 < nz, j);
+      for (int side = 0; side < 2; ++side) {
+        Ghost const& end = ghosts[0][side][std::size_t(j + ny * k)];
+        row.end[side] = end.source;
+        row.factor[side] = end.factor;
+      }
+      out.rows.push_back(row);
     }
+}
+
+/// The row that ghosts make: its place if it is one in memory, else ~(the composed row that is added).
+std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row) {
+  std::size_t const first = std::size_t(out.first_run.back());
+  for (int i = 0; i < n; ++i) {
+    Ghost const& g = ghosts[i];
+    bool const follows = i > 0 && out.runs.back().factor == g.factor &&
+                         (g.factor == 0 || g.source == out.runs.back().source + out.runs.back().count);
+    if (follows)
+      ++out.runs.back().count;
+    else
+      out.runs.push_back({i, 1, g.source, g.factor});
   }
-  first.push_back(std::int32_t(runs.size()));
+  if (Run const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
+    out.runs.pop_back();
+    return run.factor == 0 ? std::int32_t(zero_row) : run.source;
+  }
+  out.first_run.push_back(std::int32_t(out.runs.size()));
+  return ~std::int32_t(out.first_run.size() - 2);
 }
 
 void Stencil::add_coefficients(BlockStencil& out, Block const& block,
@@ -96,7 +122,7 @@ void Stencil::add_coefficients(BlockStencil& out, Block const& block,
       bool const inside = j > 0 && j < ny - 1 && k > 0 && k < nz - 1;
       if (inside)
         if (auto const known = inner.find({lower, upper}); known != inner.end()) {
-          out.coefficients.push_back(known->second);
+          out.rows[row].coefficients = known->second;
           continue;
         }
       diagonal.assign(std::size_t(nx), plain);
@@ -112,7 +138,7 @@ void Stencil::add_coefficients(BlockStencil& out, Block const& block,
       if (k == nz - 1) subtract(2, 1, j);
       std::int32_t const start = pooled(block, diagonal);
       if (inside) inner[{lower, upper}] = start;
-      out.coefficients.push_back(start);
+      out.rows[row].coefficients = start;
     }
 }
 
@@ -135,12 +161,9 @@ std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diago
 
 std::size_t Stencil::bytes() const {
   std::size_t sum = pool_.size() * sizeof(float);
-  for (BlockStencil const& b : blocks_) {
-    sum += (b.x[0].size() + b.x[1].size()) * sizeof(Ghost) + b.coefficients.size() * sizeof(std::int32_t);
-    for (int axis = 0; axis < 2; ++axis)
-      for (int side = 0; side < 2; ++side)
-        sum += b.runs[axis][side].size() * sizeof(Run) + b.first_run[axis][side].size() * sizeof(std::int32_t);
-  }
+  for (BlockStencil const& b : blocks_)
+    sum += b.rows.capacity() * sizeof(RowStencil) + b.runs.capacity() * sizeof(Run) +
+           b.first_run.capacity() * sizeof(std::int32_t);
   return sum;
 }
 

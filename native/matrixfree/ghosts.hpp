@@ -28,7 +28,7 @@ struct Ends {
   std::function<Real(Index3 const&, int, int)> more = nullptr;
 };
 
-/// A run of ghosts along x: factor * e[source + i] for `count` cells from `place` on.
+/// A run of values of a row: factor * e[source + i] for `count` cells from `place` on.
 struct Run {
   std::int32_t place, count;
   std::int32_t source;
@@ -39,12 +39,19 @@ inline Real smallest_spacing(Level const& level) {
   return std::min({level.spacing()[0], level.spacing()[1], level.spacing()[2]});
 }
 
+/// What the cells of a row along x meet. The row on a side is a piece of memory, or composed of runs.
+struct RowStencil {
+  std::array<std::int32_t, 4> beside;  ///< y below, above, z below, above: the place in a Vector, or ~(composed row)
+  std::array<std::int32_t, 2> end;     ///< places of the values before the first and after the last cell
+  std::array<float, 2> factor;         ///< of these
+  std::int32_t coefficients;           ///< where the row's coefficients start
+};
+
 /// All about a block that its sweeps need besides e and r.
 struct BlockStencil {
-  std::array<std::vector<Ghost>, 2> x;                                ///< [side][j + ny k]
-  std::array<std::array<std::vector<Run>, 2>, 2> runs;                ///< [y or z][side]
-  std::array<std::array<std::vector<std::int32_t>, 2>, 2> first_run;  ///< row t: [first_run[t], first_run[t + 1])
-  std::vector<std::int32_t> coefficients;  ///< [j + ny k]: where the row's coefficients start
+  std::vector<RowStencil> rows;         ///< [j + ny k]
+  std::vector<Run> runs;                ///< of composed rows
+  std::vector<std::int32_t> first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
 };
 
 /// The operator h² (Laplacian of a level as if nothing finer existed), h the smallest spacing, over the blocks of a
@@ -70,7 +77,9 @@ class Stencil {
  private:
   static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
                                    int axis, int side);
-  static void add_runs(BlockStencil& out, Block const& block, int axis, int side, std::vector<Ghost> const& ghosts);
+  static void add_rows(BlockStencil& out, Layout const& layout, Block const& block,
+                       std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
+  static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row);
   void add_coefficients(BlockStencil& out, Block const& block,
                         std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
   std::int32_t pooled(Block const& block, std::vector<float> const& diagonal);

@@ -78,7 +78,10 @@ Layout::Layout(Level const& level, int depth)
     copies.push_back(part);
   }
   for (Box const& box : joined(copies)) add(box);
-  size_ += 64;  // a vector that starts in the last row may reach beyond it
+  std::ptrdiff_t longest = 0;
+  for (Block const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
+  zero_row_ = std::ptrdiff_t(size_);
+  size_ += std::size_t(longest) + 64;  // a vector that starts in the last row may reach beyond it
 
   for (Box const& box : own)
     for (std::size_t b = 0; b < own_blocks_; ++b)

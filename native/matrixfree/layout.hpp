@@ -50,6 +50,8 @@ class Layout {
   Rectangle halo_place(Halo const& halo) const;
 
   std::size_t size() const { return size_; }  ///< of a Vector that holds the level
+  /// Place of a row that belongs to no cell and stays zero.
+  std::ptrdiff_t zero_row() const { return zero_row_; }
   Rectangle box(int b) const {
     return boxes_[std::size_t(b - first_box_)];
   }  ///< of this rank, by its number on the level
@@ -83,6 +85,7 @@ class Layout {
   int first_box_;
   std::vector<Block> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;
+  std::ptrdiff_t zero_row_ = 0;
   std::vector<Halo> halo_;
   std::vector<Rectangle> boxes_;
   int first_plane_ = 0;

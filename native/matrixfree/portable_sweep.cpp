@@ -22,53 +22,46 @@ struct RowView {
   }
 };
 
-/// The row behind a face, put together in scratch memory by the whole team.
-float const* ghost_row(Member const& team, Plane const& p, int axis, int side, int t, float const* e,
-                       Scratch const& buffer) {
-  auto const& runs = p.ghosts.runs[std::size_t(axis - 1)][std::size_t(side)];
-  auto const& first = p.ghosts.first_run[std::size_t(axis - 1)][std::size_t(side)];
-  for (std::int32_t r = first[std::size_t(t)]; r < first[std::size_t(t) + 1]; ++r) {
-    Run const run = runs[std::size_t(r)];
-    Kokkos::parallel_for(Kokkos::TeamVectorRange(team, run.count),
-                         [&](int i) { buffer(run.place + i) = run.factor * e[run.source + i]; });
+/// The row beside another one: in place, or put together in scratch memory by the whole team.
+float const* row_beside(Member const& team, Plane const& p, std::int32_t beside, float const* e,
+                        Scratch const& buffer) {
+  if (beside >= 0) return e + beside;
+  std::int32_t const* const run = &p.ghosts.first_run[std::size_t(~beside)];
+  for (std::int32_t n = run[0]; n < run[1]; ++n) {
+    Run const r = p.ghosts.runs[std::size_t(n)];
+    Kokkos::parallel_for(Kokkos::TeamVectorRange(team, r.count),
+                         [&](int i) { buffer(r.place + i) = r.factor * e[r.source + i]; });
   }
   team.team_barrier();
   return buffer.data();
 }
 
+RowStencil const& stencil_of(Plane const& p, int j) {
+  return p.ghosts.rows[std::size_t(j + p.block.box.extent(1) * p.number())];
+}
+
+Policy policy(Plane const& p) { return Policy(p.block.box.extent(1), Kokkos::AUTO); }
+
 /// Run f(team, row number j, row) for the rows of a plane, each by a team.
 template <class F>
 void for_each_row(Plane const& p, float const* e, F const& f) {
-  int const nx = p.block.box.extent(0), ny = p.block.box.extent(1), nz = p.block.box.extent(2);
-  int const k = p.k - p.block.box.lower[2];
+  int const nx = p.block.box.extent(0);
   std::size_t const bytes = 4 * Scratch::shmem_size(std::size_t(nx));
-  Kokkos::parallel_for(
-      "rows", Policy(ny, Kokkos::AUTO).set_scratch_size(0, Kokkos::PerTeam(int(bytes))), [&](Member const& team) {
-        int const j = team.league_rank();
-        Rectangle const& cells = p.block.cells;
-        std::array<Scratch, 4> buffer;
-        for (Scratch& b : buffer) b = Scratch(team.team_scratch(0), std::size_t(nx));
-        RowView row;
-        row.n = nx;
-        row.here = e + cells.place(0, j, k);
-        row.y_below = j > 0 ? row.here - cells.pitch_y : ghost_row(team, p, 1, 0, k, e, buffer[0]);
-        row.y_above = j + 1 < ny ? row.here + cells.pitch_y : ghost_row(team, p, 1, 1, k, e, buffer[1]);
-        row.z_below = k > 0 ? row.here - cells.pitch_z : ghost_row(team, p, 2, 0, j, e, buffer[2]);
-        row.z_above = k + 1 < nz ? row.here + cells.pitch_z : ghost_row(team, p, 2, 1, j, e, buffer[3]);
-        Ghost const &low = p.ghosts.x[0][std::size_t(j + ny * k)], &high = p.ghosts.x[1][std::size_t(j + ny * k)];
-        row.left = low.factor * e[low.source];
-        row.right = high.factor * e[high.source];
-        f(team, j, row);
-      });
+  Kokkos::parallel_for("rows", policy(p).set_scratch_size(0, Kokkos::PerTeam(int(bytes))), [&](Member const& team) {
+    int const j = team.league_rank();
+    RowStencil const& s = stencil_of(p, j);
+    std::array<float const*, 4> beside;
+    for (std::size_t side = 0; side < 4; ++side)
+      beside[side] = row_beside(team, p, s.beside[side], e, Scratch(team.team_scratch(0), std::size_t(nx)));
+    f(team, j,
+      RowView{e + p.block.cells.place(0, j, p.number()), beside[0], beside[1], beside[2], beside[3],
+              s.factor[0] * e[s.end[0]], s.factor[1] * e[s.end[1]], nx});
+  });
 }
 
 /// Parity of the places in a row whose cells have a colour.
 int parity(Plane const& p, int j, int colour) {
   return (colour + p.block.box.lower[0] + p.block.box.lower[1] + j + p.k) & 1;
-}
-
-std::int32_t coefficients(Plane const& p, int j) {
-  return p.ghosts.coefficients[std::size_t(j + p.block.box.extent(1) * (p.k - p.block.box.lower[2]))];
 }
 
 Kokkos::Array<float, 3> weights(Plane const& p) {
@@ -79,11 +72,12 @@ Kokkos::Array<float, 3> weights(Plane const& p) {
 }  // namespace
 
 void relax_from_zero(Plane const& p, int colour, float const* r, float* e) {
-  int const k = p.k - p.block.box.lower[2];
-  Kokkos::parallel_for("relax from zero", Policy(p.block.box.extent(1), Kokkos::AUTO), [&](Member const& team) {
+  int const k = p.number();
+  Kokkos::parallel_for("relax from zero", policy(p), [&](Member const& team) {
     int const j = team.league_rank();
     std::ptrdiff_t const row = p.block.cells.place(0, j, k);
-    float const* const step = p.stencil.step(coefficients(p, j), p.block.cells.pitch_y, parity(p, j, colour));
+    float const* const step =
+        p.stencil.step(stencil_of(p, j).coefficients, p.block.cells.pitch_y, parity(p, j, colour));
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)),
                          [&](int i) { e[row + i] = -step[i] * r[row + i]; });
   });
@@ -94,7 +88,7 @@ void relax(Plane const& p, int colour, float const* r, float* e) {
   float const keep = p.stencil.keep();
   for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
     int const odd = parity(p, j, colour);
-    float const* const step = p.stencil.step(coefficients(p, j), p.block.cells.pitch_y, odd);
+    float const* const step = p.stencil.step(stencil_of(p, j).coefficients, p.block.cells.pitch_y, odd);
     float* const here = e + (row.here - e);
     float const* const right_hand_side = r + (row.here - e);
     // cells of one colour read none of their own, so any order gives the same
@@ -108,13 +102,13 @@ void relax(Plane const& p, int colour, float const* r, float* e) {
 void restrict_residual(Plane const& p, float const* r, float const* e, Parents const& parents, float share,
                        float* coarse) {
   auto const weight = weights(p);
-  int const k = p.k - p.block.box.lower[2];
+  int const k = p.number();
   Index3 const ratio = parents.ratio;
   // rows that share parents, one after the other
   for (int offset = 0; offset < ratio[1]; ++offset)
     for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
       if (j % ratio[1] != offset) return;
-      float const* const diagonal = p.stencil.diagonal(coefficients(p, j));
+      float const* const diagonal = p.stencil.diagonal(stencil_of(p, j).coefficients);
       float const* const right_hand_side = r + (row.here - e);
       float* const to = coarse + parents.cells.place(0, j / ratio[1], k / ratio[2]);
       bool const set = offset == 0 && k % ratio[2] == 0;
@@ -128,10 +122,10 @@ void restrict_residual(Plane const& p, float const* r, float const* e, Parents c
 }
 
 void prolong(Plane const& p, Parents const& parents, float const* coarse, float* e) {
-  int const k = p.k - p.block.box.lower[2];
+  int const k = p.number();
   Index3 const ratio = parents.ratio;
   std::array<std::ptrdiff_t, 3> const stride{1, parents.cells.pitch_y, parents.cells.pitch_z};
-  Kokkos::parallel_for("prolong", Policy(p.block.box.extent(1), Kokkos::AUTO), [&](Member const& team) {
+  Kokkos::parallel_for("prolong", policy(p), [&](Member const& team) {
     int const j = team.league_rank();
     float* const row = e + p.block.cells.place(0, j, k);
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)), [&](int i) {

@@ -8,12 +8,14 @@ namespace amrpic::matrixfree {
 /// scratch memory. They run on whatever Kokkos' host space was built for; a test holds both forms to the same answer.
 namespace portable {
 
-/// All that a kernel reads of a plane of a block.
+/// A plane of a block, and all that a kernel reads of it.
 struct Plane {
   Block const& block;
   BlockStencil const& ghosts;
   Stencil const& stencil;
   int k;  ///< in the level's indices
+
+  int number() const { return k - block.box.lower[2]; }  ///< in the block
 };
 
 void relax_from_zero(Plane const& plane, int colour, float const* r, float* e);

@@ -11,7 +11,7 @@ namespace amrpic::matrixfree {
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
 struct Row {
   float* here;
-  float const *y_below, *y_above, *z_below, *z_above;
+  std::array<float const*, 4> beside;  ///< y below, above, z below, above
   float left, right;
   int vectors;  ///< of N cells
   int last;     ///< lane of the last cell in the last vector
@@ -22,21 +22,24 @@ template <int N, bool isotropic, class F>
 inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, F&& f) {
   using L = Lanes<N>;
   typename L::Type before = all<N>(row.left), here = load<N>(row.here);
-  for (int v = 0; v < row.vectors; ++v) {
-    bool const at_end = v + 1 == row.vectors;
-    typename L::Type const after = at_end ? all<N>(row.right) : load<N>(row.here + (v + 1) * N);
-    typename L::Type right = L::from_right(here, after);
-    if (at_end) right = L::numbers == row.last ? after : right;
+  auto act = [&](int v, typename L::Type const& right) {
     typename L::Type const x = L::from_left(before, here) + right;
-    typename L::Type const y = load<N>(row.y_below + v * N) + load<N>(row.y_above + v * N);
-    typename L::Type const z = load<N>(row.z_below + v * N) + load<N>(row.z_above + v * N);
+    typename L::Type const y = load<N>(row.beside[0] + v * N) + load<N>(row.beside[1] + v * N);
+    typename L::Type const z = load<N>(row.beside[2] + v * N) + load<N>(row.beside[3] + v * N);
     if constexpr (isotropic)
-      f(v, here, x + y + z);
+      f(v, here, x + (y + z));
     else
       f(v, here, weight[0] * x + weight[1] * y + weight[2] * z);
+  };
+  int const end = row.vectors - 1;
+  for (int v = 0; v < end; ++v) {
+    typename L::Type const after = load<N>(row.here + (v + 1) * N);
+    act(v, L::from_right(here, after));
     before = here;
     here = after;
   }
+  typename L::Type const after = all<N>(row.right);
+  act(end, L::numbers == row.last ? after : L::from_right(here, after));
 }
 
 /// One colour of a row relaxed: e = keep e + step (sum - r); `step` is zero in the other colour, of which `parity`

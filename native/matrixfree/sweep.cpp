@@ -21,46 +21,42 @@ Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)
   for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 64);
 }
 
-/// The row behind a face, without the part of the cell before the face: in place if it is one piece of another block's
-/// row, else put together in `buffer`.
-float const* Sweep::ghost_row(std::size_t block, int axis, int side, int t, float const* e, float* buffer) const {
-  BlockStencil const& s = stencil_.block(block);
-  auto const& runs = s.runs[std::size_t(axis - 1)][std::size_t(side)];
-  auto const& first = s.first_run[std::size_t(axis - 1)][std::size_t(side)];
-  Run const* run = &runs[std::size_t(first[std::size_t(t)])];
-  Run const* const end = &runs[0] + first[std::size_t(t) + 1];
-  if (run + 1 == end && run->factor == 1) return e + run->source;
-  for (; run < end; ++run) {
-    float const factor = run->factor;
-    float const* const from = e + run->source;
-    float* const to = buffer + run->place;
-    for (int i = 0; i < run->count; ++i) to[i] = factor * from[i];
+/// A row beside another one that is composed of runs, put together in a buffer.
+float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const {
+  std::int32_t const* const run = &stencil.first_run[std::size_t(~beside)];
+  for (std::int32_t n = run[0]; n < run[1]; ++n) {
+    Run const& r = stencil.runs[std::size_t(n)];
+    float const factor = r.factor;
+    float const* const from = e + r.source;
+    float* const to = buffer.data() + r.place;
+    for (int i = 0; i < r.count; ++i) to[i] = factor * from[i];
   }
-  return buffer;
+  return buffer.data();
 }
 
-/// Call f(row, j, number of the row in the block) for the rows of a plane; `alternating`: first every second one, so
-/// that what one row stores has left the store buffer when the next but one reads it.
+/// Call f(row, j, its stencil) for the rows of a plane; `alternating`: first every second one, so that what one row
+/// stores has left the store buffer when the next but one reads it.
 template <class F>
 void Sweep::for_each_row(std::size_t block, int k, float* e, bool alternating, F&& f) const {
   Block const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
-  int const ny = b.box.extent(1), nz = b.box.extent(2), plane = k - b.box.lower[2];
+  int const ny = b.box.extent(1), plane = k - b.box.lower[2], stride = alternating ? 2 : 1;
+  RowStencil const* const rows = &s.rows[std::size_t(ny * plane)];
+  float* const first = e + b.cells.place(0, 0, plane);
   Row row;
   row.vectors = b.vectors();
   row.last = (b.box.extent(0) - 1) % b.lanes;
-  auto buffer = [&](std::size_t n) { return buffer_[n].data(); };
-  for (int start = 0; start < (alternating ? 2 : 1); ++start)
-    for (int j = start; j < ny; j += alternating ? 2 : 1) {
-      row.here = e + b.cells.place(0, j, plane);
-      row.y_below = j > 0 ? row.here - b.cells.pitch_y : ghost_row(block, 1, 0, plane, e, buffer(0));
-      row.y_above = j < ny - 1 ? row.here + b.cells.pitch_y : ghost_row(block, 1, 1, plane, e, buffer(1));
-      row.z_below = plane > 0 ? row.here - b.cells.pitch_z : ghost_row(block, 2, 0, j, e, buffer(2));
-      row.z_above = plane < nz - 1 ? row.here + b.cells.pitch_z : ghost_row(block, 2, 1, j, e, buffer(3));
-      std::size_t const number = std::size_t(j + ny * plane);
-      row.left = s.x[0][number].factor * e[s.x[0][number].source];
-      row.right = s.x[1][number].factor * e[s.x[1][number].source];
-      f(row, j, number);
+  for (int start = 0; start < stride; ++start)
+    for (int j = start; j < ny; j += stride) {
+      RowStencil const& at = rows[j];
+      row.here = first + j * b.cells.pitch_y;
+      for (std::size_t side = 0; side < 4; ++side) row.beside[side] = e + at.beside[side];
+      if ((at.beside[0] | at.beside[1] | at.beside[2] | at.beside[3]) < 0)
+        for (std::size_t side = 0; side < 4; ++side)
+          if (at.beside[side] < 0) row.beside[side] = composed(s, at.beside[side], e, buffer_[side]);
+      row.left = at.factor[0] * e[at.end[0]];
+      row.right = at.factor[1] * e[at.end[1]];
+      f(row, j, at);
     }
 }
 
@@ -82,51 +78,48 @@ int parity(Block const& b, int j, int k, int colour) { return (colour + b.box.lo
 }  // namespace
 
 void Sweep::relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
-  if (kernels_ == Kernels::portable)
-    return portable::relax_from_zero({layout_.blocks()[block], stencil_.block(block), stencil_, k}, colour, r.data(),
-                                     e.data());
   Block const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
-  int const ny = b.box.extent(1), plane = k - b.box.lower[2];
+  if (kernels_ == Kernels::portable) return portable::relax_from_zero({b, s, stencil_, k}, colour, r.data(), e.data());
+  int const plane = k - b.box.lower[2];
+  int const ny = b.box.extent(1);
+  RowStencil const* const rows = &s.rows[std::size_t(ny * plane)];
   with_kind(b.lanes, true, [&](auto n, auto) {
     for (int j = 0; j < ny; ++j) {
       std::ptrdiff_t const place = b.cells.place(0, j, plane);
-      std::int32_t const coefficients = s.coefficients[std::size_t(j + ny * plane)];
-      matrixfree::relax_from_zero<n()>(&e[std::size_t(place)], &r[std::size_t(place)],
-                                       stencil_.step(coefficients, b.cells.pitch_y, parity(b, j, k, colour)),
+      matrixfree::relax_from_zero<n()>(e.data() + place, r.data() + place,
+                                       stencil_.step(rows[j].coefficients, b.cells.pitch_y, parity(b, j, k, colour)),
                                        b.vectors());
     }
   });
 }
 
 void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
-  if (kernels_ == Kernels::portable)
-    return portable::relax({layout_.blocks()[block], stencil_.block(block), stencil_, k}, colour, r.data(), e.data());
   Block const& b = layout_.blocks()[block];
-  BlockStencil const& s = stencil_.block(block);
+  if (kernels_ == Kernels::portable)
+    return portable::relax({b, stencil_.block(block), stencil_, k}, colour, r.data(), e.data());
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, e.data(), true, [&](Row const& row, int j, std::size_t number) {
+    for_each_row(block, k, e.data(), true, [&](Row const& row, int j, RowStencil const& s) {
       int const odd = parity(b, j, k, colour);
       matrixfree::relax<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - e.data()),
-                                          stencil_.step(s.coefficients[number], b.cells.pitch_y, odd), stencil_.keep(),
-                                          odd);
+                                          stencil_.step(s.coefficients, b.cells.pitch_y, odd), stencil_.keep(), odd);
     });
   });
 }
 
-void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector& e, Parents const& parents, float share,
-                              Vector& coarse) const {
-  if (kernels_ == Kernels::portable)
-    return portable::restrict_residual({layout_.blocks()[block], stencil_.block(block), stencil_, k}, r.data(),
-                                       e.data(), parents, share, coarse.data());
+void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
+                              float share, Vector& coarse) const {
   Block const& b = layout_.blocks()[block];
-  BlockStencil const& s = stencil_.block(block);
+  if (kernels_ == Kernels::portable)
+    return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, share,
+                                       coarse.data());
   int const plane = k - b.box.lower[2];
   float* const left = buffer_[4].data();
+  float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, e.data(), false, [&](Row const& row, int j, std::size_t number) {
-      residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - e.data()),
-                                 stencil_.diagonal(s.coefficients[number]), left);
+    for_each_row(block, k, values, false, [&](Row const& row, int j, RowStencil const& s) {
+      residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
+                                 stencil_.diagonal(s.coefficients), left);
       bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;
       float* const to = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
       restrict_row<n()>(left, b.box.extent(0) / parents.ratio[0], parents.ratio[0], share, set, to);
@@ -135,33 +128,29 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector&
 }
 
 void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, Vector& e) const {
-  if (kernels_ == Kernels::portable)
-    return portable::prolong({layout_.blocks()[block], stencil_.block(block), stencil_, k}, parents, coarse.data(),
-                             e.data());
   Block const& b = layout_.blocks()[block];
-  int const plane = k - b.box.lower[2], ny = b.box.extent(1);
+  if (kernels_ == Kernels::portable)
+    return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), e.data());
+  int const plane = k - b.box.lower[2];
   // a fine row lies between its parents' row and the next one on its own side
   auto other = [](int fine, int ratio) { return ratio == 1 ? 0 : fine % 2 == 0 ? -1 : 1; };
-  for (int j = 0; j < ny; ++j) {
-    CoarseRows rows;
-    rows.count = 0;
-    int const y = other(j, parents.ratio[1]), z = other(plane, parents.ratio[2]);
-    float const* const here = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
-    for (int far_z = 0; far_z <= (z != 0); ++far_z)
-      for (int far_y = 0; far_y <= (y != 0); ++far_y) {
-        rows.row[std::size_t(rows.count)] =
-            here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
-        rows.share[std::size_t(rows.count)] = (y == 0  ? 1.0f
-                                               : far_y ? 0.25f
-                                                       : 0.75f) *
-                                              (z == 0  ? 1.0f
-                                               : far_z ? 0.25f
-                                                       : 0.75f);
-        ++rows.count;
-      }
-    float* const to = &e[std::size_t(b.cells.place(0, j, plane))];
-    with_kind(b.lanes, true, [&](auto n, auto) { prolong_row<n()>(rows, parents.ratio[0], b.vectors(), to); });
-  }
+  auto share = [](int toward, int far) { return toward == 0 ? 1.0f : far ? 0.25f : 0.75f; };
+  int const z = other(plane, parents.ratio[2]);
+  with_kind(b.lanes, true, [&](auto n, auto) {
+    for (int j = 0; j < b.box.extent(1); ++j) {
+      int const y = other(j, parents.ratio[1]);
+      float const* const here = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
+      CoarseRows from;
+      from.count = 0;
+      for (int far_z = 0; far_z <= (z != 0); ++far_z)
+        for (int far_y = 0; far_y <= (y != 0); ++far_y, ++from.count) {
+          from.row[std::size_t(from.count)] =
+              here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
+          from.share[std::size_t(from.count)] = share(y, far_y) * share(z, far_z);
+        }
+      prolong_row<n()>(from, parents.ratio[0], b.vectors(), &e[std::size_t(b.cells.place(0, j, plane))]);
+    }
+  });
 }
 
 }  // namespace amrpic::matrixfree

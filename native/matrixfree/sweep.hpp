@@ -36,8 +36,8 @@ class Sweep {
 
   /// The plane's share in the coarse right-hand side: `share` times the sum of the children's residuals. The first of
   /// the planes that share parents sets, the others add.
-  void restrict_residual(std::size_t block, int k, Vector const& r, Vector& e, Parents const& parents, float share,
-                         Vector& coarse) const;
+  void restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
+                         float share, Vector& coarse) const;
 
   /// Add the coarse correction, interpolated trilinearly along the axes of ratio 2; coarse cells around the block's
   /// parents must hold what lies there.
@@ -46,12 +46,12 @@ class Sweep {
  private:
   template <class F>
   void for_each_row(std::size_t block, int k, float* e, bool alternating, F&& f) const;
-  float const* ghost_row(std::size_t block, int axis, int side, int t, float const* e, float* buffer) const;
+  float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const;
 
   Layout const& layout_;
   Stencil const& stencil_;
   Kernels kernels_;
-  mutable std::array<Vector, 5> buffer_;  ///< rows behind the four faces, and a residual
+  mutable std::array<Vector, 5> buffer_;  ///< rows beside a row, and a residual
 };
 
 }  // namespace amrpic::matrixfree

@@ -179,7 +179,7 @@ class PoissonSolver:
         phi = guess.copy() if guess is not None else Field(self.hierarchy)
         phi.unit = "V"
         try:
-            report = self.native.solve(rho.native, phi.native)
+            report = self.native.solve(rho.native, phi.native, guess is None)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
         return phi, SolveReport(

@@ -356,10 +356,7 @@ Real CompositeLaplacian::residual(Source const& source, Field const& phi, Norm n
       write_plane(l, b, k, scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)]);
     }
   });
-  for_each_box([&](int l, int b) {
-    for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); ++k)
-      write_plane(l, b, k, 0, residual[std::size_t(l)][std::size_t(b)]);
-  });
+  clear_hidden(residual);
   return global_norm(hierarchy_->comm(), norm, magnitude.part());
 }
 template Real CompositeLaplacian::residual(Source const&, Field const&, Norm, std::vector<Real> const&,
@@ -367,29 +364,52 @@ template Real CompositeLaplacian::residual(Source const&, Field const&, Norm, st
 template Real CompositeLaplacian::residual(Source const&, Field const&, Norm, std::vector<Real> const&,
                                            Blocks<Real> const&);
 
-/// Call use(level, cells) after fill(level, box, plane) for each plane of the boxes with uncovered cells.
+/// Zeros into the boxes without uncovered cells.
+template <class T>
+void CompositeLaplacian::clear_hidden(Blocks<T> const& blocks) {
+  for_each_box([&](int l, int b) {
+    for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); ++k)
+      write_plane(l, b, k, 0, blocks[std::size_t(l)][std::size_t(b)]);
+  });
+}
+
+/// Call use(level, box, plane, cells) after fill(level, box, plane) for each plane of the boxes with uncovered cells.
 template <class Fill, class Use>
 void CompositeLaplacian::for_each_plane(Fill&& fill, Use&& use) {
   for_each_box([&](int l, int b) {
     if (plan(l, b).hidden) return;
     for (int k = 0; k < box(l, b).extent(2); ++k) {
       fill(l, b, k);
-      use(l, std::ptrdiff_t(box(l, b).extent(0)) * box(l, b).extent(1));
+      use(l, b, k, std::ptrdiff_t(box(l, b).extent(0)) * box(l, b).extent(1));
     }
   });
 }
 
+template <class T>
+Real CompositeLaplacian::residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale,
+                                          Blocks<T> const& residual) {
+  kernels::Magnitude magnitude(norm);
+  for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
+                 [&](int l, int b, int k, std::ptrdiff_t n) {
+                   magnitude.add(plane_.data(), n, volume(l));
+                   write_plane(l, b, k, scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)]);
+                 });
+  clear_hidden(residual);
+  return global_norm(hierarchy_->comm(), norm, magnitude.part());
+}
+template Real CompositeLaplacian::residual_of_zero(Source const&, Norm, std::vector<Real> const&, Blocks<float> const&);
+
 Real CompositeLaplacian::right_hand_side_norm(Source const& source, Norm norm) {
   kernels::Magnitude magnitude(norm);
   for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
-                 [&](int l, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, volume(l)); });
+                 [&](int l, int, int, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, volume(l)); });
   return global_norm(hierarchy_->comm(), norm, magnitude.part());
 }
 
 CompositeLaplacian::Integrals CompositeLaplacian::integrate_right_hand_side(Source const& source) {
   Real sums[2] = {0, 0};
   for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
-                 [&](int l, std::ptrdiff_t n) {
+                 [&](int l, int, int, std::ptrdiff_t n) {
                    Real net = 0, size = 0;
                    for (std::ptrdiff_t i = 0; i < n; ++i) {
                      net += plane_[std::size_t(i)];
@@ -405,7 +425,7 @@ CompositeLaplacian::Integrals CompositeLaplacian::integrate_right_hand_side(Sour
 Real CompositeLaplacian::diagonal_norm(Field const& phi, Norm norm) {
   kernels::Magnitude magnitude(norm);
   for_each_plane([&](int l, int b, int k) { diagonal_plane(l, b, k, phi); },
-                 [&](int l, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, volume(l)); });
+                 [&](int l, int, int, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, volume(l)); });
   return global_norm(hierarchy_->comm(), norm, magnitude.part());
 }
 

@@ -59,6 +59,10 @@ class CompositeLaplacian {
   Real residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
                 Blocks<T> const& residual);
 
+  /// The same for a potential of zero: f less what the wall data add to the Laplacian. Collective.
+  template <class T>
+  Real residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale, Blocks<T> const& residual);
+
   /// Norm of f less what the wall data add to the Laplacian. Collective.
   Real right_hand_side_norm(Source const& source, Norm norm);
 
@@ -124,6 +128,8 @@ class CompositeLaplacian {
   void clear_covered(int l, int b, int k, Real* plane) const;
   template <class F>
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const;
+  template <class T>
+  void clear_hidden(Blocks<T> const& blocks);
   template <class F>
   void for_each_box(F&& f);
   template <class Fill, class Use>

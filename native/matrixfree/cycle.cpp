@@ -71,8 +71,9 @@ Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relax
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
     Relaxation const own = relaxation_of(relaxation, *stack_.levels[l]);
-    // a cycle of its own starts from a residual, which reads one cell further
-    int const halo = own.halo() + (stack_.refines(l) && has_long_cells(*stack_.levels[l]) ? 1 : 0);
+    // sweeps that do not start from zero, and a residual after them, read one cell further
+    bool const local = stack_.refines(l) && has_long_cells(*stack_.levels[l]);
+    int const halo = own.halo() + (local || one_level() ? 1 : 0);
     level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
@@ -94,20 +95,35 @@ Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relax
 
 void Cycle::run() {
   NoDenormals const guard;
-  cycle(levels_.size() - 1);
+  cycle(levels_.size() - 1, Guess::zero);
 }
 
-void Cycle::cycle(std::size_t l) {
+void Cycle::start() {
+  if (!one_level()) return run();
+  NoDenormals const guard;
+  for (std::size_t l = levels_.size() - 1; l > 0; --l) {
+    Vector& e = levels_[l].swept->correction();
+    std::fill(e.begin(), e.end(), 0.0f);
+    levels_[l].coarsening->sweep_and_restrict({});
+  }
+  solve_coarsest();
+  for (std::size_t l = 1; l < levels_.size(); ++l) {
+    levels_[l].swept->run(levels_[l].coarsening->prolongation());
+    cycle(l, Guess::correction);
+  }
+}
+
+void Cycle::cycle(std::size_t l, Guess guess) {
   if (l == 0) return solve_coarsest();
-  pre_smooth_and_restrict(levels_[l]);
-  cycle(l - 1);
+  pre_smooth_and_restrict(levels_[l], guess);
+  cycle(l - 1, Guess::zero);
   prolong_and_post_smooth(levels_[l]);
 }
 
-/// From a zero correction: smooth, then leave the right-hand side of the coarser level.
-void Cycle::pre_smooth_and_restrict(CycleLevel& level) {
-  level.swept->exchange_halo(false, true);
-  level.coarsening->sweep_and_restrict(level.swept->relaxations(relaxation_.pre_sweeps, true));
+/// Smooth, then leave the right-hand side of the coarser level.
+void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
+  level.swept->exchange_halo(guess == Guess::correction, true);
+  level.coarsening->sweep_and_restrict(level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero));
 }
 
 /// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own

@@ -1,8 +1,9 @@
 #pragma once
 
 #include <cstddef>
-#include <new>
 #include <vector>
+
+#include "base/large_array.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -10,12 +11,11 @@ namespace amrpic::matrixfree {
 template <class T>
 struct CacheLines {
   using value_type = T;
-  static constexpr std::align_val_t line{64};
   CacheLines() = default;
   template <class U>
   CacheLines(CacheLines<U> const&) {}
-  T* allocate(std::size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), line)); }
-  void deallocate(T* p, std::size_t) { ::operator delete(p, line); }
+  T* allocate(std::size_t n) { return static_cast<T*>(allocate_lines(n * sizeof(T))); }
+  void deallocate(T* block, std::size_t n) { deallocate_lines(block, n * sizeof(T)); }
   template <class U>
   bool operator==(CacheLines<U> const&) const {
     return true;

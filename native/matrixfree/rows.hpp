@@ -27,7 +27,7 @@ inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, 
     typename L::Type const y = load<N>(row.beside[0] + v * N) + load<N>(row.beside[1] + v * N);
     typename L::Type const z = load<N>(row.beside[2] + v * N) + load<N>(row.beside[3] + v * N);
     if constexpr (isotropic)
-      f(v, here, x + (y + z));
+      f(v, here, x + y + z);
     else
       f(v, here, weight[0] * x + weight[1] * y + weight[2] * z);
   };

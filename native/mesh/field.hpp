@@ -3,6 +3,7 @@
 #include <memory>
 #include <vector>
 
+#include "base/large_array.hpp"
 #include "mesh/hierarchy.hpp"
 
 namespace amrpic {
@@ -16,12 +17,12 @@ class Field {
   }
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   std::shared_ptr<Hierarchy const> share_hierarchy() const { return hierarchy_; }
-  std::vector<Real>& level(int l) { return values_[l]; }
-  std::vector<Real> const& level(int l) const { return values_[l]; }
+  LargeArray<Real>& level(int l) { return values_[l]; }
+  LargeArray<Real> const& level(int l) const { return values_[l]; }
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
-  std::vector<std::vector<Real>> values_;
+  std::vector<LargeArray<Real>> values_;
 };
 
 }  // namespace amrpic

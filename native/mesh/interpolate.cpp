@@ -13,7 +13,7 @@ namespace {
 class Reader {
  public:
   /// Collective.
-  Reader(MPI_Comm comm, Level const& level, std::vector<Box> const& regions, std::vector<Real> const& own)
+  Reader(MPI_Comm comm, Level const& level, std::vector<Box> const& regions, LargeArray<Real> const& own)
       : level_(level), exchange_(comm, level, remote(level, regions)), own_(own) {
     ghosts_.resize(std::size_t(exchange_.ghosts()));
     exchange_.update({own_.data()}, {ghosts_.data()});
@@ -41,7 +41,7 @@ class Reader {
 
   Level const& level_;
   Exchange exchange_;
-  std::vector<Real> const& own_;
+  LargeArray<Real> const& own_;
   std::vector<Real> ghosts_;
 };
 
@@ -107,8 +107,8 @@ void interpolate(Level const& coarser, Window<Real> const& around, Box const& bo
 }
 
 /// Copy the cells of a level that the old hierarchy has too; 1 for each cell of this rank that it lacks. Collective.
-std::vector<char> copy_former(MPI_Comm comm, Level const& level, Level const& former, std::vector<Real> const& from,
-                              std::vector<Real>& to) {
+std::vector<char> copy_former(MPI_Comm comm, Level const& level, Level const& former, LargeArray<Real> const& from,
+                              LargeArray<Real>& to) {
   std::vector<char> is_new(to.size(), 1);
   Reader const read(comm, former, local_boxes(level), from);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
@@ -121,8 +121,8 @@ std::vector<char> copy_former(MPI_Comm comm, Level const& level, Level const& fo
 }
 
 /// Interpolate the cells of a level that the old hierarchy lacks, from the finished next coarser level. Collective.
-void fill_new(MPI_Comm comm, Level const& level, Level const& coarser, std::vector<Real> const& from,
-              std::vector<char> const& is_new, std::vector<Real>& to) {
+void fill_new(MPI_Comm comm, Level const& level, Level const& coarser, LargeArray<Real> const& from,
+              std::vector<char> const& is_new, LargeArray<Real>& to) {
   std::vector<int> boxes;  // of this rank, with newly refined cells
   std::vector<Box> parents;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {

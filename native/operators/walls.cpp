@@ -43,7 +43,7 @@ void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Real3
 }
 
 void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
-                  std::vector<char> const& uncovered, bool which, std::vector<Real>& e) {
+                  std::vector<char> const& uncovered, bool which, Real* e) {
   for (std::size_t i = 0; i < walls.faces.size(); ++i) {
     auto const& face = walls.faces[i];
     if (face.axis != axis || bool(uncovered[face.row]) != which) continue;

@@ -31,6 +31,6 @@ void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Real3
 
 /// e += what the data add to -grad phi along an axis, in cells whose entry in `uncovered` is `which`.
 void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, int axis,
-                  std::vector<char> const& uncovered, bool which, std::vector<Real>& e);
+                  std::vector<char> const& uncovered, bool which, Real* e);
 
 }  // namespace amrpic

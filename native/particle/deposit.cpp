@@ -179,7 +179,7 @@ void add_coarse_tile(CloudTiles& tiles, CoarseCells const& at, Real per_cell, Ce
 /// Charge of this rank's particles on the cells of a level, and on ghosts that are to be given to their owners.
 class Layer {
  public:
-  Layer(Exchange const& exchange, std::vector<Real>& own)
+  Layer(Exchange const& exchange, LargeArray<Real>& own)
       : exchange_(&exchange), own_(own.data()), ghosts_(std::size_t(exchange.ghosts()), Real(0)) {}
   Cells cells() { return {own_, ghosts_.data(), exchange_->owned()}; }
   void fold() const { exchange_->fold({own_}, {ghosts_.data()}); }

@@ -29,8 +29,8 @@ class Backend {
   virtual void subtract_from_right_hand_side(Real mean) = 0;
   virtual Real right_hand_side_norm() = 0;
 
-  /// Take phi, which holds the first guess (V), to be improved until `finish`.
-  virtual void start(Field& phi) = 0;
+  /// Take phi, which holds the first guess (V), to be improved until `finish`; `is_zero`: nothing but zeros.
+  virtual void start(Field& phi, bool is_zero) = 0;
   /// The norm of the residual, which the next cycle will reduce.
   virtual Real residual() = 0;
   virtual void improve() = 0;

@@ -112,7 +112,7 @@ void CrsBackend::set_right_hand_side(Field const& rho) {
   }
 }
 
-void CrsBackend::start(Field& phi) {
+void CrsBackend::start(Field& phi, bool /*is_zero*/) {
   result_ = &phi;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
@@ -227,7 +227,7 @@ void CrsBackend::electric_field(Field const& phi, std::array<Field*, 3> const& c
       multiply(o.gradient[axis].own, phi_[l].data(), e.data());
       if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, phi_[l - 1].data(), e.data());
       if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, phi_[l + 1].data(), e.data());
-      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, true, e);
+      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, true, e.data());
     }
   }
   transfer_.average_down({components.begin(), components.end()});
@@ -250,7 +250,7 @@ void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
       gradient.for_each_row([&](LocalIndex row) {
         if (!o.uncovered[row]) e[row] = gradient.dot(row, phi_[l].data());
       });
-      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, false, e);
+      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, false, e.data());
     }
 }
 

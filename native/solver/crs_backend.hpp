@@ -21,7 +21,7 @@ class CrsBackend : public Backend {
   void subtract_from_right_hand_side(Real mean) override;
   Real right_hand_side_norm() override;
 
-  void start(Field& phi) override;
+  void start(Field& phi, bool is_zero) override;
   Real residual() override;
   void improve() override;
   Real largest_correction() override;

@@ -64,21 +64,27 @@ Real MatrixFreeBackend::right_hand_side_norm() {
                                             : composite_.right_hand_side_norm(*source_, problem_.options.norm);
 }
 
-void MatrixFreeBackend::start(Field& phi) {
+void MatrixFreeBackend::start(Field& phi, bool is_zero) {
   phi_ = &phi;
-  composite_.average_down(phi);
+  phi_is_zero_ = is_zero;
+  is_first_cycle_ = true;
+  if (!is_zero) composite_.average_down(phi);
 }
 
 Real MatrixFreeBackend::residual() {
   Real out = 0;
-  stopwatch_.time("residual",
-                  [&] { out = composite_.residual(*source_, *phi_, problem_.options.norm, scale_, residual_); });
+  stopwatch_.time("residual", [&] {
+    Norm const norm = problem_.options.norm;
+    out = phi_is_zero_ ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
+                       : composite_.residual(*source_, *phi_, norm, scale_, residual_);
+  });
   return out;
 }
 
 void MatrixFreeBackend::improve() {
-  stopwatch_.time("cycle", [&] { cycle_.run(); });
+  stopwatch_.time("cycle", [&] { is_first_cycle_ ? cycle_.start() : cycle_.run(); });
   stopwatch_.time("correction", [&] { composite_.add(correction_, unit_, *phi_); });
+  phi_is_zero_ = is_first_cycle_ = false;
 }
 
 /// Largest magnitude on all levels of a vector of the cycle, over the scale of each level.

@@ -19,7 +19,7 @@ class MatrixFreeBackend : public Backend {
   void subtract_from_right_hand_side(Real mean) override;
   Real right_hand_side_norm() override;
 
-  void start(Field& phi) override;
+  void start(Field& phi, bool is_zero) override;
   Real residual() override;
   void improve() override;
   Real largest_correction() override;
@@ -49,6 +49,7 @@ class MatrixFreeBackend : public Backend {
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
   Field* phi_ = nullptr;
+  bool phi_is_zero_ = false, is_first_cycle_ = false;
   Assembled shown_;  ///< empty until asked for
 };
 

@@ -102,7 +102,7 @@ void PoissonSolver::fix_constant(Field& phi) const {
     for (Real& v : phi.level(l)) v -= mean;
 }
 
-void PoissonSolver::iterate(SolveReport& report, Field& phi) {
+void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero) {
   Real const size = backend_->right_hand_side_norm();
   if (!std::isfinite(size))
     throw SolverError(
@@ -113,11 +113,11 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi) {
   };
   if (size == 0) {
     for (int l = 0; l < hierarchy_->level_count(); ++l) std::fill(phi.level(l).begin(), phi.level(l).end(), 0.0);
-    backend_->start(phi);
+    backend_->start(phi, true);
     report.residuals.push_back(0);
     return finish(true, "the right-hand side is zero");
   }
-  backend_->start(phi);
+  backend_->start(phi, from_zero);
   int slow = 0, stuck = 0;  // cycles in a row that halved the residual not even once, or hardly moved it
   for (;; ++report.cycles) {
     Real const residual = backend_->residual() / size;
@@ -164,7 +164,7 @@ bool PoissonSolver::below_discretisation(SolveReport& report) {
   return factor < 0.9 && latest_correction_ * factor / (1 - factor) <= 0.1 * report.discretisation_error;
 }
 
-SolveReport PoissonSolver::solve(Field const& rho, Field& phi) {
+SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero) {
   SolveReport report;
   stopwatch_.reset();
   backend_->stopwatch().reset();
@@ -172,7 +172,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi) {
   backend_->set_right_hand_side(rho);
   bool const singular = hierarchy_->domain().singular();
   if (singular) remove_net_charge();
-  iterate(report, phi);
+  iterate(report, phi, from_zero);
   backend_->finish();
   if (singular) fix_constant(phi);
   report.seconds = stopwatch_.seconds();

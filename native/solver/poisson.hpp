@@ -34,9 +34,9 @@ class PoissonSolver {
   /// The wall faces of a level on this rank; their Dirichlet and Neumann data may be set before a solve.
   Walls& walls(int level) { return walls_[level]; }
 
-  /// Fill phi (V) from rho (C/m^3), starting from what phi holds. Covered cells of phi hold the mean of their children.
-  /// Throws SolverError for a charge that no potential can balance. Collective.
-  SolveReport solve(Field const& rho, Field& phi);
+  /// Fill phi (V) from rho (C/m^3), starting from what phi holds; `from_zero`: nothing but zeros. Covered cells of phi
+  /// hold the mean of their children. Throws SolverError for a charge that no potential can balance. Collective.
+  SolveReport solve(Field const& rho, Field& phi, bool from_zero);
 
   /// Fill the three components of E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve.
   /// Collective.
@@ -56,7 +56,7 @@ class PoissonSolver {
   void set_open_walls(Field const& rho);
   void remove_net_charge();
   void fix_constant(Field& phi) const;
-  void iterate(SolveReport& report, Field& phi);
+  void iterate(SolveReport& report, Field& phi, bool from_zero);
   bool below_discretisation(SolveReport& report);
 
   std::shared_ptr<Hierarchy const> given_;

@@ -248,7 +248,7 @@ def gather(
     starts: NDArray[numpy.int64],
     out: NDArray[numpy.float64],
 ) -> None: ...
-def accelerate(
+def push(
     mesh: ParticleMesh,
     shape: Shape,
     matched: bool,
@@ -261,18 +261,12 @@ def accelerate(
     id: NDArray[numpy.int64],
     starts: NDArray[numpy.int64],
     charge: NDArray[numpy.float64],
+    time_over_mass: NDArray[numpy.float64],
     before: float,
     after: float,
-    now: NDArray[numpy.float64],
-    onward: NDArray[numpy.float64],
-) -> None: ...
-def drift(
-    position: NDArray[numpy.float64],
-    momentum: NDArray[numpy.float64],
-    weight: NDArray[numpy.float64],
-    id: NDArray[numpy.int64],
-    time_over_mass: NDArray[numpy.float64],
-    out: NDArray[numpy.float64],
+    momentum_now: NDArray[numpy.float64],
+    momentum_out: NDArray[numpy.float64],
+    position_out: NDArray[numpy.float64],
 ) -> None: ...
 def uniforms(seed: int, stream: int, step: int, id: NDArray[numpy.int64], out: NDArray[numpy.float64]) -> None:
     """

@@ -171,8 +171,8 @@ def _fields(scene: Scene) -> int:
 def _particle(scene: Scene) -> int:
     """Bytes per particle in the arrays that live at the same time."""
     if scene.schedule.last_step > 0 and isinstance(scene.motion, Leapfrog):
-        # before and after a step; momenta to set off with, before and after, and those that the kick replaces
-        return 2 * PARTICLE + 3 * 3 * NUMBER
+        # before and after a step; where they are next, before and after, and the momenta that the kick replaces
+        return 2 * PARTICLE + 5 * 3 * NUMBER
     # at the start: bunches, all of them together, sorted, and the memory that sorting keeps for the next time
     return 5 * PARTICLE
 

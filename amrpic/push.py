@@ -13,32 +13,28 @@ from .particles import Particles, empty_columns, particle_mesh
 RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from others
 
 
-def accelerate(
-    efield: VectorField, particles: Particles, before: float, after: float, clouds: Clouds = PLAIN
-) -> tuple[Particles, np.ndarray]:
-    """Return the particles after `before` s in the field at their places, and their momenta (n, 3) a further `after` s later.
+def push(
+    efield: VectorField, particles: Particles, before: float, after: float, dt: float, clouds: Clouds = PLAIN
+) -> tuple[Particles, Particles]:
+    """Return the particles after `before` s in the field at their places, and where they are next: after a further `after` s
+    in it, and a flight of `dt` s with the momenta that they have then. Let `migrate` follow.
 
-    p += q E dt, with the field as `gather` finds it; it is not kept. The second momenta are for the drift that follows. A
-    particle's position is not looked at twice. Collective, and as `gather` in all else.
+    p += q E Δt, with the field as `gather` finds it, and x += p dt / m, non-relativistic; each particle is read once.
+    Collective, and as `gather` in all else.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
     x, y, z = (c.native for c in efield.components)
-    now, onward = empty_columns(len(particles)), empty_columns(len(particles))
+    now, momentum, position = (empty_columns(len(particles)) for _ in range(3))
     charge = _each_or_all(particles, particles.species.charges)
+    time_over_mass = _each_or_all(particles, dt / particles.species.masses)
+    given, out = particles.arrays, (now, momentum, position)
     try:
-        mesh, given = particle_mesh(hierarchy), particles.arrays
-        _native.accelerate(mesh, *clouds.native, x, y, z, *given, sorting.starts, charge, before, after, now, onward)
+        mesh, starts = particle_mesh(hierarchy), sorting.starts
+        _native.push(mesh, *clouds.native, x, y, z, *given, starts, charge, time_over_mass, before, after, *out)
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
-    return particles.replace(momentum=now), onward
-
-
-def drift(particles: Particles, dt: float) -> Particles:
-    """Return the particles after a flight of dt (s), non-relativistic: x += p dt / m. Let `migrate` follow."""
-    position = empty_columns(len(particles))
-    _native.drift(*particles.arrays, _each_or_all(particles, dt / particles.species.masses), position)
-    return particles.replace(position=position)
+    return particles.replace(momentum=now), particles.replace(position, momentum)
 
 
 def random_walk(particles: Particles, amplitude: float, seed: int, step: int) -> Particles:

@@ -85,7 +85,7 @@ def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
         rho=fields["rho"],
         phi=fields["phi"],
         efield=VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"]),
-        onward=None,
+        moved=None,
         lost=Lost(_particles(lost, species), lost["time"]),
         step=held.header.step,
         time=held.header.time,

@@ -16,7 +16,7 @@ from .particles import Particles, concatenate
 from .plan import Plan
 from .poisson import SolveReport
 from .populate import make_bunches
-from .push import accelerate, drift, random_walk
+from .push import push, random_walk
 from .quantities import Quantities
 from .scene import Leapfrog, RandomWalk
 
@@ -45,7 +45,7 @@ class State:
     rho: Field  # of the particles, C/m³; without a neutralizing background
     phi: Field  # V
     efield: VectorField  # V/m
-    onward: np.ndarray | None  # momenta (n, 3) half a kick later, kg m/s, where motion asks for them
+    moved: Particles | None  # half a kick and a drift later, not sorted, where motion asks for them
     lost: Lost
     step: int
     time: float  # s
@@ -96,8 +96,8 @@ def set_off(state: State, plan: Plan) -> Particles:
     motion = plan.scene.motion
     match motion:
         case Leapfrog():
-            assert state.onward is not None
-            return drift(state.particles.replace(momentum=state.onward), plan.dt)
+            assert state.moved is not None
+            return state.moved
         case RandomWalk():
             return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)
     return state.particles
@@ -123,15 +123,15 @@ def with_field(state: State, seen: Quantities) -> State:
 
 
 def accelerated(state: State, plan: Plan, before: float) -> State:
-    """Return the state with momenta after `before` s in its field, and those to set off with, if there is motion by it.
+    """Return the state with momenta after `before` s in its field, and where particles are next, if there is motion by it.
 
     Collective.
     """
     if not isinstance(plan.scene.motion, Leapfrog):
         return state
     with plan.clock("gather"):
-        particles, onward = accelerate(state.efield, state.particles, before, plan.dt / 2, plan.clouds)
-    return replace(state, particles=particles, onward=onward)
+        particles, moved = push(state.efield, state.particles, before, plan.dt / 2, plan.dt, plan.clouds)
+    return replace(state, particles=particles, moved=moved)
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:

@@ -13,7 +13,7 @@ from amrpic.errors import ParticleError
 from amrpic.gather import gather
 from amrpic.migrate import migrate
 from amrpic.particles import Particles
-from amrpic.push import accelerate
+from amrpic.push import push
 from particle_cases import (
     CHARGE,
     ONE_KIND,
@@ -177,7 +177,7 @@ def test_particles_moved_behind_the_back_of_migrate_are_refused_by_all_ranks(com
     for use in (
         lambda: deposit(particles, hierarchy),
         lambda: gather(amrpic.VectorField(field, field, field), particles),
-        lambda: accelerate(amrpic.VectorField(field, field, field), particles, 1.0, 1.0),
+        lambda: push(amrpic.VectorField(field, field, field), particles, 1.0, 1.0, 1.0),
     ):
         with pytest.raises(ParticleError, match=r"particle \d+ has left .*migrate"):
             use()

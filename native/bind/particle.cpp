@@ -9,7 +9,6 @@
 #include "particle/gather.hpp"
 #include "particle/memory.hpp"
 #include "particle/migrate.hpp"
-#include "particle/push.hpp"
 #include "particle/random.hpp"
 
 namespace nb = nanobind;
@@ -121,25 +120,18 @@ void bind_particle(nb::module_& m) {
       "out"_a);
 
   m.def(
-      "accelerate",
+      "push",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
          ConstColumns position, ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id,
-         Row<std::int64_t const> starts, Row<Real const> charge, Real before, Real after, Columns now, Columns onward) {
+         Row<std::int64_t const> starts, Row<Real const> charge, Row<Real const> time_over_mass, Real before,
+         Real after, Columns momentum_now, Columns momentum_out, Columns position_out) {
         nb::gil_scoped_release release;
-        accelerate(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(),
-                   {charge.data(), charge.shape(0) == 1, before, after}, columns(now), columns(onward));
+        push(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(),
+             {charge.data(), time_over_mass.data(), charge.shape(0) == 1, before, after},
+             {columns(momentum_now), columns(momentum_out), columns(position_out)});
       },
       "mesh"_a, "shape"_a, "matched"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "charge"_a, "before"_a, "after"_a, "now"_a, "onward"_a);
-
-  m.def(
-      "drift",
-      [](ConstColumns position, ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id,
-         Row<Real const> time_over_mass, Columns out) {
-        nb::gil_scoped_release release;
-        drift(view(position, momentum, weight, id), time_over_mass.data(), time_over_mass.shape(0) == 1, columns(out));
-      },
-      "position"_a, "momentum"_a, "weight"_a, "id"_a, "time_over_mass"_a, "out"_a);
+      "charge"_a, "time_over_mass"_a, "before"_a, "after"_a, "momentum_now"_a, "momentum_out"_a, "position_out"_a);
 
   m.def(
       "uniforms",

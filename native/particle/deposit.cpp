@@ -121,8 +121,7 @@ template <class Shape>
 void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int64_t first, std::int64_t last,
                 CloudTiles& tiles) {
   constexpr int width = Shape::width;
-  LocalIndex const stride_y = LocalIndex(tiles.by_parity[0].stride_y());
-  LocalIndex const stride_z = LocalIndex(tiles.by_parity[0].stride_z());
+  Real const stride_y = Real(tiles.by_parity[0].stride_y()), stride_z = Real(tiles.by_parity[0].stride_z());
   std::conditional_t<width == 3, RowAdder, PairAdder<std::min(width, 2)>> adder(tiles);
   WideLanes all_in = WideLanes{} - 1;
   for_each_group(first, last, [&](LaneGroup const& group) {
@@ -132,7 +131,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int6
     std::array<Lanes, width * width> row_share;
     for (int k = 0; k < width; ++k)
       for (int j = 0; j < width; ++j) row_share[width * k + j] = weight * z.share[k] * y.share[j];
-    adder.add(group, x.first, x.first + stride_y * y.first + stride_z * z.first, row_share, x.share);
+    adder.add(group, convert<IndexLanes>(x.first),
+              convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first), row_share, x.share);
   });
   adder.finish();
   frame.require_inside(all_in, particles, first, last);
@@ -209,9 +209,11 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     Level const& level = hierarchy.level(at.level);
     std::size_t const rises = buffer ? buffer->coarse.size() : 0;
     for (std::size_t r = 0; r <= rises; ++r) tiles[r].reset(r == 0 ? level.box(at.box) : buffer->coarse[r - 1].box);
-    for_each_run(mesh, at, buffer, particles, first, last, [&](int rise, TileFrame const& frame, auto from, auto to) {
-      with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, from, to, tiles[rise]); });
-    });
+    for_each_run(mesh, at, level.box(at.box), buffer, particles, first, last,
+                 [&](int rise, TileFrame const& frame, auto from, auto to) {
+                   with_shape(clouds.shape,
+                              [&](auto s) { add_clouds<decltype(s)>(frame, particles, from, to, tiles[rise]); });
+                 });
     add_tile(tiles[0], level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells());
     for (std::size_t r = 1; r <= rises; ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];

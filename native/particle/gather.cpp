@@ -10,6 +10,18 @@ namespace {
 constexpr int lanes = 4;
 typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
+/// Interleave three components of eight consecutive cells.
+inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out) {
+  Lanes const xy[2] = {__builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11),
+                       __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15)};
+  Lanes const z0[2] = {__builtin_shufflevector(z, Lanes{}, 0, 8, 1, 9, 2, 10, 3, 11),
+                       __builtin_shufflevector(z, Lanes{}, 4, 12, 5, 13, 6, 14, 7, 15)};
+  for (int half = 0; half < 2; ++half) {
+    store(out + 16 * half, __builtin_shufflevector(xy[half], z0[half], 0, 1, 8, 9, 2, 3, 10, 11));
+    store(out + 16 * half + 8, __builtin_shufflevector(xy[half], z0[half], 4, 5, 12, 13, 6, 7, 14, 15));
+  }
+}
+
 /// The three components of a field on one level: own cells, and ghosts beyond them.
 struct VectorCells {
   std::array<Real const*, 3> own;
@@ -18,6 +30,26 @@ struct VectorCells {
 
   void get(LocalIndex place, Real* out) const {
     for (int c = 0; c < 3; ++c) out[c] = place < owned ? own[c][place] : ghosts[c][std::size_t(place - owned)];
+  }
+  /// Those of own cells that lie side by side.
+  void get_row(LocalIndex first, int count, Real* out) const {
+    constexpr LocalIndex ahead = 512;  // the hardware stops at the end of each page
+    int const whole = count / lane_count * lane_count;
+    for (int i = 0; i < whole; i += lane_count) {
+      prefetch(first + ahead + i);
+      interleave(load<Lanes>(own[0] + first + i), load<Lanes>(own[1] + first + i), load<Lanes>(own[2] + first + i),
+                 out + lanes * i);
+    }
+    for (int i = whole; i < count; ++i) get(first + i, out + lanes * i);
+  }
+  /// How many places, a multiple of eight, are those of own cells that lie side by side.
+  int row_length(LocalIndex const* place, int count) const {
+    constexpr IndexLanes number = {0, 1, 2, 3, 4, 5, 6, 7};
+    int n = 0;
+    while (n + lane_count <= count && place[0] >= 0 && place[0] + n + lane_count <= owned &&
+           bytes_of(load<IndexLanes>(place + n) == place[0] + n + number) == ~std::uint64_t(0))
+      n += lane_count;
+    return n;
   }
   void prefetch(LocalIndex place) const {
     for (int c = 0; c < 3; ++c) __builtin_prefetch(own[c] + place);  // harmless beyond the end
@@ -58,50 +90,63 @@ void interpolate(Index3 const& cell, Surroundings const& at, Level const& coarse
   }
 }
 
-/// Interleave three components of eight consecutive cells.
-inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out) {
-  Lanes const xy[2] = {__builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11),
-                       __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15)};
-  Lanes const z0[2] = {__builtin_shufflevector(z, Lanes{}, 0, 8, 1, 9, 2, 10, 3, 11),
-                       __builtin_shufflevector(z, Lanes{}, 4, 12, 5, 13, 6, 14, 7, 15)};
-  for (int half = 0; half < 2; ++half) {
-    store(out + 16 * half, __builtin_shufflevector(xy[half], z0[half], 0, 1, 8, 9, 2, 3, 10, 11));
-    store(out + 16 * half + 8, __builtin_shufflevector(xy[half], z0[half], 4, 5, 12, 13, 6, 7, 14, 15));
+/// Brings the field in and around one box into tiles of its slabs, plane by plane.
+class Filler {
+ public:
+  Filler(Hierarchy const& hierarchy, Surroundings const& at, std::vector<VectorCells> const& cells)
+      : at_(at),
+        level_(hierarchy.level(at.level)),
+        coarser_(hierarchy.level(std::max(0, at.level - 1))),
+        box_(level_.box(at.box)),
+        cells_(cells[at.level]),
+        coarse_(cells[std::max(0, at.level - 1)]) {}
+
+  /// Fill the tile of a slab. The tile may be that of the slab before, if that one `precedes`.
+  void fill(Box const& slab, bool precedes, Tile<lanes>& tile) const {
+    int k = slab.lower[2] - tile_reach;
+    if (precedes) {
+      tile.follow(slab);
+      k += 2 * tile_reach;
+    } else {
+      tile.reset(slab);
+    }
+    for (; k <= slab.upper[2] + tile_reach; ++k) fill_plane(k, tile);
   }
-}
 
-void fill_interior(Level const& level, int b, VectorCells const& cells, Tile<lanes>& tile) {
-  Box const& box = level.box(b);
-  int const length = box.extent(0), whole = length / lane_count * lane_count;
-  LocalIndex place = level.local_offset(b);
-  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-    for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-      Real* row = tile.row(box.lower[0], j, k);
-      Real const *const x = cells.own[0] + place, *const y = cells.own[1] + place, *const z = cells.own[2] + place;
-      for (int i = 0; i < whole; i += lane_count)
-        interleave(load<Lanes>(x + i), load<Lanes>(y + i), load<Lanes>(z + i), row + lanes * i);
-      row += lanes * whole;
-      for (int i = whole; i < length; ++i, row += lanes) row[0] = x[i], row[1] = y[i], row[2] = z[i], row[3] = 0;
-      place += length;
-    }
-}
+ private:
+  void fill_plane(int k, Tile<lanes>& tile) const {
+    LocalIndex const* place = at_.shell.data() + shell_cells_below(box_, k);
+    for_each_shell_row(box_, k, [&](int first, int last, int j) {
+      fill_shell_row({first, j, k}, last - first + 1, place, tile.row(first, j, k));
+      place += last - first + 1;
+    });
+    if (k < box_.lower[2] || k > box_.upper[2]) return;
+    int const length = box_.extent(0);
+    LocalIndex own = level_.local_offset(at_.box) + LocalIndex(box_.offset({box_.lower[0], box_.lower[1], k}));
+    for (int j = box_.lower[1]; j <= box_.upper[1]; ++j, own += length)
+      cells_.get_row(own, length, tile.row(box_.lower[0], j, k));
+  }
 
-void fill_shell(Hierarchy const& hierarchy, Surroundings const& at, VectorCells const& cells, VectorCells const& coarse,
-                Tile<lanes>& tile) {
-  Level const& level = hierarchy.level(at.level);
-  LocalIndex const *place = at.shell.data(), *const end = place + at.shell.size();
-  for_each_shell_row(level.box(at.box), [&](int first, int last, int j, int k) {
-    Real* value = tile.row(first, j, k);
-    for (int i = first; i <= last; ++i, ++place, value += lanes) {
-      constexpr std::ptrdiff_t ahead = 24;  // these cells lie all over the memory
-      if (end - place > ahead && place[ahead] >= 0) cells.prefetch(place[ahead]);
-      if (*place >= 0)
-        cells.get(*place, value);
+  void fill_shell_row(Index3 cell, int count, LocalIndex const* place, Real* out) const {
+    LocalIndex const* const end = at_.shell.data() + at_.shell.size();
+    std::ptrdiff_t const ahead = 2 * (box_.extent(0) + box_.extent(1));  // about a plane: cells lie all over the memory
+    for (int n = 0, row; n < count; n += std::max(1, row)) {
+      if (end - place > n + ahead && place[n + ahead] >= 0) cells_.prefetch(place[n + ahead]);
+      row = cells_.row_length(place + n, count - n);
+      if (row > 0)
+        cells_.get_row(place[n], row, out + lanes * n);
+      else if (place[n] >= 0)
+        cells_.get(place[n], out + lanes * n);
       else
-        interpolate(fold_at_walls({i, j, k}, level), at, hierarchy.level(at.level - 1), coarse, value);
+        interpolate(fold_at_walls({cell[0] + n, cell[1], cell[2]}, level_), at_, coarser_, coarse_, out + lanes * n);
     }
-  });
-}
+  }
+
+  Surroundings const& at_;
+  Level const &level_, &coarser_;
+  Box box_;
+  VectorCells const &cells_, &coarse_;
+};
 
 void fill_coarse(CoarseCells const& at, VectorCells const& cells, Tile<lanes>& tile) {
   Real* value = tile.values();
@@ -111,33 +156,45 @@ void fill_coarse(CoarseCells const& at, VectorCells const& cells, Tile<lanes>& t
   }
 }
 
-/// The tile averaged over the cloud of one of eight particles. `row_share` are the products of its shares along y and
-/// z; two neighbours along x are read at once.
+/// Where in a tile the clouds of a block start, and their shares: along x, and the products of those along y and z.
 template <int width>
-inline Cell average(Real const* corner, std::ptrdiff_t stride_y, std::ptrdiff_t stride_z, int i,
-                    std::array<Lanes, width * width> const& row_share, std::array<Lanes, width> const& x_share) {
-  Lanes pair{};
-  Cell last{};
+struct CloudBlock {
+  alignas(64) LocalIndex corner[block_size];
+  alignas(64) Real row_share[width * width][block_size];
+  alignas(64) Real x_share[width][block_size];
+};
+
+/// The tile averaged over clouds in y and z: the first two cells along x, side by side, and the third one.
+struct Averages {
+  Lanes pair;
+  Cell last;
+};
+
+/// Those of particle i of a block.
+template <int width>
+inline Averages average(Real const* origin, std::ptrdiff_t stride_y, std::ptrdiff_t stride_z,
+                        CloudBlock<width> const& clouds, int i) {
+  Real const* const corner = origin + clouds.corner[i];
+  Averages out;
   for (int k = 0; k < width; ++k)
     for (int j = 0; j < width; ++j) {
       Real const* const row = corner + j * stride_y + k * stride_z;
-      Real const share = row_share[width * k + j][i];
-      if constexpr (width > 1) pair += share * load<Lanes>(row);
-      if constexpr (width % 2) last += share * load<Cell>(row + lanes * (width - 1));
+      Real const share = clouds.row_share[width * k + j][i];
+      bool const first = k == 0 && j == 0;
+      if constexpr (width > 1) out.pair = first ? share * load<Lanes>(row) : out.pair + share * load<Lanes>(row);
+      Real const* const end = row + lanes * (width - 1);
+      if constexpr (width % 2) out.last = first ? share * load<Cell>(end) : out.last + share * load<Cell>(end);
     }
-  Cell sum{};
-  if constexpr (width > 1) {
-    sum = x_share[0][i] * __builtin_shufflevector(pair, pair, 0, 1, 2, 3);
-    sum += x_share[1][i] * __builtin_shufflevector(pair, pair, 4, 5, 6, 7);
-  }
-  if constexpr (width % 2) sum += x_share[width - 1][i] * last;
-  return sum;
+  return out;
 }
 
-/// The components of eight cells, each in a vector of its own.
-inline std::array<Lanes, 3> separate(std::array<Cell, lane_count> const& cells) {
+typedef std::array<Lanes, 3> Components;  ///< of the field at eight particles
+
+/// The components of eight third cells.
+inline Components last_cells(std::array<Averages, lane_count> const& of) {
   Lanes pair[4], xy[2], z[2];
-  for (int p = 0; p < 4; ++p) pair[p] = __builtin_shufflevector(cells[2 * p], cells[2 * p + 1], 0, 1, 2, 3, 4, 5, 6, 7);
+  for (int p = 0; p < 4; ++p)
+    pair[p] = __builtin_shufflevector(of[2 * p].last, of[2 * p + 1].last, 0, 1, 2, 3, 4, 5, 6, 7);
   for (int h = 0; h < 2; ++h) {
     xy[h] = __builtin_shufflevector(pair[2 * h], pair[2 * h + 1], 0, 4, 8, 12, 1, 5, 9, 13);
     z[h] = __builtin_shufflevector(pair[2 * h], pair[2 * h + 1], 2, 6, 10, 14, 3, 7, 11, 15);
@@ -147,26 +204,74 @@ inline std::array<Lanes, 3> separate(std::array<Cell, lane_count> const& cells) 
           __builtin_shufflevector(z[0], z[1], 0, 1, 2, 3, 8, 9, 10, 11)};
 }
 
+/// The components of eight first cells, and of the second ones.
+inline std::array<Components, 2> pairs_of_cells(std::array<Averages, lane_count> const& of) {
+  Components four[2];  // of four particles each: a component of their first cells, then of their second ones
+  for (int h = 0; h < 2; ++h) {
+    auto const* const from = &of[4 * h];
+    Lanes xz[2], y[2];
+    for (int p = 0; p < 2; ++p) {
+      xz[p] = __builtin_shufflevector(from[2 * p].pair, from[2 * p + 1].pair, 0, 8, 2, 10, 4, 12, 6, 14);
+      y[p] = __builtin_shufflevector(from[2 * p].pair, from[2 * p + 1].pair, 1, 9, 3, 11, 5, 13, 7, 15);
+    }
+    four[h] = {__builtin_shufflevector(xz[0], xz[1], 0, 1, 8, 9, 4, 5, 12, 13),
+               __builtin_shufflevector(y[0], y[1], 0, 1, 8, 9, 4, 5, 12, 13),
+               __builtin_shufflevector(xz[0], xz[1], 2, 3, 10, 11, 6, 7, 14, 15)};
+  }
+  std::array<Components, 2> out;
+  for (int d = 0; d < 3; ++d) {
+    out[0][d] = __builtin_shufflevector(four[0][d], four[1][d], 0, 1, 2, 3, 8, 9, 10, 11);
+    out[1][d] = __builtin_shufflevector(four[0][d], four[1][d], 4, 5, 6, 7, 12, 13, 14, 15);
+  }
+  return out;
+}
+
+/// The averages of eight particles, averaged in x too.
+template <int width>
+inline Components average_in_x(std::array<Averages, lane_count> const& of, std::array<Lanes, width> const& share) {
+  Components out;
+  if constexpr (width > 1) {
+    auto const cells = pairs_of_cells(of);
+    for (int d = 0; d < 3; ++d) out[d] = share[0] * cells[0][d] + share[1] * cells[1][d];
+  }
+  if constexpr (width == 1) out = last_cells(of);
+  if constexpr (width == 3) {
+    auto const cells = last_cells(of);
+    for (int d = 0; d < 3; ++d) out[d] += share[2] * cells[d];
+  }
+  return out;
+}
+
 /// Call use(group, field) for the groups of particles [first, last) with the tile averaged over their clouds.
 template <class Shape, class Use>
 void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int64_t first, std::int64_t last,
                  Tile<lanes> const& tile, Use const& use) {
   constexpr int width = Shape::width;
-  LocalIndex const stride_y = LocalIndex(tile.stride_y()), stride_z = LocalIndex(tile.stride_z());
+  std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
   Real const* const origin = tile.values() + tile.box_corner();
   WideLanes all_in = WideLanes{} - 1;
-  for_each_group(first, last, [&](LaneGroup const& group) {
-    auto const s = frame.inside(particles, group, all_in);
-    auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-    IndexLanes const corner = lanes * x.first + stride_y * y.first + stride_z * z.first;
-    std::array<Lanes, width * width> row_share;
-    for (int k = 0; k < width; ++k)
-      for (int j = 0; j < width; ++j) row_share[width * k + j] = z.share[k] * y.share[j];
-    std::array<Cell, lane_count> felt;
+  for_each_block(first, last, [&](std::int64_t from, std::int64_t to) {
+    CloudBlock<width> clouds;
+    particles.prefetch(to + block_size);
+    for_each_group(from, to, [&](LaneGroup const& group) {
+      int const i = int(group.first % block_size);
+      auto const s = frame.inside(particles, group, all_in);
+      auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
+      store(clouds.corner + i,
+            convert<IndexLanes>(lanes * x.first + Real(stride_y) * y.first + Real(stride_z) * z.first));
+      for (int k = 0; k < width; ++k)
+        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.share[k] * y.share[j]);
+      for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.share[j]);
+    });
+    for_each_group(from, to, [&](LaneGroup const& group) {
+      int const start = int(group.first % block_size);
+      std::array<Averages, lane_count> averages;
 #pragma GCC unroll 8
-    for (int i = 0; i < lane_count; ++i)
-      felt[i] = average<width>(origin + corner[i], stride_y, stride_z, i, row_share, x.share);
-    use(group, separate(felt));
+      for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
+      std::array<Lanes, width> x_share;
+      for (int j = 0; j < width; ++j) x_share[j] = load<Lanes>(clouds.x_share[j] + start);
+      use(group, average_in_x<width>(averages, x_share));
+    });
   });
   frame.require_inside(all_in, particles, first, last);
 }
@@ -187,17 +292,20 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     Surroundings const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
-    Level const& level = hierarchy.level(at.level);
-    tiles[0].reset(level.box(at.box));
-    fill_interior(level, at.box, own[at.level], tiles[0]);
-    fill_shell(hierarchy, at, own[at.level], own[std::max(0, at.level - 1)], tiles[0]);
     for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       tiles[r].reset(c.box);
       fill_coarse(c, coarse[c.level], tiles[r]);
     }
-    for_each_run(mesh, at, buffer, particles, first, last, [&](int rise, TileFrame const& frame, auto from, auto to) {
-      with_shape(clouds.shape, [&](auto s) { read_clouds<decltype(s)>(frame, particles, from, to, tiles[rise], use); });
+    Filler const filler(hierarchy, at, own);
+    int const planes = planes_per_slab(hierarchy.level(at.level).box(at.box), lanes);
+    bool precedes = false;  // whether tiles[0] is that of the slab before
+    for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
+      if (from < to) filler.fill(slab, precedes, tiles[0]);
+      precedes = from < to;
+      for_each_run(mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, auto a, auto b) {
+        with_shape(clouds.shape, [&](auto s) { read_clouds<decltype(s)>(frame, particles, a, b, tiles[rise], use); });
+      });
     });
   });
 }
@@ -207,23 +315,28 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const
 void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
             ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
   bool const far = are_far(particles.count, at_particles[0], at_particles[1], at_particles[2]);
-  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, std::array<Lanes, 3> const& felt) {
+  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
     for (int d = 0; d < 3; ++d) store(at_particles[d], group, felt[d], far);
   });
   stream_end();
 }
 
-void accelerate(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-                ParticleView const& particles, std::int64_t const* starts, Kick const& kick,
-                std::array<Real*, 3> const& now, std::array<Real*, 3> const& onward) {
-  bool const far = are_far(particles.count, now[0], now[1], now[2], onward[0], onward[1], onward[2]);
-  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, std::array<Lanes, 3> const& felt) {
-    Lanes const charge = kick.same_charge ? kick.charge[0] + Lanes{} : load(kick.charge, group);
-    Lanes const before = kick.before * charge, after = kick.after * charge;
+void push(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out) {
+  auto const &now = out.momentum_now, &onward = out.momentum, &x = out.position;
+  bool const far = are_far(particles.count, now[0], now[1], now[2], onward[0], onward[1], onward[2], x[0], x[1], x[2]);
+  auto const of = [&](Real const* values, LaneGroup const& group) {
+    return motion.same ? values[0] + Lanes{} : load(values, group);
+  };
+  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
+    Lanes const charge = of(motion.charge, group), time_over_mass = of(motion.time_over_mass, group);
+    Lanes const before = motion.before * charge, after = motion.after * charge;
     for (int d = 0; d < 3; ++d) {
-      Lanes const momentum = load(particles.momentum[d], group) + before * felt[d];
-      store(now[d], group, momentum, far);
-      store(onward[d], group, momentum + after * felt[d], far);
+      Lanes const half = load(particles.momentum[d], group) + before * felt[d];
+      Lanes const momentum = half + after * felt[d];
+      store(now[d], group, half, far);
+      store(onward[d], group, momentum, far);
+      store(x[d], group, load(particles.position[d], group) + time_over_mass * momentum, far);
     }
   });
   stream_end();

@@ -19,18 +19,23 @@ namespace amrpic {
 void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
             ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
 
-/// How a field changes momenta.
-struct Kick {
-  Real const* charge;  ///< of a real particle, C: one for all, or one for each
-  bool same_charge;
-  Real before, after;  ///< s
+/// How particles move by a field.
+struct Motion {
+  Real const* charge;          ///< of a real particle, C
+  Real const* time_over_mass;  ///< of the flight, s/kg
+  bool same;                   ///< one value of either for all, else one for each
+  Real before, after;          ///< s, in the field
 };
 
-/// Write momenta after a kick of `before` seconds by the field at the particles into `now`, and those after a further
-/// one of `after` seconds in the same field into `onward`: what `gather` would give is used and not kept. Otherwise
-/// as `gather`. Collective.
-void accelerate(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-                ParticleView const& particles, std::int64_t const* starts, Kick const& kick,
-                std::array<Real*, 3> const& now, std::array<Real*, 3> const& onward);
+/// Where particles are written: positions in m, momenta in kg m/s.
+struct Moved {
+  std::array<Real*, 3> momentum_now, momentum, position;
+};
+
+/// Write momenta after `before` seconds in the field into `momentum_now`, those after a further `after` seconds in the
+/// same field into `momentum`, and the positions that a flight with these leads to: what `gather` would give is used
+/// and not kept. Otherwise as `gather`. Collective.
+void push(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
+          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out);
 
 }  // namespace amrpic

@@ -10,20 +10,33 @@ namespace amrpic {
 /// Cells around a box that the clouds of its particles can touch; cloud shapes of a larger reach need wider nesting.
 constexpr int tile_reach = 1;
 
-/// Call `f(first, last, j, k)` for each row part of `box` grown by `tile_reach` that lies outside `box`, x ascending
-/// fastest.
+/// Call `f(first, last, j)` for each row part in plane k of `box` grown by `tile_reach` that lies outside `box`, x
+/// ascending fastest.
+template <class F>
+void for_each_shell_row(Box const& box, int k, F&& f) {
+  Box const tile = box.grow(tile_reach);
+  for (int j = tile.lower[1]; j <= tile.upper[1]; ++j) {
+    if (j >= box.lower[1] && j <= box.upper[1] && k >= box.lower[2] && k <= box.upper[2]) {
+      f(tile.lower[0], box.lower[0] - 1, j);
+      f(box.upper[0] + 1, tile.upper[0], j);
+    } else {
+      f(tile.lower[0], tile.upper[0], j);
+    }
+  }
+}
+
+/// Call `f(first, last, j, k)` for those of all planes, ascending.
 template <class F>
 void for_each_shell_row(Box const& box, F&& f) {
-  Box const tile = box.grow(tile_reach);
-  for (int k = tile.lower[2]; k <= tile.upper[2]; ++k)
-    for (int j = tile.lower[1]; j <= tile.upper[1]; ++j) {
-      if (j >= box.lower[1] && j <= box.upper[1] && k >= box.lower[2] && k <= box.upper[2]) {
-        f(tile.lower[0], box.lower[0] - 1, j, k);
-        f(box.upper[0] + 1, tile.upper[0], j, k);
-      } else {
-        f(tile.lower[0], tile.upper[0], j, k);
-      }
-    }
+  for (int k = box.lower[2] - tile_reach; k <= box.upper[2] + tile_reach; ++k)
+    for_each_shell_row(box, k, [&](int first, int last, int j) { f(first, last, j, k); });
+}
+
+/// Number of shell cells in the planes below plane k.
+inline std::size_t shell_cells_below(Box const& box, int k) {
+  Box below = box.grow(tile_reach);
+  below.upper[2] = k - 1;
+  return std::size_t(below.cells() - below.intersect(box).cells());
 }
 
 /// The cell inside the domain that stands for `cell` beyond a wall: the part of a cloud that overhangs a wall is folded

@@ -1,8 +1,9 @@
 // Eight particles at a time, in GCC's vector types: the compiler splits them into the vectors that the processor has,
-// so one text serves all, and rounds alike on all.
+// so one text serves all.
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -74,16 +75,13 @@ inline std::uint64_t bytes_of(IndexLanes const& mask) {
   return out;
 }
 
-// What shapes are made of, for one number and for eight.
+// What shapes are made of.
 
-inline int index_of(Real whole) { return int(whole); }
-inline IndexLanes index_of(Lanes const& whole) { return convert<IndexLanes>(whole); }
-
-/// The largest whole number that is not above `x`, which an index can hold.
-inline Real round_down(Real x) { return std::floor(x); }
+/// The largest whole number that is not above `x`, whose magnitude is below 2^51.
 inline Lanes round_down(Lanes const& x) {
-  Lanes const towards_zero = convert<Lanes>(convert<IndexLanes>(x));
-  return towards_zero - (towards_zero > x ? Lanes{} + 1 : Lanes{});
+  constexpr Real shift = 0x1.8p52;  // sums with it are rounded to whole numbers
+  Lanes const nearest = (x + shift) - shift;
+  return nearest - (nearest > x ? Lanes{} + 1 : Lanes{});
 }
 
 /// Those of eight consecutive places, starting at a multiple of eight, that belong to a run.
@@ -98,6 +96,21 @@ template <class F>
 void for_each_group(std::int64_t first, std::int64_t last, F&& f) {
   for (std::int64_t n = first / lane_count * lane_count; n < last; n += lane_count)
     f(LaneGroup{n, int(std::max<std::int64_t>(0, first - n)), int(std::min<std::int64_t>(lane_count, last - n))});
+}
+
+/// Particles that pass through the parts of a kernel together. What one part leaves to the next stays in the
+/// first-level cache, and the processor works on many of them at a time, where part after part for each would be one
+/// long wait.
+constexpr int block_size = 8 * lane_count;
+
+/// Call f(first, last) for consecutive parts of a run [first, last), each within one aligned block.
+template <class F>
+void for_each_block(std::int64_t first, std::int64_t last, F&& f) {
+  while (first < last) {
+    std::int64_t const next = std::min(last, (first / block_size + 1) * block_size);
+    f(first, next);
+    first = next;
+  }
 }
 
 /// The values of a group; lanes beyond it get one of its own.

@@ -18,8 +18,8 @@ namespace {
 
 constexpr int tag_particles = 7201;
 
-/// Particles that are binned, or copied, in one go: what they need stays in the first-level cache.
-constexpr std::int64_t block_size = 64, copy_size = 128;
+/// Particles that are copied in one go: what they need stays in the first-level cache.
+constexpr std::int64_t copy_size = 128;
 
 bool is_finite(ParticleView const& particles, std::int64_t n) {
   Real product = 0;  // 0 times a finite number is 0, times any other nan
@@ -71,7 +71,8 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
       start_(std::size_t(mesh.first_cell().back()) + 1),
       leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
   std::fill(start_.begin(), start_.end(), 0);
-  for (std::int64_t n = 0; n < particles.count; n += block_size) bin(n, std::min(n + block_size, particles.count));
+  for (std::int64_t n = 0; n < particles.count; n += block_size)
+    bin(n, std::min<std::int64_t>(n + block_size, particles.count));
   announce();
 }
 

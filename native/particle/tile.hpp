@@ -21,18 +21,27 @@ class Tile {
   /// Take the place of another box. Values keep their places in memory, new ones are zero.
   void reset(Box const& box) {
     box_ = box.grow(tile_reach);
-    values_.resize(std::size_t(box_.cells()) * components + lane_count);  // vectors may touch what lies beyond
+    lines_.resize(std::size_t(box_.cells()) * components / lane_count + 2);  // vectors may touch what lies beyond
   }
-  Real* row(int i, int j, int k) { return values_.data() + components * box_.offset({i, j, k}); }
-  Real const* values() const { return values_.data(); }
-  Real* values() { return values_.data(); }
+  /// Take the place of the box that follows along z. Values of the planes that both have are moved along.
+  void follow(Box const& next) {
+    Real const* const kept = row(box_.lower[0], box_.lower[1], next.lower[2] - tile_reach);
+    std::copy(kept, kept + 2 * tile_reach * stride_z(), values());
+    reset(next);
+  }
+  Real* row(int i, int j, int k) { return values() + components * box_.offset({i, j, k}); }
+  Real const* values() const { return lines_[0].value; }
+  Real* values() { return lines_[0].value; }
   std::ptrdiff_t box_corner() const { return tile_reach * (components + stride_y() + stride_z()); }  ///< first own cell
   std::ptrdiff_t stride_y() const { return std::ptrdiff_t(components) * box_.extent(0); }
   std::ptrdiff_t stride_z() const { return stride_y() * box_.extent(1); }
 
  private:
+  struct alignas(64) CacheLine {
+    Real value[lane_count];
+  };
   Box box_;
-  std::vector<Real> values_;
+  std::vector<CacheLine> lines_;
 };
 
 /// A particle that is not where it was sorted; thrown on its rank alone, to be caught by `for_each_occupied_box`.
@@ -93,12 +102,42 @@ class TileFrame {
   Box box_;
 };
 
-/// Call f(rise, frame, first, last) for each run of a box's particles whose clouds lie on one level: `rise` levels
-/// coarser than the box, in a tile that `frame` describes. Without a buffer all of them lie on the box's own level.
+/// Planes of a box, along z, whose tiles together fill about a quarter of a second-level cache.
+inline int planes_per_slab(Box const& box, int components) {
+  constexpr std::int64_t bytes = 1 << 18;
+  std::int64_t const plane = box.grow(tile_reach).cells() / box.grow(tile_reach).extent(2) * components * 8;
+  return int(std::max<std::int64_t>(2, bytes / plane - 2 * tile_reach));
+}
+
+/// Call f(slab, first, last) for the slabs of so many planes that a box is cut into, and the particles of each: those
+/// of a box are sorted by cell.
 template <class F>
-void for_each_run(ParticleMesh const& mesh, Surroundings const& at, BoxBuffer const* buffer,
+void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes, ParticleView const& particles,
+                   std::int64_t first, std::int64_t last, F&& f) {
+  LevelCoordinates const coordinates = mesh.locator().coordinates(at.level);
+  Box const& box = mesh.hierarchy().level(at.level).box(at.box);
+  for (Box slab = box; slab.lower[2] <= box.upper[2]; slab.lower[2] += planes) {
+    slab.upper[2] = std::min(box.upper[2], slab.lower[2] + planes - 1);
+    Real const end = slab.upper[2] < box.upper[2] ? slab.upper[2] + 1 : std::numeric_limits<Real>::infinity();
+    std::int64_t next = last;
+    for (std::int64_t low = first; low < next;) {
+      std::int64_t const middle = low + (next - low) / 2;
+      if (coordinates(particles.at(middle))[2] < end)
+        low = middle + 1;
+      else
+        next = middle;
+    }
+    f(slab, first, next);
+    first = next;
+  }
+}
+
+/// Call f(rise, frame, first, last) for each run of a slab's particles whose clouds lie on one level: `rise` levels
+/// coarser than the slab, in a tile that `frame` describes. Without a buffer all of them lie on the slab's own level.
+template <class F>
+void for_each_run(ParticleMesh const& mesh, Surroundings const& at, Box const& slab, BoxBuffer const* buffer,
                   ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
-  TileFrame const own(mesh.locator().coordinates(at.level), mesh.hierarchy().level(at.level).box(at.box));
+  TileFrame const own(mesh.locator().coordinates(at.level), slab);
   if (!buffer) return f(0, own, first, last);
   std::vector<TileFrame> frames{own};
   for (CoarseCells const& c : buffer->coarse) frames.emplace_back(mesh.locator().coordinates(c.level), c.box);

@@ -433,7 +433,8 @@ Real CompositeLaplacian::diagonal_norm(Field const& phi, Norm norm) {
 
 /// phi += scale * correction in the uncovered cells of a plane.
 template <class T>
-void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi) {
+void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi,
+                                   kernels::Largest<T>& largest) {
   int const nx = box(l, b).extent(0), ny = box(l, b).extent(1);
   auto for_each_covered_row = [&](auto&& f) {
     for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c) {
@@ -450,6 +451,7 @@ void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correcti
     T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
     Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
     for (int i = 0; i < nx; ++i) to[i] = kernels::fused(scale, Real(from[i]), to[i]);
+    largest.add(from, nx);
   }
   for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(kept, n, cells); });
 }
@@ -500,21 +502,28 @@ void CompositeLaplacian::average_down(Field& phi) {
 }
 
 template <class T>
-void CompositeLaplacian::add(Blocks<T> const& correction, Real scale, Field& phi) {
+Real CompositeLaplacian::add(Blocks<T> const& correction, Real scale, Field& phi) {
+  kernels::Largest<T> largest;
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     for (int b = 0; b < boxes(l); ++b) {
       Real* const cells = phi.level(l).data() + offset(l, b);
       Block<T> const& from = correction[std::size_t(l)][std::size_t(b)];
       for (int k = 0; k < box(l, b).extent(2); ++k) {
-        if (!plan(l, b).hidden) add_plane(l, b, k, from, scale, cells + std::ptrdiff_t(k) * pitches(box(l, b))[2]);
+        // the largest of all cells does not depend on which of the covered ones fill a box
+        if (plan(l, b).hidden)
+          for (int j = 0; j < box(l, b).extent(1); ++j)
+            largest.add(from.origin + j * from.pitch_y + k * from.pitch_z, box(l, b).extent(0));
+        else
+          add_plane(l, b, k, from, scale, cells + std::ptrdiff_t(k) * pitches(box(l, b))[2], largest);
         if (l > 0 && k % 2 == 1) average_pair(l, b, k - 1, phi);
       }
     }
     if (l > 0) average_across_ranks(l, phi);
   }
+  return std::abs(scale) * largest.value();
 }
-template void CompositeLaplacian::add(Blocks<float> const&, Real, Field&);
-template void CompositeLaplacian::add(Blocks<Real> const&, Real, Field&);
+template Real CompositeLaplacian::add(Blocks<float> const&, Real, Field&);
+template Real CompositeLaplacian::add(Blocks<Real> const&, Real, Field&);
 
 // ---- the electric field ----
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "matrixfree/composite_kernels.hpp"
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
 #include "mesh/norm.hpp"
@@ -47,10 +48,10 @@ class CompositeLaplacian {
   /// Set the covered cells of all levels to the mean of their children. Collective.
   void average_down(Field& phi);
 
-  /// phi += scale * correction on all levels, then `average_down`; corrections in covered cells are not used.
-  /// Collective.
+  /// phi += scale * correction on all levels, then `average_down`; corrections in covered cells are not used. Returns
+  /// the largest magnitude that was added on this rank, those in covered cells included. Collective.
   template <class T>
-  void add(Blocks<T> const& correction, Real scale, Field& phi);
+  Real add(Blocks<T> const& correction, Real scale, Field& phi);
 
   /// residual = scale[level] * (f - Laplace phi) in uncovered cells, zero in covered ones, rounded to T; returns the
   /// norm, without the scale and before rounding, over uncovered cells; nan if a value is not finite. `phi` must be
@@ -80,9 +81,10 @@ class CompositeLaplacian {
   /// rounded to T: for each cell what the Laplacian of the next coarser level makes of the mean potentials there, less
   /// the mean of f, over three; trilinear between the coarser cells. The base's next coarser level has `base_ratio`
   /// times its spacing; {1, 1, 1} if it has none, which leaves zeros there. Nothing is known of cells at walls, and of
-  /// those with covered children. `phi` must be averaged down. Lists are made anew by each call. Collective.
+  /// those with covered children. `phi` must be averaged down. Lists are made anew by each call. Returns the largest
+  /// magnitude, without the scale. Collective.
   template <class T>
-  void truncation(Source const& source, Field const& phi, Index3 const& base_ratio, std::vector<Real> const& scale,
+  Real truncation(Source const& source, Field const& phi, Index3 const& base_ratio, std::vector<Real> const& scale,
                   Blocks<T> const& truncation);
 
   /// Fill the components of E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through
@@ -110,7 +112,8 @@ class CompositeLaplacian {
   void right_hand_side_plane(int l, int b, int k, Source const& source);
   void diagonal_plane(int l, int b, int k, Field const& phi);
   template <class T>
-  void prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale, Block<T> const& out);
+  void prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale, Block<T> const& out,
+                          kernels::Magnitude& largest);
   /// Round scale times `plane_` into plane k of a block; zeros if the scale is zero.
   template <class T>
   void write_plane(int l, int b, int k, Real scale, Block<T> const& out) const {
@@ -136,7 +139,7 @@ class CompositeLaplacian {
   void for_each_plane(Fill&& fill, Use&& use);
 
   template <class T>
-  void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi);
+  void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, kernels::Largest<T>& largest);
   void average_pair(int l, int b, int k, Field& phi) const;
   void average_across_ranks(int l, Field& phi);
 

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <limits>
+#include <type_traits>
 
 #include "base/types.hpp"
 #include "mesh/norm.hpp"
@@ -64,6 +66,37 @@ inline void residual_ends(Residual const& f, int nx, Real const* c, Neighbours c
   out[e] = f(rho[e], c[e], c[e - 1], xp, n.ym[e], n.yp[e], n.zm[e], n.zp[e]);
 }
 
+/// A running maximum of magnitudes. The bits of magnitudes order as whole numbers, infinity and nan above all others.
+template <class T>
+class Largest {
+ public:
+  static constexpr int lanes = 16;  // side by side, so that none waits for another
+
+  void add(T const* values, std::ptrdiff_t n) {
+    Bits largest[lanes] = {};
+    std::ptrdiff_t i = 0;
+    for (; i + lanes <= n; i += lanes)
+      for (int q = 0; q < lanes; ++q) largest[q] = std::max(largest[q], bits(values[i + q]));
+    for (; i < n; ++i) largest[0] = std::max(largest[0], bits(values[i]));
+    for (Bits part : largest) largest_ = std::max(largest_, part);
+  }
+  T value() const {
+    T out;
+    std::memcpy(&out, &largest_, sizeof out);
+    return out;
+  }
+
+ private:
+  using Bits = std::conditional_t<sizeof(T) == 4, std::int32_t, std::int64_t>;
+  static Bits bits(T value) {
+    Bits out;
+    std::memcpy(&out, &value, sizeof out);
+    return out & std::numeric_limits<Bits>::max();
+  }
+
+  Bits largest_ = 0;
+};
+
 /// One rank's part of a norm over cells.
 class Magnitude {
  public:
@@ -71,7 +104,7 @@ class Magnitude {
 
   /// Take in values of cells of equal volume.
   void add(Real const* values, std::ptrdiff_t n, Real volume) {
-    if (norm_ == Norm::max) return add_largest(values, n);
+    if (norm_ == Norm::max) return largest_.add(values, n);
     Real lane[8] = {};
     std::ptrdiff_t i = 0;
     auto const size = [this](Real v) { return norm_ == Norm::l1 ? std::abs(v) : v * v; };
@@ -81,31 +114,11 @@ class Magnitude {
     for (Real part : lane) sum_ += volume * part;
   }
 
-  Real part() const {
-    if (norm_ != Norm::max) return sum_;
-    Real out;
-    std::memcpy(&out, &largest_, sizeof out);
-    return out;
-  }
+  Real part() const { return norm_ == Norm::max ? largest_.value() : sum_; }
 
  private:
-  /// The bits of magnitudes order as whole numbers, infinity and nan above all others.
-  void add_largest(Real const* values, std::ptrdiff_t n) {
-    std::int64_t largest[16] = {};  // side by side, so that none waits for another
-    std::ptrdiff_t i = 0;
-    for (; i + 16 <= n; i += 16)
-      for (int q = 0; q < 16; ++q) largest[q] = std::max(largest[q], magnitude_bits(values[i + q]));
-    for (; i < n; ++i) largest[0] = std::max(largest[0], magnitude_bits(values[i]));
-    for (std::int64_t part : largest) largest_ = std::max(largest_, part);
-  }
-  static std::int64_t magnitude_bits(Real value) {
-    std::int64_t bits;
-    std::memcpy(&bits, &value, sizeof bits);
-    return bits & INT64_MAX;
-  }
-
   Norm norm_;
-  std::int64_t largest_ = 0;
+  Largest<Real> largest_;
   Real sum_ = 0;
 };
 

@@ -159,8 +159,9 @@ void see_row(int n, Real3 const& weights, Real const* __restrict potential, Box 
 }  // namespace
 
 template <class T>
-void CompositeLaplacian::truncation(Source const& source, Field const& phi, Index3 const& base_ratio,
+Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Index3 const& base_ratio,
                                     std::vector<Real> const& scale, Blocks<T> const& truncation) {
+  kernels::Magnitude largest(Norm::max);
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     Index3 const ratio = l > 0 ? refinement_ratio : base_ratio;
     if (ratio == Index3{1, 1, 1}) {
@@ -206,19 +207,20 @@ void CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
                   &seen(first));
         }
       prolong_truncation(l, task.box, ratio, seen, scale[std::size_t(l)],
-                         truncation[std::size_t(l)][std::size_t(task.box)]);
+                         truncation[std::size_t(l)][std::size_t(task.box)], largest);
     }
   }
+  return global_norm(hierarchy_->comm(), Norm::max, largest.part());
 }
-template void CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
+template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
                                              Blocks<float> const&);
-template void CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
+template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
                                              Blocks<Real> const&);
 
 /// What is known in the parents, in the uncovered cells of a box.
 template <class T>
 void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale,
-                                            Block<T> const& out) {
+                                            Block<T> const& out, kernels::Magnitude& largest) {
   Box const& own = box(l, b);
   int const width = seen.box().extent(0), first = seen.box().lower[0];
   int const before = floor_divide(own.lower[0], ratio[0]) - first;  // parents in front of the first cell's
@@ -235,6 +237,7 @@ void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, W
       prolong_row(own.extent(0), ratio[0], row.data() + before, plane_.data() + std::ptrdiff_t(j) * own.extent(0));
     }
     clear_covered(l, b, k, plane_.data());
+    largest.add(plane_.data(), std::ptrdiff_t(own.extent(0)) * own.extent(1), volume(l));
     write_plane(l, b, k, scale, out);
   }
 }

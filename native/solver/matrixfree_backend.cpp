@@ -5,22 +5,6 @@
 
 namespace amrpic {
 
-namespace {
-
-Real largest_magnitude(float const* values, int n) {
-  float lane[16] = {};  // a running maximum of each, which the compiler may not split by itself
-  int i = 0;
-  for (; i + 16 <= n; i += 16)
-    for (int q = 0; q < 16; ++q) {
-      float const v = std::abs(values[i + q]);
-      lane[q] = v > lane[q] ? v : lane[q];
-    }
-  for (; i < n; ++i) lane[0] = std::max(lane[0], std::abs(values[i]));
-  return *std::max_element(lane, lane + 16);
-}
-
-}  // namespace
-
 MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
     : problem_(problem),
       composite_(problem.hierarchy, problem.options.stretch),
@@ -72,42 +56,43 @@ void MatrixFreeBackend::start(Field& phi, bool is_zero) {
 }
 
 Real MatrixFreeBackend::residual() {
-  Real out = 0;
   stopwatch_.time("residual", [&] {
     Norm const norm = problem_.options.norm;
-    out = phi_is_zero_ ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
-                       : composite_.residual(*source_, *phi_, norm, scale_, residual_);
+    latest_residual_ = phi_is_zero_ ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
+                                    : composite_.residual(*source_, *phi_, norm, scale_, residual_);
   });
-  return out;
+  return latest_residual_;
 }
 
 void MatrixFreeBackend::improve() {
   stopwatch_.time("cycle", [&] { is_first_cycle_ ? cycle_.start() : cycle_.run(); });
-  stopwatch_.time("correction", [&] { composite_.add(correction_, unit_, *phi_); });
+  stopwatch_.time("correction", [&] { latest_correction_ = composite_.add(correction_, unit_, *phi_); });
   phi_is_zero_ = is_first_cycle_ = false;
 }
 
-/// Largest magnitude on all levels of a vector of the cycle, over the scale of each level.
-Real MatrixFreeBackend::largest(matrixfree::Vector& (matrixfree::SweptLevel::*vector)(),
-                                std::vector<Real> const& scale) {
-  Real out = 0;
-  for (int l = 0; l < levels(); ++l) {
-    auto& swept = cycle_.level(std::size_t(l));
-    for (std::size_t b = 0; b < swept.layout().own_blocks(); ++b) {
-      auto const& block = swept.layout().blocks()[b];
-      for (int k = 0; k < block.box.extent(2); ++k)
-        for (int j = 0; j < block.box.extent(1); ++j) {
-          float const* const row = (swept.*vector)().data() + block.cells.place(0, j, k);
-          out = std::max(out, largest_magnitude(row, block.box.extent(0)) / scale[std::size_t(l)]);
-        }
-    }
-  }
+Real MatrixFreeBackend::largest_correction() {
+  Real out = latest_correction_;
   MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE, MPI_MAX, problem_.hierarchy->comm());
   return out;
 }
 
-Real MatrixFreeBackend::largest_correction() {
-  return largest(&matrixfree::SweptLevel::correction, std::vector<Real>(std::size_t(levels()), 1 / unit_));
+/// Largest magnitude over all levels of vectors of the cycle, each over the scale of its level.
+Real MatrixFreeBackend::largest(Blocks<float> const& blocks, std::vector<Real> const& scale) {
+  Real out = 0;
+  for (int l = 0; l < levels(); ++l) {
+    kernels::Largest<float> of_level;
+    Level const& level = problem_.hierarchy->level(l);
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      Block<float> const& block = blocks[std::size_t(l)][std::size_t(b - level.first_local_box())];
+      Box const& box = level.box(b);
+      for (int k = 0; k < box.extent(2); ++k)
+        for (int j = 0; j < box.extent(1); ++j)
+          of_level.add(block.origin + j * block.pitch_y + k * block.pitch_z, box.extent(0));
+    }
+    out = std::max(out, of_level.value() / scale[std::size_t(l)]);
+  }
+  MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE, MPI_MAX, problem_.hierarchy->comm());
+  return out;
 }
 
 Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*phi_, problem_.options.norm); }
@@ -116,14 +101,13 @@ Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*ph
 Real MatrixFreeBackend::discretisation_error() {
   Index3 const below = cycle_.ratio_below_base();
   if (levels() == 1 && below == Index3{1, 1, 1}) return 0;  // nothing is coarser than the base, nothing finer
-  Real const residual = largest(&matrixfree::SweptLevel::right_hand_side, scale_);
+  Real const residual = problem_.options.norm == Norm::max ? latest_residual_ : largest(residual_, scale_);
   std::vector<matrixfree::Vector> kept;  // dearer to find again than to copy
   for (int l = 0; l < levels(); ++l) kept.push_back(cycle_.level(std::size_t(l)).right_hand_side());
-  composite_.truncation(*source_, *phi_, below, scale_, residual_);
   Real error = 0;
-  if (residual < 0.1 * largest(&matrixfree::SweptLevel::right_hand_side, scale_)) {
+  if (residual < 0.1 * composite_.truncation(*source_, *phi_, below, scale_, residual_)) {
     cycle_.run();
-    error = largest_correction();
+    error = largest(correction_, std::vector<Real>(std::size_t(levels()), 1 / unit_));
   }
   for (int l = 0; l < levels(); ++l) {
     auto const& values = kept[std::size_t(l)];

@@ -38,7 +38,7 @@ class MatrixFreeBackend : public Backend {
 
  private:
   Blocks<float> blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)());
-  Real largest(matrixfree::Vector& (matrixfree::SweptLevel::*vector)(), std::vector<Real> const& scale);
+  Real largest(Blocks<float> const& blocks, std::vector<Real> const& scale);
   int levels() const { return problem_.hierarchy->level_count(); }
 
   Problem problem_;
@@ -49,6 +49,8 @@ class MatrixFreeBackend : public Backend {
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
   Field* phi_ = nullptr;
+  Real latest_residual_ = 0;    ///< its norm, V/m^2
+  Real latest_correction_ = 0;  ///< the largest on this rank, V
   bool phi_is_zero_ = false, is_first_cycle_ = false;
   Assembled shown_;  ///< empty until asked for
 };

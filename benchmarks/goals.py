@@ -11,11 +11,12 @@ from measuring import LEAST_SHARE, Record
 from particles import record_name
 from peers import peer_name
 from pic_step import IMPACTX_WALLS, step_name
-from solving import BOXES, following_name, name
+from solving import BOXES, assembly_name, following_name, name
 from walls import walls_name
 
 NAN = float("nan")
 SAME = 1e-8  # largest difference of the backends' potentials over the largest that counts as none
+OPERATORS = 8  # of a level, as compressed rows
 ROUNDING = 1e-12  # of the largest residual of a rough potential, relative
 
 
@@ -85,7 +86,9 @@ def goals(records: Sequence[Record]) -> list[Goal]:
     """Return all goals in the order that they are told in."""
     found = Found(records)
     return [
-        goal for topic in (solver, ranks, shapes, memory, setup, particles, step, backends) for goal in topic(found)
+        goal
+        for topic in (solver, ranks, shapes, memory, setup, assembly, particles, step, backends)
+        for goal in topic(found)
     ]
 
 
@@ -142,6 +145,12 @@ def setup(found: Found) -> Iterator[Goal]:
     yield Goal("bunch 64: regrid with φ carried over against a solve to 1e-6", found.ratio(regrid, solve), 1, unit="×")
     walls = found.ratio(walls_name(144, "open"), walls_name(144, "dirichlet"))
     yield Goal("open walls against grounded ones, ten_bunches 144", walls, 1.5, 1.15, "×")
+
+
+def assembly(found: Found) -> Iterator[Goal]:
+    record = found.records.get(assembly_name("bunch 64", 24))
+    each = NAN if record is None else 1e9 * record.median / record.cells / OPERATORS
+    yield Goal("bunch 64: assembly of compressed rows, each row of an operator", each, 60, unit=" ns")
 
 
 def particles(found: Found) -> Iterator[Goal]:

@@ -70,6 +70,23 @@ def told(tolerance: Tolerance) -> str:
     return tolerance if isinstance(tolerance, str) else f"{tolerance:g}"
 
 
+# ---- compressed rows ----
+
+
+def assembly(comm: MPI.Comm, case: str, boxes: int, runs: int) -> Record:
+    """Return the time of assembling the eight operators of all levels as compressed rows. Collective."""
+    given = problem(comm, case, boxes)
+    seconds = []
+    for _ in range(runs):
+        solver = PoissonSolver(given.hierarchy)
+        seconds += timed(comm, 1, partial(solver.operators, 0))[0]
+    return Record(assembly_name(case, boxes), seconds, cells=given.cells)
+
+
+def assembly_name(case: str, boxes: int) -> str:
+    return f"assembly, {case}, boxes {boxes}"
+
+
 # ---- a mesh that follows ----
 
 
@@ -203,6 +220,7 @@ def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator
         for cells in STRETCHED:
             yield from solves(problem(comm, f"{cells} 64", 32), f"{cells} 64", backend, runs, (FULL,))
         yield from following(comm, "bunch 64", 24, backend, runs)
+        yield assembly(comm, "bunch 64", 24, runs)
         if not quick:
             yield from growth(comm, backend, runs)
 

@@ -102,15 +102,18 @@ Real MatrixFreeBackend::discretisation_error() {
   Index3 const below = cycle_.ratio_below_base();
   if (levels() == 1 && below == Index3{1, 1, 1}) return 0;  // nothing is coarser than the base, nothing finer
   Real const residual = problem_.options.norm == Norm::max ? latest_residual_ : largest(residual_, scale_);
-  std::vector<matrixfree::Vector> kept;  // dearer to find again than to copy
-  for (int l = 0; l < levels(); ++l) kept.push_back(cycle_.level(std::size_t(l)).right_hand_side());
+  kept_.resize(std::size_t(levels()));  // dearer to find again than to copy
+  for (int l = 0; l < levels(); ++l) {
+    auto const& values = cycle_.level(std::size_t(l)).right_hand_side();
+    kept_[std::size_t(l)].assign(values.begin(), values.end());
+  }
   Real error = 0;
   if (residual < 0.1 * composite_.truncation(*source_, *phi_, below, scale_, residual_)) {
     cycle_.run();
     error = largest(correction_, std::vector<Real>(std::size_t(levels()), 1 / unit_));
   }
   for (int l = 0; l < levels(); ++l) {
-    auto const& values = kept[std::size_t(l)];
+    auto const& values = kept_[std::size_t(l)];
     std::copy(values.begin(), values.end(), cycle_.level(std::size_t(l)).right_hand_side().begin());
   }
   return error;
@@ -119,6 +122,12 @@ Real MatrixFreeBackend::discretisation_error() {
 void MatrixFreeBackend::electric_field(Field const& phi, std::array<Field*, 3> const& components,
                                        CoveredField covered) {
   composite_.electric_field(phi, problem_.walls, covered, components);
+}
+
+std::size_t MatrixFreeBackend::bytes() const {
+  std::size_t sum = composite_.bytes() + cycle_.bytes();
+  for (auto const& level : kept_) sum += level.capacity() * sizeof(float);
+  return sum;
 }
 
 LevelOperators const& MatrixFreeBackend::operators_with_gradient(int level) {

@@ -34,7 +34,7 @@ class MatrixFreeBackend : public Backend {
   std::int64_t assemblies() const override { return shown_.operators.empty() ? 0 : 1; }
   std::int64_t messages() const override { return composite_.messages() + cycle_.messages(); }
   std::int64_t message_bytes() const override { return composite_.message_bytes() + cycle_.message_bytes(); }
-  std::size_t bytes() const override { return composite_.bytes() + cycle_.bytes(); }
+  std::size_t bytes() const override;
 
  private:
   Blocks<float> blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)());
@@ -45,6 +45,7 @@ class MatrixFreeBackend : public Backend {
   CompositeLaplacian composite_;
   matrixfree::Cycle cycle_;
   Blocks<float> residual_, correction_;
+  std::vector<matrixfree::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
   std::optional<Source> source_;
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's

@@ -29,11 +29,6 @@ void for_each_on_face(Box const& box, int face, int k, F&& f) {
       for (int i = 0; i < nx; ++i) f(i + j * nx, i, j, int(nx));
 }
 
-/// Ask for n values to be brought near.
-void fetch(Real const* values, std::ptrdiff_t n) {
-  for (std::ptrdiff_t i = 0; i < n; i += 8) __builtin_prefetch(values + i, 0, 2);
-}
-
 Real mean_of_children(Real const* child, std::ptrdiff_t y, std::ptrdiff_t z) {
   return ((child[0] + child[1]) + (child[y] + child[y + 1]) + (child[z] + child[z + 1]) +
           (child[y + z] + child[y + z + 1])) *
@@ -275,8 +270,6 @@ void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& sourc
     kernels::residual_run(formula, starts ? 1 : 0, cells_here - (ends ? 1 : 0), c + at, neighbours(first), rho + at,
                           plane_.data() + at);
   };
-  // The next box in memory: its faces are read along x before it is swept, which the processor does not foresee.
-  if (c + plane * (nz + 1) <= level_end) fetch(c + plane * nz, plane);
   sweep(0, 1);
   sweep(1, ny - 1);
   sweep(ny - 1, ny);

@@ -34,30 +34,26 @@ float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, f
   return buffer.data();
 }
 
-/// Call f(row, j, its stencil) for the rows of a plane; `alternating`: first every second one, so that what one row
-/// stores has left the store buffer when the next but one reads it.
+/// Call f(row, j, its stencil) for the rows of a plane.
 template <class F>
-void Sweep::for_each_row(std::size_t block, int k, float* e, bool alternating, F&& f) const {
+void Sweep::for_each_row(std::size_t block, int k, float* e, F&& f) const {
   Block const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
-  int const ny = b.box.extent(1), plane = k - b.box.lower[2], stride = alternating ? 2 : 1;
-  RowStencil const* const rows = &s.rows[std::size_t(ny * plane)];
-  float* const first = e + b.cells.place(0, 0, plane);
+  int const ny = b.box.extent(1), plane = k - b.box.lower[2];
+  RowStencil const* at = &s.rows[std::size_t(ny * plane)];
   Row row;
   row.vectors = b.vectors();
   row.last = (b.box.extent(0) - 1) % b.lanes;
-  for (int start = 0; start < stride; ++start)
-    for (int j = start; j < ny; j += stride) {
-      RowStencil const& at = rows[j];
-      row.here = first + j * b.cells.pitch_y;
-      for (std::size_t side = 0; side < 4; ++side) row.beside[side] = e + at.beside[side];
-      if ((at.beside[0] | at.beside[1] | at.beside[2] | at.beside[3]) < 0)
-        for (std::size_t side = 0; side < 4; ++side)
-          if (at.beside[side] < 0) row.beside[side] = composed(s, at.beside[side], e, buffer_[side]);
-      row.left = at.factor[0] * e[at.end[0]];
-      row.right = at.factor[1] * e[at.end[1]];
-      f(row, j, at);
-    }
+  row.here = e + b.cells.place(0, 0, plane);
+  for (int j = 0; j < ny; ++j, ++at, row.here += b.cells.pitch_y) {
+    for (std::size_t side = 0; side < 4; ++side) row.beside[side] = e + at->beside[side];
+    if ((at->beside[0] | at->beside[1] | at->beside[2] | at->beside[3]) < 0)
+      for (std::size_t side = 0; side < 4; ++side)
+        if (at->beside[side] < 0) row.beside[side] = composed(s, at->beside[side], e, buffer_[side]);
+    row.left = at->factor[0] * e[at->end[0]];
+    row.right = at->factor[1] * e[at->end[1]];
+    f(row, j, *at);
+  }
 }
 
 namespace {
@@ -99,7 +95,7 @@ void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector&
   if (kernels_ == Kernels::portable)
     return portable::relax({b, stencil_.block(block), stencil_, k}, colour, r.data(), e.data());
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, e.data(), true, [&](Row const& row, int j, RowStencil const& s) {
+    for_each_row(block, k, e.data(), [&](Row const& row, int j, RowStencil const& s) {
       int const odd = parity(b, j, k, colour);
       matrixfree::relax<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - e.data()),
                                           stencil_.step(s.coefficients, b.cells.pitch_y, odd), stencil_.keep(), odd);
@@ -117,7 +113,7 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
   float* const left = buffer_[4].data();
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, values, false, [&](Row const& row, int j, RowStencil const& s) {
+    for_each_row(block, k, values, [&](Row const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
       bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;

@@ -45,7 +45,7 @@ class Sweep {
 
  private:
   template <class F>
-  void for_each_row(std::size_t block, int k, float* e, bool alternating, F&& f) const;
+  void for_each_row(std::size_t block, int k, float* e, F&& f) const;
   float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const;
 
   Layout const& layout_;

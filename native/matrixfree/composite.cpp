@@ -443,6 +443,7 @@ void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correcti
   for (int j = 0; j < ny; ++j) {
     T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
     Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
+    kernels::fetch<kernels::Use::read>(from + correction.pitch_z, nx);
     for (int i = 0; i < nx; ++i) to[i] = kernels::fused(scale, Real(from[i]), to[i]);
     largest.add(from, nx);
   }

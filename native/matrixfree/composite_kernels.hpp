@@ -66,6 +66,15 @@ inline void residual_ends(Residual const& f, int nx, Real const* c, Neighbours c
   out[e] = f(rho[e], c[e], c[e - 1], xp, n.ym[e], n.yp[e], n.zm[e], n.zp[e]);
 }
 
+/// Ask for a row of n values to be brought near, to be read or written. The rows of a box lie far apart in a vector of
+/// the cycle, so that the processor does not foresee them.
+enum class Use { read, write };
+template <Use use, class T>
+inline void fetch(T const* row, std::ptrdiff_t n) {
+  constexpr std::ptrdiff_t line = 64 / sizeof(T);
+  for (std::ptrdiff_t i = 0; i < n; i += line) __builtin_prefetch(row + i, use == Use::write);
+}
+
 /// A running maximum of magnitudes. The bits of magnitudes order as whole numbers, infinity and nan above all others.
 template <class T>
 class Largest {

@@ -7,6 +7,8 @@ namespace amrpic::matrixfree {
 
 namespace {
 
+constexpr std::size_t ahead = 16;  ///< groups for whose cells memory is asked in advance: they lie far apart
+
 /// 1 for the cells of a region that hold a potential of their own: cells of the level that no finer one covers.
 Window<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
   Window<char> out(region, 0);
@@ -99,6 +101,9 @@ void InterfaceCells::subtract_coarse(Vector const& surroundings, Vector& r) cons
   std::size_t n = 0;
   for (Face const& face : faces_)
     for (; n < face.end; ++n) {
+      if (n + ahead < groups_.size())
+        for (std::ptrdiff_t member : face.member)
+          __builtin_prefetch(&r[std::size_t(groups_[n + ahead].cell + member)], 1);
       Group const& group = groups_[n];
       Fit const& fit = fits_[std::size_t(group.fit)];
       auto const& steps = face.steps[std::size_t(group.fit)];
@@ -115,6 +120,8 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& surroundings) const 
   std::size_t n = 0;
   for (Face const& face : faces_)
     for (; n < face.end; ++n) {
+      if (n + ahead < groups_.size())
+        for (std::ptrdiff_t member : face.member) __builtin_prefetch(&e[std::size_t(groups_[n + ahead].cell + member)]);
       float sum = 0;
       for (std::ptrdiff_t member : face.member) {
         float const* const cell = &e[std::size_t(groups_[n].cell + member)];

@@ -156,7 +156,7 @@ void add_tile(CloudTiles& tiles, Level const& level, Surroundings const& at, Rea
     tiles.take(std::size_t(whole.offset({first, j, k})), last - first + 1, row.data());
     for (int i = 0; i <= last - first; ++i, ++n) {
       constexpr std::size_t ahead = 24;  // these cells lie all over the memory
-      if (n + ahead < at.shell.size() && at.shell[n + ahead] >= 0) __builtin_prefetch(&cells[at.shell[n + ahead]], 1);
+      if (n + ahead < at.shell.size() && at.shell[n + ahead] >= 0) bring_near(&cells[at.shell[n + ahead]]);
       LocalIndex const place = at.shell[n];
       if (row[i] == 0) continue;
       if (place >= 0)

@@ -52,7 +52,7 @@ struct VectorCells {
     return n;
   }
   void prefetch(LocalIndex place) const {
-    for (int c = 0; c < 3; ++c) __builtin_prefetch(own[c] + place);  // harmless beyond the end
+    for (int c = 0; c < 3; ++c) bring_near(own[c] + place);  // harmless beyond the end
   }
 };
 

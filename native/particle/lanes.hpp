@@ -40,6 +40,12 @@ inline void store(void* to, Vector const& values) {
   std::memcpy(to, &values, sizeof values);
 }
 
+/// Ask for what lies at an address to be brought into the cache; any address will do.
+inline void bring_near(void const* address) {
+  __builtin_prefetch(address);
+  asm volatile("");  // else a function that does nothing but this counts as one without effect, and calls are dropped
+}
+
 /// Write eight numbers to the start of a cache line that will not be read soon, past the cache where that can be done:
 /// the line is not read from memory first, and nothing else is displaced. `stream_end` must follow before others read.
 inline void stream(Real* to, Lanes const& values) {

@@ -10,8 +10,6 @@
 #include <stdexcept>
 #include <tuple>
 
-#include "particle/id_sort.hpp"
-
 namespace amrpic {
 
 namespace {
@@ -27,22 +25,32 @@ bool is_finite(ParticleView const& particles, std::int64_t n) {
   return product == 0;
 }
 
-/// Copy the values at some places to consecutive ones, past the cache if they are `far`; whether they are finite.
-bool permute(Real const* from, LocalIndex const* source, LocalIndex count, Real* to, bool far) {
+/// Copy the values at some places to consecutive ones, past the cache if they are `far`, and ask meanwhile for what
+/// lies in [ahead.first, ahead.second); whether all are finite.
+bool permute(Real const* from, LocalIndex const* source, LocalIndex count, Real* to, bool far,
+             std::pair<LocalIndex, LocalIndex> const& ahead) {
   LocalIndex const whole = count / lane_count * lane_count;
+  // Spread over the loop: a processor waits for about a dozen lines at a time.
+  LocalIndex const stride = ((ahead.second - ahead.first) / std::max(whole, 1) + 1) * lane_count;
+  LocalIndex next = ahead.first;
+  // Old and new arrays start on pages, and places change little: a load from an old one would often wait for a store to
+  // the new one whose address ends in the same twelve bits. So values are collected before they are written.
+  alignas(64) Real values[copy_size];
   Lanes zero{};  // nan as soon as a value is not finite
-  if (far) {
-    for (LocalIndex i = 0; i < whole; i += lane_count) {
-      Lanes const values = pick(from, source + i);
-      zero += values - values;
-      stream(to + i, values);
+  for (LocalIndex done = 0; done < whole; done += copy_size) {
+    LocalIndex const part = std::min<LocalIndex>(whole - done, copy_size);
+    for (LocalIndex i = 0; i < part; i += lane_count) {
+      Lanes const eight = pick(from, source + done + i);
+      zero += eight - eight;
+      store(values + i, eight);
+      for (LocalIndex const end = std::min(next + stride, ahead.second); next < end; next += lane_count)
+        bring_near(from + next);
     }
-  } else {
-    for (LocalIndex i = 0; i < whole; i += lane_count) {
-      Lanes const values = pick(from, source + i);
-      zero += values - values;
-      store(to + i, values);
-    }
+    for (LocalIndex i = 0; i < part; i += lane_count)
+      if (far)
+        stream(to + done + i, load<Lanes>(values + i));
+      else
+        store(to + done + i, load<Lanes>(values + i));
   }
   bool finite = true;
   for (int i = 0; i < lane_count; ++i) finite = finite && zero[i] == 0;
@@ -51,6 +59,11 @@ bool permute(Real const* from, LocalIndex const* source, LocalIndex count, Real*
     finite = finite && std::isfinite(to[i]);
   }
   return finite;
+}
+
+void require_few(std::int64_t particles) {
+  if (particles > std::numeric_limits<LocalIndex>::max() - block_size)
+    throw std::length_error("more than 2^31 particles on one rank; use more ranks");
 }
 
 /// Running sums of counts, from zero.
@@ -68,11 +81,11 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
     : mesh_(mesh),
       particles_(particles),
       cell_(std::size_t(particles.count)),
-      start_(std::size_t(mesh.first_cell().back()) + 1),
+      slots_(mesh.boxes().size()),
       leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
-  std::fill(start_.begin(), start_.end(), 0);
+  require_few(particles.count);
   for (std::int64_t n = 0; n < particles.count; n += block_size)
-    bin(n, std::min<std::int64_t>(n + block_size, particles.count));
+    bin(LocalIndex(n), LocalIndex(std::min(n + block_size, particles.count)));
   announce();
 }
 
@@ -80,7 +93,7 @@ std::optional<Migration::PlainBox> Migration::plain(Home const& home) const {
   Level const& level = mesh_.hierarchy().level(home.level);
   if (level.owner(home.box) != level.rank() || !mesh_.locator().is_finest(home)) return {};
   Box const& box = level.box(home.box);
-  PlainBox out{mesh_.locator().coordinates(home.level), {}, {}, cell_number(home.level, home.box, 0), 0, 0};
+  PlainBox out{mesh_.locator().coordinates(home.level), {}, {}, home.level, home.box, 0, 0};
   for (int d = 0; d < 3; ++d) out.lower[d] = box.lower[d], out.upper[d] = box.upper[d] + 1;
   out.stride_y = box.extent(0);
   out.stride_z = box.extent(0) * box.extent(1);
@@ -97,33 +110,82 @@ inline IndexLanes Migration::PlainBox::cells(std::array<Lanes, 3> const& x) cons
   }
   IndexLanes at[3];  // the differences are exact, so that none is rounded up to the next cell
   for (int d = 0; d < 3; ++d) at[d] = convert<IndexLanes>(in ? s[d] - lower[d] : Lanes{});
-  return (first + at[0] + stride_y * at[1] + stride_z * at[2]) | ~convert<IndexLanes>(in);
+  return (at[0] + stride_y * at[1] + stride_z * at[2]) | ~convert<IndexLanes>(in);
 }
 
-/// Find and count the cells of at most `block_size` particles.
-void Migration::bin(std::int64_t first, std::int64_t last) {
+/// The cell of one particle, -1 if it does not lie in the box.
+LocalIndex Migration::PlainBox::cell(Real3 const& x) const {
+  Real3 const s = coordinates(x);
+  LocalIndex at[3];
+  for (int d = 0; d < 3; ++d) {
+    if (!(s[d] >= lower[d] && s[d] < upper[d])) return -1;
+    at[d] = LocalIndex(s[d] - lower[d]);
+  }
+  return at[0] + stride_y * at[1] + stride_z * at[2];
+}
+
+/// Find the cells of at most `block_size` particles.
+void Migration::bin(LocalIndex first, LocalIndex last) {
   LocalIndex* const cell = cell_.data() + first;
   int const count = int(last - first), whole = near_ ? count / lane_count * lane_count : 0;
+  IndexLanes astray{};
   for (int i = 0; i < whole; i += lane_count) {
     std::array<Lanes, 3> x;
     for (int d = 0; d < 3; ++d) x[d] = load<Lanes>(particles_.position[d] + first + i);
-    store(cell + i, near_->cells(x));
+    IndexLanes const cells = near_->cells(x);
+    astray |= cells;  // negative as soon as one is
+    store(cell + i, cells);
   }
   std::fill(cell + whole, cell + count, -1);
-  int astray = 0;
-  for (int i = 0; i < count; ++i)
-    if (cell[i] < 0) {
-      ++astray;
-      look_up(first + i);
-    } else {
-      ++start_[cell[i] + 1];
-    }
-  staying_ += count - astray;
-  if (2 * astray > count && latest_.box >= 0) near_ = plain(latest_);
+  LocalIndex stayed = count;
+  if (whole < count || bytes_of(astray < 0))
+    for (int i = 0; i < count; ++i)
+      if (cell[i] < 0) {
+        --stayed;
+        if (!went_next_door(first + i)) look_up(first + i);
+      }
+  if (stayed > 0) {
+    Slot& slot = slots_[std::size_t(mesh_.slot(near_->level, near_->box))];
+    slot.stayed += stayed;
+    staying_ += stayed;
+    if (!slot.runs.empty() && slot.runs.back().last == first)
+      slot.runs.back().last = last;
+    else
+      slot.runs.push_back({first, last});
+  }
+  if (2 * stayed < count && latest_.box >= 0) {
+    near_ = plain(latest_);
+    next_door_.fill({});
+  }
 }
 
-/// Find the home of one particle that does not lie in the box at hand.
-void Migration::look_up(std::int64_t n) {
+/// Where a place lies as seen from the box at hand: below, in or above its range along each axis.
+int Migration::direction(Real3 const& x) const {
+  Real3 const s = near_->coordinates(x);
+  int out = 0;
+  for (int d = 2; d >= 0; --d) out = 3 * out + (s[d] < near_->lower[d] ? 0 : s[d] < near_->upper[d] ? 1 : 2);
+  return out;
+}
+
+/// Find the cell of a particle that does not lie in the box at hand, if it lies in a known one around it.
+bool Migration::went_next_door(LocalIndex n) {
+  if (!near_) return false;
+  auto const& box = next_door_[std::size_t(direction(particles_.at(n)))];
+  LocalIndex const cell = box ? box->cell(particles_.at(n)) : -1;
+  if (cell < 0) return false;
+  latest_ = {box->level, box->box, cell};
+  move_to(mesh_.slot(box->level, box->box), cell, n);
+  return true;
+}
+
+void Migration::move_to(int slot, LocalIndex cell, LocalIndex n) {
+  cell_[n] = -1;
+  slots_[std::size_t(slot)].movers.push_back({cell, n});
+  ++staying_;
+}
+
+/// Find the home of a particle wherever it lies.
+void Migration::look_up(LocalIndex n) {
   cell_[n] = -1;
   if (!is_finite(particles_, n)) {
     finite_ = false;
@@ -139,9 +201,8 @@ void Migration::look_up(std::int64_t n) {
   Level const& level = mesh_.hierarchy().level(latest_.level);
   int const owner = level.owner(latest_.box);
   if (owner == level.rank() && x == before) {
-    cell_[n] = cell_number(latest_.level, latest_.box, latest_.cell);
-    ++start_[cell_[n] + 1];
-    ++staying_;
+    move_to(mesh_.slot(latest_.level, latest_.box), latest_.cell, n);
+    if (near_) next_door_[std::size_t(direction(x))] = plain(latest_);
   } else {
     leaving_[owner].push_back({n, latest_});
   }
@@ -156,8 +217,7 @@ void Migration::announce() {
   MPI_Alltoall(leaving.data(), 1, MPI_INT64_T, coming.data(), 1, MPI_INT64_T, mesh_.hierarchy().comm());
   sent_start_ = starts_of(leaving);
   received_start_ = starts_of(coming);
-  if (particles_.count + received_start_.back() > std::numeric_limits<LocalIndex>::max())
-    throw std::length_error("more than 2^31 particles on one rank; use more ranks");
+  require_few(particles_.count + received_start_.back());
   sent_.reserve(std::size_t(sent_start_.back()));
   for (auto const& to_rank : leaving_)
     for (auto const& [n, home] : to_rank) {
@@ -189,98 +249,127 @@ void Migration::exchange() {
 
 // ---- to their places ----
 
-/// Make `order_` by counting, and with it the starts of the slots.
-void Migration::place(std::int64_t* starts) {
-  std::vector<LocalIndex> received_cell;
-  for (Parcel const& p : received_) {
-    received_cell.push_back(cell_number(p.level, p.box, p.cell));
-    ++start_[received_cell.back() + 1];
-  }
-  auto const& first_cell = mesh_.first_cell();
-  LocalIndex sum = 0;
-  for (std::size_t s = 0; s + 1 < first_cell.size(); ++s) {
-    starts[s] = sum;
-    for (LocalIndex c = first_cell[s]; c < first_cell[s + 1]; ++c) {
-      LocalIndex const count = start_[c + 1];
-      start_[c + 1] = sum;
-      sum += count;
-    }
-  }
-  starts[first_cell.size() - 1] = sum;
-
-  order_ = Scratch<LocalIndex>(std::size_t(arriving() + sort_slack));
-  for (LocalIndex n = 0; n < particles_.count; ++n)
-    if (cell_[n] >= 0) order_[start_[cell_[n] + 1]++] = n;
-  for (std::size_t r = 0; r < received_.size(); ++r)
-    order_[start_[received_cell[r] + 1]++] = LocalIndex(particles_.count + std::int64_t(r));
-}
-
 bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   exchange();
-  place(starts);
-  LocalIndex const cells = mesh_.first_cell().back();
-  std::int64_t written = 0;
-  for (LocalIndex from = 0, to = 0, kept = 0; from < cells; from = to) {  // so many whole cells at a time
-    constexpr LocalIndex stride = 16;
-    std::int64_t const first = written + kept;
-    while (to < cells && start_[std::min(to + stride, cells)] <= first + copy_size) to = std::min(to + stride, cells);
-    if (to == from) to = std::min(to + 1, cells);
-    prefetch(start_[to], std::min(start_[to] + copy_size, arriving()));
-    sort_cells(from, to, kept);
-    LocalIndex const ready = LocalIndex(start_[to] - written), whole = ready / lane_count * lane_count;
-    LocalIndex const now = to < cells ? whole : ready;
-    copy(written, now, out);
-    std::copy(id_.begin() + now, id_.begin() + ready, id_.begin());
-    std::copy(source_.begin() + now, source_.begin() + ready, source_.begin());
-    kept = ready - now;
-    written += now;
+  for (std::size_t r = 0; r < received_.size(); ++r) {
+    Parcel const& p = received_[r];
+    auto& movers = slots_[std::size_t(mesh_.slot(p.level, p.box))].movers;
+    movers.push_back({p.cell, LocalIndex(particles_.count + std::int64_t(r))});
+  }
+  std::size_t last = 0;  // slot that has any
+  starts[0] = 0;
+  for (std::size_t s = 0; s < slots_.size(); ++s) {
+    starts[s + 1] = starts[s] + slots_[s].stayed + std::int64_t(slots_[s].movers.size());
+    if (starts[s] < starts[s + 1]) last = s;
+  }
+  for (std::size_t s = 0; s < slots_.size(); ++s) {
+    if (starts[s] == starts[s + 1]) continue;
+    LocalIndex const cells = mesh_.first_cell()[s + 1] - mesh_.first_cell()[s];
+    count_by_cell(slots_[s], cells);
+    place(slots_[s], cells);
+    write_box(slots_[s], cells, s == last, out);
+    slots_[s] = {};
   }
   stream_end();
   return finite_;
 }
 
-/// Ask for the particles that come to places [first, last) to be brought near.
-void Migration::prefetch(std::int64_t first, std::int64_t last) const {
-  for (std::int64_t n = first; n < last; ++n) {
-    LocalIndex const from = order_[n];  // a place beyond the arrays does no harm here
-    for (int d = 0; d < 3; ++d) {
-      __builtin_prefetch(particles_.position[d] + from);
-      __builtin_prefetch(particles_.momentum[d] + from);
-    }
-    __builtin_prefetch(particles_.weight + from);
-    __builtin_prefetch(particles_.id + from);
+/// Let value c + 1 of `count_` be how many particles cell c of the box has; the first one counts who does not stay.
+void Migration::count_by_cell(Slot const& slot, LocalIndex cells) {
+  count_.assign(std::size_t(cells) + 1, 0);
+  LocalIndex* const count = count_.data() + 1;
+  for (Run const& run : slot.runs)
+    for (LocalIndex n = run.first; n < run.last; ++n) ++count[cell_[n]];
+  for (Mover const& mover : slot.movers) ++count[mover.cell];
+}
+
+/// Sort the places of a box's particles into `order_` by cell, and let value c of `count_` be where cell c starts.
+void Migration::place(Slot const& slot, LocalIndex cells) {
+  LocalIndex const gone = count_[0], total = slot.stayed + LocalIndex(slot.movers.size());
+  LocalIndex sum = 0;
+  for (LocalIndex c = 1; c <= cells; ++c) {
+    LocalIndex const count = count_[c];
+    count_[c] = sum;
+    sum += count;
+  }
+  count_[0] = total;  // who does not stay goes behind the others
+  order_.resize(std::max(order_.size(), std::size_t(total + gone + sort_slack)));
+  LocalIndex *const next = count_.data() + 1, *const order = order_.data();
+  for (Run const& run : slot.runs)
+    for (LocalIndex n = run.first; n < run.last; ++n) order[next[cell_[n]]++] = n;
+  for (Mover const& mover : slot.movers) order[next[mover.cell]++] = mover.place;
+  count_[0] = 0;  // each of the others has become the start of the cell after
+  near_to_ = slot.runs.empty() ? 0 : slot.runs.front().first;
+}
+
+/// Write the particles of a box but for those that do not fill a vector, which are left to the next one.
+void Migration::write_box(Slot const& slot, LocalIndex cells, bool last_of_all, ParticleView const& out) {
+  for (LocalIndex from = 0, to = 0; from < cells; from = to) {  // so many whole cells at a time
+    constexpr LocalIndex stride = 16;
+    LocalIndex const enough = count_[from] + copy_size;
+    while (to < cells && count_[std::min(to + stride, cells)] <= enough) to = std::min(to + stride, cells);
+    if (to == from) to = std::min(to + 1, cells);
+    sort_cells(from, to);
+    LocalIndex const ready = kept_ + count_[to] - count_[from];
+    LocalIndex const now = last_of_all && to == cells ? ready : ready / lane_count * lane_count;
+    copy(now, wanted(slot, count_[to], std::min(count_[to] + LocalIndex(copy_size), count_[cells])), out);
+    std::copy(id_.begin() + now, id_.begin() + ready, id_.begin());
+    std::copy(source_.begin() + now, source_.begin() + ready, source_.begin());
+    kept_ = ready - now;
+    written_ += now;
   }
 }
 
-/// Put the particles of cells [from, to) in order of their ids within each cell, behind `kept` of the cells before.
-void Migration::sort_cells(LocalIndex from, LocalIndex to, LocalIndex kept) {
-  LocalIndex const first = start_[from], count = start_[to] - first;
-  LocalIndex* const order = order_.data() + first;
-  unsorted_id_.resize(std::size_t(count + sort_slack));
-  id_.resize(std::size_t(kept + count + sort_slack));
-  source_.resize(std::size_t(kept + count + sort_slack));
-  for (LocalIndex i = 0; i < count; ++i)
-    unsorted_id_[i] = order[i] < particles_.count ? particles_.id[order[i]] : received_[order[i] - particles_.count].id;
-  std::copy(unsorted_id_.begin(), unsorted_id_.end(), id_.begin() + kept);
-  std::copy(order, order + count, source_.begin() + kept);
+/// What to ask for in the old arrays, as particles come from there to places [first, last) of the box. Nearly sorted as
+/// those who stay are, they are wanted nearly in order; so each line is asked for once.
+std::pair<LocalIndex, LocalIndex> Migration::wanted(Slot const& slot, LocalIndex first, LocalIndex last) {
+  if (slot.runs.empty()) return {0, 0};
+  LocalIndex const end = slot.runs.back().last;
+  LocalIndex furthest = near_to_;
+  for (LocalIndex n = first; n < last; ++n) furthest = std::max(furthest, order_[n] < end ? order_[n] + 1 : 0);
+  constexpr LocalIndex most = 1 << 14;  // who comes from further ahead stands alone
+  LocalIndex const start = std::max(near_to_, furthest - most);
+  near_to_ = (furthest + lane_count - 1) / lane_count * lane_count;
+  return {start, near_to_};
+}
+
+/// Put the particles of cells [from, to) in order of their ids within each cell, behind those that are left over.
+void Migration::sort_cells(LocalIndex from, LocalIndex to) {
+  LocalIndex const first = count_[from], count = count_[to] - first;
+  std::size_t const room = std::size_t(kept_ + count + sort_slack);
+  if (id_.size() < room) id_.resize(2 * room), source_.resize(2 * room);
+  Keyed const at{id_.data() + kept_, source_.data() + kept_};
+  std::copy(order_.data() + first, order_.data() + first + count, at.value);
+  read_ids(at, count);
+  LocalIndex const* const start = count_.data();
   auto const sort_cell = [&](LocalIndex c) {
-    LocalIndex const start = start_[c] - first;
-    sort_by_id({unsorted_id_.data() + start, order + start}, start_[c + 1] - start_[c],
-               {id_.data() + kept + start, source_.data() + kept + start});
+    sort_by_id({at.id + start[c] - first, at.value + start[c] - first}, start[c + 1] - start[c]);
   };
   LocalIndex c = from;
   for (; c + lane_count <= to; c += lane_count)  // often most cells have one particle, or none
-    for (auto more = bytes_of(load<IndexLanes>(&start_[c + 1]) - load<IndexLanes>(&start_[c]) > 1); more;) {
+    for (auto more = bytes_of(load<IndexLanes>(start + c + 1) - load<IndexLanes>(start + c) > 1); more;) {
       int const lane = __builtin_ctzll(more) / 8;
       sort_cell(c + lane);
       more &= ~(std::uint64_t(255) << (8 * lane));
     }
   for (; c < to; ++c)
-    if (start_[c + 1] - start_[c] > 1) sort_cell(c);
+    if (start[c + 1] - start[c] > 1) sort_cell(c);
 }
 
-/// Write `count` particles whose sources are at hand to places from `first`, a multiple of the lanes.
-void Migration::copy(std::int64_t first, LocalIndex count, ParticleView const& out) {
+void Migration::read_ids(Keyed const& at, LocalIndex count) const {
+  std::int64_t const* const id = particles_.id;
+  if (received_.empty())
+    for (LocalIndex i = 0; i < count; ++i) at.id[i] = id[at.value[i]];
+  else
+    for (LocalIndex i = 0; i < count; ++i) {
+      std::int64_t const beyond = at.value[i] - particles_.count;
+      at.id[i] = beyond < 0 ? id[at.value[i]] : received_[std::size_t(beyond)].id;
+    }
+}
+
+/// Write the first `count` particles whose sources are at hand, and ask for others `ahead`.
+void Migration::copy(LocalIndex count, std::pair<LocalIndex, LocalIndex> const& ahead, ParticleView const& out) {
+  std::int64_t const first = written_;
   std::vector<std::pair<std::int64_t, Parcel const*>> arrived;
   if (!received_.empty())
     for (LocalIndex i = 0; i < count; ++i)
@@ -289,13 +378,16 @@ void Migration::copy(std::int64_t first, LocalIndex count, ParticleView const& o
         source_[i] = 0;  // whatever lies there is overwritten below
       }
   std::copy(id_.begin(), id_.begin() + count, out.id + first);
+  for (LocalIndex n = ahead.first; n < ahead.second; n += lane_count) bring_near(particles_.id + n);
   if (particles_.count > 0) {
     auto const& [x, p] = std::tie(out.position, out.momentum);
     bool const far = are_far(arriving(), x[0], x[1], x[2], p[0], p[1], p[2], out.weight);
-    for (int d = 0; d < 3; ++d) permute(particles_.position[d], source_.data(), count, out.position[d] + first, far);
-    for (int d = 0; d < 3; ++d)
-      finite_ = permute(particles_.momentum[d], source_.data(), count, out.momentum[d] + first, far) && finite_;
-    permute(particles_.weight, source_.data(), count, out.weight + first, far);
+    auto const write = [&](Real const* from, Real* to) {
+      return permute(from, source_.data(), count, to + first, far, ahead);
+    };
+    for (int d = 0; d < 3; ++d) write(particles_.position[d], out.position[d]);
+    for (int d = 0; d < 3; ++d) finite_ = write(particles_.momentum[d], out.momentum[d]) && finite_;
+    write(particles_.weight, out.weight);
   }
   for (auto const& [n, parcel] : arrived) {
     for (int d = 0; d < 3; ++d) out.position[d][n] = parcel->position[d], out.momentum[d][n] = parcel->momentum[d];

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <optional>
+#include <utility>
 #include <vector>
 
+#include "particle/id_sort.hpp"
 #include "particle/lanes.hpp"
 #include "particle/memory.hpp"
 #include "particle/particle_mesh.hpp"
@@ -12,9 +14,10 @@ namespace amrpic {
 
 /// Particles on their way to the ranks that own their boxes, and to their places there.
 ///
-/// Particles that were sorted before they moved mostly lie in the box, and often in the cell, of their neighbour in
-/// memory. So one pass takes each particle's cell from the box at hand and counts the particles of each cell; only
-/// those that left the box are looked up. Running sums of the counts are the places, and each particle is copied once.
+/// Particles that were sorted before they moved mostly lie in the box of their neighbour in memory. So one pass takes
+/// each particle's cell from the box at hand; only those that left it are looked up. Box by box, what stayed and what
+/// came in is then counted by cell, so that the counts remain in the cache; their running sums are the places, and each
+/// particle is copied once.
 class Migration {
  public:
   /// Find the home of each particle, wrapped along periodic axes, and tell the ranks how many will come. Collective.
@@ -42,44 +45,69 @@ class Migration {
   struct PlainBox {
     LevelCoordinates coordinates;
     Real3 lower, upper;  ///< corners, in the level's coordinates
-    LocalIndex first, stride_y, stride_z;
+    int level, box;
+    LocalIndex stride_y, stride_z;
     IndexLanes cells(std::array<Lanes, 3> const& x) const;
+    LocalIndex cell(Real3 const& x) const;
   };
   struct Leaving {
     std::int64_t place;
     Home home;
   };
+  /// Particles [first, last), consecutive in memory, whose cells were taken from one box.
+  struct Run {
+    LocalIndex first, last;
+  };
+  /// A particle that comes into a box from elsewhere: its place in the old arrays, or beyond them among those received.
+  struct Mover {
+    LocalIndex cell, place;
+  };
+  /// What becomes of one box.
+  struct Slot {
+    std::vector<Run> runs;
+    std::vector<Mover> movers;
+    LocalIndex stayed = 0;
+  };
 
-  void bin(std::int64_t first, std::int64_t last);
-  void look_up(std::int64_t n);
+  void bin(LocalIndex first, LocalIndex last);
+  void look_up(LocalIndex n);
+  bool went_next_door(LocalIndex n);
+  void move_to(int slot, LocalIndex cell, LocalIndex n);
+  int direction(Real3 const& x) const;
   std::optional<PlainBox> plain(Home const& home) const;
-  LocalIndex cell_number(int level, int box, LocalIndex cell) const {
-    return mesh_.first_cell()[mesh_.slot(level, box)] + cell;
-  }
   void announce();
   void exchange();
-  void place(std::int64_t* starts);
-  void prefetch(std::int64_t first, std::int64_t last) const;
-  void sort_cells(LocalIndex from, LocalIndex to, LocalIndex kept);
-  void copy(std::int64_t first, LocalIndex count, ParticleView const& out);
+  void count_by_cell(Slot const& slot, LocalIndex cells);
+  void place(Slot const& slot, LocalIndex cells);
+  void write_box(Slot const& slot, LocalIndex cells, bool last_of_all, ParticleView const& out);
+  std::pair<LocalIndex, LocalIndex> wanted(Slot const& slot, LocalIndex first, LocalIndex last);
+  void sort_cells(LocalIndex from, LocalIndex to);
+  void read_ids(Keyed const& at, LocalIndex count) const;
+  void copy(LocalIndex count, std::pair<LocalIndex, LocalIndex> const& ahead, ParticleView const& out);
 
   ParticleMesh& mesh_;
   ParticleView particles_;
-  Home latest_;                   ///< of the particle that was looked up last
-  std::optional<PlainBox> near_;  ///< the box at hand
+  Home latest_;                                        ///< of the particle that was looked up last
+  std::optional<PlainBox> near_;                       ///< the box at hand
+  std::array<std::optional<PlainBox>, 27> next_door_;  ///< those found around it, by direction
   bool finite_ = true;
   std::vector<std::int64_t> lost_;
   std::int64_t staying_ = 0;
-  Scratch<LocalIndex> cell_;  ///< of each particle that stays, among this rank's cells; -1: it does not stay
-  /// Where each cell starts, one value more. Before that, value c + 1 is how many particles cell c has, then where the
-  /// next one of them goes.
-  Scratch<LocalIndex> start_;
-  Scratch<LocalIndex> order_;                   ///< place in the old arrays, or beyond them among those received
-  std::vector<std::vector<Leaving>> leaving_;   ///< by rank; this one too, for those that were wrapped
-  std::vector<Parcel> sent_, received_;         ///< by rank
-  std::vector<std::int64_t> unsorted_id_, id_;  ///< of the cells that are being copied
-  std::vector<LocalIndex> source_;              ///< likewise, sorted: places in the old arrays
+  Scratch<LocalIndex> cell_;  ///< of each particle in the box of its run; -1: it does not stay there
+  std::vector<Slot> slots_;
+  std::vector<std::vector<Leaving>> leaving_;  ///< by rank; this one too, for those that were wrapped
+  std::vector<Parcel> sent_, received_;        ///< by rank
   std::vector<std::int64_t> sent_start_, received_start_;
+
+  // Of the box that is being written.
+  std::vector<LocalIndex> count_;  ///< where each cell starts, see `count_by_cell` and `place`
+  std::vector<LocalIndex> order_;  ///< places of its particles, sorted by cell
+  LocalIndex near_to_ = 0;         ///< up to where the old arrays were asked for
+  // Of the cells that are being copied, and before them what is left over of those before.
+  std::vector<std::int64_t> id_;
+  std::vector<LocalIndex> source_;
+  LocalIndex kept_ = 0;       ///< how many are left over
+  std::int64_t written_ = 0;  ///< how many are written
 };
 
 /// Number of particles of this rank in each box of each level, over all boxes of the level.

@@ -3,7 +3,7 @@
 #include <array>
 #include <cstdint>
 
-#include "base/types.hpp"
+#include "particle/lanes.hpp"
 
 namespace amrpic {
 
@@ -20,7 +20,7 @@ struct ParticleView {
   void prefetch(std::int64_t first) const {
     for (auto const& columns : {position, momentum})
       for (Real const* column : columns)
-        for (int line = 0; line < 8; ++line) __builtin_prefetch(column + first + 8 * line);
+        for (int line = 0; line < 8; ++line) bring_near(column + first + 8 * line);
   }
   Real3 momentum_at(std::int64_t i) const { return {momentum[0][i], momentum[1][i], momentum[2][i]}; }
 };

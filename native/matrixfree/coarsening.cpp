@@ -95,28 +95,49 @@ void Coarsening::add_ends(Box const& parents, Surroundings const& around, std::v
 }
 
 void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
-  Vector& target = in_place_ ? coarse_.right_hand_side() : values_;
-  float const share = float(coarse_.scale() / fine_.scale() / (ratio_[0] * ratio_[1] * ratio_[2]));
-  if (!in_place_) std::fill(values_.begin(), values_.end(), 0.0f);
+  Vector& target = clear_target();
   stages.push_back([&](std::size_t b, int k) {
     if (b < targets_.size())
-      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], share, target);
+      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], share(), target);
   });
   fine_.run(stages);
+  interface_.subtract_flux(fine_.correction(), target);
+  hand_over();
+}
+
+void Coarsening::restrict_right_hand_side() {
+  Vector& target = clear_target();
+  fine_.run({[&](std::size_t b, int k) {
+    if (b < targets_.size())
+      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), targets_[b], share(), target);
+  }});
+  hand_over();
+}
+
+/// Where residuals of own blocks go.
+Vector& Coarsening::clear_target() {
+  if (in_place_) return coarse_.right_hand_side();
+  std::fill(values_.begin(), values_.end(), 0.0f);
+  return values_;
+}
+
+float Coarsening::share() const { return float(coarse_.scale() / fine_.scale() / (ratio_[0] * ratio_[1] * ratio_[2])); }
+
+/// From there to the parents, wherever they live.
+void Coarsening::hand_over() {
   if (in_place_) return;
-  interface_.subtract_flux(fine_.correction(), values_);
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
   parents_.add(values_.data(), r.data());
   if (gathers_) MPI_Allreduce(MPI_IN_PLACE, r.data(), int(r.size()), MPI_FLOAT, MPI_SUM, comm_);
 }
 
-std::vector<PlaneStage> Coarsening::prolongation() {
+std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   parents_.update({{coarse_.correction().data(), values_.data()}});
   for (Copy const& c : ends_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
-  std::vector<PlaneStage> const stages{[this](std::size_t b, int k) {
-    if (b < sources_.size()) fine_.sweep().prolong(b, k, sources_[b], values_, fine_.correction());
+  std::vector<PlaneStage> const stages{[this, into](std::size_t b, int k) {
+    if (b < sources_.size()) fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.correction());
   }};
   if (!fine_.has_halo()) return stages;
   fine_.run(stages);

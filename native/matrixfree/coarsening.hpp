@@ -25,9 +25,13 @@ class Coarsening {
   /// through the common faces.
   void sweep_and_restrict(std::vector<PlaneStage> stages);
 
+  /// The same for a finer correction of zero, whose values are not read. Collective.
+  void restrict_right_hand_side();
+
   /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
-  /// adds it to the finer correction, and is to be run first. Collective.
-  std::vector<PlaneStage> prolongation();
+  /// adds it to the finer correction, or takes its place, and is to be run first. Collective.
+  enum class Into { sum, place };
+  std::vector<PlaneStage> prolongation(Into into);
 
   std::int64_t messages() const { return parents_.messages(); }
   std::int64_t message_bytes() const { return parents_.bytes(); }
@@ -39,6 +43,9 @@ class Coarsening {
     float factor;
   };
   void surround(MPI_Comm comm, EndFactor const& behind);
+  Vector& clear_target();
+  float share() const;
+  void hand_over();
   void add_ends(Box const& parents, Surroundings const& around, std::vector<char>& known, EndFactor const& behind);
 
   MPI_Comm comm_;

@@ -101,16 +101,9 @@ void Cycle::run() {
 void Cycle::start() {
   if (!one_level()) return run();
   NoDenormals const guard;
-  for (std::size_t l = levels_.size() - 1; l > 0; --l) {
-    Vector& e = levels_[l].swept->correction();
-    std::fill(e.begin(), e.end(), 0.0f);
-    levels_[l].coarsening->sweep_and_restrict({});
-  }
+  for (std::size_t l = levels_.size() - 1; l > 0; --l) levels_[l].coarsening->restrict_right_hand_side();
   solve_coarsest();
-  for (std::size_t l = 1; l < levels_.size(); ++l) {
-    levels_[l].swept->run(levels_[l].coarsening->prolongation());
-    cycle(l, Guess::correction);
-  }
+  for (std::size_t l = 1; l < levels_.size(); ++l) cycle(l, Guess::coarser);
 }
 
 void Cycle::cycle(std::size_t l, Guess guess) {
@@ -122,14 +115,17 @@ void Cycle::cycle(std::size_t l, Guess guess) {
 
 /// Smooth, then leave the right-hand side of the coarser level.
 void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
-  level.swept->exchange_halo(guess == Guess::correction, true);
-  level.coarsening->sweep_and_restrict(level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero));
+  level.swept->exchange_halo(false, true);
+  std::vector<PlaneStage> stages;
+  if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
+  for (auto& stage : level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero)) stages.push_back(stage);
+  level.coarsening->sweep_and_restrict(stages);
 }
 
 /// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own
 /// comes here, where it also finds what the coarser correction brought in along the coarse axis.
 void Cycle::prolong_and_post_smooth(CycleLevel& level) {
-  auto stages = level.coarsening->prolongation();
+  auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
   for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false)) stages.push_back(stage);
   if (level.local) stages = level.local->improve(stages);
   level.swept->run(stages);

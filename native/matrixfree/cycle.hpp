@@ -41,7 +41,7 @@ class Cycle {
     std::unique_ptr<LocalCycle> local;       ///< of a refinement level of long or flat cells
   };
   bool one_level() const { return stack_.base + 1 == stack_.levels.size(); }
-  enum class Guess { zero, correction };
+  enum class Guess { zero, coarser };  ///< what a level's sweeps start from: nothing, or the coarser level's correction
   void cycle(std::size_t l, Guess guess);
   void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
   void prolong_and_post_smooth(CycleLevel& level);

@@ -33,7 +33,7 @@ std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stage
   auto own = swept_.relaxations(relaxation_.pre_sweeps, true);
   if (next_) own = next_->improve(own);
   swept_.run(own);
-  auto out = coarsening_.prolongation();
+  auto out = coarsening_.prolongation(Coarsening::Into::sum);
   for (auto& stage : fine_.relaxations(relaxation_.post_sweeps, false)) out.push_back(stage);
   return out;
 }

@@ -99,29 +99,49 @@ void relax(Plane const& p, int colour, float const* r, float* e) {
   });
 }
 
+namespace {
+
+/// Give row j's share to its parents: `share` times the sum of value(i) over the children. Rows that share parents come
+/// one after the other, by their `offset`.
+template <class F>
+void add_shares(Plane const& p, Parents const& parents, float share, float* coarse, Member const& team, int j, int n,
+                int offset, F const& value) {
+  Index3 const ratio = parents.ratio;
+  float* const to = coarse + parents.cells.place(0, j / ratio[1], p.number() / ratio[2]);
+  bool const set = offset == 0 && p.number() % ratio[2] == 0;
+  Kokkos::parallel_for(Kokkos::TeamVectorRange(team, n / ratio[0]), [&](int parent) {
+    float sum = 0;
+    for (int i = parent * ratio[0]; i < (parent + 1) * ratio[0]; ++i) sum += value(i);
+    to[parent] = (set ? 0 : to[parent]) + share * sum;
+  });
+}
+
+}  // namespace
+
 void restrict_residual(Plane const& p, float const* r, float const* e, Parents const& parents, float share,
                        float* coarse) {
   auto const weight = weights(p);
-  int const k = p.number();
-  Index3 const ratio = parents.ratio;
-  // rows that share parents, one after the other
-  for (int offset = 0; offset < ratio[1]; ++offset)
+  for (int offset = 0; offset < parents.ratio[1]; ++offset)
     for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
-      if (j % ratio[1] != offset) return;
+      if (j % parents.ratio[1] != offset) return;
       float const* const diagonal = p.stencil.diagonal(stencil_of(p, j).coefficients);
       float const* const right_hand_side = r + (row.here - e);
-      float* const to = coarse + parents.cells.place(0, j / ratio[1], k / ratio[2]);
-      bool const set = offset == 0 && k % ratio[2] == 0;
-      Kokkos::parallel_for(Kokkos::TeamVectorRange(team, row.n / ratio[0]), [&](int parent) {
-        float sum = 0;
-        for (int i = parent * ratio[0]; i < (parent + 1) * ratio[0]; ++i)
-          sum += right_hand_side[i] - (row.sum(i, weight) - diagonal[i] * row.here[i]);
-        to[parent] = (set ? 0 : to[parent]) + share * sum;
-      });
+      add_shares(p, parents, share, coarse, team, j, row.n, offset,
+                 [&](int i) { return right_hand_side[i] - (row.sum(i, weight) - diagonal[i] * row.here[i]); });
     });
 }
 
-void prolong(Plane const& p, Parents const& parents, float const* coarse, float* e) {
+void restrict_right_hand_side(Plane const& p, float const* r, Parents const& parents, float share, float* coarse) {
+  for (int offset = 0; offset < parents.ratio[1]; ++offset)
+    Kokkos::parallel_for("restrict", policy(p), [&](Member const& team) {
+      int const j = team.league_rank();
+      if (j % parents.ratio[1] != offset) return;
+      float const* const row = r + p.block.cells.place(0, j, p.number());
+      add_shares(p, parents, share, coarse, team, j, p.block.box.extent(0), offset, [&](int i) { return row[i]; });
+    });
+}
+
+void prolong(Plane const& p, Parents const& parents, float const* coarse, bool set, float* e) {
   int const k = p.number();
   Index3 const ratio = parents.ratio;
   std::array<std::ptrdiff_t, 3> const stride{1, parents.cells.pitch_y, parents.cells.pitch_z};
@@ -146,7 +166,7 @@ void prolong(Plane const& p, Parents const& parents, float const* coarse, float*
         }
         if (share != 0) sum += share * parent[at];
       }
-      row[i] += sum;
+      row[i] = (set ? 0 : row[i]) + sum;
     });
   });
 }

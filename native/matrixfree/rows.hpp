@@ -98,25 +98,28 @@ struct CoarseRows {
   int count;
 };
 
-/// Add the trilinear interpolation between coarse rows to a fine row of `vectors`.
+/// Set a fine row of `vectors` to the trilinear interpolation between coarse rows, or add it.
 template <int N>
-inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, float* fine) {
+inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool set, float* fine) {
   using L = Lanes<N>;
   auto mean = [&](int place) {
     typename L::Type sum = coarse.share[0] * load<N>(coarse.row[0] + place);
     for (int c = 1; c < coarse.count; ++c) sum += coarse.share[c] * load<N>(coarse.row[c] + place);
     return sum;
   };
+  auto put = [&](int v, typename L::Type const& values) {
+    store<N>(fine + v * N, set ? values : load<N>(fine + v * N) + values);
+  };
   if (ratio == 1) {
-    for (int v = 0; v < vectors; ++v) store<N>(fine + v * N, load<N>(fine + v * N) + mean(v * N));
+    for (int v = 0; v < vectors; ++v) put(v, mean(v * N));
     return;
   }
   for (int v = 0; v < vectors; v += 2) {
     int const place = v / 2 * N;
     typename L::Type const here = 0.75f * mean(place);
     typename L::Type const lower = here + 0.25f * mean(place - 1), upper = here + 0.25f * mean(place + 1);
-    store<N>(fine + v * N, load<N>(fine + v * N) + L::interleave_low(lower, upper));
-    if (v + 1 < vectors) store<N>(fine + (v + 1) * N, load<N>(fine + (v + 1) * N) + L::interleave_high(lower, upper));
+    put(v, L::interleave_low(lower, upper));
+    if (v + 1 < vectors) put(v + 1, L::interleave_high(lower, upper));
   }
 }
 

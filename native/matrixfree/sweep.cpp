@@ -109,24 +109,42 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
   if (kernels_ == Kernels::portable)
     return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, share,
                                        coarse.data());
-  int const plane = k - b.box.lower[2];
   float* const left = buffer_[4].data();
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
     for_each_row(block, k, values, [&](Row const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
-      bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;
-      float* const to = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
-      restrict_row<n()>(left, b.box.extent(0) / parents.ratio[0], parents.ratio[0], share, set, to);
+      restrict_row(b, j, k, left, parents, share, coarse);
     });
   });
 }
 
-void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, Vector& e) const {
+void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float share,
+                                     Vector& coarse) const {
   Block const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), e.data());
+    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, share,
+                                              coarse.data());
+  for (int j = 0; j < b.box.extent(1); ++j)
+    restrict_row(b, j, k, r.data() + b.cells.place(0, j, k - b.box.lower[2]), parents, share, coarse);
+}
+
+/// The share of a row of fine values.
+void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
+                         Vector& coarse) const {
+  int const plane = k - b.box.lower[2];
+  bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;
+  float* const to = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
+  with_kind(b.lanes, true, [&](auto n, auto) {
+    matrixfree::restrict_row<n()>(fine, b.box.extent(0) / parents.ratio[0], parents.ratio[0], share, set, to);
+  });
+}
+
+void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector& e) const {
+  Block const& b = layout_.blocks()[block];
+  if (kernels_ == Kernels::portable)
+    return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), set, e.data());
   int const plane = k - b.box.lower[2];
   // a fine row lies between its parents' row and the next one on its own side
   auto other = [](int fine, int ratio) { return ratio == 1 ? 0 : fine % 2 == 0 ? -1 : 1; };
@@ -144,7 +162,7 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
               here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
           from.share[std::size_t(from.count)] = share(y, far_y) * share(z, far_z);
         }
-      prolong_row<n()>(from, parents.ratio[0], b.vectors(), &e[std::size_t(b.cells.place(0, j, plane))]);
+      prolong_row<n()>(from, parents.ratio[0], b.vectors(), set, &e[std::size_t(b.cells.place(0, j, plane))]);
     }
   });
 }

@@ -34,16 +34,21 @@ class Sweep {
   void relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
   void relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
 
-  /// The plane's share in the coarse right-hand side: `share` times the sum of the children's residuals. The first of
-  /// the planes that share parents sets, the others add.
+  /// The plane's share in the coarse right-hand side: `share` times the sum of the children's residuals, or of their
+  /// right-hand sides. The first of the planes that share parents sets, the others add.
   void restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
                          float share, Vector& coarse) const;
 
-  /// Add the coarse correction, interpolated trilinearly along the axes of ratio 2; coarse cells around the block's
-  /// parents must hold what lies there.
-  void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, Vector& e) const;
+  void restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float share,
+                                Vector& coarse) const;
+
+  /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; coarse cells
+  /// around the block's parents must hold what lies there.
+  void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector& e) const;
 
  private:
+  void restrict_row(Block const& block, int j, int k, float const* fine, Parents const& parents, float share,
+                    Vector& coarse) const;
   template <class F>
   void for_each_row(std::size_t block, int k, float* e, F&& f) const;
   float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const;

@@ -228,21 +228,24 @@ what it brings:
    two after the coarse correction, trilinear prolongation: the residual falls to a fortieth per cycle, the same for every
    cutting into boxes and ranks. Colours frozen at box or rank borders, or reversed after the coarse correction, cost twice
    the cycles. Levels of long or flat cells are smoothed by a cycle of their own, over copies that are coarser along the
-   short axes.
+   short axes. A mesh of one level starts with an F-cycle, which saves a V-cycle for the price of a sixth; nested levels of
+   like size would make it cost a V-cycle more, so refined meshes do without.
 2. **Single precision where it suffices.** φ, ρ and the composite residual are double; corrections are single, scaled level by
    level so that SI magnitudes do not underflow, inside a defect correction. Cycle counts are those of double precision, the
    traffic is half.
 3. **Fused passes.** All half-sweeps of a level run in one pass, as a wavefront over planes: while a plane takes its first
    half-sweep, those behind it take their later ones, out of the second-level cache. Restriction is done at the tail of the
    pass before the coarse correction, prolongation at the head of the pass after it: two passes per level and cycle, the
-   first of which starts from a zero that is never stored.
+   first of which starts from a zero that is never stored. Rows go in their own order, so that each comes once from the
+   second-level cache; bands of rows that take several stages in the first one were tried, and gained nothing.
 4. **Large blocks.** For the sweeps, boxes of a rank are joined to the largest blocks that they fill, rows padded to whole
-   vectors, so that the size of boxes hardly matters. Neighbouring blocks are read by pointer; copies of cells, four deep so
-   that one exchange serves a whole pass, exist at rank borders alone. Small levels are held by every rank.
+   vectors, so that the size of boxes hardly matters. What lies beside a row is read from a table, neighbouring blocks by
+   pointer; copies of cells, four deep so that one exchange serves a whole pass, exist at rank borders alone. Small levels
+   are held by every rank. Large arrays lie in huge pages.
 5. **Interfaces as exceptions.** Coarse-fine faces are lists of rectangles beside the regular loops, and those of the
    composite residual are taken in double precision; the loops themselves know nothing of them.
 6. **Nothing twice.** Set-up makes lists, no matrices; the coarsest level is solved exactly from its eigenvectors along each
-   axis.
+   axis. Norms are taken where values are written; the first residual of a zero guess is made from the charge alone.
 
 ## Solves
 

@@ -1,13 +1,14 @@
 #include "matrixfree/interface_cells.hpp"
 
-#include "matrixfree/fits.hpp"
+#include <algorithm>
+
 #include "mesh/window.hpp"
 
 namespace amrpic::matrixfree {
 
 namespace {
 
-constexpr std::size_t ahead = 16;  ///< groups for whose cells memory is asked in advance: they lie far apart
+constexpr int margin = 2;  ///< of coarser cells that fits take, around the parents
 
 /// 1 for the cells of a region that hold a potential of their own: cells of the level that no finer one covers.
 Window<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
@@ -38,7 +39,6 @@ unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& st
 InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout const& layout,
                                std::vector<Surroundings> const& surroundings, std::array<float, 3> const& weight,
                                std::array<float, 3> const& coarse_weight) {
-  std::vector<std::array<std::ptrdiff_t, 2>> tangential;  // of each face, in the surroundings
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Block const& block = layout.blocks()[b];
     Surroundings const& around = surroundings[b];
@@ -60,81 +60,81 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         Box const& window = usable.box();
         std::array<std::ptrdiff_t, 3> const step{1, window.extent(0),
                                                  std::ptrdiff_t(window.extent(0)) * window.extent(1)};
-        for_each_cell(layer.coarsen({2, 2, 2}), [&, u = u, v = v](Index3 const& parent) {
+        Box const parents = layer.coarsen({2, 2, 2});
+        Face face;
+        face.nu = parents.extent(u);
+        face.nv = parents.extent(v);
+        face.fits = fits_.size();
+        for_each_cell(parents, [&, u = u, v = v](Index3 const& parent) {
           Index3 ghost{2 * parent[0], 2 * parent[1], 2 * parent[2]};
           ghost[axis] = layer.lower[axis];
-          if (level_has(ghost)) return;
-          ghost[axis] += side == 0 ? 1 : -1;
-          groups_.push_back({std::int32_t(block.place(ghost)), std::int32_t(around.place(parent)),
-                             fit_number(usable_around(&usable(parent), {step[u], step[v]}))});
+          fits_.push_back(level_has(ghost) ? no_fit : fit_number(usable_around(&usable(parent), {step[u], step[v]})));
         });
-        Face face;
-        face.end = groups_.size();
+        Index3 first = layer.lower;
+        first[axis] += side == 0 ? 1 : -1;
+        face.cell = block.place(first);
+        face.cell_u = block.cells.stride(u);
+        face.cell_v = block.cells.stride(v);
         face.inward = block.cells.stride(axis) * (side == 0 ? 1 : -1);
-        face.member = {0, block.cells.stride(u), block.cells.stride(v), block.cells.stride(u) + block.cells.stride(v)};
+        face.parent = around.place(parents.lower);
+        face.parent_u = around.cells.stride(u);
+        face.parent_v = around.cells.stride(v);
         face.weight = float(weight[axis] * interface_ghost::coarse);
         // over the coarse cell width a gradient counts double, and each fine face has a quarter of the coarse one
         face.flux_weight = 0.5f * coarse_weight[axis];
         faces_.push_back(face);
-        tangential.push_back({around.cells.stride(u), around.cells.stride(v)});
+        plane_.resize(std::max(plane_.size(), std::size_t(face.nu + 2 * margin) * std::size_t(face.nv + 2 * margin)));
+        rows_.resize(std::max(rows_.size(), std::size_t(4 * face.nu)));
       }
-  }
-  FitNumber most = 0;
-  for (Group const& group : groups_) most = std::max(most, FitNumber(group.fit));
-  for (int number = 0; number <= most; ++number) {
-    NumberedFit const& from = numbered_fit(FitNumber(number));
-    Fit& fit = fits_.emplace_back();
-    fit.count = from.count;
-    for (int t = 0; t < from.count; ++t)
-      for (int q = 0; q < 4; ++q)
-        fit.weight[t][q] = float(from.terms[std::size_t(t)].weight[std::size_t(q / 2)][std::size_t(q % 2)]);
-    for (std::size_t f = 0; f < faces_.size(); ++f) {
-      auto& steps = faces_[f].steps.emplace_back();
-      for (int t = 0; t < from.count; ++t)
-        steps[std::size_t(t)] =
-            from.terms[std::size_t(t)].i * tangential[f][0] + from.terms[std::size_t(t)].j * tangential[f][1];
-    }
   }
 }
 
 void InterfaceCells::subtract_coarse(Vector const& surroundings, Vector& r) const {
-  std::size_t n = 0;
-  for (Face const& face : faces_)
-    for (; n < face.end; ++n) {
-      if (n + ahead < groups_.size())
-        for (std::ptrdiff_t member : face.member)
-          __builtin_prefetch(&r[std::size_t(groups_[n + ahead].cell + member)], 1);
-      Group const& group = groups_[n];
-      Fit const& fit = fits_[std::size_t(group.fit)];
-      auto const& steps = face.steps[std::size_t(group.fit)];
-      float const* const parent = &surroundings[std::size_t(group.parent)];
-      Four sum[3] = {};  // independent of each other, so that one need not wait for the other
-      for (std::size_t t = 0; t < std::size_t(fit.count); ++t) sum[t % 3] += fit.weight[t] * parent[steps[t]];
-      Four const mean = sum[0] + sum[1] + sum[2];
-      for (std::size_t q = 0; q < 4; ++q) r[std::size_t(group.cell + face.member[q])] -= face.weight * mean[q];
+  for (Face const& face : faces_) {
+    float const* coarse = &surroundings[std::size_t(face.parent)];
+    std::ptrdiff_t pitch = face.parent_v;
+    if (face.parent_u != 1) {  // rows of their own, for what follows
+      pitch = face.nu + 2 * margin;
+      float* to = plane_.data();
+      for (int v = -margin; v < face.nv + margin; ++v)
+        for (int u = -margin; u < face.nu + margin; ++u) *to++ = coarse[u * face.parent_u + v * face.parent_v];
+      coarse = plane_.data() + margin + margin * pitch;
     }
+    for (int v = 0; v < face.nv; ++v) {
+      FitNumber const* const fits = &fits_[face.fits + std::size_t(v) * std::size_t(face.nu)];
+      fit_row(fits, face.nu, coarse + v * pitch, pitch, rows_.data(), rows_.data() + 2 * face.nu);
+      for_each_run(fits, face.nu, [&](int u, int count, FitNumber) {
+        for (int half = 0; half < 2; ++half) {
+          float const* const ghost = rows_.data() + 2 * face.nu * half;
+          float* const cell = &r[std::size_t(face.cell + (2 * v + half) * face.cell_v)];
+          if (face.cell_u == 1)
+            for (int i = 2 * u; i < 2 * (u + count); ++i) cell[i] -= face.weight * ghost[i];
+          else
+            for (int i = 2 * u; i < 2 * (u + count); ++i) cell[i * face.cell_u] -= face.weight * ghost[i];
+        }
+      });
+    }
+  }
 }
 
 void InterfaceCells::subtract_flux(Vector const& e, Vector& surroundings) const {
   constexpr float first = float(1 - interface_ghost::first), second = float(-interface_ghost::second);
-  std::size_t n = 0;
-  for (Face const& face : faces_)
-    for (; n < face.end; ++n) {
-      if (n + ahead < groups_.size())
-        for (std::ptrdiff_t member : face.member) __builtin_prefetch(&e[std::size_t(groups_[n + ahead].cell + member)]);
-      float sum = 0;
-      for (std::ptrdiff_t member : face.member) {
-        float const* const cell = &e[std::size_t(groups_[n].cell + member)];
-        sum += first * cell[0] + second * cell[face.inward];
-      }
-      surroundings[std::size_t(groups_[n].parent)] -= face.flux_weight * sum;
-    }
+  for (Face const& face : faces_) {
+    auto through = [&](float const* cell) { return first * cell[0] + second * cell[face.inward]; };
+    for (int v = 0; v < face.nv; ++v)
+      for_each_run(
+          &fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu, [&](int u, int count, FitNumber) {
+            float const* cell = &e[std::size_t(face.cell + 2 * v * face.cell_v + 2 * u * face.cell_u)];
+            float* parent = &surroundings[std::size_t(face.parent + v * face.parent_v + u * face.parent_u)];
+            for (int i = 0; i < count; ++i, cell += 2 * face.cell_u, parent += face.parent_u)
+              *parent -= face.flux_weight * (through(cell) + through(cell + face.cell_u) + through(cell + face.cell_v) +
+                                             through(cell + face.cell_u + face.cell_v));
+          });
+  }
 }
 
 std::size_t InterfaceCells::bytes() const {
-  std::size_t sum = groups_.size() * sizeof(Group) + fits_.size() * sizeof(Fit);
-  for (Face const& face : faces_) sum += face.steps.size() * sizeof(face.steps[0]);
-  return sum;
+  return faces_.size() * sizeof(Face) + fits_.size() + (plane_.size() + rows_.size()) * sizeof(float);
 }
 
 }  // namespace amrpic::matrixfree

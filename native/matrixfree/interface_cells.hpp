@@ -1,7 +1,7 @@
 #pragma once
 
+#include "matrixfree/fits.hpp"
 #include "matrixfree/layout.hpp"
-#include "stencil/interface.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -24,8 +24,6 @@ class InterfaceCells {
                  std::vector<Surroundings> const& surroundings, std::array<float, 3> const& weight,
                  std::array<float, 3> const& coarse_weight);
 
-  bool empty() const { return groups_.empty(); }
-
   /// Take from r what the ghosts behind the faces have of the coarser correction.
   void subtract_coarse(Vector const& surroundings, Vector& r) const;
 
@@ -35,27 +33,17 @@ class InterfaceCells {
   std::size_t bytes() const;
 
  private:
-  typedef float Four __attribute__((vector_size(16)));
-  /// The four fine faces of one coarse face; their ghosts lie in one coarse cell.
-  struct Group {
-    std::int32_t cell;    ///< the first of the fine cells before the faces
-    std::int32_t parent;  ///< the coarse cell behind them
-    std::int32_t fit;
-  };
+  /// A side of a block on which ghosts lie in coarser cells: nu x nv of these, the lower tangential axis first.
   struct Face {
-    std::size_t end;                       ///< of its groups
-    std::ptrdiff_t inward;                 ///< from a fine cell to the next one
-    std::array<std::ptrdiff_t, 4> member;  ///< from the first fine cell to each
+    int nu, nv;
+    std::size_t fits;                             ///< first of its numbers, u fastest; no_fit where no ghosts lie
+    std::ptrdiff_t cell, cell_u, cell_v, inward;  ///< the first fine cell before the face, steps from one to the next
+    std::ptrdiff_t parent, parent_u, parent_v;    ///< the first coarse cell behind it, in the surroundings
     float weight, flux_weight;
-    std::vector<std::array<std::ptrdiff_t, 9>> steps;  ///< of each fit, from the parent to its terms
   };
-  struct Fit {
-    int count;
-    Four weight[9];  ///< of each term in the four ghosts
-  };
-  std::vector<Group> groups_;
   std::vector<Face> faces_;
-  std::vector<Fit> fits_;
+  std::vector<FitNumber> fits_;
+  mutable std::vector<float> plane_, rows_;  ///< of the face under way: coarse values, two rows of ghosts
 };
 
 }  // namespace amrpic::matrixfree

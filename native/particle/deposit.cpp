@@ -31,89 +31,97 @@ struct CloudTiles {
   void reset(Box const& box) {
     for (Tile<1>& tile : by_parity) tile.reset(box);
   }
-  /// Take the sums of `count` cells from cell n on out of the tiles.
-  void take(std::size_t n, int count, Real* out) {
-    Real *const even = by_parity[0].values() + n, *const odd = by_parity[1].values() + n;
-    for (int i = 0; i < count; ++i) out[i] = even[i] + odd[i];
+  /// Take the place of the box that follows along z, after all planes but those that both have were taken out.
+  void follow(Box const& next) {
+    for (Tile<1>& tile : by_parity) {
+      Real *const shared = tile.plane(next.lower[2] - tile_reach), *const end =
+                                                                       shared + 2 * tile_reach * tile.stride_z();
+      std::copy(shared, end, tile.values());
+      std::fill(shared, end, Real(0));
+      tile.reset(next);
+    }
+  }
+  /// Take the sums of `count` cells along x out of the tiles.
+  void take(int i, int j, int k, int count, Real* out) {
+    Real *const even = by_parity[0].row(i, j, k), *const odd = by_parity[1].row(i, j, k);
+    for (int n = 0; n < count; ++n) out[n] = even[n] + odd[n];
     std::fill(even, even + count, Real(0));
     std::fill(odd, odd + count, Real(0));
   }
 };
 
-/// The shares of eight particles along x, particle by particle.
+/// The clouds of a block of particles: where they start in a tile, which of the two tiles it is, for each row of cells
+/// its charge, and particle by particle the shares of the cells along a row.
 template <int width>
-inline void transpose(std::array<Lanes, width> const& share, Real* out) {
-  static_assert(width <= 2);
-  Lanes const second = width > 1 ? share[width - 1] : Lanes{};
-  store(out, __builtin_shufflevector(share[0], second, 0, 8, 1, 9, 2, 10, 3, 11));
-  store(out + 8, __builtin_shufflevector(share[0], second, 4, 12, 5, 13, 6, 14, 7, 15));
-}
+struct CloudBlock {
+  static constexpr int row = width == 3 ? 4 : 2;
+  alignas(64) LocalIndex corner[block_size], parity[block_size];
+  alignas(64) Real row_share[width * width][block_size];
+  alignas(64) Real x_share[block_size * row];
 
-/// Adds clouds of one or two cells along x.
-template <int width>
-class PairAdder {
- public:
-  explicit PairAdder(CloudTiles& tiles)
-      : origin_{tiles.by_parity[0].values() + tiles.by_parity[0].box_corner(),
-                tiles.by_parity[1].values() + tiles.by_parity[1].box_corner()},
-        stride_y_(tiles.by_parity[0].stride_y()),
-        stride_z_(tiles.by_parity[0].stride_z()) {}
-
-  /// Add the clouds of a group: their first cells along x and in the tile, and for each row of cells its charge.
-  void add(LaneGroup const& group, IndexLanes const& first_x, IndexLanes const& first,
-           std::array<Lanes, width * width> const& row_share, std::array<Lanes, width> const& x_share) {
-    alignas(64) Real along_x[2 * lane_count];
-    transpose<width>(x_share, along_x);
-    for (int i = group.from; i < group.to; ++i) {
-      Real* const corner = origin_[first_x[i] & 1] + first[i];
-      Pair const shares = load<Pair>(along_x + 2 * i);
-      for (int k = 0; k < width; ++k)
-        for (int j = 0; j < width; ++j) {
-          Real* const cells = corner + j * stride_y_ + k * stride_z_;
-          store(cells, load<Pair>(cells) + row_share[width * k + j][i] * shares);
-        }
+  void put_x_shares(int i, std::array<Lanes, width> const& share) {
+    Real* const out = x_share + row * i;
+    if constexpr (width == 3) {
+      interleave(share[0], share[1], share[2], out);
+    } else {
+      Lanes const second = width > 1 ? share[width - 1] : Lanes{};
+      store(out, __builtin_shufflevector(share[0], second, 0, 8, 1, 9, 2, 10, 3, 11));
+      store(out + 8, __builtin_shufflevector(share[0], second, 4, 12, 5, 13, 6, 14, 7, 15));
     }
   }
-  void finish() {}
-
- private:
-  std::array<Real*, 2> origin_;
-  std::ptrdiff_t stride_y_, stride_z_;
 };
 
 /// Adds clouds of three cells along x. Those of all particles in a cell touch the same cells, so they are summed up in
 /// registers until a particle of another cell comes.
-class RowAdder {
+class RowSums {
  public:
-  explicit RowAdder(CloudTiles& tiles)
-      : origin_(tiles.by_parity[0].values() + tiles.by_parity[0].box_corner()),
-        stride_y_(tiles.by_parity[0].stride_y()),
-        stride_z_(tiles.by_parity[0].stride_z()) {}
-
-  void add(LaneGroup const& group, IndexLanes const&, IndexLanes const& first, std::array<Lanes, 9> const& row_share,
-           std::array<Lanes, 3> const& x_share) {
-    for (int i = group.from; i < group.to; ++i) {
-      if (first[i] != at_) {
-        finish();
-        at_ = first[i];
+  void add_block(CloudBlock<3> const& clouds, int from, int to, CloudTiles& tiles) {
+    RowSums here = *this;  // in registers
+    for (; from < to; ++from) {
+      if (clouds.corner[from] != here.corner_) {
+        here.move_to(tiles);
+        here.corner_ = clouds.corner[from];
       }
-      Row const shares{x_share[0][i], x_share[1][i], x_share[2][i], 0};
-      for (int row = 0; row < 9; ++row) sum_[row] += row_share[row][i] * shares;
+      Row const shares = load<Row>(clouds.x_share + 4 * from);
+#pragma GCC unroll 9
+      for (int row = 0; row < 9; ++row) here.sum_[row] += clouds.row_share[row][from] * shares;
     }
+    *this = here;
   }
-  void finish() {
+  void move_to(CloudTiles& tiles) {
+    std::ptrdiff_t const stride_y = tiles.by_parity[0].stride_y(), stride_z = tiles.by_parity[0].stride_z();
+    Real* const origin = tiles.by_parity[0].values() + tiles.by_parity[0].box_corner() + corner_;
+#pragma GCC unroll 9
     for (int row = 0; row < 9; ++row) {
-      Real* const cells = origin_ + at_ + row % 3 * stride_y_ + row / 3 * stride_z_;
+      Real* const cells = origin + row % 3 * stride_y + row / 3 * stride_z;
       store(cells, load<Row>(cells) + sum_[row]);  // nothing is added to the fourth cell
       sum_[row] = Row{};
     }
   }
 
  private:
-  Real* origin_;
-  std::ptrdiff_t stride_y_, stride_z_;
-  LocalIndex at_ = 0;
-  std::array<Row, 9> sum_{};
+  LocalIndex corner_ = 0;
+  Row sum_[9]{};
+};
+
+/// Adds clouds of one or two cells along x.
+struct PairSums {
+  template <int width>
+  void add_block(CloudBlock<width> const& clouds, int from, int to, CloudTiles& tiles) {
+    std::ptrdiff_t const stride_y = tiles.by_parity[0].stride_y(), stride_z = tiles.by_parity[0].stride_z();
+    std::ptrdiff_t const first = tiles.by_parity[0].box_corner();
+    Real* const origin[] = {tiles.by_parity[0].values() + first, tiles.by_parity[1].values() + first};
+    for (int i = from; i < to; ++i) {
+      Real* const corner = origin[clouds.parity[i]] + clouds.corner[i];
+      Pair const shares = load<Pair>(clouds.x_share + 2 * i);
+      for (int k = 0; k < width; ++k)
+        for (int j = 0; j < width; ++j) {
+          Real* const cells = corner + j * stride_y + k * stride_z;
+          store(cells, load<Pair>(cells) + clouds.row_share[width * k + j][i] * shares);
+        }
+    }
+  }
+  void move_to(CloudTiles&) {}
 };
 
 /// Add the clouds of particles [first, last) to a tile, in real particles per cell.
@@ -122,58 +130,88 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int6
                 CloudTiles& tiles) {
   constexpr int width = Shape::width;
   Real const stride_y = Real(tiles.by_parity[0].stride_y()), stride_z = Real(tiles.by_parity[0].stride_z());
-  std::conditional_t<width == 3, RowAdder, PairAdder<std::min(width, 2)>> adder(tiles);
+  std::conditional_t<width == 3, RowSums, PairSums> sums;
   WideLanes all_in = WideLanes{} - 1;
-  for_each_group(first, last, [&](LaneGroup const& group) {
-    auto const s = frame.inside(particles, group, all_in);
-    auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-    Lanes const weight = load(particles.weight, group);
-    std::array<Lanes, width * width> row_share;
-    for (int k = 0; k < width; ++k)
-      for (int j = 0; j < width; ++j) row_share[width * k + j] = weight * z.share[k] * y.share[j];
-    adder.add(group, convert<IndexLanes>(x.first),
-              convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first), row_share, x.share);
+  for_each_block(first, last, [&](std::int64_t from, std::int64_t to) {
+    CloudBlock<width> clouds;
+    for_each_group(from, to, [&](LaneGroup const& group) {
+      int const i = int(group.first % block_size);
+      auto const s = frame.inside(particles, group, all_in);
+      auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
+      store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
+      store(clouds.parity + i, convert<IndexLanes>(x.first) & 1);
+      Lanes const weight = load(particles.weight, group);
+      for (int k = 0; k < width; ++k)
+        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
+      clouds.put_x_shares(i, x.share);
+    });
+    sums.add_block(clouds, int(from % block_size), int((to - 1) % block_size) + 1, tiles);
   });
-  adder.finish();
+  sums.move_to(tiles);
   frame.require_inside(all_in, particles, first, last);
 }
 
-/// Move a tile into the density: the interior to the box, the shell to whatever cells surround it.
-void add_tile(CloudTiles& tiles, Level const& level, Surroundings const& at, Real charge, Cells const& cells,
-              Cells const& coarse) {
-  Real const per_cell = charge / level.cell_volume(), per_parent = per_cell / 8;
-  Box const &box = level.box(at.box), whole = box.grow(tile_reach);
-  std::vector<Real> row(std::size_t(whole.extent(0)));
-  Real* out = cells.own + level.local_offset(at.box);
-  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-    for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-      tiles.take(std::size_t(whole.offset({box.lower[0], j, k})), box.extent(0), row.data());
-      for (int i = 0; i < box.extent(0); ++i) out[i] += per_cell * row[i];
-      out += box.extent(0);
+/// Moves the tiles of one box's slabs into the density, plane by plane: the interior to the box, the shell to whatever
+/// cells surround it.
+class Taker {
+ public:
+  Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse)
+      : at_(at), box_(level.box(at.box)), per_cell_(charge / level.cell_volume()), cells_(cells), coarse_(coarse) {
+    own_ = cells.own + level.local_offset(at.box);
+    row_.resize(std::size_t(box_.extent(0)) + 2 * tile_reach);
+  }
+
+  /// Take planes [first, last] out of the tiles.
+  void take(int first, int last, CloudTiles& tiles) {
+    for (int k = first; k <= last; ++k) {
+      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tiles);
+      std::size_t n = shell_cells_below(box_, k);
+      for_each_shell_row(box_, k, [&](int from, int to, int j) {
+        tiles.take(from, j, k, to - from + 1, row_.data());
+        for (int i = 0; i <= to - from; ++i) give_to_shell(n++, row_[std::size_t(i)]);
+      });
     }
-  std::size_t n = 0;
-  for_each_shell_row(box, [&](int first, int last, int j, int k) {
-    tiles.take(std::size_t(whole.offset({first, j, k})), last - first + 1, row.data());
-    for (int i = 0; i <= last - first; ++i, ++n) {
-      constexpr std::size_t ahead = 24;  // these cells lie all over the memory
-      if (n + ahead < at.shell.size() && at.shell[n + ahead] >= 0) bring_near(&cells[at.shell[n + ahead]]);
-      LocalIndex const place = at.shell[n];
-      if (row[i] == 0) continue;
-      if (place >= 0)
-        cells[place] += per_cell * row[i];
-      else
-        coarse[at.coarse[std::size_t(~place)]] += per_parent * row[i];
+  }
+
+ private:
+  void take_interior(int k, CloudTiles& tiles) {
+    int const length = box_.extent(0);
+    for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
+      Real* const out = own_ + box_.offset({box_.lower[0], j, k});
+      tiles.take(box_.lower[0], j, k, length, row_.data());
+      for (int i = 0; i < length; ++i) out[i] += per_cell_ * row_[std::size_t(i)];
     }
-  });
-}
+  }
+
+  void give_to_shell(std::size_t n, Real value) {
+    constexpr std::size_t ahead = 24;  // these cells lie all over the memory
+    if (n + ahead < at_.shell.size() && at_.shell[n + ahead] >= 0) bring_near(&cells_[at_.shell[n + ahead]]);
+    LocalIndex const place = at_.shell[n];
+    if (value == 0) return;
+    if (place >= 0)
+      cells_[place] += per_cell_ * value;
+    else
+      coarse_[at_.coarse[std::size_t(~place)]] += per_cell_ / 8 * value;
+  }
+
+  Surroundings const& at_;
+  Box box_;
+  Real per_cell_;
+  Cells cells_, coarse_;
+  Real* own_;
+  std::vector<Real> row_;
+};
 
 /// Move the tile of coarse clouds into the density of its level.
 void add_coarse_tile(CloudTiles& tiles, CoarseCells const& at, Real per_cell, Cells const& cells) {
-  for (std::size_t c = 0; c < at.place.size(); ++c) {
+  Box const box = at.box.grow(tile_reach);
+  LocalIndex const* place = at.place.data();
+  for_each_cell(box, [&](Index3 const& cell) {
     Real value;
-    tiles.take(c, 1, &value);
-    if (at.place[c] >= 0) cells[at.place[c]] += per_cell * value;
-  }
+    tiles.take(cell[0], cell[1], cell[2], 1, &value);
+    if (*place >= 0) cells[*place] += per_cell * value;
+    ++place;
+  });
 }
 
 /// Charge of this rank's particles on the cells of a level, and on ghosts that are to be given to their owners.
@@ -208,13 +246,21 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
     std::size_t const rises = buffer ? buffer->coarse.size() : 0;
-    for (std::size_t r = 0; r <= rises; ++r) tiles[r].reset(r == 0 ? level.box(at.box) : buffer->coarse[r - 1].box);
-    for_each_run(mesh, at, level.box(at.box), buffer, particles, first, last,
-                 [&](int rise, TileFrame const& frame, auto from, auto to) {
-                   with_shape(clouds.shape,
-                              [&](auto s) { add_clouds<decltype(s)>(frame, particles, from, to, tiles[rise]); });
-                 });
-    add_tile(tiles[0], level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells());
+    for (std::size_t r = 1; r <= rises; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
+    Taker taker(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells());
+    int const planes = planes_per_slab(level.box(at.box), 2);
+    bool waiting = false;  // whether the last planes of the slab before are still in the tiles
+    for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
+      bool const more = from < to;
+      if (waiting && !more) taker.take(slab.lower[2] - tile_reach, slab.lower[2] + tile_reach - 1, tiles[0]);
+      if (more && waiting) tiles[0].follow(slab);
+      if (more && !waiting) tiles[0].reset(slab);
+      waiting = more && slab.upper[2] < level.box(at.box).upper[2];
+      for_each_run(mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, auto a, auto b) {
+        with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, a, b, tiles[rise]); });
+      });
+      if (more) taker.take(slab.lower[2] - tile_reach, slab.upper[2] + (waiting ? -tile_reach : tile_reach), tiles[0]);
+    });
     for (std::size_t r = 1; r <= rises; ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());

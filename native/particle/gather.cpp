@@ -10,18 +10,6 @@ namespace {
 constexpr int lanes = 4;
 typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
-/// Interleave three components of eight consecutive cells.
-inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out) {
-  Lanes const xy[2] = {__builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11),
-                       __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15)};
-  Lanes const z0[2] = {__builtin_shufflevector(z, Lanes{}, 0, 8, 1, 9, 2, 10, 3, 11),
-                       __builtin_shufflevector(z, Lanes{}, 4, 12, 5, 13, 6, 14, 7, 15)};
-  for (int half = 0; half < 2; ++half) {
-    store(out + 16 * half, __builtin_shufflevector(xy[half], z0[half], 0, 1, 8, 9, 2, 3, 10, 11));
-    store(out + 16 * half + 8, __builtin_shufflevector(xy[half], z0[half], 4, 5, 12, 13, 6, 7, 14, 15));
-  }
-}
-
 /// The three components of a field on one level: own cells, and ghosts beyond them.
 struct VectorCells {
   std::array<Real const*, 3> own;
@@ -252,7 +240,8 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int
   WideLanes all_in = WideLanes{} - 1;
   for_each_block(first, last, [&](std::int64_t from, std::int64_t to) {
     CloudBlock<width> clouds;
-    particles.prefetch(to + block_size);
+    auto const &at = particles.position, &p = particles.momentum;
+    bring_block_near(to + block_size, {at[0], at[1], at[2], p[0], p[1], p[2]});
     for_each_group(from, to, [&](LaneGroup const& group) {
       int const i = int(group.first % block_size);
       auto const s = frame.inside(particles, group, all_in);

@@ -72,6 +72,18 @@ inline To convert(From const& values) {
   return __builtin_convertvector(values, To);
 }
 
+/// Write three vectors lane by lane, and a zero after each three numbers.
+inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out) {
+  Lanes const xy[2] = {__builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11),
+                       __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15)};
+  Lanes const z0[2] = {__builtin_shufflevector(z, Lanes{}, 0, 8, 1, 9, 2, 10, 3, 11),
+                       __builtin_shufflevector(z, Lanes{}, 4, 12, 5, 13, 6, 14, 7, 15)};
+  for (int half = 0; half < 2; ++half) {
+    store(out + 16 * half, __builtin_shufflevector(xy[half], z0[half], 0, 1, 8, 9, 2, 3, 10, 11));
+    store(out + 16 * half + 8, __builtin_shufflevector(xy[half], z0[half], 4, 5, 12, 13, 6, 7, 14, 15));
+  }
+}
+
 /// One byte per lane, not zero where the comparison of lanes holds.
 inline std::uint64_t bytes_of(IndexLanes const& mask) {
   typedef std::int8_t ByteLanes __attribute__((vector_size(lane_count)));

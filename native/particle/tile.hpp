@@ -25,11 +25,12 @@ class Tile {
   }
   /// Take the place of the box that follows along z. Values of the planes that both have are moved along.
   void follow(Box const& next) {
-    Real const* const kept = row(box_.lower[0], box_.lower[1], next.lower[2] - tile_reach);
+    Real const* const kept = plane(next.lower[2] - tile_reach);
     std::copy(kept, kept + 2 * tile_reach * stride_z(), values());
     reset(next);
   }
   Real* row(int i, int j, int k) { return values() + components * box_.offset({i, j, k}); }
+  Real* plane(int k) { return row(box_.lower[0], box_.lower[1], k); }
   Real const* values() const { return lines_[0].value; }
   Real* values() { return lines_[0].value; }
   std::ptrdiff_t box_corner() const { return tile_reach * (components + stride_y() + stride_z()); }  ///< first own cell

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstdint>
+#include <initializer_list>
 
 #include "particle/lanes.hpp"
 
@@ -16,13 +17,13 @@ struct ParticleView {
   std::int64_t* id;
 
   Real3 at(std::int64_t i) const { return {position[0][i], position[1][i], position[2][i]}; }
-  /// Ask for positions and momenta of particles [first, first + 64) to be brought near; there may be fewer.
-  void prefetch(std::int64_t first) const {
-    for (auto const& columns : {position, momentum})
-      for (Real const* column : columns)
-        for (int line = 0; line < 8; ++line) bring_near(column + first + 8 * line);
-  }
   Real3 momentum_at(std::int64_t i) const { return {momentum[0][i], momentum[1][i], momentum[2][i]}; }
 };
+
+/// Ask for the values of a block of particles to be brought near; there may be fewer.
+inline void bring_block_near(std::int64_t first, std::initializer_list<Real const*> columns) {
+  for (Real const* column : columns)
+    for (int n = 0; n < block_size; n += lane_count) bring_near(column + first + n);
+}
 
 }  // namespace amrpic

@@ -126,7 +126,7 @@ def ranks(found: Found) -> Iterator[Goal]:
 
 def shapes(found: Found) -> Iterator[Goal]:
     for cells in ("1:1:10", "1:5:5"):
-        ratio = found.units(name(f"{cells} 64", 32, 1)) / found.units(name("cubes 64", 32, 1))
+        ratio = found.ratio(name(f"{cells} 64", 32, 1), name("cubes 64", 32, 1))  # of as many cells
         yield Goal(f"cells {cells} against cubes, to 1e-10", ratio, 2, 1.3, "×")
 
 

@@ -66,6 +66,22 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **common)
 
 
+def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: int) -> Iterator[Record]:
+    """Yield solves from a zero guess that take turns, so that their ratios stand on a machine of changing speed. Collective."""
+    given = [problem(comm, case, boxes) for case in cases]
+    solvers = [PoissonSolver(one.hierarchy, tolerance=FULL, backend=backend) for one in given]
+    units = [work_unit(comm, one.cells) for one in given]
+    seconds: list[list[float]] = [[] for _ in cases]
+    reports = [solver.solve(one.rho)[1] for one, solver in zip(given, solvers, strict=True)]
+    for _ in range(runs):
+        for one, solver, taken in zip(given, solvers, seconds, strict=True):
+            taken += timed(comm, 1, partial(solver.solve, one.rho))[0]
+    for case, one, unit, taken, report in zip(cases, given, units, seconds, reports, strict=True):
+        facts = {"cycles": report.cycles, "converged": report.converged, "residual": report.residuals[-1]}
+        label = name(case, boxes, comm.size)
+        yield Record(label, taken, unit.seconds, unit.share_of_triad, cells=one.cells, facts=facts)
+
+
 def told(tolerance: Tolerance) -> str:
     return tolerance if isinstance(tolerance, str) else f"{tolerance:g}"
 
@@ -217,8 +233,7 @@ def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator
         more: tuple[Tolerance, ...] = (1e-6, "discretization") if size >= 32 else ()
         yield from solves(problem(comm, f"{family} {n}", size), f"{family} {n}", backend, runs, (FULL, *more))
     if comm.size == 1:
-        for cells in STRETCHED:
-            yield from solves(problem(comm, f"{cells} 64", 32), f"{cells} 64", backend, runs, (FULL,))
+        yield from in_turns(comm, [f"{cells} 64" for cells in STRETCHED], 32, backend, runs)
         yield from following(comm, "bunch 64", 24, backend, runs)
         yield assembly(comm, "bunch 64", 24, runs)
         if not quick:

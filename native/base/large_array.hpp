@@ -1,29 +1,28 @@
 // Arrays of megabytes.
 #pragma once
 
-#include <sys/mman.h>
-
 #include <cstddef>
 #include <new>
 #include <utility>
 #include <vector>
 
+#include "base/pool.hpp"
+
 namespace amrpic {
 
-constexpr std::size_t cache_line = 64, huge_page = std::size_t(1) << 21;
+constexpr std::size_t cache_line = 64;
 
-/// Memory from a cache line on; large blocks in huge pages where the system has them. A pass over arrays that no cache
-/// holds takes a fifth less then, and the faults of 4 KiB pages as long as all else in the assembly of operators.
+/// From this size on blocks come from a pool, and lie in huge pages where the system has them. A pass over arrays that
+/// no cache holds takes a fifth less then, and the faults of fresh 4 KiB pages as long as all else in the assembly of
+/// operators.
+constexpr std::size_t large_block = std::size_t(1) << 22;
+
+/// Memory from a cache line on.
 inline void* allocate_lines(std::size_t bytes) {
-  if (bytes < 2 * huge_page) return ::operator new(bytes, std::align_val_t(cache_line));
-  void* const block = ::operator new(bytes, std::align_val_t(huge_page));
-#ifdef MADV_HUGEPAGE
-  madvise(block, bytes / huge_page * huge_page, MADV_HUGEPAGE);  // whole pages alone; a refusal does no harm
-#endif
-  return block;
+  return bytes < large_block ? ::operator new(bytes, std::align_val_t(cache_line)) : pool_of_large_arrays().take(bytes);
 }
 inline void deallocate_lines(void* block, std::size_t bytes) {
-  ::operator delete(block, std::align_val_t(bytes < 2 * huge_page ? cache_line : huge_page));
+  bytes < large_block ? ::operator delete(block, std::align_val_t(cache_line)) : pool_of_large_arrays().give(block);
 }
 
 /// Allocates such memory, and leaves new elements unset unless they are given a value.

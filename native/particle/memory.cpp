@@ -1,99 +1,15 @@
 #include "particle/memory.hpp"
 
-#include <algorithm>
-#include <cstdlib>
-#include <iterator>
-#include <mutex>
-#include <new>
-#include <unordered_map>
-#include <utility>
-#include <vector>
-
-#ifdef __linux__
-#include <sys/mman.h>
-#endif
+#include "base/pool.hpp"
 
 namespace amrpic {
 
 namespace {
 
-constexpr std::size_t small_page = 4096, large_page = std::size_t(1) << 21;
-
-/// At most this many times the memory in use lies idle: what one step needs besides the arrays that outlive it.
-constexpr double most_idle = 1.5;
-
-/// Sizes in steps of a sixteenth, so that arrays that grow or shrink a little find their old place. Pages that are
-/// never touched cost nothing.
-std::size_t rounded(std::size_t bytes) {
-  std::size_t step = small_page;
-  while (step * 32 <= bytes) step *= 2;
-  return std::max(step, (bytes + step - 1) / step * step);
-}
-
-void* new_block(std::size_t bytes) {
-  bool const large = bytes >= 8 * large_page;
-  std::size_t const page = large ? large_page : small_page;
-  void* block = std::aligned_alloc(page, (bytes + page - 1) / page * page);
-  if (!block) throw std::bad_alloc();
-#ifdef __linux__
-  if (large) madvise(block, bytes, MADV_HUGEPAGE);  // fewer faults and fewer misses in the page tables; a mere wish
-#endif
-  return block;
-}
-
-class Pool {
- public:
-  void* take(std::size_t bytes) {
-    std::lock_guard const lock(mutex_);
-    bytes = rounded(bytes);
-    // The latest one is the likeliest to be in the cache.
-    auto const found = std::find_if(idle_.rbegin(), idle_.rend(), [&](Block const& b) { return b.bytes == bytes; });
-    void* memory = nullptr;
-    if (found != idle_.rend()) {
-      memory = found->memory;
-      idle_.erase(std::prev(found.base()));
-      idle_total_ -= bytes;
-    } else {
-      memory = new_block(bytes);
-    }
-    sizes_[memory] = bytes;
-    used_total_ += bytes;
-    return memory;
-  }
-
-  void give(void* memory) {
-    std::lock_guard const lock(mutex_);
-    auto const held = sizes_.find(memory);
-    idle_.push_back({held->second, memory});
-    idle_total_ += held->second;
-    used_total_ -= held->second;
-    sizes_.erase(held);
-    while (double(idle_total_) > most_idle * double(used_total_)) {
-      std::free(idle_.front().memory);
-      idle_total_ -= idle_.front().bytes;
-      idle_.erase(idle_.begin());
-    }
-  }
-
-  std::size_t idle() {
-    std::lock_guard const lock(mutex_);
-    return idle_total_;
-  }
-
- private:
-  struct Block {
-    std::size_t bytes;
-    void* memory;
-  };
-  std::mutex mutex_;
-  std::vector<Block> idle_;                       ///< in the order they were given back
-  std::unordered_map<void*, std::size_t> sizes_;  ///< of those in use
-  std::size_t idle_total_ = 0, used_total_ = 0;
-};
-
-/// Never destroyed: Python may drop its last array after the program's static objects are gone.
+/// Half as much again as is in use: what one step needs besides the arrays that outlive it. Never destroyed: Python may
+/// drop its last array after the program's static objects are gone.
 Pool& pool() {
-  static Pool* const the_one = new Pool;
+  static Pool* const the_one = new Pool(1.5);
   return *the_one;
 }
 

@@ -1,0 +1,40 @@
+// Large blocks of memory, used again. Each step makes and drops arrays of about the same size, and the system takes as
+// long to hand out a fresh page as a kernel takes to fill it several times.
+#pragma once
+
+#include <cstddef>
+#include <mutex>
+#include <unordered_map>
+#include <vector>
+
+namespace amrpic {
+
+class Pool {
+ public:
+  /// At most `most_idle` times the memory in use lies idle.
+  explicit Pool(double most_idle) : most_idle_(most_idle) {}
+
+  /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.
+  void* take(std::size_t bytes);
+
+  /// Give back what `take` gave: kept for the next taker, unless too much lies idle.
+  void give(void* memory) noexcept;
+
+  std::size_t idle();  ///< bytes that are kept for the next taker
+
+ private:
+  struct Block {
+    std::size_t bytes;
+    void* memory;
+  };
+  double most_idle_;
+  std::mutex mutex_;
+  std::vector<Block> idle_;                       ///< in the order they were given back
+  std::unordered_map<void*, std::size_t> sizes_;  ///< of those in use
+  std::size_t idle_total_ = 0, used_total_ = 0;
+};
+
+/// That of arrays over the cells of a mesh.
+Pool& pool_of_large_arrays();
+
+}  // namespace amrpic

@@ -104,6 +104,21 @@ def timed(comm: MPI.Comm, runs: int, work: Callable[[], Any]) -> tuple[list[floa
     return seconds, out
 
 
+def timed_beside_unit(
+    comm: MPI.Comm, runs: int, cells: int, work: Callable[[], Any]
+) -> tuple[list[float], WorkUnit, Any]:
+    """Return what `timed` does, and the median of work units that were measured in turns with the runs. Collective."""
+    seconds: list[float] = []
+    units: list[WorkUnit] = []
+    out = None
+    for _ in range(runs):
+        units.append(work_unit(comm, cells))
+        out = None
+        taken, out = timed(comm, 1, work)
+        seconds += taken
+    return seconds, sorted(units, key=lambda unit: unit.seconds)[len(units) // 2], out
+
+
 @contextlib.contextmanager
 def watched(facts: dict[str, Any]) -> Iterator[None]:
     """Note in `facts` what part of a core this rank had while a block ran: less than all where the machine did other work."""

@@ -13,7 +13,19 @@ from typing import Any, Literal
 
 import numpy as np
 from cases import FAMILIES, STRETCHED, Problem, problem
-from measuring import BACKEND, BACKENDS, Record, reset_peak, resident, slowest, timed, watched, work_unit, write
+from measuring import (
+    BACKEND,
+    BACKENDS,
+    Record,
+    reset_peak,
+    resident,
+    slowest,
+    timed,
+    timed_beside_unit,
+    watched,
+    work_unit,
+    write,
+)
 from mpi4py import MPI
 
 import amrpic
@@ -51,7 +63,8 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         solver.solve(given.rho, boundary_values=given.walls)  # remembers the walls; pages of scratch come into being
         facts: dict[str, Any] = dict(levels)
         with watched(facts):
-            seconds, (phi, report) = timed(comm, runs, partial(solver.solve, given.rho, boundary_values=given.walls))
+            work = partial(solver.solve, given.rho, boundary_values=given.walls)
+            seconds, unit, (phi, report) = timed_beside_unit(comm, runs, given.cells, work)
         facts |= {
             "cycles": report.cycles,
             "converged": report.converged,
@@ -63,7 +76,8 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         elif tolerance == "discretization" and converged is not None and given.exact is not None:
             left, least = (errors([field], given.exact)[1] for field in (phi, converged))
             facts["error over the converged one"] = left / least
-        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **common)
+        beside: dict[str, Any] = {"unit": unit.seconds, "share_of_triad": unit.share_of_triad, "cells": given.cells}
+        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **beside)
 
 
 def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: int) -> Iterator[Record]:

@@ -35,28 +35,38 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
                     (layer.lower[axis] < level.domain().lower[axis] || layer.lower[axis] > level.domain().upper[axis]);
   WallGhost const& end = wall ? ends.walls[axis][side] : ends.interface[axis];
   bool const thick = block.box.extent(axis) > 1;
-  std::vector<Ghost> out;
-  out.reserve(std::size_t(layer.cells()));
-  for_each_cell(layer, [&](Index3 cell) {
-    cell[axis] += inward;
-    Ghost ghost{0, float(end.second), float(end.first)};
-    if (wall && ends.more) ghost.first += float(ends.more(cell, axis, side));
-    cell[axis] += inward;
-    std::ptrdiff_t const second = thick || ghost.factor == 0 ? block.place(cell) : layout.find(cell);
-    if (second < 0) ghost.factor = 0;
-    if (ghost.factor != 0) ghost.source = std::int32_t(second);
-    out.push_back(ghost);
+  std::vector<Ghost> out(std::size_t(layer.cells()));
+  auto for_each_row = [&](Box const& part, auto&& f) {  // of ghosts
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
+        Index3 const first{part.lower[0], j, k};
+        f(&out[std::size_t(layer.offset(first))], first);
+      }
+  };
+  for_each_row(layer, [&](Ghost* row, Index3 const& first) {
+    for (int i = 0; i < layer.extent(0); ++i) {
+      Index3 cell{first[0] + i, first[1], first[2]};
+      cell[axis] += inward;
+      Ghost ghost{0, float(end.second), float(end.first)};
+      if (wall && ends.more) ghost.first += float(ends.more(cell, axis, side));
+      if (ghost.factor != 0) {
+        cell[axis] += inward;
+        std::ptrdiff_t const second = thick ? block.place(cell) : layout.find(cell);
+        if (second < 0) ghost.factor = 0;
+        if (second >= 0) ghost.source = std::int32_t(second);
+      }
+      row[i] = ghost;
+    }
   });
   if (wall) return out;
   // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
   level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
-    for_each_cell(part, [&](Index3 const& cell) { out[std::size_t(layer.offset(cell))] = {}; });
+    for_each_row(part, [&](Ghost* row, Index3 const&) { std::fill_n(row, part.extent(0), Ghost{}); });
   });
   layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
-    Index3 const back{-shift[0], -shift[1], -shift[2]};
-    for_each_cell(part, [&](Index3 const& cell) {
-      Box const image = Box{cell, cell}.shift(back);
-      out[std::size_t(layer.offset(cell))] = {std::int32_t(other.place(image.lower)), 1.0f, 0.0f};
+    for_each_row(part, [&](Ghost* row, Index3 const& first) {
+      std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
+      for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), 1.0f, 0.0f};
     });
   });
   return out;

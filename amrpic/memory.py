@@ -21,6 +21,7 @@ QUIET = 44 * MIB  # measured: SciPy's quasi-random numbers in a process
 DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
 
 ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a number of a field
+IDLE = 0.25  # of the fields, dropped and kept for the next ones
 NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
 LAPLACIAN = ROW + NEIGHBOURS * ENTRY
 PARTICLE = 8 * NUMBER  # position, momentum, weight, id
@@ -45,7 +46,7 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, boxes),
-        "fields": total * NUMBER * _fields(scene),
+        "fields": int((1 + IDLE) * total * NUMBER * _fields(scene)),
         "particles": particles * _particle(scene),
         "pictures": DRAWING if "pictures" in scene.output.write else 0,
     }

@@ -75,7 +75,7 @@ std::size_t Pool::idle() {
 
 /// Never destroyed: Python may drop its last array after the program's static objects are gone.
 Pool& pool_of_large_arrays() {
-  static Pool* const the_one = new Pool(0.5);
+  static Pool* const the_one = new Pool(0.25);
   return *the_one;
 }
 

@@ -11,7 +11,7 @@ namespace amrpic {
 
 class Pool {
  public:
-  /// At most `most_idle` times the memory in use lies idle.
+  /// At most `most_idle` times the memory in use lies idle, or one block no larger than that.
   explicit Pool(double most_idle) : most_idle_(most_idle) {}
 
   /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.

@@ -52,6 +52,10 @@ class WorkUnit:
         """Whether the apply was so far from what memory gives that it is no unit."""
         return self.share_of_triad < LEAST_SHARE
 
+    def told(self, cells: int) -> dict[str, Any]:
+        """What a record of so many cells says of its unit."""
+        return {"unit": self.seconds, "share_of_triad": self.share_of_triad, "cells": cells}
+
 
 def work_unit(comm: MPI.Comm, cells: int, trials: int = 8) -> WorkUnit:
     """Return the work unit of so many cells; one that is void is measured again, up to `trials` times. Collective."""

@@ -50,12 +50,12 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
     """Yield the record of the set-up, and that of solves from a zero guess to each tolerance. Collective."""
     hierarchy, comm = given.hierarchy, given.hierarchy.comm
     boxes = hierarchy.max_grid_size
-    unit = work_unit(comm, given.cells)
-    common: dict[str, Any] = {"unit": unit.seconds, "share_of_triad": unit.share_of_triad, "cells": given.cells}
     _ = given.rho  # filled before anything is timed
     seconds, solver = timed(comm, runs, lambda: PoissonSolver(hierarchy, tolerance=FULL, backend=backend))
     levels = {"levels": hierarchy.levels, "boxes": sum(len(hierarchy.boxes(l)) for l in range(hierarchy.levels))}
-    yield Record(name(case, boxes, comm.size, "set-up"), seconds, facts=levels, **common)
+    yield Record(
+        name(case, boxes, comm.size, "set-up"), seconds, facts=levels, **work_unit(comm, given.cells).told(given.cells)
+    )
     converged = None
     for tolerance in tolerances:
         if tolerance != FULL:
@@ -76,8 +76,7 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         elif tolerance == "discretization" and converged is not None and given.exact is not None:
             left, least = (errors([field], given.exact)[1] for field in (phi, converged))
             facts["error over the converged one"] = left / least
-        beside: dict[str, Any] = {"unit": unit.seconds, "share_of_triad": unit.share_of_triad, "cells": given.cells}
-        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **beside)
+        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **unit.told(given.cells))
 
 
 def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: int) -> Iterator[Record]:
@@ -93,7 +92,7 @@ def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: i
     for case, one, unit, taken, report in zip(cases, given, units, seconds, reports, strict=True):
         facts = {"cycles": report.cycles, "converged": report.converged, "residual": report.residuals[-1]}
         label = name(case, boxes, comm.size)
-        yield Record(label, taken, unit.seconds, unit.share_of_triad, cells=one.cells, facts=facts)
+        yield Record(label, taken, facts=facts, **unit.told(one.cells))
 
 
 def told(tolerance: Tolerance) -> str:
@@ -145,8 +144,7 @@ def following(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) ->
         seconds["set-up"].append(clock.lap())
     rho = amrpic.Field(mesh).fill(lambda x, y, z: given.density(x - step, y, z))
     cells = sum(mesh.cells(level) for level in range(mesh.levels))
-    unit = work_unit(comm, cells)
-    common: dict[str, Any] = {"unit": unit.seconds, "share_of_triad": unit.share_of_triad, "cells": cells}
+    common = work_unit(comm, cells).told(cells)
     cycles = {}
     assert solver is not None
     solver.solve(rho, boundary_values=given.walls)

@@ -103,6 +103,16 @@ void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector&
   });
 }
 
+/// The share of a row of fine values.
+template <int lanes>
+void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
+                         Vector& coarse) const {
+  int const plane = k - b.box.lower[2];
+  bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;
+  float* const to = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
+  matrixfree::restrict_row<lanes>(fine, b.box.extent(0) / parents.ratio[0], parents.ratio[0], share, set, to);
+}
+
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
                               float share, Vector& coarse) const {
   Block const& b = layout_.blocks()[block];
@@ -115,7 +125,7 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
     for_each_row(block, k, values, [&](Row const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
-      restrict_row(b, j, k, left, parents, share, coarse);
+      restrict_row<n()>(b, j, k, left, parents, share, coarse);
     });
   });
 }
@@ -126,18 +136,9 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
   if (kernels_ == Kernels::portable)
     return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, share,
                                               coarse.data());
-  for (int j = 0; j < b.box.extent(1); ++j)
-    restrict_row(b, j, k, r.data() + b.cells.place(0, j, k - b.box.lower[2]), parents, share, coarse);
-}
-
-/// The share of a row of fine values.
-void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
-                         Vector& coarse) const {
-  int const plane = k - b.box.lower[2];
-  bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;
-  float* const to = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
   with_kind(b.lanes, true, [&](auto n, auto) {
-    matrixfree::restrict_row<n()>(fine, b.box.extent(0) / parents.ratio[0], parents.ratio[0], share, set, to);
+    for (int j = 0; j < b.box.extent(1); ++j)
+      restrict_row<n()>(b, j, k, r.data() + b.cells.place(0, j, k - b.box.lower[2]), parents, share, coarse);
   });
 }
 

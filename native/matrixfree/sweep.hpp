@@ -47,6 +47,7 @@ class Sweep {
   void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector& e) const;
 
  private:
+  template <int lanes>
   void restrict_row(Block const& block, int j, int k, float const* fine, Parents const& parents, float share,
                     Vector& coarse) const;
   template <class F>

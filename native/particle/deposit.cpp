@@ -15,6 +15,10 @@ struct Cells {
   Real* ghosts;
   LocalIndex owned;
   Real& operator[](LocalIndex place) const { return place < owned ? own[place] : ghosts[place - owned]; }
+  /// Whether eight places are those of own cells that lie side by side.
+  bool are_own(LocalIndex const* place) const {
+    return place[0] >= 0 && place[0] + lane_count <= owned && are_consecutive(place);
+  }
 };
 
 /// Cells along x that are added to at once.
@@ -41,12 +45,21 @@ struct CloudTiles {
       tile.reset(next);
     }
   }
-  /// Take the sums of `count` cells along x out of the tiles.
-  void take(int i, int j, int k, int count, Real* out) {
+  /// Take the sums of `count` cells along x out of the tiles: call give(n, sums) for eight of them, the first of which
+  /// is the nth one, and for the rest one by one.
+  template <class Give>
+  void take(int i, int j, int k, int count, Give&& give) {
     Real *const even = by_parity[0].row(i, j, k), *const odd = by_parity[1].row(i, j, k);
-    for (int n = 0; n < count; ++n) out[n] = even[n] + odd[n];
-    std::fill(even, even + count, Real(0));
-    std::fill(odd, odd + count, Real(0));
+    int n = 0;
+    for (; n + lane_count <= count; n += lane_count) {
+      give(n, load<Lanes>(even + n) + load<Lanes>(odd + n));
+      store(even + n, Lanes{});
+      store(odd + n, Lanes{});
+    }
+    for (; n < count; ++n) {
+      give(n, even[n] + odd[n]);
+      even[n] = odd[n] = 0;
+    }
   }
 };
 
@@ -134,6 +147,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int6
   WideLanes all_in = WideLanes{} - 1;
   for_each_block(first, last, [&](std::int64_t from, std::int64_t to) {
     CloudBlock<width> clouds;
+    auto const& at = particles.position;
+    bring_block_near(to + block_size, {at[0], at[1], at[2], particles.weight});
     for_each_group(from, to, [&](LaneGroup const& group) {
       int const i = int(group.first % block_size);
       auto const s = frame.inside(particles, group, all_in);
@@ -158,40 +173,49 @@ class Taker {
   Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse)
       : at_(at), box_(level.box(at.box)), per_cell_(charge / level.cell_volume()), cells_(cells), coarse_(coarse) {
     own_ = cells.own + level.local_offset(at.box);
-    row_.resize(std::size_t(box_.extent(0)) + 2 * tile_reach);
   }
 
   /// Take planes [first, last] out of the tiles.
-  void take(int first, int last, CloudTiles& tiles) {
+  void take(int first, int last, CloudTiles& tiles) const {
     for (int k = first; k <= last; ++k) {
       if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tiles);
-      std::size_t n = shell_cells_below(box_, k);
+      LocalIndex const* place = at_.shell.data() + shell_cells_below(box_, k);
       for_each_shell_row(box_, k, [&](int from, int to, int j) {
-        tiles.take(from, j, k, to - from + 1, row_.data());
-        for (int i = 0; i <= to - from; ++i) give_to_shell(n++, row_[std::size_t(i)]);
+        tiles.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { give_to_shell(place + n, sums); });
+        place += to - from + 1;
       });
     }
   }
 
  private:
-  void take_interior(int k, CloudTiles& tiles) {
-    int const length = box_.extent(0);
+  void take_interior(int k, CloudTiles& tiles) const {
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
       Real* const out = own_ + box_.offset({box_.lower[0], j, k});
-      tiles.take(box_.lower[0], j, k, length, row_.data());
-      for (int i = 0; i < length; ++i) out[i] += per_cell_ * row_[std::size_t(i)];
+      tiles.take(box_.lower[0], j, k, box_.extent(0), [&](int n, auto const& sums) {
+        using Sums = std::decay_t<decltype(sums)>;
+        bring_near(out + n + 512);
+        store(out + n, load<Sums>(out + n) + per_cell_ * sums);
+      });
     }
   }
 
-  void give_to_shell(std::size_t n, Real value) {
-    constexpr std::size_t ahead = 24;  // these cells lie all over the memory
-    if (n + ahead < at_.shell.size() && at_.shell[n + ahead] >= 0) bring_near(&cells_[at_.shell[n + ahead]]);
-    LocalIndex const place = at_.shell[n];
-    if (value == 0) return;
-    if (place >= 0)
-      cells_[place] += per_cell_ * value;
+  void give_to_shell(LocalIndex const* place, Lanes const& sums) const {
+    if (cells_.are_own(place)) {
+      Real* const out = cells_.own + *place;
+      store(out, load<Lanes>(out) + per_cell_ * sums);
+    } else {
+      for (int n = 0; n < lane_count; ++n) give_to_shell(place + n, sums[n]);
+    }
+  }
+  void give_to_shell(LocalIndex const* place, Real sum) const {
+    constexpr std::ptrdiff_t ahead = 24;  // these cells lie all over the memory
+    LocalIndex const* const end = at_.shell.data() + at_.shell.size();
+    if (end - place > ahead && place[ahead] >= 0) bring_near(&cells_[place[ahead]]);
+    if (sum == 0) return;
+    if (*place >= 0)
+      cells_[*place] += per_cell_ * sum;
     else
-      coarse_[at_.coarse[std::size_t(~place)]] += per_cell_ / 8 * value;
+      coarse_[at_.coarse[std::size_t(~*place)]] += per_cell_ / 8 * sum;
   }
 
   Surroundings const& at_;
@@ -199,7 +223,6 @@ class Taker {
   Real per_cell_;
   Cells cells_, coarse_;
   Real* own_;
-  std::vector<Real> row_;
 };
 
 /// Move the tile of coarse clouds into the density of its level.
@@ -207,9 +230,10 @@ void add_coarse_tile(CloudTiles& tiles, CoarseCells const& at, Real per_cell, Ce
   Box const box = at.box.grow(tile_reach);
   LocalIndex const* place = at.place.data();
   for_each_cell(box, [&](Index3 const& cell) {
-    Real value;
-    tiles.take(cell[0], cell[1], cell[2], 1, &value);
-    if (*place >= 0) cells[*place] += per_cell * value;
+    tiles.take(cell[0], cell[1], cell[2], 1, [&](int, auto const& sum) {
+      if constexpr (std::is_same_v<std::decay_t<decltype(sum)>, Real>)
+        if (*place >= 0) cells[*place] += per_cell * sum;
+    });
     ++place;
   });
 }

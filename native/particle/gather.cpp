@@ -32,10 +32,9 @@ struct VectorCells {
   }
   /// How many places, a multiple of eight, are those of own cells that lie side by side.
   int row_length(LocalIndex const* place, int count) const {
-    constexpr IndexLanes number = {0, 1, 2, 3, 4, 5, 6, 7};
     int n = 0;
-    while (n + lane_count <= count && place[0] >= 0 && place[0] + n + lane_count <= owned &&
-           bytes_of(load<IndexLanes>(place + n) == place[0] + n + number) == ~std::uint64_t(0))
+    while (n + lane_count <= count && place[0] >= 0 && place[0] + n + lane_count <= owned && place[n] == place[0] + n &&
+           are_consecutive(place + n))
       n += lane_count;
     return n;
   }

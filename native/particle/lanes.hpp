@@ -93,6 +93,12 @@ inline std::uint64_t bytes_of(IndexLanes const& mask) {
   return out;
 }
 
+/// Whether eight places lie side by side, ascending.
+inline bool are_consecutive(LocalIndex const* place) {
+  constexpr IndexLanes number = {0, 1, 2, 3, 4, 5, 6, 7};
+  return bytes_of(load<IndexLanes>(place) == place[0] + number) == ~std::uint64_t(0);
+}
+
 // What shapes are made of.
 
 /// The largest whole number that is not above `x`, whose magnitude is below 2^51.

@@ -11,7 +11,7 @@ from measuring import LEAST_SHARE, Record
 from particles import record_name
 from peers import peer_name
 from pic_step import IMPACTX_WALLS, step_name
-from solving import BOXES, assembly_name, following_name, name
+from solving import BOXES, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
 
 NAN = float("nan")
@@ -109,7 +109,7 @@ def solver(found: Found) -> Iterator[Goal]:
 
 
 def ranks(found: Found) -> Iterator[Goal]:
-    one, two = (name("static 128", 32, ranks) for ranks in (1, 2))
+    one, two = (name("static 128", 32, ranks, IN_TURNS) for ranks in (1, 2))
     speedup = found.seconds(one) / found.seconds(two)
     yield Goal("2 ranks against 1, static 128, boxes 32", speedup, 1.7, 1.9, "×", at_least=True)
     for case in ("static 64", "bunch 64"):

@@ -6,7 +6,7 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -34,6 +34,7 @@ from amrpic.regrid import Regridding, carry_over, regrid
 from amrpic.verify.errors import errors
 
 FULL = 1e-10
+IN_TURNS = f"{FULL:g}, in turns"
 Tolerance = float | Literal["discretization"]
 BOXES = (16, 24, 32, 64)
 
@@ -93,6 +94,34 @@ def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: i
         facts = {"cycles": report.cycles, "converged": report.converged, "residual": report.residuals[-1]}
         label = name(case, boxes, comm.size)
         yield Record(label, taken, facts=facts, **unit.told(one.cells))
+
+
+def rank_by_rank(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) -> Iterator[Record]:
+    """Yield solves from a zero guess by one rank alone and by all ranks, in turns as `in_turns`. Collective.
+
+    While one rank solves, the others sleep.
+    """
+    together = problem(comm, case, boxes)
+    alone = problem(MPI.COMM_SELF, case, boxes) if comm.rank == 0 else None
+    own: dict[int, Callable[[], object]] = {}
+    seconds: dict[int, list[float]] = {1: [], comm.size: []}
+    for given in filter(None, (alone, together)):
+        solver = PoissonSolver(given.hierarchy, tolerance=FULL, backend=backend)
+        own[given.hierarchy.comm.size] = partial(solver.solve, given.rho, boundary_values=given.walls)
+        own[given.hierarchy.comm.size]()
+    for _ in range(runs):
+        if alone is not None:
+            seconds[1] += timed(MPI.COMM_SELF, 1, own[1])[0]
+        _sleep_until_all_come(comm)
+        seconds[comm.size] += timed(comm, 1, own[comm.size])[0]
+    for ranks, taken in seconds.items():
+        yield Record(name(case, boxes, ranks, IN_TURNS), comm.bcast(taken), cells=together.cells)
+
+
+def _sleep_until_all_come(comm: MPI.Comm) -> None:
+    request = comm.Ibarrier()
+    while not request.Test():
+        time.sleep(1e-3)
 
 
 def told(tolerance: Tolerance) -> str:
@@ -244,6 +273,8 @@ def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator
     for n, family, size in itertools.product(sizes, FAMILIES, boxes):
         more: tuple[Tolerance, ...] = (1e-6, "discretization") if size >= 32 else ()
         yield from solves(problem(comm, f"{family} {n}", size), f"{family} {n}", backend, runs, (FULL, *more))
+    if comm.size == 2:
+        yield from rank_by_rank(comm, f"static {sizes[-1]}", 32, backend, runs)
     if comm.size == 1:
         yield from in_turns(comm, [f"{cells} 64" for cells in STRETCHED], 32, backend, runs)
         yield from following(comm, "bunch 64", 24, backend, runs)

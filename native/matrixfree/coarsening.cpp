@@ -136,13 +136,23 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   parents_.update({{coarse_.correction().data(), values_.data()}});
   for (Copy const& c : ends_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
-  std::vector<PlaneStage> const stages{[this, into](std::size_t b, int k) {
-    if (b < sources_.size()) fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.correction());
-  }};
-  if (!fine_.has_halo()) return stages;
-  fine_.run(stages);
+  auto const prolong = [this, into](std::size_t b, int k) {
+    fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.correction());
+  };
+  // What others copy comes first, so that it is under way while the rest is swept. Nothing is left to the sweeps before
+  // a restriction that takes the same values for its own sums.
+  Layout const& layout = fine_.layout();
+  bool const all_now = into == Into::place && !in_place_;
+  auto const is_first = [&layout, all_now](std::size_t b, int k) { return all_now || layout.is_copied(b, k); };
+  for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
+    Box const& box = layout.blocks()[b].box;
+    for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+      if (is_first(b, k)) prolong(b, k);
+  }
   fine_.exchange_halo(true, refines_);
-  return {};
+  return {[&layout, is_first, prolong](std::size_t b, int k) {
+    if (b < layout.own_blocks() && !is_first(b, k)) prolong(b, k);
+  }};
 }
 
 std::size_t Coarsening::bytes() const {

@@ -29,7 +29,8 @@ class Coarsening {
   void restrict_right_hand_side();
 
   /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
-  /// adds it to the finer correction, or takes its place, and is to be run first. Collective.
+  /// adds it to the finer correction, or takes its place, and is to be run first. Planes that other ranks copy have it
+  /// already, and are on their way to them. Collective.
   enum class Into { sum, place };
   std::vector<PlaneStage> prolongation(Into into);
 

@@ -118,7 +118,7 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
   level.swept->exchange_halo(false, true);
   std::vector<PlaneStage> stages;
   if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
-  for (auto& stage : level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero)) stages.push_back(stage);
+  for (auto& stage : level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero, 1)) stages.push_back(stage);
   level.coarsening->sweep_and_restrict(stages);
 }
 
@@ -126,7 +126,8 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
 /// comes here, where it also finds what the coarser correction brought in along the coarse axis.
 void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
-  for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false)) stages.push_back(stage);
+  int const further = level.local ? 1 : 0;  // a residual is taken there
+  for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false, further)) stages.push_back(stage);
   if (level.local) stages = level.local->improve(stages);
   level.swept->run(stages);
 }

@@ -7,11 +7,14 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// Call f(row of a, row of b) for the rows of two rectangles of equal extent.
+/// Call f(row of a, row of b, length) for the rows of two rectangles of equal extent; rows that follow each other
+/// closely in both are one.
 template <class F>
 void for_each_row(Index3 const& extent, Rectangle const& a, Rectangle const& b, F&& f) {
+  bool const close = a.pitch_y == extent[0] && b.pitch_y == extent[0];
+  int const length = close ? extent[0] * extent[1] : extent[0], rows = close ? 1 : extent[1];
   for (int k = 0; k < extent[2]; ++k)
-    for (int j = 0; j < extent[1]; ++j) f(a.place(0, j, k), b.place(0, j, k));
+    for (int j = 0; j < rows; ++j) f(a.place(0, j, k), b.place(0, j, k), length);
 }
 
 Rectangle dense(Index3 const& extent, std::ptrdiff_t origin) {
@@ -37,34 +40,83 @@ std::vector<std::vector<int>> all_to_all(MPI_Comm comm, std::vector<std::vector<
   return out;
 }
 
+/// Cells of one rank whose copies lie in one rectangle of memory, which the copy of a cell of index zero would begin.
+struct Region {
+  int owner;
+  Rectangle copy;
+  std::vector<Box> boxes;
+};
+
+/// Cells that are wanted, by whose they are and where their copies lie, in as few boxes as hold them.
+std::vector<Region> regions_of(Level const& level, std::vector<Wanted> const& wanted) {
+  std::vector<Region> out;
+  std::map<std::array<std::ptrdiff_t, 4>, std::size_t> known;
+  for (Wanted const& w : wanted) {
+    Rectangle copy = w.copy;
+    copy.origin = copy.place(-w.cells.lower[0], -w.cells.lower[1], -w.cells.lower[2]);
+    int const owner = level.owner(w.box);
+    auto const [at, fresh] =
+        known.emplace(std::array<std::ptrdiff_t, 4>{owner, copy.origin, copy.pitch_y, copy.pitch_z}, out.size());
+    if (fresh) out.push_back({owner, copy, {}});
+    out[at->second].boxes.push_back(w.cells);
+  }
+  for (Region& region : out) region.boxes = joined(std::move(region.boxes));
+  return out;
+}
+
+/// Wait for messages on their way.
+void wait(std::vector<MPI_Request>& requests) {
+  MPI_Waitall(int(requests.size()), requests.data(), MPI_STATUSES_IGNORE);
+  requests.clear();
+}
+
+Index3 extent_of(Box const& box) { return {box.extent(0), box.extent(1), box.extent(2)}; }
+
+/// A rectangle that holds a box, from another cell on.
+Rectangle from(Rectangle at, Index3 const& steps) {
+  at.origin = at.place(steps[0], steps[1], steps[2]);
+  return at;
+}
+
+/// Call f(part, where it lies) for the parts of a box in own blocks.
+template <class F>
+void for_each_own_part(Layout const& layout, Box const& box, F&& f) {
+  for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
+    Block const& block = layout.blocks()[b];
+    Box const part = box.intersect(block.box);
+    if (part.empty()) continue;
+    Rectangle at = block.cells;
+    at.origin = block.place(part.lower);
+    f(part, at);
+  }
+}
+
+Index3 steps(Index3 const& first, Index3 const& to) { return {to[0] - first[0], to[1] - first[1], to[2] - first[2]}; }
+
 }  // namespace
 
 RectangleExchange::RectangleExchange(MPI_Comm comm, Level const& level, Layout const& layout,
                                      std::vector<Wanted> const& wanted)
     : comm_(comm) {
-  auto place = [&](int b, Index3 const& lower) {
-    Rectangle out = layout.box(b);
-    Box const& box = level.box(b);
-    out.origin = out.place(lower[0] - box.lower[0], lower[1] - box.lower[1], lower[2] - box.lower[2]);
-    return out;
-  };
   std::map<int, Neighbour> sources;
   std::vector<std::vector<int>> requests(std::size_t(level.ranks()));
-  for (Wanted const& w : wanted) {
-    Index3 const extent{w.cells.extent(0), w.cells.extent(1), w.cells.extent(2)};
-    int const owner = level.owner(w.box);
-    if (owner == level.rank()) {
-      local_.push_back({extent, place(w.box, w.cells.lower), w.copy});
-      continue;
+  for (Region const& region : regions_of(level, wanted))
+    for (Box const& box : region.boxes) {
+      if (region.owner == level.rank()) {
+        for_each_own_part(layout, box, [&](Box const& part, Rectangle const& at) {
+          local_.push_back({extent_of(part), at, from(region.copy, part.lower)});
+        });
+        continue;
+      }
+      Neighbour& source = sources[region.owner];
+      source.rank = region.owner;
+      source.pieces.push_back(
+          {extent_of(box), from(region.copy, box.lower), dense(extent_of(box), std::ptrdiff_t(source.cells))});
+      source.cells += std::size_t(box.cells());
+      auto& request = requests[std::size_t(region.owner)];
+      request.insert(request.end(), box.lower.begin(), box.lower.end());
+      request.insert(request.end(), box.upper.begin(), box.upper.end());
     }
-    Neighbour& source = sources[owner];
-    source.rank = owner;
-    source.pieces.push_back({extent, w.copy});
-    source.cells += source.pieces.back().cells();
-    auto& request = requests[std::size_t(owner)];
-    request.insert(request.end(),
-                   {w.box, w.cells.lower[0], w.cells.lower[1], w.cells.lower[2], extent[0], extent[1], extent[2]});
-  }
   for (auto& [rank, source] : sources) sources_.push_back(std::move(source));
   if (level.ranks() == 1) return;
   auto const asked = all_to_all(comm, requests);
@@ -73,88 +125,96 @@ RectangleExchange::RectangleExchange(MPI_Comm comm, Level const& level, Layout c
     if (list.empty()) continue;
     Neighbour reader;
     reader.rank = rank;
-    for (std::size_t n = 0; n < list.size(); n += 7) {
-      reader.pieces.push_back(
-          {{list[n + 4], list[n + 5], list[n + 6]}, place(list[n], {list[n + 1], list[n + 2], list[n + 3]})});
-      reader.cells += reader.pieces.back().cells();
+    for (std::size_t n = 0; n < list.size(); n += 6) {
+      Box const box{{list[n], list[n + 1], list[n + 2]}, {list[n + 3], list[n + 4], list[n + 5]}};
+      Rectangle const packed = dense(extent_of(box), std::ptrdiff_t(reader.cells));
+      for_each_own_part(layout, box, [&](Box const& part, Rectangle const& at) {
+        reader.pieces.push_back({extent_of(part), at, from(packed, steps(box.lower, part.lower))});
+      });
+      reader.cells += std::size_t(box.cells());
     }
     readers_.push_back(std::move(reader));
   }
 }
 
-/// Send the buffers of `from` and receive those of `to`, of so many fields.
+/// Begin to send the buffers of `from` and to receive those of `to`, of so many fields.
 void RectangleExchange::pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to,
                              std::size_t fields) const {
-  requests_.clear();
   for (Neighbour const& n : to) {
     n.buffer.resize(n.cells * fields);
-    MPI_Irecv(n.buffer.data(), int(n.buffer.size()), MPI_FLOAT, n.rank, 0, comm_, &requests_.emplace_back());
+    MPI_Irecv(n.buffer.data(), int(n.buffer.size()), MPI_FLOAT, n.rank, 0, comm_, &receiving_.emplace_back());
   }
   for (Neighbour const& n : from) {
-    MPI_Isend(n.buffer.data(), int(n.buffer.size()), MPI_FLOAT, n.rank, 0, comm_, &requests_.emplace_back());
+    MPI_Isend(n.buffer.data(), int(n.buffer.size()), MPI_FLOAT, n.rank, 0, comm_, &sending_.emplace_back());
     ++messages_;
     bytes_ += std::int64_t(n.buffer.size() * sizeof(float));
   }
 }
 
-void RectangleExchange::update(std::vector<std::pair<float const*, float*>> const& fields) const {
+void RectangleExchange::poll() const {
+  int done;
+  MPI_Testall(int(receiving_.size()), receiving_.data(), &done, MPI_STATUSES_IGNORE);
+  MPI_Testall(int(sending_.size()), sending_.data(), &done, MPI_STATUSES_IGNORE);
+}
+
+void RectangleExchange::start(Fields const& fields) const {
+  wait(sending_);  // of the time before, which may still be read from the same buffers
   for (Neighbour const& n : readers_) {
     n.buffer.resize(n.cells * fields.size());
-    std::ptrdiff_t at = 0;
-    for (auto const& field : fields)
-      for (Piece const& p : n.pieces) {
-        for_each_row(p.extent, p.at, dense(p.extent, at), [&, from = field.first](std::ptrdiff_t a, std::ptrdiff_t b) {
-          std::copy_n(from + a, p.extent[0], n.buffer.data() + b);
+    float* out = n.buffer.data();
+    for (auto const& field : fields) {
+      for (Piece const& p : n.pieces)
+        for_each_row(p.extent, p.at, p.packed, [&, cells = field.first](auto at, auto packed, int length) {
+          std::copy_n(cells + at, length, out + packed);
         });
-        at += std::ptrdiff_t(p.cells());
-      }
+      out += n.cells;
+    }
   }
   pass(readers_, sources_, fields.size());
   for (auto const& field : fields)
     for (Local const& l : local_)
-      for_each_row(l.extent, l.cells, l.copy, [&, f = field](std::ptrdiff_t a, std::ptrdiff_t b) {
-        std::copy_n(f.first + a, l.extent[0], f.second + b);
+      for_each_row(l.extent, l.cells, l.copy, [&, f = field](auto cells, auto copy, int length) {
+        std::copy_n(f.first + cells, length, f.second + copy);
       });
-  MPI_Waitall(int(requests_.size()), requests_.data(), MPI_STATUSES_IGNORE);
+}
+
+/// The messages of this rank may still be on their way to others that compute: whoever waits for them here would
+/// compute after them, not beside them.
+void RectangleExchange::finish(Fields const& fields) const {
+  wait(receiving_);
   for (Neighbour const& n : sources_) {
-    std::ptrdiff_t at = 0;
-    for (auto const& field : fields)
-      for (Piece const& p : n.pieces) {
-        for_each_row(p.extent, dense(p.extent, at), p.at, [&, to = field.second](std::ptrdiff_t a, std::ptrdiff_t b) {
-          std::copy_n(n.buffer.data() + a, p.extent[0], to + b);
+    float const* in = n.buffer.data();
+    for (auto const& field : fields) {
+      for (Piece const& p : n.pieces)
+        for_each_row(p.extent, p.packed, p.at, [&, copies = field.second](auto packed, auto at, int length) {
+          std::copy_n(in + packed, length, copies + at);
         });
-        at += std::ptrdiff_t(p.cells());
-      }
+      in += n.cells;
+    }
   }
 }
 
 void RectangleExchange::add(float const* copies, float* cells) const {
-  auto add_row = [](float const* from, int n, float* to) {
-    for (int i = 0; i < n; ++i) to[i] += from[i];
+  auto add_row = [](float const* from, int length, float* to) {
+    for (int i = 0; i < length; ++i) to[i] += from[i];
   };
+  wait(sending_);
   for (Neighbour const& n : sources_) {
     n.buffer.resize(n.cells);
-    std::ptrdiff_t at = 0;
-    for (Piece const& p : n.pieces) {
-      for_each_row(p.extent, p.at, dense(p.extent, at), [&](std::ptrdiff_t a, std::ptrdiff_t b) {
-        std::copy_n(copies + a, p.extent[0], n.buffer.data() + b);
+    for (Piece const& p : n.pieces)
+      for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
+        std::copy_n(copies + at, length, n.buffer.data() + packed);
       });
-      at += std::ptrdiff_t(p.cells());
-    }
   }
   pass(sources_, readers_, 1);
   for (Local const& l : local_)
     for_each_row(l.extent, l.copy, l.cells,
-                 [&](std::ptrdiff_t a, std::ptrdiff_t b) { add_row(copies + a, l.extent[0], cells + b); });
-  MPI_Waitall(int(requests_.size()), requests_.data(), MPI_STATUSES_IGNORE);
-  for (Neighbour const& n : readers_) {
-    std::ptrdiff_t at = 0;
-    for (Piece const& p : n.pieces) {
-      for_each_row(p.extent, dense(p.extent, at), p.at,
-                   [&](std::ptrdiff_t a, std::ptrdiff_t b) { add_row(n.buffer.data() + a, p.extent[0], cells + b); });
-      at += std::ptrdiff_t(p.cells());
-    }
-  }
+                 [&](auto copy, auto at, int length) { add_row(copies + copy, length, cells + at); });
+  wait(receiving_);
+  for (Neighbour const& n : readers_)
+    for (Piece const& p : n.pieces)
+      for_each_row(p.extent, p.packed, p.at,
+                   [&](auto packed, auto at, int length) { add_row(n.buffer.data() + packed, length, cells + at); });
 }
 
 }  // namespace amrpic::matrixfree

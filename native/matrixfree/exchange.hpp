@@ -17,13 +17,23 @@ struct Wanted {
 /// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
 class RectangleExchange {
  public:
+  using Fields = std::vector<std::pair<float const*, float*>>;  ///< cells and their copies, which may be one vector
+
   RectangleExchange() = default;
 
   /// `layout` holds the boxes of `level`. Collective, unless every rank holds the whole level.
   RectangleExchange(MPI_Comm comm, Level const& level, Layout const& layout, std::vector<Wanted> const& wanted);
 
-  /// Fill the copies of each pair (cells, copies), which may be one vector. Collective.
-  void update(std::vector<std::pair<float const*, float*>> const& fields) const;
+  /// Fill the copies. Collective.
+  void update(Fields const& fields) const {
+    start(fields);
+    finish(fields);
+  }
+  /// The same in two steps: the cells may change in between, the copies are there afterwards. Messages of other plans
+  /// may pass meanwhile. Whoever computes in between calls `poll` at times, since messages may not move by themselves.
+  void start(Fields const& fields) const;
+  void poll() const;
+  void finish(Fields const& fields) const;
 
   /// Add the copies to the cells. Collective.
   void add(float const* copies, float* cells) const;
@@ -34,8 +44,7 @@ class RectangleExchange {
  private:
   struct Piece {
     Index3 extent;
-    Rectangle at;
-    std::size_t cells() const { return std::size_t(extent[0]) * extent[1] * extent[2]; }
+    Rectangle at, packed;  ///< in memory, and in the message of one field
   };
   struct Neighbour {
     int rank;
@@ -52,7 +61,7 @@ class RectangleExchange {
   MPI_Comm comm_ = MPI_COMM_NULL;
   std::vector<Local> local_;
   std::vector<Neighbour> sources_, readers_;
-  mutable std::vector<MPI_Request> requests_;
+  mutable std::vector<MPI_Request> receiving_, sending_;
   mutable std::int64_t messages_ = 0, bytes_ = 0;
 };
 

@@ -1,6 +1,7 @@
 #include "matrixfree/layout.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <map>
 
 namespace amrpic::matrixfree {
@@ -37,6 +38,13 @@ void join(std::vector<Box>& boxes, int axis) {
   boxes = std::move(out);
 }
 
+/// How many steps to a neighbour lead from one box to another that it does not overlap, diagonal ones allowed.
+int apart(Box const& a, Box const& b) {
+  int out = 0;
+  for (int d = 0; d < 3; ++d) out = std::max({out, a.lower[d] - b.upper[d], b.lower[d] - a.upper[d]});
+  return out;
+}
+
 }  // namespace
 
 std::vector<Box> joined(std::vector<Box> boxes) {
@@ -57,14 +65,17 @@ Layout::Layout(Level const& level, int depth)
   auto const large = joined(own);
   for (Box const& box : large) add(box);
   own_blocks_ = blocks_.size();
+  for (Block const& block : blocks_) planes_of_.emplace_back(std::size_t(block.box.extent(2)), 0);
 
   // One copy of a box (or image) holds all that any own block needs of it. Images across x and y of own cells are read
   // in place; those across z are copied, because a plane is swept when the one at the other end is not yet.
   std::map<std::pair<int, Index3>, Box> wanted;
-  for (Box const& box : large)
-    level.for_each_overlap(box.grow(depth), [&](int b, Box const& part, Index3 const& shift) {
+  for (std::size_t own = 0; own < own_blocks_; ++own)
+    level.for_each_overlap(large[own].grow(depth), [&](int b, Box const& part, Index3 const& shift) {
       bool const mine = b >= level.first_local_box() && b < level.last_local_box();
       if (mine && shift[2] == 0) return;
+      Box const near = level.box(b).shift(shift).grow(depth).intersect(large[own]);
+      for (int k = near.lower[2]; k <= near.upper[2]; ++k) planes_of_[own][std::size_t(k - large[own].lower[2])] = 1;
       auto const [at, fresh] = wanted.emplace(std::make_pair(b, shift), part);
       for (int d = 0; d < 3 && !fresh; ++d) {
         at->second.lower[d] = std::min(at->second.lower[d], part.lower[d]);
@@ -78,6 +89,7 @@ Layout::Layout(Level const& level, int depth)
     copies.push_back(part);
   }
   for (Box const& box : joined(copies)) add(box);
+  measure_halo();
   std::ptrdiff_t longest = 0;
   for (Block const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
   zero_row_ = std::ptrdiff_t(size_);
@@ -103,6 +115,22 @@ Layout::Layout(Level const& level, int depth)
   for (std::size_t b = 0; b < blocks_.size(); ++b)
     for (int k = blocks_[b].box.lower[2]; k <= blocks_[b].box.upper[2]; ++k)
       plane_[std::size_t(k - first_plane_)].push_back(int(b));
+}
+
+/// Find how far the planes of the halo lie from own cells.
+void Layout::measure_halo() {
+  first_halo_plane_ = std::numeric_limits<int>::max();
+  for (std::size_t b = own_blocks_; b < blocks_.size(); ++b) {
+    Box plane = blocks_[b].box;
+    first_halo_plane_ = std::min(first_halo_plane_, plane.lower[2]);
+    auto& distances = planes_of_.emplace_back();
+    for (int k = blocks_[b].box.lower[2]; k <= blocks_[b].box.upper[2]; ++k) {
+      plane.lower[2] = plane.upper[2] = k;
+      int nearest = std::numeric_limits<std::int8_t>::max();
+      for (std::size_t own = 0; own < own_blocks_; ++own) nearest = std::min(nearest, apart(plane, blocks_[own].box));
+      distances.push_back(std::int8_t(nearest));
+    }
+  }
 }
 
 void Layout::add(Box const& box) {

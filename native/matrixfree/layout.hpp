@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <vector>
 
 #include "matrixfree/memory.hpp"
@@ -46,6 +47,15 @@ class Layout {
   std::vector<Block> const& blocks() const { return blocks_; }  ///< own ones first
   std::size_t own_blocks() const { return own_blocks_; }
   bool has_halo() const { return !halo_.empty(); }
+  int first_halo_plane() const { return first_halo_plane_; }  ///< the lowest plane of z that holds some of it
+  /// How far a block's plane lies from the nearest own cells: 0 for own ones.
+  int distance(std::size_t block, int k) const {
+    return block < own_blocks_ ? 0 : planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])];
+  }
+  /// Whether other ranks, or this one beyond the domain, may hold copies of cells of an own block's plane.
+  bool is_copied(std::size_t block, int k) const {
+    return planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])] != 0;
+  }
   std::vector<Halo> const& halo() const { return halo_; }
   Rectangle halo_place(Halo const& halo) const;
 
@@ -79,6 +89,7 @@ class Layout {
   std::vector<Index3> images(Box const& region) const;
   std::vector<int> near(int lower_plane, int upper_plane) const;
   void add(Box const& box);
+  void measure_halo();
 
   Box domain_;
   std::array<bool, 3> periodic_;
@@ -87,6 +98,8 @@ class Layout {
   std::size_t own_blocks_ = 0, size_ = 0;
   std::ptrdiff_t zero_row_ = 0;
   std::vector<Halo> halo_;
+  int first_halo_plane_ = 0;
+  std::vector<std::vector<std::int8_t>> planes_of_;  ///< of each block: see `is_copied` and `distance`
   std::vector<Rectangle> boxes_;
   int first_plane_ = 0;
   std::vector<std::vector<int>> plane_;

@@ -30,11 +30,11 @@ LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level co
 std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stages) {
   coarsening_.sweep_and_restrict(stages);
   swept_.exchange_halo(false, true);
-  auto own = swept_.relaxations(relaxation_.pre_sweeps, true);
+  auto own = swept_.relaxations(relaxation_.pre_sweeps, true, next_ ? 1 : 0);
   if (next_) own = next_->improve(own);
   swept_.run(own);
   auto out = coarsening_.prolongation(Coarsening::Into::sum);
-  for (auto& stage : fine_.relaxations(relaxation_.post_sweeps, false)) out.push_back(stage);
+  for (auto& stage : fine_.relaxations(relaxation_.post_sweeps, false, 0)) out.push_back(stage);
   return out;
 }
 

@@ -7,11 +7,13 @@
 
 namespace amrpic::matrixfree {
 
-void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages) {
+void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std::function<void(int)> const& before) {
   int const first = layout.first_plane(), count = layout.planes(), depth = int(stages.size());
-  for (int step = 0; step < count + depth - 1; ++step)
+  for (int step = 0; step < count + depth - 1; ++step) {
+    if (step < count) before(first + step);
     for (int s = std::max(0, step - count + 1); s < std::min(depth, step + 1); ++s)
       for (int b : layout.on_plane(first + step - s)) stages[std::size_t(s)](std::size_t(b), first + step - s);
+  }
 }
 
 Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)

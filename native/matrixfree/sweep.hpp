@@ -16,8 +16,9 @@ struct Parents {
 using PlaneStage = std::function<void(std::size_t block, int plane)>;
 
 /// Run stages over all planes of a layout in one pass: stage s of a plane comes after stage s - 1 of the plane above
-/// it, so that a plane stays in the cache from the first stage to the last.
-void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages);
+/// it, so that a plane stays in the cache from the first stage to the last. Plane after plane, `before` is called
+/// before a stage reaches it.
+void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std::function<void(int)> const& before);
 
 /// Which form of the kernels runs.
 enum class Kernels {

@@ -18,24 +18,45 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends c
   halo_ = RectangleExchange(comm, *level_, layout_, copies);
 }
 
-std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero) {
+std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
   std::vector<PlaneStage> out;
   if (from_zero && sweeps == 0) std::fill(e_.begin(), e_.end(), 0.0f);
+  int reach = further + 2 * sweeps - 1;  // each half-sweep reads one cell beyond what it relaxes
   for (int s = 0; s < sweeps; ++s)
-    for (int colour : {0, 1})
-      if (from_zero && s == 0 && colour == 0)
-        out.push_back([this](std::size_t b, int k) { sweep_.relax_from_zero(b, k, 0, r_, e_); });
-      else
-        out.push_back([this, colour](std::size_t b, int k) { sweep_.relax(b, k, colour, r_, e_); });
+    for (int colour : {0, 1}) {
+      bool const fresh = from_zero && s == 0 && colour == 0;
+      out.push_back([this, colour, fresh, reach](std::size_t b, int k) {
+        if (layout_.distance(b, k) > reach) return;
+        if (fresh)
+          sweep_.relax_from_zero(b, k, colour, r_, e_);
+        else
+          sweep_.relax(b, k, colour, r_, e_);
+      });
+      --reach;
+    }
   return out;
+}
+
+void SweptLevel::run(std::vector<PlaneStage> const& stages) {
+  wavefront(layout_, stages, [this](int plane) {
+    halo_.poll();
+    if (plane + 1 >= layout_.first_halo_plane()) finish_exchange();
+  });
+  finish_exchange();
 }
 
 void SweptLevel::exchange_halo(bool corrections, bool right_hand_sides) {
   if (!has_halo()) return;
-  std::vector<std::pair<float const*, float*>> fields;
-  if (corrections) fields.emplace_back(e_.data(), e_.data());
-  if (right_hand_sides) fields.emplace_back(r_.data(), r_.data());
-  halo_.update(fields);
+  finish_exchange();
+  if (corrections) under_way_.emplace_back(e_.data(), e_.data());
+  if (right_hand_sides) under_way_.emplace_back(r_.data(), r_.data());
+  halo_.start(under_way_);
+}
+
+void SweptLevel::finish_exchange() {
+  if (under_way_.empty()) return;
+  halo_.finish(under_way_);
+  under_way_.clear();
 }
 
 }  // namespace amrpic::matrixfree

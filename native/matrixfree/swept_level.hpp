@@ -27,13 +27,14 @@ class SweptLevel {
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 
-  /// Sweeps over both colours as stages of a wavefront.
-  std::vector<PlaneStage> relaxations(int sweeps, bool from_zero);
-  void run(std::vector<PlaneStage> const& stages) const { wavefront(layout_, stages); }
+  /// Sweeps over both colours as stages of a wavefront. `further`: how far beyond own cells their result is read.
+  std::vector<PlaneStage> relaxations(int sweeps, bool from_zero, int further);
+  /// Run stages over all planes; where copies are still under way, wait for them when they are reached.
+  void run(std::vector<PlaneStage> const& stages);
 
   /// Whether parts of the level are copies, which other ranks or the other end of the domain must fill.
   bool has_halo() const { return level_->ranks() > 1 || layout_.has_halo(); }
-  /// Collective.
+  /// Begin to bring the copies up to date; the next `run` waits for them. Collective.
   void exchange_halo(bool corrections, bool right_hand_sides);
 
   Level const& level() const { return *level_; }
@@ -49,6 +50,8 @@ class SweptLevel {
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
 
  private:
+  void finish_exchange();
+
   std::shared_ptr<Level const> level_;
   Real scale_;
   Layout layout_;
@@ -56,6 +59,7 @@ class SweptLevel {
   Sweep sweep_;
   Vector r_, e_;
   RectangleExchange halo_;
+  RectangleExchange::Fields under_way_;
 };
 
 }  // namespace amrpic::matrixfree

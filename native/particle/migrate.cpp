@@ -16,8 +16,11 @@ namespace {
 
 constexpr int tag_particles = 7201;
 
-/// Particles that are copied in one go: what they need stays in the first-level cache.
-constexpr std::int64_t copy_size = 128;
+/// Particles whose columns are written one after the other: their ids and sources stay in the first-level cache.
+constexpr std::int64_t copy_size = 512;
+
+/// Values that are collected before they are written.
+constexpr LocalIndex collected = 128;
 
 bool is_finite(ParticleView const& particles, std::int64_t n) {
   Real product = 0;  // 0 times a finite number is 0, times any other nan
@@ -35,10 +38,10 @@ bool permute(Real const* from, LocalIndex const* source, LocalIndex count, Real*
   LocalIndex next = ahead.first;
   // Old and new arrays start on pages, and places change little: a load from an old one would often wait for a store to
   // the new one whose address ends in the same twelve bits. So values are collected before they are written.
-  alignas(64) Real values[copy_size];
+  alignas(64) Real values[collected];
   Lanes zero{};  // nan as soon as a value is not finite
-  for (LocalIndex done = 0; done < whole; done += copy_size) {
-    LocalIndex const part = std::min<LocalIndex>(whole - done, copy_size);
+  for (LocalIndex done = 0; done < whole; done += collected) {
+    LocalIndex const part = std::min(whole - done, collected);
     for (LocalIndex i = 0; i < part; i += lane_count) {
       Lanes const eight = pick(from, source + done + i);
       zero += eight - eight;

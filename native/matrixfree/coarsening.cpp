@@ -133,7 +133,7 @@ void Coarsening::hand_over() {
 }
 
 std::vector<PlaneStage> Coarsening::prolongation(Into into) {
-  parents_.update({{coarse_.correction().data(), values_.data()}});
+  parents_.update(coarse_.correction().data(), values_.data());
   for (Copy const& c : ends_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
   auto const prolong = [this, into](std::size_t b, int k) {
@@ -149,7 +149,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
     for (int k = box.lower[2]; k <= box.upper[2]; ++k)
       if (is_first(b, k)) prolong(b, k);
   }
-  fine_.exchange_halo(true, refines_);
+  fine_.exchange_corrections(refines_);
   return {[&layout, is_first, prolong](std::size_t b, int k) {
     if (b < layout.own_blocks() && !is_first(b, k)) prolong(b, k);
   }};

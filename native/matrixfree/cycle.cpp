@@ -115,7 +115,7 @@ void Cycle::cycle(std::size_t l, Guess guess) {
 
 /// Smooth, then leave the right-hand side of the coarser level.
 void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
-  level.swept->exchange_halo(false, true);
+  level.swept->exchange_right_hand_sides();
   std::vector<PlaneStage> stages;
   if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
   for (auto& stage : level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero, 1)) stages.push_back(stage);

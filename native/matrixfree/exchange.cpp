@@ -117,7 +117,10 @@ RectangleExchange::RectangleExchange(MPI_Comm comm, Level const& level, Layout c
       request.insert(request.end(), box.lower.begin(), box.lower.end());
       request.insert(request.end(), box.upper.begin(), box.upper.end());
     }
-  for (auto& [rank, source] : sources) sources_.push_back(std::move(source));
+  for (auto& [rank, source] : sources) {
+    source.buffer.resize(source.cells);
+    sources_.push_back(std::move(source));
+  }
   if (level.ranks() == 1) return;
   auto const asked = all_to_all(comm, requests);
   for (int rank = 0; rank < level.ranks(); ++rank) {
@@ -133,17 +136,15 @@ RectangleExchange::RectangleExchange(MPI_Comm comm, Level const& level, Layout c
       });
       reader.cells += std::size_t(box.cells());
     }
+    reader.buffer.resize(reader.cells);
     readers_.push_back(std::move(reader));
   }
 }
 
-/// Begin to send the buffers of `from` and to receive those of `to`, of so many fields.
-void RectangleExchange::pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to,
-                             std::size_t fields) const {
-  for (Neighbour const& n : to) {
-    n.buffer.resize(n.cells * fields);
+/// Begin to send the buffers of `from` and to receive those of `to`.
+void RectangleExchange::pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to) const {
+  for (Neighbour const& n : to)
     MPI_Irecv(n.buffer.data(), int(n.buffer.size()), MPI_FLOAT, n.rank, 0, comm_, &receiving_.emplace_back());
-  }
   for (Neighbour const& n : from) {
     MPI_Isend(n.buffer.data(), int(n.buffer.size()), MPI_FLOAT, n.rank, 0, comm_, &sending_.emplace_back());
     ++messages_;
@@ -157,56 +158,41 @@ void RectangleExchange::poll() const {
   MPI_Testall(int(sending_.size()), sending_.data(), &done, MPI_STATUSES_IGNORE);
 }
 
-void RectangleExchange::start(Fields const& fields) const {
-  wait(sending_);  // of the time before, which may still be read from the same buffers
-  for (Neighbour const& n : readers_) {
-    n.buffer.resize(n.cells * fields.size());
-    float* out = n.buffer.data();
-    for (auto const& field : fields) {
-      for (Piece const& p : n.pieces)
-        for_each_row(p.extent, p.at, p.packed, [&, cells = field.first](auto at, auto packed, int length) {
-          std::copy_n(cells + at, length, out + packed);
-        });
-      out += n.cells;
-    }
-  }
-  pass(readers_, sources_, fields.size());
-  for (auto const& field : fields)
-    for (Local const& l : local_)
-      for_each_row(l.extent, l.cells, l.copy, [&, f = field](auto cells, auto copy, int length) {
-        std::copy_n(f.first + cells, length, f.second + copy);
+void RectangleExchange::start(float const* cells, float* copies) const {
+  for (Neighbour const& n : readers_)
+    for (Piece const& p : n.pieces)
+      for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
+        std::copy_n(cells + at, length, n.buffer.data() + packed);
+      });
+  pass(readers_, sources_);
+  for (Local const& l : local_)
+    for_each_row(l.extent, l.cells, l.copy,
+                 [&](auto at, auto copy, int length) { std::copy_n(cells + at, length, copies + copy); });
+}
+
+/// Does not wait for what this rank sent: others receive it when they need it, and whoever waited for that would
+/// compute after them, not beside them.
+void RectangleExchange::finish(float* copies) const {
+  wait(receiving_);
+  for (Neighbour const& n : sources_)
+    for (Piece const& p : n.pieces)
+      for_each_row(p.extent, p.packed, p.at, [&](auto packed, auto at, int length) {
+        std::copy_n(n.buffer.data() + packed, length, copies + at);
       });
 }
 
-/// The messages of this rank may still be on their way to others that compute: whoever waits for them here would
-/// compute after them, not beside them.
-void RectangleExchange::finish(Fields const& fields) const {
-  wait(receiving_);
-  for (Neighbour const& n : sources_) {
-    float const* in = n.buffer.data();
-    for (auto const& field : fields) {
-      for (Piece const& p : n.pieces)
-        for_each_row(p.extent, p.packed, p.at, [&, copies = field.second](auto packed, auto at, int length) {
-          std::copy_n(in + packed, length, copies + at);
-        });
-      in += n.cells;
-    }
-  }
-}
+void RectangleExchange::settle() const { wait(sending_); }
 
 void RectangleExchange::add(float const* copies, float* cells) const {
   auto add_row = [](float const* from, int length, float* to) {
     for (int i = 0; i < length; ++i) to[i] += from[i];
   };
-  wait(sending_);
-  for (Neighbour const& n : sources_) {
-    n.buffer.resize(n.cells);
+  for (Neighbour const& n : sources_)
     for (Piece const& p : n.pieces)
       for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
         std::copy_n(copies + at, length, n.buffer.data() + packed);
       });
-  }
-  pass(sources_, readers_, 1);
+  pass(sources_, readers_);
   for (Local const& l : local_)
     for_each_row(l.extent, l.copy, l.cells,
                  [&](auto copy, auto at, int length) { add_row(copies + copy, length, cells + at); });

@@ -17,23 +17,24 @@ struct Wanted {
 /// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
 class RectangleExchange {
  public:
-  using Fields = std::vector<std::pair<float const*, float*>>;  ///< cells and their copies, which may be one vector
-
   RectangleExchange() = default;
 
   /// `layout` holds the boxes of `level`. Collective, unless every rank holds the whole level.
   RectangleExchange(MPI_Comm comm, Level const& level, Layout const& layout, std::vector<Wanted> const& wanted);
 
-  /// Fill the copies. Collective.
-  void update(Fields const& fields) const {
-    start(fields);
-    finish(fields);
+  /// Fill the copies, which may lie in the vector of the cells. Collective.
+  void update(float const* cells, float* copies) const {
+    start(cells, copies);
+    finish(copies);
+    settle();
   }
-  /// The same in two steps: the cells may change in between, the copies are there afterwards. Messages of other plans
-  /// may pass meanwhile. Whoever computes in between calls `poll` at times, since messages may not move by themselves.
-  void start(Fields const& fields) const;
+  /// The same in three steps: after `start` the cells may change, after `finish` the copies are there, and after
+  /// `settle` others have what this rank sent. Messages of other plans may pass meanwhile. Whoever computes in between
+  /// calls `poll` at times, since messages may not move by themselves.
+  void start(float const* cells, float* copies) const;
   void poll() const;
-  void finish(Fields const& fields) const;
+  void finish(float* copies) const;
+  void settle() const;
 
   /// Add the copies to the cells. Collective.
   void add(float const* copies, float* cells) const;
@@ -44,7 +45,7 @@ class RectangleExchange {
  private:
   struct Piece {
     Index3 extent;
-    Rectangle at, packed;  ///< in memory, and in the message of one field
+    Rectangle at, packed;  ///< in memory, and in the message
   };
   struct Neighbour {
     int rank;
@@ -56,7 +57,7 @@ class RectangleExchange {
     Index3 extent;
     Rectangle cells, copy;
   };
-  void pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to, std::size_t fields) const;
+  void pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to) const;
 
   MPI_Comm comm_ = MPI_COMM_NULL;
   std::vector<Local> local_;

@@ -29,7 +29,7 @@ LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level co
 
 std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stages) {
   coarsening_.sweep_and_restrict(stages);
-  swept_.exchange_halo(false, true);
+  swept_.exchange_right_hand_sides();
   auto own = swept_.relaxations(relaxation_.pre_sweeps, true, next_ ? 1 : 0);
   if (next_) own = next_->improve(own);
   swept_.run(own);

@@ -4,6 +4,30 @@
 
 namespace amrpic::matrixfree {
 
+namespace {
+
+/// Add those layers of wanted cells beyond which the level lacks cells.
+void add_ends(Level const& level, Wanted const& wanted, std::vector<Wanted>& out) {
+  Box const& box = level.box(wanted.box);
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      int const last = side == 0 ? box.lower[axis] : box.upper[axis];
+      if ((side == 0 ? wanted.cells.lower : wanted.cells.upper)[axis] != last) continue;
+      Wanted layer = wanted;
+      layer.cells.lower[axis] = layer.cells.upper[axis] = last;
+      layer.copy.origin =
+          wanted.copy.place(layer.cells.lower[0] - wanted.cells.lower[0], layer.cells.lower[1] - wanted.cells.lower[1],
+                            layer.cells.lower[2] - wanted.cells.lower[2]);
+      Box beyond = layer.cells;
+      beyond.lower[axis] = beyond.upper[axis] = last + (side == 0 ? -1 : 1);
+      GlobalIndex missing = beyond.cells();
+      level.for_each_overlap(beyond, [&](int, Box const& part, Index3 const&) { missing -= part.cells(); });
+      if (missing > 0) out.push_back(layer);
+    }
+}
+
+}  // namespace
+
 SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends,
                        Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
@@ -13,9 +37,14 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends c
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {
-  std::vector<Wanted> copies;
-  for (Halo const& copy : layout_.halo()) copies.push_back({copy.source, copy.cells, layout_.halo_place(copy)});
+  std::vector<Wanted> copies, at_ends;
+  for (Halo const& copy : layout_.halo()) {
+    Wanted const all{copy.source, copy.cells, layout_.halo_place(copy)};
+    copies.push_back(all);
+    add_ends(*level_, all, at_ends);
+  }
   halo_ = RectangleExchange(comm, *level_, layout_, copies);
+  ends_ = RectangleExchange(comm, *level_, layout_, at_ends);
 }
 
 std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
@@ -40,22 +69,31 @@ std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int 
 void SweptLevel::run(std::vector<PlaneStage> const& stages) {
   wavefront(layout_, stages, [this](int plane) {
     halo_.poll();
-    if (plane + 1 >= layout_.first_halo_plane()) finish_exchange();
+    if (plane + 1 >= layout_.first_halo_plane()) finish_exchanges();
   });
-  finish_exchange();
+  finish_exchanges();
+  halo_.settle();
+  ends_.settle();
 }
 
-void SweptLevel::exchange_halo(bool corrections, bool right_hand_sides) {
+void SweptLevel::exchange_right_hand_sides() { begin(halo_, r_); }
+
+void SweptLevel::exchange_corrections(bool ends_changed) {
+  begin(halo_, e_);
+  if (ends_changed) begin(ends_, r_);
+}
+
+void SweptLevel::begin(RectangleExchange const& plan, Vector& values) {
   if (!has_halo()) return;
-  finish_exchange();
-  if (corrections) under_way_.emplace_back(e_.data(), e_.data());
-  if (right_hand_sides) under_way_.emplace_back(r_.data(), r_.data());
-  halo_.start(under_way_);
+  auto const runs = [&](auto const& other) { return other.first == &plan; };
+  if (std::any_of(under_way_.begin(), under_way_.end(), runs)) finish_exchanges();
+  plan.settle();
+  plan.start(values.data(), values.data());
+  under_way_.emplace_back(&plan, &values);
 }
 
-void SweptLevel::finish_exchange() {
-  if (under_way_.empty()) return;
-  halo_.finish(under_way_);
+void SweptLevel::finish_exchanges() {
+  for (auto const& [plan, values] : under_way_) plan->finish(values->data());
   under_way_.clear();
 }
 

@@ -34,8 +34,11 @@ class SweptLevel {
 
   /// Whether parts of the level are copies, which other ranks or the other end of the domain must fill.
   bool has_halo() const { return level_->ranks() > 1 || layout_.has_halo(); }
-  /// Begin to bring the copies up to date; the next `run` waits for them. Collective.
-  void exchange_halo(bool corrections, bool right_hand_sides);
+  /// Begin to bring the copies of right-hand sides up to date; the next `run` waits for them. Collective.
+  void exchange_right_hand_sides();
+  /// The same for corrections; `ends_changed`: right-hand sides have changed since then, beside coarser cells alone.
+  /// Collective.
+  void exchange_corrections(bool ends_changed);
 
   Level const& level() const { return *level_; }
   Layout const& layout() const { return layout_; }
@@ -45,12 +48,13 @@ class SweptLevel {
   Vector& correction() { return e_; }
   Real scale() const { return scale_; }  ///< h²
 
-  std::int64_t messages() const { return halo_.messages(); }
-  std::int64_t message_bytes() const { return halo_.bytes(); }
+  std::int64_t messages() const { return halo_.messages() + ends_.messages(); }
+  std::int64_t message_bytes() const { return halo_.bytes() + ends_.bytes(); }
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
 
  private:
-  void finish_exchange();
+  void begin(RectangleExchange const& plan, Vector& values);
+  void finish_exchanges();
 
   std::shared_ptr<Level const> level_;
   Real scale_;
@@ -58,8 +62,8 @@ class SweptLevel {
   Stencil stencil_;
   Sweep sweep_;
   Vector r_, e_;
-  RectangleExchange halo_;
-  RectangleExchange::Fields under_way_;
+  RectangleExchange halo_, ends_;  ///< all copies, and those of cells where the level may end
+  std::vector<std::pair<RectangleExchange const*, Vector*>> under_way_;
 };
 
 }  // namespace amrpic::matrixfree

@@ -17,7 +17,7 @@ def deposit(particles: Particles, hierarchy: Hierarchy, clouds: Clouds = PLAIN) 
     Particles must live on the ranks that own their cells; `migrate` sees to that.
     """
     sorting = particles.sorted_on(hierarchy)
-    density = Field(hierarchy, unit="C/m^3")
+    density = Field.unset(hierarchy, unit="C/m^3")
     position, momentum, weight, id = particles.arrays
     charge = float(particles.species.charges[0])
     if len(particles.species.kinds) > 1:

@@ -51,9 +51,19 @@ class Field:
     """
 
     def __init__(self, hierarchy: Hierarchy, unit: str = "") -> None:
+        self._hold(_native.Field(hierarchy.native), hierarchy, unit)
+
+    @classmethod
+    def unset(cls, hierarchy: Hierarchy, unit: str = "") -> Field:
+        """A field of whatever memory holds, for a caller that writes all of its cells."""
+        out = cls.__new__(cls)
+        out._hold(_native.Field(hierarchy.native, zero=False), hierarchy, unit)
+        return out
+
+    def _hold(self, native: _native.Field, hierarchy: Hierarchy, unit: str) -> None:
+        self.native = native
         self.hierarchy = hierarchy
         self.unit = unit
-        self.native = _native.Field(hierarchy.native)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -88,7 +98,7 @@ class Field:
 
     def copy(self) -> Field:
         """A field with the same values and memory of its own."""
-        out = Field(self.hierarchy, self.unit)
+        out = Field.unset(self.hierarchy, self.unit)
         for level in range(self.hierarchy.levels):
             out.array(level)[:] = self.array(level)
         return out

@@ -207,7 +207,7 @@ class PoissonSolver:
         """
         self._require_home("phi", phi)
         _one_of("covered", covered, COVERED)
-        field = VectorField(*(Field(self.hierarchy, "V/m") for _ in range(3)))
+        field = VectorField(*(Field.unset(self.hierarchy, "V/m") for _ in range(3)))
         kind = getattr(_native.CoveredField, covered)
         self.native.electric_field(phi.native, kind, *(c.native for c in field.components))
         return field

@@ -14,7 +14,7 @@ using namespace nb::literals;
 
 void bind_field(nb::module_& m) {
   nb::class_<Field>(m, "Field")
-      .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a)
+      .def(nb::init<std::shared_ptr<Hierarchy const>, bool>(), "hierarchy"_a, "zero"_a = true)
       .def(
           "level",
           [](nb::handle self, int level) {

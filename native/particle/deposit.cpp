@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <type_traits>
 
+#include "base/fetch.hpp"
+#include "particle/memory.hpp"
 #include "particle/tile.hpp"
 
 namespace amrpic {
@@ -166,25 +168,45 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int6
   frame.require_inside(all_in, particles, first, last);
 }
 
-/// Moves the tiles of one box's slabs into the density, plane by plane: the interior to the box, the shell to whatever
-/// cells surround it.
+/// Moves the tiles of one box's slabs into the density: the interior to the box, whose cells are set, and the shell
+/// first to memory of its own, then, when all boxes are set, to whatever cells surround the box.
 class Taker {
  public:
-  Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse)
-      : at_(at), box_(level.box(at.box)), per_cell_(charge / level.cell_volume()), cells_(cells), coarse_(coarse) {
-    own_ = cells.own + level.local_offset(at.box);
-  }
+  /// `shell` has room for the sums of the shell's cells.
+  Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse, Real* shell)
+      : at_(at),
+        box_(level.box(at.box)),
+        per_cell_(charge / level.cell_volume()),
+        cells_(cells),
+        coarse_(coarse),
+        own_(cells.own + level.local_offset(at.box)),
+        shell_(shell) {}
 
-  /// Take planes [first, last] out of the tiles.
+  /// Take planes [first, last] out of the tiles; each plane once.
   void take(int first, int last, CloudTiles& tiles) const {
     for (int k = first; k <= last; ++k) {
       if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tiles);
-      LocalIndex const* place = at_.shell.data() + shell_cells_below(box_, k);
+      Real* out = shell_ + shell_cells_below(box_, k);
       for_each_shell_row(box_, k, [&](int from, int to, int j) {
-        tiles.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { give_to_shell(place + n, sums); });
-        place += to - from + 1;
+        tiles.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { store(out + n, sums); });
+        out += to - from + 1;
       });
     }
+  }
+
+  /// Add the shell to the cells around the box.
+  void give() const {
+    std::size_t n = 0;
+    for_each_shell_row(box_, [&](int from, int to, int, int) {
+      for (std::size_t const end = n + std::size_t(to - from + 1); n < end;)
+        if (n + lane_count <= end && cells_.are_own(&at_.shell[n])) {
+          Real* const out = cells_.own + at_.shell[n];
+          store(out, load<Lanes>(out) + per_cell_ * load<Lanes>(shell_ + n));
+          n += lane_count;
+        } else {
+          give(n++);
+        }
+    });
   }
 
  private:
@@ -192,38 +214,43 @@ class Taker {
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
       Real* const out = own_ + box_.offset({box_.lower[0], j, k});
       tiles.take(box_.lower[0], j, k, box_.extent(0), [&](int n, auto const& sums) {
-        using Sums = std::decay_t<decltype(sums)>;
-        bring_near(out + n + 512);
-        store(out + n, load<Sums>(out + n) + per_cell_ * sums);
+        fetch<Use::write>(out + n + page<Real>, 1);
+        store(out + n, per_cell_ * sums);
       });
     }
   }
 
-  void give_to_shell(LocalIndex const* place, Lanes const& sums) const {
-    if (cells_.are_own(place)) {
-      Real* const out = cells_.own + *place;
-      store(out, load<Lanes>(out) + per_cell_ * sums);
-    } else {
-      for (int n = 0; n < lane_count; ++n) give_to_shell(place + n, sums[n]);
-    }
-  }
-  void give_to_shell(LocalIndex const* place, Real sum) const {
-    constexpr std::ptrdiff_t ahead = 24;  // these cells lie all over the memory
-    LocalIndex const* const end = at_.shell.data() + at_.shell.size();
-    if (end - place > ahead && place[ahead] >= 0) bring_near(&cells_[place[ahead]]);
-    if (sum == 0) return;
-    if (*place >= 0)
-      cells_[*place] += per_cell_ * sum;
+  void give(std::size_t n) const {
+    constexpr std::size_t ahead = 24;  // these cells lie all over the memory
+    if (n + ahead < at_.shell.size() && at_.shell[n + ahead] >= 0) bring_near(&cells_[at_.shell[n + ahead]]);
+    if (shell_[n] == 0) return;
+    LocalIndex const place = at_.shell[n];
+    if (place >= 0)
+      cells_[place] += per_cell_ * shell_[n];
     else
-      coarse_[at_.coarse[std::size_t(~*place)]] += per_cell_ / 8 * sum;
+      coarse_[at_.coarse[std::size_t(~place)]] += per_cell_ / 8 * shell_[n];
   }
 
   Surroundings const& at_;
   Box box_;
   Real per_cell_;
   Cells cells_, coarse_;
-  Real* own_;
+  Real *own_, *shell_;
 };
+
+/// Zero the cells of boxes that hold no particle, and return how many cells surround the others.
+std::size_t clear_empty_boxes(ParticleMesh const& mesh, std::int64_t const* starts, Field& density) {
+  std::size_t shells = 0;
+  for (std::size_t s = 0; s < mesh.boxes().size(); ++s) {
+    Surroundings const& at = mesh.boxes()[s];
+    Level const& level = mesh.hierarchy().level(at.level);
+    if (starts[s] < starts[s + 1])
+      shells += at.shell.size();
+    else
+      std::fill_n(density.level(at.level).data() + level.local_offset(at.box), level.box(at.box).cells(), Real(0));
+  }
+  return shells;
+}
 
 /// Move the tile of coarse clouds into the density of its level.
 void add_coarse_tile(CloudTiles& tiles, CoarseCells const& at, Real per_cell, Cells const& cells) {
@@ -264,32 +291,33 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     if (zone) coarse.emplace_back(zone->exchange(l), density.level(l));
   }
 
+  Scratch<Real> const shells(clear_empty_boxes(mesh, starts, density));
+  Real* shell = shells.data();
+  std::vector<Taker> takers;
   std::vector<CloudTiles> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     Surroundings const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
+    Box const& box = level.box(at.box);
     std::size_t const rises = buffer ? buffer->coarse.size() : 0;
     for (std::size_t r = 1; r <= rises; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
-    Taker taker(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells());
-    int const planes = planes_per_slab(level.box(at.box), 2);
-    bool waiting = false;  // whether the last planes of the slab before are still in the tiles
-    for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
-      bool const more = from < to;
-      if (waiting && !more) taker.take(slab.lower[2] - tile_reach, slab.lower[2] + tile_reach - 1, tiles[0]);
-      if (more && waiting) tiles[0].follow(slab);
-      if (more && !waiting) tiles[0].reset(slab);
-      waiting = more && slab.upper[2] < level.box(at.box).upper[2];
+    takers.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), shell);
+    shell += at.shell.size();
+    for_each_slab(mesh, at, planes_per_slab(box, 2), particles, first, last, [&](Box const& slab, auto from, auto to) {
+      slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
       for_each_run(mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, auto a, auto b) {
         with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, a, b, tiles[rise]); });
       });
-      if (more) taker.take(slab.lower[2] - tile_reach, slab.upper[2] + (waiting ? -tile_reach : tile_reach), tiles[0]);
+      bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
+      takers.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
     });
     for (std::size_t r = 1; r <= rises; ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());
     }
   });
+  for (Taker const& taker : takers) taker.give();
   for (Layer const& layer : own) layer.fold();
   for (Layer const& layer : coarse) layer.fold();
 

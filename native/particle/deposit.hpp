@@ -7,7 +7,7 @@
 
 namespace amrpic {
 
-/// Turn `density`, which is zero everywhere, into the charge density of the particles in C/m³; covered cells hold the
+/// Set `density` to the charge density of the particles in C/m³; covered cells hold the
 /// mean of their children. Collective.
 ///
 /// `charge` is that of one real particle. Particles are sorted by slot: those of slot s are starts[s] to starts[s + 1].

@@ -137,7 +137,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   for (Copy const& c : ends_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
   auto const prolong = [this, into](std::size_t b, int k) {
-    fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.correction());
+    fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.right_hand_side(), fine_.correction());
   };
   // What others copy comes first, so that it is under way while the rest is swept. Nothing is left to the sweeps before
   // a restriction that takes the same values for its own sums.

@@ -294,7 +294,10 @@ void CompositeLaplacian::right_hand_side_plane(int l, int b, int k, Source const
   Real3 const& h = level(l).spacing();
   kernels::Residual const formula(h, inverse_permittivity, source.mean);
   Real const* const rho = source.rho.level(l).data() + offset(l, b) + first;
-  for (int i = 0; i < pitch[2]; ++i) plane_[std::size_t(i)] = formula.right_hand_side(rho[i]);
+  kernels::for_each_part(0, pitch[2], [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+    fetch<Use::read>(rho + begin + page<Real>, end - begin);
+    for (std::ptrdiff_t i = begin; i < end; ++i) plane_[std::size_t(i)] = formula.right_hand_side(rho[i]);
+  });
   for (int f = 0; f < 6; ++f) {
     int const wall = plan(l, b).faces[f].wall, axis = f / 2;
     if (wall < 0) continue;
@@ -443,7 +446,8 @@ void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correcti
   for (int j = 0; j < ny; ++j) {
     T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
     Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
-    kernels::fetch<kernels::Use::read>(from + correction.pitch_z, nx);
+    fetch<Use::read>(from + correction.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
+    fetch<Use::write>(to + page<Real>, nx);
     for (int i = 0; i < nx; ++i) to[i] = kernels::fused(scale, Real(from[i]), to[i]);
     largest.add(from, nx);
   }
@@ -538,6 +542,8 @@ void CompositeLaplacian::electric_field(Field const& phi, std::vector<Walls> con
       for (int j = 0; j < ny; ++j) {
         std::ptrdiff_t const at = std::ptrdiff_t(j) * pitch[1] + std::ptrdiff_t(k) * pitch[2];
         Real const* c = cells + at;
+        fetch<Use::read>(c + pitch[2] + page<Real>, nx);
+        for (Real* component : e) fetch<Use::write>(component + at + page<Real>, nx);
         auto difference = [&](int d, Real const* below, Real const* above, int first, int last) {
           Real* __restrict out = e[d] + at;
           for (int i = first; i < last; ++i) out[i] = factor[d] * (below[i] - above[i]);

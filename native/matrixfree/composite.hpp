@@ -121,7 +121,7 @@ class CompositeLaplacian {
     for (int j = 0; j < box(l, b).extent(1); ++j) {
       Real const* __restrict from = plane_.data() + std::ptrdiff_t(j) * nx;
       T* __restrict to = out.origin + j * out.pitch_y + k * out.pitch_z;
-      kernels::fetch<kernels::Use::write>(to + out.pitch_z, nx);
+      fetch<Use::write>(to + out.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
       if (scale == 0)
         std::fill_n(to, nx, T(0));
       else

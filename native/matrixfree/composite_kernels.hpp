@@ -9,6 +9,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "base/fetch.hpp"
 #include "base/types.hpp"
 #include "mesh/norm.hpp"
 
@@ -48,14 +49,25 @@ struct Neighbours {
   Real const *ym, *yp, *zm, *zp;
 };
 
+/// Call f(begin, end) for parts of a run that are a few cache lines long.
+template <class F>
+inline void for_each_part(std::ptrdiff_t first, std::ptrdiff_t last, F&& f) {
+  constexpr std::ptrdiff_t part = 64;
+  for (; first < last; first += part) f(first, std::min(last, first + part));
+}
+
 /// f - Laplace phi of the cells [first, last) of a run; those at the ends of rows take what memory holds beside them
 /// for their neighbours along x. So the loop has whole vectors, and the ends are put right afterwards.
 inline void residual_run(Residual const& formula, std::ptrdiff_t first, std::ptrdiff_t last, Real const* c,
                          Neighbours const& n, Real const* __restrict rho, Real* __restrict out) {
   Real const *ym = n.ym, *yp = n.yp, *zm = n.zm, *zp = n.zp;
   Residual const f = formula;
-  for (std::ptrdiff_t i = first; i < last; ++i)
-    out[i] = f(rho[i], c[i], c[i - 1], c[i + 1], ym[i], yp[i], zm[i], zp[i]);
+  for_each_part(first, last, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+    fetch<Use::read>(rho + begin + page<Real>, end - begin);
+    fetch<Use::read>(zp + begin + page<Real>, end - begin);
+    for (std::ptrdiff_t i = begin; i < end; ++i)
+      out[i] = f(rho[i], c[i], c[i - 1], c[i + 1], ym[i], yp[i], zm[i], zp[i]);
+  });
 }
 
 /// The same of one row of nx cells, only its ends, between the values beyond them.
@@ -64,15 +76,6 @@ inline void residual_ends(Residual const& f, int nx, Real const* c, Neighbours c
   int const e = nx - 1;
   out[0] = f(rho[0], c[0], xm, c[1], n.ym[0], n.yp[0], n.zm[0], n.zp[0]);
   out[e] = f(rho[e], c[e], c[e - 1], xp, n.ym[e], n.yp[e], n.zm[e], n.zp[e]);
-}
-
-/// Ask for a row of n values to be brought near, to be read or written. The rows of a box lie far apart in a vector of
-/// the cycle, so that the processor does not foresee them.
-enum class Use { read, write };
-template <Use use, class T>
-inline void fetch(T const* row, std::ptrdiff_t n) {
-  constexpr std::ptrdiff_t line = 64 / sizeof(T);
-  for (std::ptrdiff_t i = 0; i < n; i += line) __builtin_prefetch(row + i, use == Use::write);
 }
 
 /// A running maximum of magnitudes. The bits of magnitudes order as whole numbers, infinity and nan above all others.

@@ -4,9 +4,13 @@
 
 #include <array>
 
+#include "base/fetch.hpp"
 #include "matrixfree/lanes.hpp"
 
 namespace amrpic::matrixfree {
+
+/// How far ahead the first stage of a pass asks for what it brings into the cache.
+constexpr std::ptrdiff_t ahead = page<float> / 2;
 
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
 struct Row {
@@ -57,7 +61,11 @@ inline void relax(Row const& row, std::array<float, 3> const& weight, float cons
 /// The same from zero: the other colour is set to zero.
 template <int N>
 inline void relax_from_zero(float* e, float const* r, float const* step, int vectors) {
-  for (int v = 0; v < vectors; ++v) store<N>(e + v * N, -load<N>(step + v * N) * load<N>(r + v * N));
+  for (int v = 0; v < vectors; ++v) {
+    fetch<Use::read>(r + v * N + ahead, N);
+    fetch<Use::write>(e + v * N + ahead, N);
+    store<N>(e + v * N, -load<N>(step + v * N) * load<N>(r + v * N));
+  }
 }
 
 /// What of r is left: r - (sum - d e).
@@ -98,9 +106,10 @@ struct CoarseRows {
   int count;
 };
 
-/// Set a fine row of `vectors` to the trilinear interpolation between coarse rows, or add it.
+/// Set a fine row of `vectors` to the trilinear interpolation between coarse rows, or add it. The sweeps behind read r
+/// of the same row.
 template <int N>
-inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool set, float* fine) {
+inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool set, float const* r, float* fine) {
   using L = Lanes<N>;
   auto mean = [&](int place) {
     typename L::Type sum = coarse.share[0] * load<N>(coarse.row[0] + place);
@@ -108,6 +117,8 @@ inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool s
     return sum;
   };
   auto put = [&](int v, typename L::Type const& values) {
+    fetch<Use::write>(fine + v * N + ahead, N);
+    fetch<Use::read>(r + v * N + ahead, N);
     store<N>(fine + v * N, set ? values : load<N>(fine + v * N) + values);
   };
   if (ratio == 1) {

@@ -144,7 +144,8 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
   });
 }
 
-void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector& e) const {
+void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
+                    Vector& e) const {
   Block const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
     return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), set, e.data());
@@ -165,7 +166,8 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
               here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
           from.share[std::size_t(from.count)] = share(y, far_y) * share(z, far_z);
         }
-      prolong_row<n()>(from, parents.ratio[0], b.vectors(), set, &e[std::size_t(b.cells.place(0, j, plane))]);
+      std::ptrdiff_t const row = b.cells.place(0, j, plane);
+      prolong_row<n()>(from, parents.ratio[0], b.vectors(), set, r.data() + row, e.data() + row);
     }
   });
 }

@@ -44,8 +44,9 @@ class Sweep {
                                 Vector& coarse) const;
 
   /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; coarse cells
-  /// around the block's parents must hold what lies there.
-  void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector& e) const;
+  /// around the block's parents must hold what lies there. Sweeps that follow read r.
+  void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
+               Vector& e) const;
 
  private:
   template <int lanes>

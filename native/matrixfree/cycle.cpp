@@ -118,7 +118,8 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
   level.swept->exchange_right_hand_sides();
   std::vector<PlaneStage> stages;
   if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
-  for (auto& stage : level.swept->relaxations(relaxation_.pre_sweeps, guess == Guess::zero, 1)) stages.push_back(stage);
+  int const sweeps = level.local ? beside_local_cycle(relaxation_.pre_sweeps) : relaxation_.pre_sweeps;
+  for (auto& stage : level.swept->relaxations(sweeps, guess == Guess::zero, 1)) stages.push_back(stage);
   level.coarsening->sweep_and_restrict(stages);
 }
 
@@ -126,8 +127,9 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
 /// comes here, where it also finds what the coarser correction brought in along the coarse axis.
 void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
+  int const sweeps = level.local ? beside_local_cycle(relaxation_.post_sweeps) : relaxation_.post_sweeps;
   int const further = level.local ? 1 : 0;  // a residual is taken there
-  for (auto& stage : level.swept->relaxations(relaxation_.post_sweeps, false, further)) stages.push_back(stage);
+  for (auto& stage : level.swept->relaxations(sweeps, false, further)) stages.push_back(stage);
   if (level.local) stages = level.local->improve(stages);
   level.swept->run(stages);
 }

@@ -6,9 +6,10 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// The copies need sweeps on either side of their corrections, whatever the cycle around them does.
-Relaxation on_either_side(Relaxation relaxation) {
-  relaxation.pre_sweeps = std::max(1, relaxation.pre_sweeps);
+/// The copies need sweeps on either side of their corrections, whatever the cycle around them does, and one more before
+/// them for those that the level itself is spared, see `beside_local_cycle`.
+Relaxation of_copies(Relaxation relaxation) {
+  relaxation.pre_sweeps = relaxation.pre_sweeps + 1;
   relaxation.post_sweeps = std::max(1, relaxation.post_sweeps);
   return relaxation;
 }
@@ -18,7 +19,7 @@ Relaxation on_either_side(Relaxation relaxation) {
 LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level const> level, Index3 const& ratio,
                        Ends const& ends, Relaxation const& relaxation)
     : fine_(fine),
-      relaxation_(on_either_side(relaxation)),
+      relaxation_(of_copies(relaxation)),
       swept_(comm, std::move(level), ends, relaxation_, relaxation_.halo()),
       coarsening_(comm, fine, swept_, ratio, false, [&](Index3 const& cell, int axis, int side) {
         Box const& domain = swept_.level().domain();

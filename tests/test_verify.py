@@ -174,7 +174,7 @@ def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
 # ---- backends ----
 
 
-@pytest.mark.mpi(ranks=2)
+@pytest.mark.mpi(ranks=(1, 2))
 def test_backends_are_compared_as_soon_as_there_are_two(comm):
     found = list(backends.tables(comm))
     assert len(found) == len(get_args(menu.Backend)) - 1

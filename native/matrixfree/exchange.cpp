@@ -152,6 +152,15 @@ void RectangleExchange::pass(std::vector<Neighbour> const& from, std::vector<Nei
   }
 }
 
+/// Put values into the messages that these neighbours get.
+void RectangleExchange::pack(std::vector<Neighbour> const& neighbours, float const* values) {
+  for (Neighbour const& n : neighbours)
+    for (Piece const& p : n.pieces)
+      for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
+        std::copy_n(values + at, length, n.buffer.data() + packed);
+      });
+}
+
 void RectangleExchange::poll() const {
   int done;
   MPI_Testall(int(receiving_.size()), receiving_.data(), &done, MPI_STATUSES_IGNORE);
@@ -159,11 +168,7 @@ void RectangleExchange::poll() const {
 }
 
 void RectangleExchange::start(float const* cells, float* copies) const {
-  for (Neighbour const& n : readers_)
-    for (Piece const& p : n.pieces)
-      for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
-        std::copy_n(cells + at, length, n.buffer.data() + packed);
-      });
+  pack(readers_, cells);
   pass(readers_, sources_);
   for (Local const& l : local_)
     for_each_row(l.extent, l.cells, l.copy,
@@ -187,11 +192,7 @@ void RectangleExchange::add(float const* copies, float* cells) const {
   auto add_row = [](float const* from, int length, float* to) {
     for (int i = 0; i < length; ++i) to[i] += from[i];
   };
-  for (Neighbour const& n : sources_)
-    for (Piece const& p : n.pieces)
-      for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
-        std::copy_n(copies + at, length, n.buffer.data() + packed);
-      });
+  pack(sources_, copies);
   pass(sources_, readers_);
   for (Local const& l : local_)
     for_each_row(l.extent, l.copy, l.cells,

@@ -57,6 +57,7 @@ class RectangleExchange {
     Index3 extent;
     Rectangle cells, copy;
   };
+  static void pack(std::vector<Neighbour> const& neighbours, float const* values);
   void pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to) const;
 
   MPI_Comm comm_ = MPI_COMM_NULL;

@@ -37,14 +37,15 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends c
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {
+  bool const has_ends = level_->cells() < level_->domain().cells();
   std::vector<Wanted> copies, at_ends;
   for (Halo const& copy : layout_.halo()) {
     Wanted const all{copy.source, copy.cells, layout_.halo_place(copy)};
     copies.push_back(all);
-    add_ends(*level_, all, at_ends);
+    if (has_ends) add_ends(*level_, all, at_ends);
   }
   halo_ = RectangleExchange(comm, *level_, layout_, copies);
-  ends_ = RectangleExchange(comm, *level_, layout_, at_ends);
+  if (has_ends) ends_ = RectangleExchange(comm, *level_, layout_, at_ends);
 }
 
 std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
@@ -76,17 +77,19 @@ void SweptLevel::run(std::vector<PlaneStage> const& stages) {
   ends_.settle();
 }
 
-void SweptLevel::exchange_right_hand_sides() { begin(halo_, r_); }
+void SweptLevel::exchange_right_hand_sides() {
+  finish_exchanges();
+  begin(halo_, r_);
+}
 
 void SweptLevel::exchange_corrections(bool ends_changed) {
+  finish_exchanges();
   begin(halo_, e_);
   if (ends_changed) begin(ends_, r_);
 }
 
 void SweptLevel::begin(RectangleExchange const& plan, Vector& values) {
   if (!has_halo()) return;
-  auto const runs = [&](auto const& other) { return other.first == &plan; };
-  if (std::any_of(under_way_.begin(), under_way_.end(), runs)) finish_exchanges();
   plan.settle();
   plan.start(values.data(), values.data());
   under_way_.emplace_back(&plan, &values);

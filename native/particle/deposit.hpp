@@ -7,8 +7,8 @@
 
 namespace amrpic {
 
-/// Set `density` to the charge density of the particles in C/m³; covered cells hold the
-/// mean of their children. Collective.
+/// Set `density` to the charge density of the particles in C/m³; covered cells hold the mean of their children.
+/// Collective.
 ///
 /// `charge` is that of one real particle. Particles are sorted by slot: those of slot s are starts[s] to starts[s + 1].
 /// Where a cloud leaves its level, the coarser cell there takes the share; the share of a covered cell is dealt out

@@ -24,8 +24,8 @@ struct Cells {
 };
 
 /// Cells along x that are added to at once.
-typedef Real Pair __attribute__((vector_size(16)));
-typedef Real Row __attribute__((vector_size(32)));
+typedef Real TwoCells __attribute__((vector_size(16)));
+typedef Real FourCells __attribute__((vector_size(32)));
 
 /// What clouds are added to. A processor hands a number that was just written to its next reader only if both take the
 /// same bytes: so clouds that are two cells wide go to one tile if they start at an even cell along x, to the other if
@@ -69,7 +69,8 @@ struct CloudTiles {
 /// its charge, and particle by particle the shares of the cells along a row.
 template <int width>
 struct CloudBlock {
-  static constexpr int row = width == 3 ? 4 : 2;
+  static constexpr int row = width == 3 ? 4 : 2;  ///< cells; nothing is added to the last one of four
+  using Row = std::conditional_t<width == 3, FourCells, TwoCells>;
   alignas(64) LocalIndex corner[block_size], parity[block_size];
   alignas(64) Real row_share[width * width][block_size];
   alignas(64) Real x_share[block_size * row];
@@ -86,73 +87,40 @@ struct CloudBlock {
   }
 };
 
-/// Adds clouds of three cells along x. Those of all particles in a cell touch the same cells, so they are summed up in
-/// registers until a particle of another cell comes.
-class RowSums {
- public:
-  void add_block(CloudBlock<3> const& clouds, int from, int to, CloudTiles& tiles) {
-    RowSums here = *this;  // in registers
-    for (; from < to; ++from) {
-      if (clouds.corner[from] != here.corner_) {
-        here.move_to(tiles);
-        here.corner_ = clouds.corner[from];
+/// Add the clouds of a block of particles to the tiles.
+template <int width>
+void add(CloudBlock<width> const& clouds, LaneBlock const& block, CloudTiles& tiles) {
+  using Row = typename CloudBlock<width>::Row;
+  std::ptrdiff_t const stride_y = tiles.by_parity[0].stride_y(), stride_z = tiles.by_parity[0].stride_z();
+  std::ptrdiff_t const first = tiles.by_parity[0].box_corner();
+  Real* const origin[] = {tiles.by_parity[0].values() + first, tiles.by_parity[1].values() + first};
+  auto const add_one = [&](int i) {
+    Real* const corner = origin[clouds.parity[i]] + clouds.corner[i];
+    Row const shares = load<Row>(clouds.x_share + clouds.row * i);
+    for (int k = 0; k < width; ++k)
+      for (int j = 0; j < width; ++j) {
+        Real* const cells = corner + j * stride_y + k * stride_z;
+        store(cells, load<Row>(cells) + clouds.row_share[width * k + j][i] * shares);
       }
-      Row const shares = load<Row>(clouds.x_share + 4 * from);
-#pragma GCC unroll 9
-      for (int row = 0; row < 9; ++row) here.sum_[row] += clouds.row_share[row][from] * shares;
-    }
-    *this = here;
-  }
-  void move_to(CloudTiles& tiles) {
-    std::ptrdiff_t const stride_y = tiles.by_parity[0].stride_y(), stride_z = tiles.by_parity[0].stride_z();
-    Real* const origin = tiles.by_parity[0].values() + tiles.by_parity[0].box_corner() + corner_;
-#pragma GCC unroll 9
-    for (int row = 0; row < 9; ++row) {
-      Real* const cells = origin + row % 3 * stride_y + row / 3 * stride_z;
-      store(cells, load<Row>(cells) + sum_[row]);  // nothing is added to the fourth cell
-      sum_[row] = Row{};
-    }
-  }
+  };
+  if (block.whole())
+    for (int i = 0; i < block_size; ++i) add_one(i);
+  else
+    for_each_bit(block.chosen, add_one);
+}
 
- private:
-  LocalIndex corner_ = 0;
-  Row sum_[9]{};
-};
-
-/// Adds clouds of one or two cells along x.
-struct PairSums {
-  template <int width>
-  void add_block(CloudBlock<width> const& clouds, int from, int to, CloudTiles& tiles) {
-    std::ptrdiff_t const stride_y = tiles.by_parity[0].stride_y(), stride_z = tiles.by_parity[0].stride_z();
-    std::ptrdiff_t const first = tiles.by_parity[0].box_corner();
-    Real* const origin[] = {tiles.by_parity[0].values() + first, tiles.by_parity[1].values() + first};
-    for (int i = from; i < to; ++i) {
-      Real* const corner = origin[clouds.parity[i]] + clouds.corner[i];
-      Pair const shares = load<Pair>(clouds.x_share + 2 * i);
-      for (int k = 0; k < width; ++k)
-        for (int j = 0; j < width; ++j) {
-          Real* const cells = corner + j * stride_y + k * stride_z;
-          store(cells, load<Pair>(cells) + clouds.row_share[width * k + j][i] * shares);
-        }
-    }
-  }
-  void move_to(CloudTiles&) {}
-};
-
-/// Add the clouds of particles [first, last) to a tile, in real particles per cell.
+/// Add the clouds of particles to a tile, in real particles per cell.
 template <class Shape>
-void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int64_t first, std::int64_t last,
-                CloudTiles& tiles) {
+void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, CloudTiles& tiles) {
   constexpr int width = Shape::width;
   Real const stride_y = Real(tiles.by_parity[0].stride_y()), stride_z = Real(tiles.by_parity[0].stride_z());
-  std::conditional_t<width == 3, RowSums, PairSums> sums;
   WideLanes all_in = WideLanes{} - 1;
-  for_each_block(first, last, [&](std::int64_t from, std::int64_t to) {
+  chosen.for_each_block([&](LaneBlock const& block) {
     CloudBlock<width> clouds;
     auto const& at = particles.position;
-    bring_block_near(to + block_size, {at[0], at[1], at[2], particles.weight});
-    for_each_group(from, to, [&](LaneGroup const& group) {
-      int const i = int(group.first % block_size);
+    bring_block_near(block.first + 2 * block_size, {at[0], at[1], at[2], particles.weight});
+    for_each_group(block, [&](LaneGroup const& group) {
+      int const i = int(group.first - block.first);
       auto const s = frame.inside(particles, group, all_in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
@@ -162,10 +130,9 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, std::int6
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
       clouds.put_x_shares(i, x.share);
     });
-    sums.add_block(clouds, int(from % block_size), int((to - 1) % block_size) + 1, tiles);
+    add(clouds, block, tiles);
   });
-  sums.move_to(tiles);
-  frame.require_inside(all_in, particles, first, last);
+  frame.require_inside(all_in, particles, chosen);
 }
 
 /// Moves the tiles of one box's slabs into the density: the interior to the box, whose cells are set, and the shell
@@ -306,9 +273,10 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     shell += at.shell.size();
     for_each_slab(mesh, at, planes_per_slab(box, 2), particles, first, last, [&](Box const& slab, auto from, auto to) {
       slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-      for_each_run(mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, auto a, auto b) {
-        with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, a, b, tiles[rise]); });
-      });
+      for_each_rise(
+          mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, Chosen const& chosen) {
+            with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[rise]); });
+          });
       bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
       takers.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
     });

@@ -229,20 +229,20 @@ inline Components average_in_x(std::array<Averages, lane_count> const& of, std::
   return out;
 }
 
-/// Call use(group, field) for the groups of particles [first, last) with the tile averaged over their clouds.
+/// Call use(group, field) for groups of particles with the tile averaged over their clouds.
 template <class Shape, class Use>
-void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int64_t first, std::int64_t last,
-                 Tile<lanes> const& tile, Use const& use) {
+void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, Tile<lanes> const& tile,
+                 Use const& use) {
   constexpr int width = Shape::width;
   std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
   Real const* const origin = tile.values() + tile.box_corner();
   WideLanes all_in = WideLanes{} - 1;
-  for_each_block(first, last, [&](std::int64_t from, std::int64_t to) {
+  chosen.for_each_block([&](LaneBlock const& block) {
     CloudBlock<width> clouds;
     auto const &at = particles.position, &p = particles.momentum;
-    bring_block_near(to + block_size, {at[0], at[1], at[2], p[0], p[1], p[2]});
-    for_each_group(from, to, [&](LaneGroup const& group) {
-      int const i = int(group.first % block_size);
+    bring_block_near(block.first + 2 * block_size, {at[0], at[1], at[2], p[0], p[1], p[2]});
+    for_each_group(block, [&](LaneGroup const& group) {
+      int const i = int(group.first - block.first);
       auto const s = frame.inside(particles, group, all_in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i,
@@ -251,8 +251,8 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.share[k] * y.share[j]);
       for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.share[j]);
     });
-    for_each_group(from, to, [&](LaneGroup const& group) {
-      int const start = int(group.first % block_size);
+    for_each_group(block, [&](LaneGroup const& group) {
+      int const start = int(group.first - block.first);
       std::array<Averages, lane_count> averages;
 #pragma GCC unroll 8
       for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
@@ -261,7 +261,7 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, std::int
       use(group, average_in_x<width>(averages, x_share));
     });
   });
-  frame.require_inside(all_in, particles, first, last);
+  frame.require_inside(all_in, particles, chosen);
 }
 
 /// Call use(group, field) for all particles of this rank, a group at a time. Collective.
@@ -291,9 +291,11 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const
     for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
       if (from < to) filler.fill(slab, precedes, tiles[0]);
       precedes = from < to;
-      for_each_run(mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, auto a, auto b) {
-        with_shape(clouds.shape, [&](auto s) { read_clouds<decltype(s)>(frame, particles, a, b, tiles[rise], use); });
-      });
+      for_each_rise(mesh, at, slab, buffer, particles, from, to,
+                    [&](int rise, TileFrame const& frame, Chosen const& chosen) {
+                      with_shape(clouds.shape,
+                                 [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[rise], use); });
+                    });
     });
   });
 }

@@ -1,8 +1,8 @@
-// The particles of one cell in order of their ids.
+// Particles in order of their ids.
 #pragma once
 
 #include <algorithm>
-#include <limits>
+#include <cstdint>
 #include <utility>
 #include <vector>
 
@@ -16,36 +16,29 @@ struct Keyed {
   LocalIndex* value;
 };
 
-/// `sort_by_id` reads whatever lies so far behind the last one.
-constexpr LocalIndex sort_slack = lane_count;
+/// So many are sorted faster by comparing each with each.
+constexpr LocalIndex few = 192;
 
-/// Two: most of the cells with more than one particle, where few have any.
-inline void sort_two_by_id(Keyed const& at) {
-  bool const swap = at.id[1] < at.id[0];
-  std::int64_t const id[] = {at.id[0], at.id[1]};
-  LocalIndex const value[] = {at.value[0], at.value[1]};
-  at.id[0] = id[swap], at.id[1] = id[!swap];
-  at.value[0] = value[swap], at.value[1] = value[!swap];
-}
-
-/// At most as many as there are lanes: each one's place is the number of those that come before it. No branch depends
-/// on the ids, so that none is mispredicted.
+/// Each one's place is the number of those that come before it. No branch depends on the ids, so that none is
+/// mispredicted.
 inline void sort_few_by_id(Keyed const& at, LocalIndex count) {
-  WideLanes const behind = std::numeric_limits<std::int64_t>::max() - 1 + WideLanes{};
-  WideLanes const id = lane_number < count ? load<WideLanes>(at.id) : behind;
-  std::int64_t key[lane_count], place[lane_count];
-  LocalIndex value[lane_count];
-  store(key, id);
-  store(value, load<IndexLanes>(at.value));
-  WideLanes before{};
-#pragma GCC unroll 8
-  for (int j = 0; j < lane_count; ++j) before -= key[j] < id - (lane_number > j);  // of equal ids the first one
-  store(place, before);
-  for (int i = 0; i < count; ++i) at.id[place[i]] = key[i], at.value[place[i]] = value[i];
+  alignas(64) std::int64_t id[few], place[few];
+  LocalIndex value[few];
+  std::copy(at.id, at.id + count, id);
+  std::copy(at.value, at.value + count, value);
+  for (LocalIndex i = 0; i < count; i += lane_count) {
+    WideLanes const those = load<WideLanes>(id + i), or_equal = those + 1;
+    WideLanes before{};
+    LocalIndex const end = std::min(i + lane_count, count);
+    for (LocalIndex j = 0; j < i; ++j) before -= id[j] < or_equal;  // of equal ids the first one
+    for (LocalIndex j = i; j < end; ++j) before -= id[j] < those - (lane_number > j - i);
+    for (LocalIndex j = end; j < count; ++j) before -= id[j] < those;
+    store(place + i, before);
+  }
+  for (LocalIndex i = 0; i < count; ++i) at.id[place[i]] = id[i], at.value[place[i]] = value[i];
 }
 
 inline void sort_many_by_id(Keyed const& at, LocalIndex count) {
-  if (std::is_sorted(at.id, at.id + count)) return;  // as they are where nobody came or went
   thread_local std::vector<std::pair<std::int64_t, LocalIndex>> pairs;
   pairs.resize(std::size_t(count));
   for (LocalIndex i = 0; i < count; ++i) pairs[i] = {at.id[i], at.value[i]};
@@ -55,12 +48,24 @@ inline void sort_many_by_id(Keyed const& at, LocalIndex count) {
 
 /// Put `count` particles in order of their ids; equal ids keep their order.
 inline void sort_by_id(Keyed const& at, LocalIndex count) {
-  if (count == 2)
-    sort_two_by_id(at);
-  else if (count <= lane_count)
+  if (count <= few)
     sort_few_by_id(at, count);
   else
     sort_many_by_id(at, count);
+}
+
+inline bool are_in_order(std::int64_t const* ids, LocalIndex count) {
+  WideLanes wrong{};
+  LocalIndex i = 0;
+  for (; i + lane_count < count; i += lane_count) wrong |= load<WideLanes>(ids + i) > load<WideLanes>(ids + i + 1);
+  return bits_of(wrong) == 0 && std::is_sorted(ids + i, ids + count);
+}
+
+/// How many of `count` ascending ids are smaller. No branch depends on them.
+inline LocalIndex count_smaller(std::int64_t const* ids, LocalIndex count, std::int64_t id) {
+  std::int64_t const* from = ids;
+  for (; count > 1; count -= count / 2) from += LocalIndex(from[count / 2 - 1] < id) * (count / 2);
+  return LocalIndex(from - ids) + (count == 1 && *from < id);
 }
 
 }  // namespace amrpic

@@ -27,11 +27,21 @@ typedef std::int64_t WideLanes
 typedef std::int32_t IndexLanes __attribute__((vector_size(4 * lane_count)));
 
 constexpr WideLanes lane_number = {0, 1, 2, 3, 4, 5, 6, 7};
+constexpr IndexLanes index_of_lane = {0, 1, 2, 3, 4, 5, 6, 7};
 
 template <class Vector>
 inline Vector load(void const* from) {
   Vector out;
   std::memcpy(&out, from, sizeof out);
+  return out;
+}
+
+/// The first `count` of them, or as many as there are lanes; behind those zeros.
+template <class Vector, class T>
+inline Vector load_up_to(T const* from, std::int64_t count) {
+  if (count >= lane_count) return load<Vector>(from);
+  Vector out{};
+  for (int i = 0; i < count; ++i) out[i] = from[i];
   return out;
 }
 
@@ -93,10 +103,58 @@ inline std::uint64_t bytes_of(IndexLanes const& mask) {
   return out;
 }
 
+/// One bit per lane, set where the comparison of lanes holds.
+inline unsigned bits_of(WideLanes const& mask) {
+#ifdef __AVX512DQ__
+  return _mm512_movepi64_mask((__m512i)mask);
+#else
+  constexpr std::uint64_t one_each = 0x0101010101010101, to_top = 0x0102040810204080;
+  return unsigned(((bytes_of(convert<IndexLanes>(mask)) & one_each) * to_top) >> 56);
+#endif
+}
+
+/// Write those lanes side by side whose bits are set, and whatever behind them: eight values in all. Return how many.
+inline int compress(unsigned bits, Lanes const& from, Real* to) {
+#ifdef __AVX512F__
+  store(to, _mm512_maskz_compress_pd(__mmask8(bits), (__m512d)from));
+#else
+  for (int i = 0, n = 0; i < lane_count; ++i) to[n] = from[i], n += bits >> i & 1;
+#endif
+  return __builtin_popcount(bits);
+}
+inline int compress(unsigned bits, WideLanes const& from, std::int64_t* to) {
+#ifdef __AVX512F__
+  store(to, _mm512_maskz_compress_epi64(__mmask8(bits), (__m512i)from));
+#else
+  for (int i = 0, n = 0; i < lane_count; ++i) to[n] = from[i], n += bits >> i & 1;
+#endif
+  return __builtin_popcount(bits);
+}
+inline int compress(unsigned bits, IndexLanes const& from, LocalIndex* to) {
+#ifdef __AVX512VL__
+  store(to, _mm256_maskz_compress_epi32(__mmask8(bits), (__m256i)from));
+#else
+  for (int i = 0, n = 0; i < lane_count; ++i) to[n] = from[i], n += bits >> i & 1;
+#endif
+  return __builtin_popcount(bits);
+}
+
+/// Eight lanes out of two rows of values, whichever comes next: of `set` where a bit is set, else of `unset`. Eight
+/// values of either may be read.
+inline Lanes mix(unsigned bits, Real const* set, Real const* unset) {
+#ifdef __AVX512F__
+  __m512d const others = _mm512_maskz_expandloadu_pd(__mmask8(~bits), unset);
+  return (Lanes)_mm512_mask_expandloadu_pd(others, __mmask8(bits), set);
+#else
+  Lanes out;
+  for (int i = 0; i < lane_count; ++i) out[i] = bits >> i & 1 ? *set++ : *unset++;
+  return out;
+#endif
+}
+
 /// Whether eight places lie side by side, ascending.
 inline bool are_consecutive(LocalIndex const* place) {
-  constexpr IndexLanes number = {0, 1, 2, 3, 4, 5, 6, 7};
-  return bytes_of(load<IndexLanes>(place) == place[0] + number) == ~std::uint64_t(0);
+  return bytes_of(load<IndexLanes>(place) == place[0] + index_of_lane) == ~std::uint64_t(0);
 }
 
 // What shapes are made of.
@@ -108,18 +166,20 @@ inline Lanes round_down(Lanes const& x) {
   return nearest - (nearest > x ? Lanes{} + 1 : Lanes{});
 }
 
-/// Those of eight consecutive places, starting at a multiple of eight, that belong to a run.
+constexpr unsigned all_lanes = (1u << lane_count) - 1;
+
+/// Those of eight consecutive places, starting at a multiple of eight, that are meant: a bit for each.
 struct LaneGroup {
   std::int64_t first;
-  int from, to;
-  bool whole() const { return from == 0 && to == lane_count; }
+  unsigned lanes;
+  bool whole() const { return lanes == all_lanes; }
+  int last() const { return 31 - __builtin_clz(lanes); }
 };
 
-/// Call f(group) for the groups of a run [first, last).
-template <class F>
-void for_each_group(std::int64_t first, std::int64_t last, F&& f) {
-  for (std::int64_t n = first / lane_count * lane_count; n < last; n += lane_count)
-    f(LaneGroup{n, int(std::max<std::int64_t>(0, first - n)), int(std::min<std::int64_t>(lane_count, last - n))});
+/// Call f(n) for each bit that is set.
+template <class Bits, class F>
+void for_each_bit(Bits bits, F&& f) {
+  for (; bits != 0; bits &= bits - 1) f(__builtin_ctzll(bits));
 }
 
 /// Particles that pass through the parts of a kernel together. What one part leaves to the next stays in the
@@ -127,28 +187,36 @@ void for_each_group(std::int64_t first, std::int64_t last, F&& f) {
 /// long wait.
 constexpr int block_size = 8 * lane_count;
 
-/// Call f(first, last) for consecutive parts of a run [first, last), each within one aligned block.
+/// Those of a block of consecutive places, starting at a multiple of `block_size`, that are meant: a bit for each.
+struct LaneBlock {
+  std::int64_t first;
+  std::uint64_t chosen;
+  bool whole() const { return chosen == ~std::uint64_t(0); }
+};
+
+/// Call f(group) for the groups of a block of which any place is meant.
 template <class F>
-void for_each_block(std::int64_t first, std::int64_t last, F&& f) {
-  while (first < last) {
-    std::int64_t const next = std::min(last, (first / block_size + 1) * block_size);
-    f(first, next);
-    first = next;
-  }
+inline void for_each_group(LaneBlock const& block, F&& f) {
+  if (block.whole())  // the compiler makes a loop of its own for this
+    for (int i = 0; i < block_size; i += lane_count) f(LaneGroup{block.first + i, all_lanes});
+  else
+    for (int i = 0; i < block_size; i += lane_count)
+      if (unsigned const lanes = unsigned(block.chosen >> i) & all_lanes; lanes != 0)
+        f(LaneGroup{block.first + i, lanes});
 }
 
 /// The values of a group; lanes beyond it get one of its own.
 inline Lanes load(Real const* values, LaneGroup const& g) {
   if (g.whole()) return load<Lanes>(values + g.first);
-  Lanes out{};
-  for (int i = 0; i < lane_count; ++i) out[i] = values[g.first + std::max(g.from, std::min(g.to - 1, i))];
+  Lanes out = values[g.first + __builtin_ctz(g.lanes)] + Lanes{};
+  for_each_bit(g.lanes, [&](int i) { out[i] = values[g.first + i]; });
   return out;
 }
 
 /// Write a group, past the cache if the values are `far` and start on a cache line.
 inline void store(Real* values, LaneGroup const& g, Lanes const& from, bool far) {
   if (!g.whole()) {
-    for (int i = g.from; i < g.to; ++i) values[g.first + i] = from[i];
+    for_each_bit(g.lanes, [&](int i) { values[g.first + i] = from[i]; });
   } else if (far) {
     stream(values + g.first, from);
   } else {

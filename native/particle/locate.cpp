@@ -48,14 +48,22 @@ Home Locator::find(Real3 const& x, Home const& hint) {
     home.box = child;
     cell = cell_on(++home.level);
   }
-  home.cell = LocalIndex(hierarchy_->level(home.level).box(home.box).offset(cell));
+  home.brick = Bricks(hierarchy_->level(home.level).box(home.box)).number(cell);
   return home;
 }
 
-bool Locator::is_finest(Home const& home) {
-  if (!hierarchy_->has_finer(home.level)) return true;
-  auto const& boxes = children(home.level, home.box);
-  return std::all_of(boxes.begin(), boxes.end(), [](int box) { return box < 0; });
+std::vector<char> Locator::refined_bricks(int level, int box) {
+  if (!hierarchy_->has_finer(level)) return {};
+  auto const& children = this->children(level, box);
+  if (children.size() == 1 && children[0] < 0) return {};
+  Bricks const bricks(hierarchy_->level(level).box(box));
+  std::vector<char> out(std::size_t(bricks.count()), 0);
+  int const size = 1 << block_shift_;
+  for (int b = 0; b < bricks.count(); ++b)
+    for_each_cell(bricks[b].coarsen({size, size, size}), [&](Index3 const& block) {
+      if (child_box(level, box, {size * block[0], size * block[1], size * block[2]}) >= 0) out[std::size_t(b)] = 1;
+    });
+  return out;
 }
 
 std::vector<int> const& Locator::children(int level, int box) {

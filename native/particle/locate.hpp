@@ -4,14 +4,15 @@
 #include <vector>
 
 #include "mesh/hierarchy.hpp"
+#include "particle/bricks.hpp"
 
 namespace amrpic {
 
-/// Where a particle lives: the finest box that holds it, and the cell in that box (x fastest).
+/// Where a particle lives: the finest box that holds it, and the brick of that box.
 struct Home {
   int level = 0;
   int box = -1;
-  LocalIndex cell = -1;
+  int brick = -1;
 };
 
 /// A level's coordinates: cell widths from the lower corner of the domain.
@@ -41,8 +42,8 @@ class Locator {
   /// Home of a point inside the domain. `hint` is tried first: neighbours in memory are mostly neighbours in space.
   Home find(Real3 const& x, Home const& hint = {});
 
-  /// Whether no finer box overlaps the one of `home`.
-  bool is_finest(Home const& home);
+  /// For each brick of a box, whether a finer box overlaps it; empty if none overlaps the box.
+  std::vector<char> refined_bricks(int level, int box);
 
   LevelCoordinates coordinates(int level) const {
     Real const scale = Real(1 << level);

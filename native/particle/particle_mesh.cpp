@@ -1,7 +1,6 @@
 #include "particle/particle_mesh.hpp"
 
 #include <algorithm>
-#include <limits>
 #include <stdexcept>
 
 #include "mesh/window.hpp"
@@ -72,7 +71,6 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
   int const levels = hierarchy_->level_count();
   std::vector<Numbered> numbered;
   std::vector<std::vector<GlobalIndex>> read(static_cast<std::size_t>(levels));
-  GlobalIndex cells = 0;
   for (int l = 0; l < levels; ++l) {
     first_slot_.push_back(int(boxes_.size()));
     Level const& level = hierarchy_->level(l);
@@ -82,14 +80,9 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
       read[l].insert(read[l].end(), shell.begin(), shell.end());
       if (l > 0) read[l - 1].insert(read[l - 1].end(), coarse.begin(), coarse.end());
       boxes_.push_back({l, b, {}, numbered.back().parents, {}});
-      first_cell_.push_back(LocalIndex(cells));
-      cells += level.box(b).cells();
+      homes_.emplace_back(locator_, l, b);
     }
   }
-  first_cell_.push_back(LocalIndex(cells));
-  if (cells > std::numeric_limits<LocalIndex>::max())
-    throw std::length_error(std::to_string(cells) +
-                            " cells on one rank, more than particles can tell apart; use more ranks");
   for (int l = 0; l < levels; ++l) {
     Level const& level = hierarchy_->level(l);
     exchanges_.emplace_back(hierarchy_->comm(), level, remote_cells(level, std::move(read[l])));

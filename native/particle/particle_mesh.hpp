@@ -7,6 +7,7 @@
 #include "mesh/transfer.hpp"
 #include "particle/buffer_zone.hpp"
 #include "particle/geometry.hpp"
+#include "particle/home_box.hpp"
 #include "particle/locate.hpp"
 
 namespace amrpic {
@@ -44,8 +45,8 @@ class ParticleMesh {
     return first_slot_[level] + local_box - hierarchy_->level(level).first_local_box();
   }
 
-  /// This rank's cells, numbered slot by slot: number of the first one of a slot. The last value is how many there are.
-  std::vector<LocalIndex> const& first_cell() const { return first_cell_; }
+  /// Those boxes as homes of particles, by slot.
+  std::vector<HomeBox> const& homes() const { return homes_; }
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
@@ -54,7 +55,7 @@ class ParticleMesh {
   std::vector<Exchange> exchanges_;  ///< per level: ghosts are all cells of other ranks that `boxes_` names
   std::vector<Surroundings> boxes_;
   std::vector<int> first_slot_;
-  std::vector<LocalIndex> first_cell_;
+  std::vector<HomeBox> homes_;
   std::unique_ptr<BufferZone const> buffer_zone_;  ///< none until asked for
 };
 

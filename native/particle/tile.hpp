@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "particle/bricks.hpp"
 #include "particle/lanes.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
@@ -50,6 +51,25 @@ struct Stray {
   std::int64_t id;
 };
 
+/// Particles [first, last) of a slab, or those of them that `rise` marks with a number.
+struct Chosen {
+  std::int64_t first, last;
+  char const* rise = nullptr;  ///< of each from `first` on; null: all are chosen
+  int wanted = 0;
+
+  /// Call f(block) for the blocks in which there are any.
+  template <class F>
+  void for_each_block(F&& f) const {
+    for (std::int64_t n = first / block_size * block_size; n < last; n += block_size) {
+      int const from = int(std::max<std::int64_t>(0, first - n)),
+                to = int(std::min<std::int64_t>(block_size, last - n));
+      std::uint64_t bits = (~std::uint64_t(0) >> (block_size - to)) & (~std::uint64_t(0) << from);
+      for (int i = from; rise && i < to; ++i) bits &= ~(std::uint64_t(rise[n + i - first] != wanted) << i);
+      if (bits != 0) f(LaneBlock{n, bits});
+    }
+  }
+};
+
 /// One box's place in space, and what brings a particle's position into its tile.
 class TileFrame {
  public:
@@ -82,12 +102,12 @@ class TileFrame {
     return s;
   }
 
-  /// Throw Stray if one of the particles [first, last) lies outside the box, as `all_in` says.
-  void require_inside(WideLanes const& all_in, ParticleView const& particles, std::int64_t first,
-                      std::int64_t last) const {
-    bool in = true;
-    for (int i = 0; i < lane_count; ++i) in = in && all_in[i] != 0;
-    for (std::int64_t n = first; !in && n < last; ++n) inside(particles, n);
+  /// Throw Stray if one of these particles lies outside the box, as `all_in` says.
+  void require_inside(WideLanes const& all_in, ParticleView const& particles, Chosen const& chosen) const {
+    if (bits_of(all_in) == all_lanes) return;
+    chosen.for_each_block([&](LaneBlock const& block) {
+      for_each_bit(block.chosen, [&](int i) { inside(particles, block.first + i); });
+    });
   }
 
   /// The cell of the box's level that holds a particle. Throws Stray if the particle lies outside the box.
@@ -103,15 +123,16 @@ class TileFrame {
   Box box_;
 };
 
-/// Planes of a box, along z, whose tiles together fill about a quarter of a second-level cache.
+/// Planes of a box, along z, whose tiles together fill about a third of a second-level cache; whole bricks.
 inline int planes_per_slab(Box const& box, int components) {
-  constexpr std::int64_t bytes = 1 << 18;
+  constexpr std::int64_t bytes = 3 << 17;
   std::int64_t const plane = box.grow(tile_reach).cells() / box.grow(tile_reach).extent(2) * components * 8;
-  return int(std::max<std::int64_t>(2, bytes / plane - 2 * tile_reach));
+  int const bricks = int(bytes / plane - 2 * tile_reach) / brick_shape[2];
+  return std::max(1, bricks) * brick_shape[2];
 }
 
 /// Call f(slab, first, last) for the slabs of so many planes that a box is cut into, and the particles of each: those
-/// of a box are sorted by cell.
+/// of a box are sorted by brick, and slabs are whole bricks.
 template <class F>
 void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes, ParticleView const& particles,
                    std::int64_t first, std::int64_t last, F&& f) {
@@ -133,21 +154,21 @@ void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes,
   }
 }
 
-/// Call f(rise, frame, first, last) for each run of a slab's particles whose clouds lie on one level: `rise` levels
-/// coarser than the slab, in a tile that `frame` describes. Without a buffer all of them lie on the slab's own level.
+/// Call f(rise, frame, chosen) for those of a slab's particles whose clouds lie on one level: `rise` levels coarser
+/// than the slab, in a tile that `frame` describes. Without a buffer all of them lie on the slab's own level.
 template <class F>
-void for_each_run(ParticleMesh const& mesh, Surroundings const& at, Box const& slab, BoxBuffer const* buffer,
-                  ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
+void for_each_rise(ParticleMesh const& mesh, Surroundings const& at, Box const& slab, BoxBuffer const* buffer,
+                   ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
   TileFrame const own(mesh.locator().coordinates(at.level), slab);
-  if (!buffer) return f(0, own, first, last);
-  std::vector<TileFrame> frames{own};
-  for (CoarseCells const& c : buffer->coarse) frames.emplace_back(mesh.locator().coordinates(c.level), c.box);
-  while (first < last) {
-    int const rise = buffer->rise_of(own.cell(particles, first));
-    std::int64_t next = first + 1;
-    while (next < last && buffer->rise_of(own.cell(particles, next)) == rise) ++next;
-    f(rise, frames[rise], first, next);
-    first = next;
+  if (first == last) return;
+  if (!buffer) return f(0, own, Chosen{first, last});
+  std::vector<char> rise;
+  for (std::int64_t n = first; n < last; ++n) rise.push_back(char(buffer->rise_of(own.cell(particles, n))));
+  auto const is_any = [&](int r) { return std::find(rise.begin(), rise.end(), r) != rise.end(); };
+  if (is_any(0)) f(0, own, Chosen{first, last, rise.data(), 0});
+  for (int r = 1; r <= int(buffer->coarse.size()); ++r) {
+    CoarseCells const& c = buffer->coarse[std::size_t(r - 1)];
+    if (is_any(r)) f(r, TileFrame(mesh.locator().coordinates(c.level), c.box), Chosen{first, last, rise.data(), r});
   }
 }
 

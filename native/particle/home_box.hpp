@@ -1,0 +1,74 @@
+#pragma once
+
+#include <vector>
+
+#include "particle/lanes.hpp"
+#include "particle/locate.hpp"
+
+namespace amrpic {
+
+/// A brick in its level's coordinates, which particles are held against.
+struct HomeBrick {
+  LevelCoordinates coordinates;
+  Real3 lower, upper;
+
+  /// Which of eight particles lie in it.
+  WideLanes holds(std::array<Lanes, 3> const& x) const {
+    WideLanes in = WideLanes{} - 1;
+    for (int d = 0; d < 3; ++d) {
+      Lanes const s = (x[d] - coordinates.lower[d]) * coordinates.cells_per_metre[d];
+      in &= (s >= lower[d]) & (s < upper[d]);
+    }
+    return in;
+  }
+};
+
+/// A box of this rank as a home of particles.
+class HomeBox {
+ public:
+  HomeBox(Locator& locator, int level, int box)
+      : coordinates_(locator.coordinates(level)),
+        bricks_(locator.hierarchy().level(level).box(box)),
+        refined_(locator.refined_bricks(level, box)) {
+    Box const& cells = locator.hierarchy().level(level).box(box);
+    for (int d = 0; d < 3; ++d) lower_[d] = cells.lower[d], upper_[d] = cells.upper[d] + 1;
+  }
+
+  /// Number of bricks.
+  int bricks() const { return bricks_.count(); }
+
+  HomeBrick brick(int number) const {
+    Box const brick = bricks_[number];
+    HomeBrick out{coordinates_, {}, {}};
+    for (int d = 0; d < 3; ++d) out.lower[d] = brick.lower[d], out.upper[d] = brick.upper[d] + 1;
+    return out;
+  }
+
+  /// The brick where a point lives; -1 if it lies outside the box, or where a finer box may hold it.
+  int find(Real3 const& x) const {
+    Real3 const s = coordinates_(x);
+    Index3 cell;
+    for (int d = 0; d < 3; ++d) {
+      if (!(s[d] >= lower_[d] && s[d] < upper_[d])) return -1;
+      cell[d] = int(s[d]);
+    }
+    int const out = bricks_.number(cell);
+    return refined_.empty() || !refined_[std::size_t(out)] ? out : -1;
+  }
+
+  /// Where a point lies as seen from the box: 0 to 26, x fastest; below, in or above its range along each axis.
+  int direction(Real3 const& x) const {
+    Real3 const s = coordinates_(x);
+    int out = 0;
+    for (int d = 2; d >= 0; --d) out = 3 * out + (s[d] < lower_[d] ? 0 : s[d] < upper_[d] ? 1 : 2);
+    return out;
+  }
+
+ private:
+  LevelCoordinates coordinates_;
+  Real3 lower_, upper_;  ///< corners in those coordinates
+  Bricks bricks_;
+  std::vector<char> refined_;
+};
+
+}  // namespace amrpic

@@ -17,10 +17,6 @@ struct Cells {
   Real* ghosts;
   LocalIndex owned;
   Real& operator[](LocalIndex place) const { return place < owned ? own[place] : ghosts[place - owned]; }
-  /// Whether eight places are those of own cells that lie side by side.
-  bool are_own(LocalIndex const* place) const {
-    return place[0] >= 0 && place[0] + lane_count <= owned && are_consecutive(place);
-  }
 };
 
 /// Cells along x that are added to at once.
@@ -142,6 +138,7 @@ class Taker {
   /// `shell` has room for the sums of the shell's cells.
   Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse, Real* shell)
       : at_(at),
+        level_(level),
         box_(level.box(at.box)),
         per_cell_(charge / level.cell_volume()),
         cells_(cells),
@@ -163,17 +160,13 @@ class Taker {
 
   /// Add the shell to the cells around the box.
   void give() const {
-    std::size_t n = 0;
-    for_each_shell_row(box_, [&](int from, int to, int, int) {
-      for (std::size_t const end = n + std::size_t(to - from + 1); n < end;)
-        if (n + lane_count <= end && cells_.are_own(&at_.shell[n])) {
-          Real* const out = cells_.own + at_.shell[n];
-          store(out, load<Lanes>(out) + per_cell_ * load<Lanes>(shell_ + n));
-          n += lane_count;
-        } else {
-          give(n++);
-        }
-    });
+    for (ShellRun const& run : at_.shell.runs()) {
+      Real const* const sums = shell_ + run.number;
+      if (run.place < 0)
+        give_to_coarser(run, sums);
+      else
+        give(run, sums, &cells_[run.place]);
+    }
   }
 
  private:
@@ -187,18 +180,25 @@ class Taker {
     }
   }
 
-  void give(std::size_t n) const {
-    constexpr std::size_t ahead = 24;  // these cells lie all over the memory
-    if (n + ahead < at_.shell.size() && at_.shell[n + ahead] >= 0) bring_near(&cells_[at_.shell[n + ahead]]);
-    if (shell_[n] == 0) return;
-    LocalIndex const place = at_.shell[n];
-    if (place >= 0)
-      cells_[place] += per_cell_ * shell_[n];
-    else
-      coarse_[at_.coarse[std::size_t(~place)]] += per_cell_ / 8 * shell_[n];
+  void give(ShellRun const& run, Real const* sums, Real* out) const {
+    LocalIndex n = 0;
+    if (run.place_stride == 1 && run.number_stride == 1)
+      for (; n + lane_count <= run.count; n += lane_count)
+        store(out + n, load<Lanes>(out + n) + per_cell_ * load<Lanes>(sums + n));
+    for (; n < run.count; ++n) out[std::ptrdiff_t(n) * run.place_stride] += per_cell_ * sums[n * run.number_stride];
+  }
+
+  /// A cell that the level lacks lies in one of the coarser level, of eight times its volume.
+  void give_to_coarser(ShellRun const& run, Real const* sums) const {
+    for (LocalIndex n = 0; n < run.count; ++n)
+      if (Real const sum = sums[n * run.number_stride]; sum != 0) {
+        Index3 const parent = cell_parent(fold_at_walls(run.cell(n), level_));
+        coarse_[at_.coarse[std::size_t(at_.parents.offset(parent))]] += per_cell_ / 8 * sum;
+      }
   }
 
   Surroundings const& at_;
+  Level const& level_;
   Box box_;
   Real per_cell_;
   Cells cells_, coarse_;
@@ -212,7 +212,7 @@ std::size_t clear_empty_boxes(ParticleMesh const& mesh, std::int64_t const* star
     Surroundings const& at = mesh.boxes()[s];
     Level const& level = mesh.hierarchy().level(at.level);
     if (starts[s] < starts[s + 1])
-      shells += at.shell.size();
+      shells += at.shell.cells();
     else
       std::fill_n(density.level(at.level).data() + level.local_offset(at.box), level.box(at.box).cells(), Real(0));
   }
@@ -270,7 +270,7 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     std::size_t const rises = buffer ? buffer->coarse.size() : 0;
     for (std::size_t r = 1; r <= rises; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
     takers.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), shell);
-    shell += at.shell.size();
+    shell += at.shell.cells();
     for_each_slab(mesh, at, planes_per_slab(box, 2), particles, first, last, [&](Box const& slab, auto from, auto to) {
       slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
       for_each_rise(

@@ -24,22 +24,21 @@ struct VectorCells {
     constexpr LocalIndex ahead = 512;  // the hardware stops at the end of each page
     int const whole = count / lane_count * lane_count;
     for (int i = 0; i < whole; i += lane_count) {
-      prefetch(first + ahead + i);
+      for (int c = 0; c < 3; ++c) bring_near(own[c] + first + ahead + i);  // harmless beyond the end
       interleave(load<Lanes>(own[0] + first + i), load<Lanes>(own[1] + first + i), load<Lanes>(own[2] + first + i),
                  out + lanes * i);
     }
     for (int i = whole; i < count; ++i) get(first + i, out + lanes * i);
   }
-  /// How many places, a multiple of eight, are those of own cells that lie side by side.
-  int row_length(LocalIndex const* place, int count) const {
-    int n = 0;
-    while (n + lane_count <= count && place[0] >= 0 && place[0] + n + lane_count <= owned && place[n] == place[0] + n &&
-           are_consecutive(place + n))
-      n += lane_count;
-    return n;
-  }
-  void prefetch(LocalIndex place) const {
-    for (int c = 0; c < 3; ++c) bring_near(own[c] + place);  // harmless beyond the end
+  /// Those of a run, each written `out_stride` numbers behind the one before.
+  void get_run(ShellRun const& run, Real* out, std::ptrdiff_t out_stride) const {
+    if (run.axis == 0 && run.place_stride == 1 && run.place + run.count <= owned)
+      return get_row(run.place, run.count, out);
+    std::array<Real const*, 3> from;
+    for (int c = 0; c < 3; ++c)
+      from[c] = run.place < owned ? own[c] + run.place : ghosts[c].data() + (run.place - owned);
+    for (std::ptrdiff_t n = 0, at = 0; n < run.count; ++n, at += run.place_stride, out += out_stride)
+      store(out, Cell{from[0][at], from[1][at], from[2][at], 0});
   }
 };
 
@@ -102,31 +101,18 @@ class Filler {
 
  private:
   void fill_plane(int k, Tile<lanes>& tile) const {
-    LocalIndex const* place = at_.shell.data() + shell_cells_below(box_, k);
-    for_each_shell_row(box_, k, [&](int first, int last, int j) {
-      fill_shell_row({first, j, k}, last - first + 1, place, tile.row(first, j, k));
-      place += last - first + 1;
+    at_.shell.for_each_run(k, [&](ShellRun const& run) {
+      Real* const out = tile.row(run.first[0], run.first[1], k);
+      std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
+      if (run.place >= 0) return cells_.get_run(run, out, stride);
+      for (LocalIndex n = 0; n < run.count; ++n)
+        interpolate(fold_at_walls(run.cell(n), level_), at_, coarser_, coarse_, out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;
     int const length = box_.extent(0);
     LocalIndex own = level_.local_offset(at_.box) + LocalIndex(box_.offset({box_.lower[0], box_.lower[1], k}));
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j, own += length)
       cells_.get_row(own, length, tile.row(box_.lower[0], j, k));
-  }
-
-  void fill_shell_row(Index3 cell, int count, LocalIndex const* place, Real* out) const {
-    LocalIndex const* const end = at_.shell.data() + at_.shell.size();
-    std::ptrdiff_t const ahead = 2 * (box_.extent(0) + box_.extent(1));  // about a plane: cells lie all over the memory
-    for (int n = 0, row; n < count; n += std::max(1, row)) {
-      if (end - place > n + ahead && place[n + ahead] >= 0) cells_.prefetch(place[n + ahead]);
-      row = cells_.row_length(place + n, count - n);
-      if (row > 0)
-        cells_.get_row(place[n], row, out + lanes * n);
-      else if (place[n] >= 0)
-        cells_.get(place[n], out + lanes * n);
-      else
-        interpolate(fold_at_walls({cell[0] + n, cell[1], cell[2]}, level_), at_, coarser_, coarse_, out + lanes * n);
-    }
   }
 
   Surroundings const& at_;

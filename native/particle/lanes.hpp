@@ -152,11 +152,6 @@ inline Lanes mix(unsigned bits, Real const* set, Real const* unset) {
 #endif
 }
 
-/// Whether eight places lie side by side, ascending.
-inline bool are_consecutive(LocalIndex const* place) {
-  return bytes_of(load<IndexLanes>(place) == place[0] + index_of_lane) == ~std::uint64_t(0);
-}
-
 // What shapes are made of.
 
 /// The largest whole number that is not above `x`, whose magnitude is below 2^51.

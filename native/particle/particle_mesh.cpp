@@ -11,7 +11,7 @@ namespace {
 
 /// Surroundings by global numbers, before it is known where the ghosts are kept.
 struct Numbered {
-  std::vector<GlobalIndex> shell;  ///< number, or ~n with n the place of the parent in the window of parents
+  std::vector<GlobalIndex> shell;  ///< in the order of `for_each_shell_row`; `no_cell`: the level has none
   Box parents;
   std::vector<GlobalIndex> coarse;  ///< `no_cell`: not needed
 };
@@ -48,12 +48,7 @@ Numbered number_surroundings(Hierarchy const& hierarchy, int l, int b) {
   out.parents = box.coarsen(refinement_ratio).grow(1);
   out.coarse.assign(std::size_t(out.parents.cells()), no_cell);
   auto const coarse_numbers = cell_numbers(coarser, out.parents);
-  auto cell = beyond.begin();
-  for (GlobalIndex& number : out.shell)
-    if (number == no_cell) {
-      mark_coarse(out, coarse_numbers, coarser, *cell);
-      number = ~out.parents.offset(cell_parent(*cell++));
-    }
+  for (Index3 const& cell : beyond) mark_coarse(out, coarse_numbers, coarser, cell);
   return out;
 }
 
@@ -88,8 +83,10 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
     exchanges_.emplace_back(hierarchy_->comm(), level, remote_cells(level, std::move(read[l])));
   }
   for (std::size_t s = 0; s < boxes_.size(); ++s) {
-    boxes_[s].shell = places(numbered[s].shell, exchanges_[boxes_[s].level]);
-    if (boxes_[s].level > 0) boxes_[s].coarse = places(numbered[s].coarse, exchanges_[boxes_[s].level - 1]);
+    Surroundings& at = boxes_[s];
+    Exchange const& exchange = exchanges_[at.level];
+    at.shell = Shell(hierarchy_->level(at.level).box(at.box), places(numbered[s].shell, exchange), exchange.owned());
+    if (at.level > 0) at.coarse = places(numbered[s].coarse, exchanges_[at.level - 1]);
   }
 }
 

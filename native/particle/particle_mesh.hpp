@@ -9,16 +9,15 @@
 #include "particle/geometry.hpp"
 #include "particle/home_box.hpp"
 #include "particle/locate.hpp"
+#include "particle/shell.hpp"
 
 namespace amrpic {
 
 /// What lies around one box of this rank.
 struct Surroundings {
   int level, box;
-  /// For each shell cell, in the order of `for_each_shell_row`: its place in [own | ghosts] of the level, or, where the
-  /// level has no such cell, ~n with n the place of its parent in `parents`.
-  std::vector<LocalIndex> shell;
-  Box parents;  ///< the box coarsened and grown by one; empty if `shell` names no parent
+  Shell shell;
+  Box parents;  ///< the box coarsened and grown by one; empty if the level has all cells of the shell
   std::vector<LocalIndex>
       coarse;  ///< for each cell of `parents`, its place in [own | ghosts] of the coarser level; -1: not needed
 };

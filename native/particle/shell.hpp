@@ -1,0 +1,50 @@
+#pragma once
+
+#include <vector>
+
+#include "particle/geometry.hpp"
+
+namespace amrpic {
+
+/// Cells around a box that follow each other along x or y, at equal distances in memory.
+struct ShellRun {
+  Index3 first;
+  int axis;
+  LocalIndex count;
+  LocalIndex place,
+      place_stride;  ///< in [own | ghosts] of the level, all in one of both; -1: the level has no such cells
+  LocalIndex number, number_stride;  ///< among the cells of the shell, in the order of `for_each_shell_row`
+
+  Index3 cell(LocalIndex n) const {
+    Index3 out = first;
+    out[std::size_t(axis)] += n;
+    return out;
+  }
+};
+
+/// The cells around a box that its particles touch, as runs.
+class Shell {
+ public:
+  Shell() = default;
+  /// `places` of all its cells in the order of `for_each_shell_row`, in [own | ghosts], negative where the level has
+  /// none; so many are own.
+  Shell(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
+
+  std::size_t cells() const { return cells_; }
+  std::vector<ShellRun> const& runs() const { return runs_; }
+
+  /// Call f(run) for those in plane k.
+  template <class F>
+  void for_each_run(int k, F&& f) const {
+    std::size_t const plane = std::size_t(k - first_plane_);
+    for (std::size_t n = plane_start_[plane]; n < plane_start_[plane + 1]; ++n) f(runs_[n]);
+  }
+
+ private:
+  std::size_t cells_ = 0;
+  int first_plane_ = 0;
+  std::vector<ShellRun> runs_;
+  std::vector<std::size_t> plane_start_;
+};
+
+}  // namespace amrpic

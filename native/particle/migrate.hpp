@@ -39,8 +39,7 @@ class Migration {
     Real3 position, momentum;
     Real weight;
     std::int64_t id;
-    int level, box;
-    int brick;
+    int level, box, brick;
   };
   struct Leaving {
     LocalIndex place;
@@ -65,7 +64,7 @@ class Migration {
   void hold(LaneGroup const& group);
   void look_after();
   unsigned outside(HomeBrick const& brick, LaneGroup const& group) const;
-  unsigned begin_run(LaneGroup const& group, unsigned left);
+  unsigned begin_run(LaneGroup const& group, unsigned out);
   void end_run(LocalIndex last);
   Place known(Real3 const& x) const;
   Place find(Real3 const& x);

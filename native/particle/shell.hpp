@@ -11,8 +11,8 @@ struct ShellRun {
   Index3 first;
   int axis;
   LocalIndex count;
-  LocalIndex place,
-      place_stride;  ///< in [own | ghosts] of the level, all in one of both; -1: the level has no such cells
+  /// In [own | ghosts] of the level, all of them in one of both; -1: the level has no such cells.
+  LocalIndex place, place_stride;
   LocalIndex number, number_stride;  ///< among the cells of the shell, in the order of `for_each_shell_row`
 
   Index3 cell(LocalIndex n) const {

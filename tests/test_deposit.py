@@ -38,7 +38,7 @@ def test_deposit_keeps_the_total_charge(comm):
         assert deposit(particles, hierarchy).integral() == pytest.approx(total, rel=1e-13, abs=0), case.name
 
 
-@pytest.mark.mpi(ranks=(1, 3), timeout=120)
+@pytest.mark.mpi(ranks=(3,), timeout=120)
 def test_deposit_follows_its_rules_in_every_cell(comm):
     for case in CASES:
         assert_as_by_hand(*placed(case, comm, 200), case)

@@ -1,5 +1,6 @@
 #include "particle/gather.hpp"
 
+#include "base/fetch.hpp"
 #include "particle/tile.hpp"
 
 namespace amrpic {
@@ -21,10 +22,9 @@ struct VectorCells {
   }
   /// Those of own cells that lie side by side.
   void get_row(LocalIndex first, int count, Real* out) const {
-    constexpr LocalIndex ahead = 512;  // the hardware stops at the end of each page
     int const whole = count / lane_count * lane_count;
     for (int i = 0; i < whole; i += lane_count) {
-      for (int c = 0; c < 3; ++c) bring_near(own[c] + first + ahead + i);  // harmless beyond the end
+      for (int c = 0; c < 3; ++c) bring_near(own[c] + first + page<Real> + i);  // harmless beyond the end
       interleave(load<Lanes>(own[0] + first + i), load<Lanes>(own[1] + first + i), load<Lanes>(own[2] + first + i),
                  out + lanes * i);
     }

@@ -16,7 +16,7 @@ struct HomeBrick {
   WideLanes holds(std::array<Lanes, 3> const& x) const {
     WideLanes in = WideLanes{} - 1;
     for (int d = 0; d < 3; ++d) {
-      Lanes const s = (x[d] - coordinates.lower[d]) * coordinates.cells_per_metre[d];
+      Lanes const s = coordinates.along(d, x[d]);
       in &= (s >= lower[d]) & (s < upper[d]);
     }
     return in;

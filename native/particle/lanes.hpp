@@ -113,29 +113,37 @@ inline unsigned bits_of(WideLanes const& mask) {
 #endif
 }
 
-/// Write those lanes side by side whose bits are set, and whatever behind them: eight values in all. Return how many.
-inline int compress(unsigned bits, Lanes const& from, Real* to) {
-#ifdef __AVX512F__
-  store(to, _mm512_maskz_compress_pd(__mmask8(bits), (__m512d)from));
-#else
-  for (int i = 0, n = 0; i < lane_count; ++i) to[n] = from[i], n += bits >> i & 1;
-#endif
-  return __builtin_popcount(bits);
+/// Call f(n) for each bit that is set.
+template <class Bits, class F>
+void for_each_bit(Bits bits, F&& f) {
+  for (; bits != 0; bits &= bits - 1) f(__builtin_ctzll(bits));
 }
-inline int compress(unsigned bits, WideLanes const& from, std::int64_t* to) {
-#ifdef __AVX512F__
-  store(to, _mm512_maskz_compress_epi64(__mmask8(bits), (__m512i)from));
-#else
-  for (int i = 0, n = 0; i < lane_count; ++i) to[n] = from[i], n += bits >> i & 1;
-#endif
-  return __builtin_popcount(bits);
-}
-inline int compress(unsigned bits, IndexLanes const& from, LocalIndex* to) {
+
+/// Those lanes side by side whose bits are set, and whatever behind them.
 #ifdef __AVX512VL__
-  store(to, _mm256_maskz_compress_epi32(__mmask8(bits), (__m256i)from));
+inline Lanes compressed(unsigned bits, Lanes const& v) {
+  return (Lanes)_mm512_maskz_compress_pd(__mmask8(bits), (__m512d)v);
+}
+inline WideLanes compressed(unsigned bits, WideLanes const& v) {
+  return (WideLanes)_mm512_maskz_compress_epi64(__mmask8(bits), (__m512i)v);
+}
+inline IndexLanes compressed(unsigned bits, IndexLanes const& v) {
+  return (IndexLanes)_mm256_maskz_compress_epi32(__mmask8(bits), (__m256i)v);
+}
 #else
-  for (int i = 0, n = 0; i < lane_count; ++i) to[n] = from[i], n += bits >> i & 1;
+template <class Vector>
+inline Vector compressed(unsigned bits, Vector const& v) {
+  Vector out{};
+  int n = 0;
+  for_each_bit(bits, [&](int i) { out[n++] = v[i]; });
+  return out;
+}
 #endif
+
+/// Write those lanes side by side whose bits are set, and whatever behind them: eight values in all. Return how many.
+template <class Vector, class T>
+inline int compress(unsigned bits, Vector const& from, T* to) {
+  store(to, compressed(bits, from));
   return __builtin_popcount(bits);
 }
 
@@ -170,12 +178,6 @@ struct LaneGroup {
   bool whole() const { return lanes == all_lanes; }
   int last() const { return 31 - __builtin_clz(lanes); }
 };
-
-/// Call f(n) for each bit that is set.
-template <class Bits, class F>
-void for_each_bit(Bits bits, F&& f) {
-  for (; bits != 0; bits &= bits - 1) f(__builtin_ctzll(bits));
-}
 
 /// Particles that pass through the parts of a kernel together. What one part leaves to the next stays in the
 /// first-level cache, and the processor works on many of them at a time, where part after part for each would be one

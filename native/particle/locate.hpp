@@ -19,11 +19,12 @@ struct Home {
 struct LevelCoordinates {
   Real3 lower, cells_per_metre;
 
-  Real3 operator()(Real3 const& x) const {
-    Real3 out;
-    for (int d = 0; d < 3; ++d) out[d] = (x[d] - lower[d]) * cells_per_metre[d];
-    return out;
+  /// Of one number or of several at a time.
+  template <class T>
+  T along(int axis, T const& x) const {
+    return (x - lower[std::size_t(axis)]) * cells_per_metre[std::size_t(axis)];
   }
+  Real3 operator()(Real3 const& x) const { return {along(0, x[0]), along(1, x[1]), along(2, x[2])}; }
 };
 
 /// Finds the homes of points.

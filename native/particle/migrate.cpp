@@ -10,13 +10,13 @@
 #include <stdexcept>
 #include <tuple>
 
+#include "base/fetch.hpp"
+
 namespace amrpic {
 
 namespace {
 
 constexpr int tag_particles = 7201;
-
-constexpr LocalIndex prefetched = 512;  // values ahead; the hardware stops at the end of each page
 
 bool is_finite(Real3 const& v) { return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]); }
 
@@ -53,7 +53,7 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
 void Migration::hold() {
   LocalIndex const count = LocalIndex(particles_.count), whole = count / lane_count * lane_count;
   for (LocalIndex n = 0; n < whole; n += lane_count) {
-    for (int d = 0; d < 3; ++d) bring_near(particles_.position[d] + n + prefetched);
+    for (int d = 0; d < 3; ++d) bring_near(particles_.position[d] + n + page<Real>);
     hold({n, all_lanes});
   }
   if (whole < count) hold({whole, all_lanes >> (lane_count - (count - whole))});
@@ -268,6 +268,13 @@ std::int64_t Migration::id_at(LocalIndex place) const {
   return beyond < 0 ? particles_.id[place] : received_[std::size_t(beyond)].id;
 }
 
+/// Call f(n, bits) for each eight particles from place n on of runs [first, last), with the bits of those who stayed.
+template <class F>
+void Migration::for_each_group(Run const* first, Run const* last, F&& f) const {
+  for (Run const* run = first; run < last; ++run)
+    for (LocalIndex n = run->first; n < run->last; n += lane_count) f(n, stays_[std::size_t(n / lane_count)]);
+}
+
 /// Let the particles of one brick be written next, in order of their ids: those who stayed in it in runs [first, last),
 /// mostly one that is in order, and the movers, who are put in order here.
 void Migration::line_up(Run const* first, Run const* last, LocalIndex* movers, LocalIndex count) {
@@ -275,19 +282,17 @@ void Migration::line_up(Run const* first, Run const* last, LocalIndex* movers, L
   for (Run const* run = first; run < last; ++run) stayed += run->stayed;
   if (stayed_id_.size() < std::size_t(stayed + lane_count)) stayed_id_.resize(2 * std::size_t(stayed + lane_count));
   LocalIndex known = 0;
-  for (Run const* run = first; run < last; ++run)
-    for (LocalIndex n = run->first; n < run->last; n += lane_count) {
-      bring_near(particles_.id + n + prefetched);
-      auto const ids = load_up_to<WideLanes>(particles_.id + n, particles_.count - n);
-      known += compress(stays_[std::size_t(n / lane_count)], ids, stayed_id_.data() + known);
-    }
+  for_each_group(first, last, [&](LocalIndex n, unsigned stays) {
+    bring_near(particles_.id + n + page<Real>);
+    auto const ids = load_up_to<WideLanes>(particles_.id + n, particles_.count - n);
+    known += compress(stays, ids, stayed_id_.data() + known);
+  });
   if (!are_in_order(stayed_id_.data(), stayed)) return line_up_all(first, last, movers, count);
 
   came_id_.resize(std::size_t(count));
   for (LocalIndex i = 0; i < count; ++i) came_id_[std::size_t(i)] = id_at(movers[i]);
   sort_by_id({came_id_.data(), movers}, count);
-  for (Run const* run = first; run < last; ++run)
-    for (LocalIndex n = run->first; n < run->last; n += lane_count) order_.keep(n, stays_[std::size_t(n / lane_count)]);
+  for_each_group(first, last, [&](LocalIndex n, unsigned stays) { order_.keep(n, stays); });
   for (LocalIndex i = 0; i < count; ++i)
     insert(movers[i], order_.known() + i + count_smaller(stayed_id_.data(), stayed, came_id_[std::size_t(i)]));
   order_.close(stayed + count);
@@ -296,9 +301,8 @@ void Migration::line_up(Run const* first, Run const* last, LocalIndex* movers, L
 /// The same where those who stayed are in no order: all are movers.
 void Migration::line_up_all(Run const* first, Run const* last, LocalIndex const* movers, LocalIndex count) {
   std::vector<LocalIndex> all(movers, movers + count);
-  for (Run const* run = first; run < last; ++run)
-    for (LocalIndex n = run->first; n < run->last; n += lane_count)
-      for_each_bit(stays_[std::size_t(n / lane_count)], [&](int i) { all.push_back(n + i); });
+  for_each_group(first, last,
+                 [&](LocalIndex n, unsigned stays) { for_each_bit(stays, [&](int i) { all.push_back(n + i); }); });
   came_id_.clear();
   for (LocalIndex place : all) came_id_.push_back(id_at(place));
   sort_by_id({came_id_.data(), all.data()}, LocalIndex(all.size()));

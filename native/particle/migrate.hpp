@@ -74,6 +74,8 @@ class Migration {
   void exchange();
   void count(std::int64_t* starts) const;
   void group_movers(std::size_t slot);
+  template <class F>
+  void for_each_group(Run const* first, Run const* last, F&& f) const;
   void line_up(Run const* first, Run const* last, LocalIndex* movers, LocalIndex count);
   void line_up_all(Run const* first, Run const* last, LocalIndex const* movers, LocalIndex count);
   void insert(LocalIndex place, std::int64_t n);

@@ -29,16 +29,15 @@ void Rearrangement::insert(LocalIndex place, std::int64_t n) {
 }
 
 bool Rearrangement::write_most(ParticleView const& out, bool far) {
-  bool finite = true;
-  while (known_ - written_ >= 2 * part_size)  // the next ones are asked for meanwhile
-    finite = (far ? write<true>(part_size, out) : write<false>(part_size, out)) && finite;
-  forget_written();
-  return finite;
+  return write_while(2 * part_size, out, far);  // the next ones are asked for meanwhile
 }
 
-bool Rearrangement::write_rest(ParticleView const& out, bool far) {
+bool Rearrangement::write_rest(ParticleView const& out, bool far) { return write_while(1, out, far); }
+
+/// Write in parts, as long as so many are left.
+bool Rearrangement::write_while(LocalIndex least, ParticleView const& out, bool far) {
   bool finite = true;
-  while (known_ > written_) {
+  while (known_ - written_ >= least) {
     LocalIndex const count = LocalIndex(std::min<std::int64_t>(part_size, known_ - written_));
     finite = (far ? write<true>(count, out) : write<false>(count, out)) && finite;
   }

@@ -28,6 +28,7 @@ class Rearrangement {
 
   /// Write what is known, but for the last few, past the cache if the new arrays are `far`; whether momenta are finite.
   bool write_most(ParticleView const& out, bool far);
+  /// The same of all.
   bool write_rest(ParticleView const& out, bool far);
 
  private:
@@ -38,6 +39,7 @@ class Rearrangement {
   /// So many particles of whom one column is written after the other.
   struct Part;
 
+  bool write_while(LocalIndex least, ParticleView const& out, bool far);
   template <bool far>
   bool write(LocalIndex count, ParticleView const& out);
   template <bool far>

@@ -94,7 +94,7 @@ class TileFrame {
     std::array<Lanes, 3> s;
     WideLanes in = WideLanes{} - 1;
     for (int d = 0; d < 3; ++d) {
-      s[d] = (load(particles.position[d], group) - coordinates_.lower[d]) * coordinates_.cells_per_metre[d];
+      s[d] = coordinates_.along(d, load(particles.position[d], group));
       in &= (s[d] >= Real(box_.lower[d])) & (s[d] < Real(box_.upper[d] + 1));
     }
     all_in &= in;

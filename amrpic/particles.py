@@ -21,7 +21,7 @@ CACHE_LINE = 8  # doubles
 
 @dataclass(frozen=True)
 class Sorting:
-    """How particles are sorted: by level, box and brick of 8³ cells of a hierarchy, ties by id.
+    """How particles are sorted: by level, box and brick of 8³ cells of a hierarchy.
 
     `starts[s]` is where the particles of this rank's box number s start, boxes counted level by level; one value more.
     """

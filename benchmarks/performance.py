@@ -288,13 +288,14 @@ bytes of each particle, a third of that for the momenta at the time of the field
 half as much again, since cells beside their faces across x come by whole cache lines. A migration reads 88 and writes 64
 bytes. So 1e6 particles on 128³ cells move at least 95, 195 and 152 bytes each, 1e7 38, 128 and 152.
 
-Particles are sorted by bricks of 8³ cells, and by their ids within one, so that results do not depend on where a run was
-stopped. What the particles of a brick touch of a tile stays in the first-level cache, whatever their order, and few leave a
-brick in a step: 6 % at 0.3 cell widths. So a migration holds eight particles at a time against a brick, and only those that
-left it are looked up; the others are copied in the order that they have, and who came is mixed in between, by vectors with a
-bit for each particle. Of its time, holding takes a fifth, finding out where movers go between the others a quarter, and copying
-the rest: half as much again as copying in order does, since movers come from lines of their own in each of eight columns. A
-gather at half a particle per cell spends half its time on filling the tile, which waits for the second-level cache.
+Particles are sorted by bricks of 8³ cells. What the particles of a brick touch of a tile stays in the first-level cache,
+whatever their order, and few leave a brick in a step: 6 % at 0.3 cell widths. So a migration holds eight particles at a time
+against a brick, and only those that left it are looked up. Then it is known where each brick will start, and the particles are
+copied in the order that they have: those that stay by vectors, the movers one by one to the next free place of their brick,
+which a counting sort tells. So particles of a brick keep their order, a run that was stopped goes on with the same, and
+nothing is sorted by comparing. Of the time at 1e6, copying those that stay takes half, movers a quarter, holding and looking
+up the rest. A gather at half a particle per cell spends half its time on filling the tile, which waits for the
+second-level cache.
 
 ![Particle stages](pictures/performance_particles.png)
 

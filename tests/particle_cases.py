@@ -51,6 +51,14 @@ def everywhere(comm: MPI.Comm, particles: Particles) -> dict[str, np.ndarray]:
     return {name: a[order] for name, a in zip(("position", "momentum", "weight", "id"), arrays, strict=True)}
 
 
+def places(comm: MPI.Comm, particles: Particles) -> np.ndarray:
+    """Return where each particle lies among those of all ranks, by id, on every rank. Ids are 0, 1, 2 and so on."""
+    ids = np.concatenate(comm.allgather(particles.id))
+    out = np.empty_like(ids)
+    out[ids] = np.arange(len(ids))
+    return out
+
+
 def dense(field: amrpic.Field, level: int) -> np.ndarray:
     """Return the field on a level as one array over the whole domain, nan where the level has no cells, on every rank."""
     hierarchy = field.hierarchy

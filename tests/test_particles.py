@@ -16,11 +16,22 @@ from amrpic.migrate import migrate, particles_per_box
 from amrpic.particles import Particles, concatenate, recycled
 from amrpic.push import RANDOM_WALK, push, random_walk
 from amrpic.species import Species, SpeciesTable
-from particle_cases import CHARGE, MASS, ONE_KIND, Mesh, everywhere, hierarchy_of, placed, random_field, scattered
+from particle_cases import (
+    CHARGE,
+    MASS,
+    ONE_KIND,
+    Mesh,
+    everywhere,
+    hierarchy_of,
+    placed,
+    places,
+    random_field,
+    scattered,
+)
 
 CASES = list(hierarchies.all_cases().values())
 
-BRICK = 8  # cells along each axis, within which particles are in the order of their ids
+BRICK = 8  # cells along each axis, within which particles keep the order that they had
 
 
 def at(positions: list | np.ndarray, ids: int = 0) -> Particles:
@@ -65,13 +76,14 @@ def test_migration_changes_no_particle(comm):
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-def test_particles_are_sorted_by_box_brick_and_id(comm):
+def test_particles_are_sorted_by_box_and_brick_and_else_keep_their_order(comm):
     hierarchy = periodic_box(comm)
     rng = np.random.default_rng(1)
     ids = rng.permutation(4000)[comm.rank :: comm.size]
     position = np.random.default_rng(2).random((4000, 3))[ids]
     count = len(ids)
     particles = Particles(position, np.zeros((count, 3)), np.ones(count), ids, ONE_KIND)
+    before = places(comm, particles)
     particles, _ = migrate(particles, hierarchy)
     keys, slot = [], 0
     for level in range(hierarchy.levels):
@@ -79,7 +91,8 @@ def test_particles_are_sorted_by_box_brick_and_id(comm):
             own = slice(*particles.sorted_on(hierarchy).starts[slot : slot + 2])
             cells = np.floor(particles.position[own] / hierarchy.spacing(level)).astype(int)
             bricks = (cells - hierarchy.boxes(level)[box][:3]) // BRICK
-            keys += [(level, box, *brick[::-1], i) for brick, i in zip(bricks.tolist(), particles.id[own], strict=True)]
+            place = before[particles.id[own]]
+            keys += [(level, box, *brick[::-1], n) for brick, n in zip(bricks.tolist(), place, strict=True)]
             slot += 1
     assert len(keys) == len(particles)
     assert keys == sorted(keys)
@@ -91,9 +104,10 @@ def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_brick(comm, ce
     """More than a cache holds, so many in a brick that they are copied in parts, and bricks that are cut off."""
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, "periodic")
     hierarchy = amrpic.Hierarchy(comm, domain, max_grid_size=cells // 2, blocking_factor=2)
-    particles, _ = migrate(shuffled(comm, count), hierarchy)
-    for step in range(2):
-        particles, _ = migrate(random_walk(particles, 0.3 / cells, seed=3, step=step), hierarchy)
+    moved = shuffled(comm, count)
+    for step in range(3):
+        before, walked = places(comm, moved), everywhere(comm, moved)["position"]
+        particles, _ = migrate(moved, hierarchy)
         everyone = everywhere(comm, particles)
         cell = np.floor(everyone["position"] * cells).astype(int)
         boxes = hierarchy.boxes(0)[list(hierarchy.local_boxes(0))]
@@ -101,11 +115,13 @@ def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_brick(comm, ce
         for b, (lower, upper) in enumerate(zip(boxes[:, :3], boxes[:, 3:], strict=True)):
             inside = ((cell >= lower) & (cell <= upper)).all(axis=1)
             box[inside], brick[inside] = b, (cell[inside] - lower) // BRICK
-        order = np.lexsort((everyone["id"], *brick.T, box))
+        wrapped = ((walked < 0) | (walked >= 1)).any(axis=1)
+        order = np.lexsort((before, wrapped, *brick.T, box))
         order = order[box[order] >= 0]
         assert np.array_equal(particles.id, everyone["id"][order])
         for name in ("position", "momentum", "weight"):
             assert np.array_equal(getattr(particles, name), everyone[name][order]), name
+        moved = random_walk(particles, 0.3 / cells, seed=3, step=step)
 
 
 def shuffled(comm: MPI.Comm, count: int) -> Particles:

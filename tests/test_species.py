@@ -73,15 +73,15 @@ def test_charge_over_mass_tells_how_far_a_field_moves_each():
     hierarchy = Hierarchy(MPI.COMM_SELF, Domain((-1, -1, -1), (1, 1, 1), (8, 8, 8)))
     particles = Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(3), ids, table)
     five = Field(hierarchy).fill(lambda x, y, z: 5 + 0 * (x + y + z))
-    particles, _ = migrate(particles, hierarchy)  # which sorts them by id
+    particles, _ = migrate(particles, hierarchy)
     now, moved = push(VectorField(five, five, five), particles, 0.4e-9, 0.6e-9, 2e-9)
     assert moved.momentum == pytest.approx(2.5 * now.momentum, rel=1e-14, abs=0)
-    ratio = np.array([-1 / ELECTRON_MASS, -1 / ELECTRON_MASS, 1 / PROTON_MASS])
+    ratio = np.array([1 / PROTON_MASS, -1 / ELECTRON_MASS, -1 / ELECTRON_MASS])
     assert moved.position == pytest.approx(
         np.outer(ELEMENTARY_CHARGE * ratio * 5e-9 * 2e-9, np.ones(3)), rel=1e-14, abs=0
     )
-    assert moved.select(slice(1, 3)).charge.tolist() == [-ELEMENTARY_CHARGE, ELEMENTARY_CHARGE]
-    assert concatenate([moved, particles]).mass.tolist() == 2 * [ELECTRON_MASS, ELECTRON_MASS, PROTON_MASS]
+    assert moved.select(slice(0, 2)).charge.tolist() == [ELEMENTARY_CHARGE, -ELEMENTARY_CHARGE]
+    assert concatenate([moved, particles]).mass.tolist() == 2 * [PROTON_MASS, ELECTRON_MASS, ELECTRON_MASS]
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))

@@ -147,16 +147,12 @@ inline int compress(unsigned bits, Vector const& from, T* to) {
   return __builtin_popcount(bits);
 }
 
-/// Eight lanes out of two rows of values, whichever comes next: of `set` where a bit is set, else of `unset`. Eight
-/// values of either may be read.
-inline Lanes mix(unsigned bits, Real const* set, Real const* unset) {
+/// Write those lanes whose bits are set.
+inline void store_some(Real* to, unsigned bits, Lanes const& values) {
 #ifdef __AVX512F__
-  __m512d const others = _mm512_maskz_expandloadu_pd(__mmask8(~bits), unset);
-  return (Lanes)_mm512_mask_expandloadu_pd(others, __mmask8(bits), set);
+  _mm512_mask_storeu_pd(to, __mmask8(bits), (__m512d)values);
 #else
-  Lanes out;
-  for (int i = 0; i < lane_count; ++i) out[i] = bits >> i & 1 ? *set++ : *unset++;
-  return out;
+  for_each_bit(bits, [&](int i) { to[i] = values[i]; });
 #endif
 }
 
@@ -213,7 +209,7 @@ inline Lanes load(Real const* values, LaneGroup const& g) {
 /// Write a group, past the cache if the values are `far` and start on a cache line.
 inline void store(Real* values, LaneGroup const& g, Lanes const& from, bool far) {
   if (!g.whole()) {
-    for_each_bit(g.lanes, [&](int i) { values[g.first + i] = from[i]; });
+    store_some(values + g.first, g.lanes, from);
   } else if (far) {
     stream(values + g.first, from);
   } else {

@@ -32,6 +32,59 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
   return out;
 }
 
+constexpr LocalIndex part_size = 512;  ///< particles of whom one column is copied after the other
+
+/// Ids as numbers of eight bytes, to be copied and nothing else.
+Real* as_reals(std::int64_t* ids) { return reinterpret_cast<Real*>(ids); }
+
+constexpr std::size_t lead = 32;  ///< so many movers ahead it is asked for where they are written
+
+/// Ask for place n to be brought near, to be written.
+inline void ask_for(std::int64_t n, ParticleView const& out) {
+  for (int d = 0; d < 3; ++d) fetch<Use::write>(out.position[d] + n, 1), fetch<Use::write>(out.momentum[d] + n, 1);
+  fetch<Use::write>(out.weight + n, 1);
+  fetch<Use::write>(out.id + n, 1);
+  asm volatile("");  // as in `bring_near`
+}
+
+inline void write(Real3 const& position, Real3 const& momentum, Real weight, std::int64_t id, std::int64_t n,
+                  ParticleView const& out) {
+  for (int d = 0; d < 3; ++d) out.position[d][n] = position[d], out.momentum[d][n] = momentum[d];
+  out.weight[n] = weight;
+  out.id[n] = id;
+}
+
+struct Copied {
+  LocalIndex count;
+  bool finite;  ///< or not checked
+};
+
+/// Copy those of the values [first, last) whose bits are set, no more than `part_size` of them, past the cache if `to`
+/// belongs to an array that is `far`. There are `count` values; `first` is a multiple of eight.
+template <bool far>
+Copied copy_chosen(Real const* from, LocalIndex first, LocalIndex last, std::int64_t count, std::uint8_t const* bits,
+                   Real* to, bool check) {
+  alignas(64) Real chosen[part_size + 3 * lane_count];
+  int const phase = int(reinterpret_cast<std::uintptr_t>(to) / sizeof(Real) % lane_count);
+  LocalIndex end = phase;  // so that cache lines of `to` are vectors here
+  Lanes zero{};            // nan as soon as a value is not finite
+  for (LocalIndex n = first; n < last; n += lane_count, ++bits) {
+    bring_near(from + n + part_size);
+    auto const eight = compressed(*bits, load_up_to<Lanes>(from + n, count - n));
+    store(chosen + end, eight);
+    end += __builtin_popcount(*bits);
+    if (check) zero += eight - eight;
+  }
+  to -= phase;
+  for (LocalIndex n = 0; n < end; n += lane_count) {
+    unsigned lanes = all_lanes;
+    if (n < phase) lanes &= all_lanes << phase;
+    if (n + lane_count > end) lanes &= all_lanes >> (n + lane_count - end);
+    store(to, {n, lanes}, load<Lanes>(chosen + n), far);
+  }
+  return {end - phase, bits_of(zero == 0) == all_lanes};
+}
+
 }  // namespace
 
 // ---- homes ----
@@ -40,10 +93,11 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
     : mesh_(mesh),
       particles_(particles),
       stays_(std::size_t(particles.count) / lane_count + 1),
-      movers_(mesh.boxes().size()),
-      leaving_(std::size_t(mesh.hierarchy().level(0).ranks())),
-      order_(particles) {
+      leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
   require_few(particles.count);
+  first_brick_.push_back(0);
+  for (HomeBox const& box : mesh.homes()) first_brick_.push_back(first_brick_.back() + box.bricks());
+  next_.assign(std::size_t(first_brick_.back()), 0);
   next_door_.fill(-1);
   hold();
   announce();
@@ -104,16 +158,17 @@ unsigned Migration::begin_run(LaneGroup const& group, unsigned out) {
   if (__builtin_popcount(out_of_next) >= __builtin_popcount(out)) return out;
   LocalIndex const n = LocalIndex(group.first);
   end_run(n);
-  if (place.slot != run_.slot) next_door_.fill(-1);
+  if (place.slot != run_.at.slot) next_door_.fill(-1);
   at_hand_ = next;
-  run_ = {place.slot, place.brick, n, n, 0};
+  run_ = {place, n, n, 0};
   return out_of_next;
 }
 
 void Migration::end_run(LocalIndex last) {
   run_.last = last;
-  if (run_.slot < 0 || run_.stayed == 0) return;
+  if (run_.stayed == 0) return;
   runs_.push_back(run_);
+  next_[std::size_t(number(run_.at))] += run_.stayed;
   staying_ += run_.stayed;
 }
 
@@ -130,15 +185,16 @@ Migration::Place Migration::find(Real3 const& x) {
 
 /// Where x lies, if that is in the box at hand, or in one that was found around it.
 Migration::Place Migration::known(Real3 const& x) const {
-  if (run_.slot < 0) return {};
-  HomeBox const& box = mesh_.homes()[std::size_t(run_.slot)];
-  if (int const brick = box.find(x); brick >= 0) return {run_.slot, brick};
+  if (run_.at.slot < 0) return {};
+  HomeBox const& box = mesh_.homes()[std::size_t(run_.at.slot)];
+  if (int const brick = box.find(x); brick >= 0) return {run_.at.slot, brick};
   int const next = next_door_[std::size_t(box.direction(x))];
   return next < 0 ? Place{} : Place{next, mesh_.homes()[std::size_t(next)].find(x)};
 }
 
 void Migration::move_to(Place const& place, LocalIndex n) {
-  movers_[std::size_t(place.slot)].push_back({place.brick, n});
+  movers_.push_back({n, number(place)});
+  ++next_[std::size_t(number(place))];
   ++staying_;
 }
 
@@ -160,7 +216,7 @@ void Migration::look_up(LocalIndex n) {
   if (owner == level.rank() && x == before) {
     int const slot = mesh_.slot(latest_.level, latest_.box);
     move_to({slot, latest_.brick}, n);
-    if (run_.slot >= 0) next_door_[std::size_t(mesh_.homes()[std::size_t(run_.slot)].direction(x))] = slot;
+    if (run_.at.slot >= 0) next_door_[std::size_t(mesh_.homes()[std::size_t(run_.at.slot)].direction(x))] = slot;
   } else {
     leaving_[owner].push_back({n, latest_});
   }
@@ -179,10 +235,11 @@ void Migration::announce() {
   sent_.reserve(std::size_t(sent_start_.back()));
   for (auto const& to_rank : leaving_)
     for (auto const& [n, home] : to_rank) {
-      Real3 x = particles_.at(n);
+      Real3 const before = particles_.at(n);
+      Real3 x = before;
       mesh_.locator().wrap(x);
-      sent_.push_back(
-          {x, particles_.momentum_at(n), particles_.weight[n], particles_.id[n], home.level, home.box, home.brick});
+      sent_.push_back({x, particles_.momentum_at(n), particles_.weight[n], particles_.id[n], home.level, home.box,
+                       home.brick, x != before});
     }
 }
 
@@ -209,111 +266,68 @@ void Migration::exchange() {
 
 bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   exchange();
-  for (std::size_t r = 0; r < received_.size(); ++r) {
-    Parcel const& p = received_[r];
-    auto& movers = movers_[std::size_t(mesh_.slot(p.level, p.box))];
-    movers.push_back({p.brick, LocalIndex(particles_.count + std::int64_t(r))});
-  }
   count(starts);
-  auto const by_brick = [](Run const& a, Run const& b) {
-    return std::tie(a.slot, a.brick) < std::tie(b.slot, b.brick);
-  };
-  if (!std::is_sorted(runs_.begin(), runs_.end(), by_brick)) std::stable_sort(runs_.begin(), runs_.end(), by_brick);
   auto const& [x, p] = std::tie(out.position, out.momentum);
   bool const far = are_far(arriving(), x[0], x[1], x[2], p[0], p[1], p[2], out.weight, out.id);
-  Run const* run = runs_.data();
-  for (std::size_t s = 0; s < movers_.size(); ++s) {
-    if (starts[s] == starts[s + 1]) continue;
-    group_movers(s);
-    for (int b = 0; b < mesh_.homes()[s].bricks(); ++b) {
-      for (LocalIndex i = first_mover_[b + 1]; i < first_mover_[b + 2]; ++i) bring_near(particles_.id + mover_[i]);
-      Run const* const first = run;
-      while (run < runs_.data() + runs_.size() && run->slot == int(s) && run->brick == b) ++run;
-      line_up(first, run, mover_.data() + first_mover_[b], first_mover_[b + 1] - first_mover_[b]);
-      finite_ = order_.write_most(out, far) && finite_;
-    }
-    movers_[s] = {};
+  std::size_t const rank = std::size_t(mesh_.hierarchy().level(0).rank());
+  unpack(0, received_start_[rank], false, out);
+  for (Run const& run : runs_) {
+    copy_movers(run.first, out);
+    far ? copy_stayers<true>(run, out) : copy_stayers<false>(run, out);
   }
-  finite_ = order_.write_rest(out, far) && finite_;
-  for (auto const& [n, place] : arrived_) {
-    Parcel const& parcel = received_[std::size_t(place)];
-    for (int d = 0; d < 3; ++d) out.position[d][n] = parcel.position[d], out.momentum[d][n] = parcel.momentum[d];
-    out.weight[n] = parcel.weight;
-    out.id[n] = parcel.id;
-  }
+  copy_movers(LocalIndex(particles_.count), out);
+  unpack(received_start_[rank], received_start_.back(), false, out);
+  unpack(0, received_start_.back(), true, out);
   stream_end();
   return finite_;
 }
 
-/// Let starts[s] be where slot s starts.
-void Migration::count(std::int64_t* starts) const {
-  starts[0] = 0;
-  for (std::size_t s = 0; s < movers_.size(); ++s) starts[s + 1] = std::int64_t(movers_[s].size());
-  for (Run const& run : runs_) starts[run.slot + 1] += run.stayed;
-  std::partial_sum(starts, starts + movers_.size() + 1, starts);
+/// Let starts[s] be where slot s starts, and `next_` tell where each brick does.
+void Migration::count(std::int64_t* starts) {
+  for (Parcel const& p : received_) ++next_[std::size_t(number({mesh_.slot(p.level, p.box), p.brick}))];
+  std::exclusive_scan(next_.begin(), next_.end(), next_.begin(), std::int64_t(0));
+  for (std::size_t s = 0; s < mesh_.boxes().size(); ++s) starts[s] = next_[std::size_t(first_brick_[s])];
+  starts[mesh_.boxes().size()] = arriving();
 }
 
-/// Let mover first_mover_[b] be the first one that comes into brick b of a slot's box.
-void Migration::group_movers(std::size_t slot) {
-  auto const& movers = movers_[slot];
-  first_mover_.assign(std::size_t(mesh_.homes()[slot].bricks()) + 2, 0);
-  for (Mover const& mover : movers) ++first_mover_[std::size_t(mover.brick) + 2];
-  std::partial_sum(first_mover_.begin(), first_mover_.end(), first_mover_.begin());
-  mover_.resize(movers.size());
-  for (Mover const& mover : movers) mover_[std::size_t(first_mover_[std::size_t(mover.brick) + 1]++)] = mover.place;
+/// Copy those of a run who stayed, part by part so that who left is still near when copied after each.
+template <bool far>
+void Migration::copy_stayers(Run const& run, ParticleView const& out) {
+  std::int64_t& next = next_[std::size_t(number(run.at))];
+  for (LocalIndex first = run.first; first < run.last; first += part_size) {
+    LocalIndex const last = std::min(run.last, first + part_size);
+    std::uint8_t const* const stays = stays_.data() + first / lane_count;
+    auto const copy = [&](Real const* from, Real* to, bool check = false) {
+      return copy_chosen<far>(from, first, last, particles_.count, stays, to + next, check);
+    };
+    for (int d = 0; d < 3; ++d) copy(particles_.position[d], out.position[d]);
+    for (int d = 0; d < 3; ++d) finite_ = copy(particles_.momentum[d], out.momentum[d], true).finite && finite_;
+    copy(particles_.weight, out.weight);
+    next += copy(as_reals(particles_.id), as_reals(out.id)).count;
+    copy_movers(last, out);
+  }
 }
 
-std::int64_t Migration::id_at(LocalIndex place) const {
-  std::int64_t const beyond = place - particles_.count;
-  return beyond < 0 ? particles_.id[place] : received_[std::size_t(beyond)].id;
+/// Copy the movers from places before `last`.
+void Migration::copy_movers(LocalIndex last, ParticleView const& out) {
+  for (; copied_ < movers_.size() && movers_[copied_].place < last; ++copied_) {
+    Mover const& mover = movers_[copied_];
+    ask_for(next_[std::size_t(movers_[std::min(copied_ + lead, movers_.size() - 1)].brick)], out);
+    Real3 const p = particles_.momentum_at(mover.place);
+    finite_ = finite_ && is_finite(p);
+    write(particles_.at(mover.place), p, particles_.weight[mover.place], particles_.id[mover.place],
+          next_[std::size_t(mover.brick)]++, out);
+  }
 }
 
-/// Call f(n, bits) for each eight particles from place n on of runs [first, last), with the bits of those who stayed.
-template <class F>
-void Migration::for_each_group(Run const* first, Run const* last, F&& f) const {
-  for (Run const* run = first; run < last; ++run)
-    for (LocalIndex n = run->first; n < run->last; n += lane_count) f(n, stays_[std::size_t(n / lane_count)]);
-}
-
-/// Let the particles of one brick be written next, in order of their ids: those who stayed in it in runs [first, last),
-/// mostly one that is in order, and the movers, who are put in order here.
-void Migration::line_up(Run const* first, Run const* last, LocalIndex* movers, LocalIndex count) {
-  LocalIndex stayed = 0;
-  for (Run const* run = first; run < last; ++run) stayed += run->stayed;
-  if (stayed_id_.size() < std::size_t(stayed + lane_count)) stayed_id_.resize(2 * std::size_t(stayed + lane_count));
-  LocalIndex known = 0;
-  for_each_group(first, last, [&](LocalIndex n, unsigned stays) {
-    bring_near(particles_.id + n + page<Real>);
-    auto const ids = load_up_to<WideLanes>(particles_.id + n, particles_.count - n);
-    known += compress(stays, ids, stayed_id_.data() + known);
-  });
-  if (!are_in_order(stayed_id_.data(), stayed)) return line_up_all(first, last, movers, count);
-
-  came_id_.resize(std::size_t(count));
-  for (LocalIndex i = 0; i < count; ++i) came_id_[std::size_t(i)] = id_at(movers[i]);
-  sort_by_id({came_id_.data(), movers}, count);
-  for_each_group(first, last, [&](LocalIndex n, unsigned stays) { order_.keep(n, stays); });
-  for (LocalIndex i = 0; i < count; ++i)
-    insert(movers[i], order_.known() + i + count_smaller(stayed_id_.data(), stayed, came_id_[std::size_t(i)]));
-  order_.close(stayed + count);
-}
-
-/// The same where those who stayed are in no order: all are movers.
-void Migration::line_up_all(Run const* first, Run const* last, LocalIndex const* movers, LocalIndex count) {
-  std::vector<LocalIndex> all(movers, movers + count);
-  for_each_group(first, last,
-                 [&](LocalIndex n, unsigned stays) { for_each_bit(stays, [&](int i) { all.push_back(n + i); }); });
-  came_id_.clear();
-  for (LocalIndex place : all) came_id_.push_back(id_at(place));
-  sort_by_id({came_id_.data(), all.data()}, LocalIndex(all.size()));
-  for (std::size_t i = 0; i < all.size(); ++i) insert(all[i], order_.known() + std::int64_t(i));
-  order_.close(LocalIndex(all.size()));
-}
-
-/// Let the particle at a place, of the old arrays or among those received, be written as the nth one.
-void Migration::insert(LocalIndex place, std::int64_t n) {
-  order_.insert(place, n);
-  if (place >= particles_.count) arrived_.emplace_back(n, place - LocalIndex(particles_.count));
+/// Write those of the received particles [first, last) that were wrapped, or those that were not.
+void Migration::unpack(std::int64_t first, std::int64_t last, bool wrapped, ParticleView const& out) {
+  for (std::int64_t n = first; n < last; ++n) {
+    Parcel const& parcel = received_[std::size_t(n)];
+    if (parcel.wrapped != wrapped) continue;
+    int const brick = number({mesh_.slot(parcel.level, parcel.box), parcel.brick});
+    write(parcel.position, parcel.momentum, parcel.weight, parcel.id, next_[std::size_t(brick)]++, out);
+  }
 }
 
 std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, ParticleView const& particles) {

@@ -5,11 +5,9 @@
 #include <vector>
 
 #include "particle/home_box.hpp"
-#include "particle/id_sort.hpp"
 #include "particle/lanes.hpp"
 #include "particle/memory.hpp"
 #include "particle/particle_mesh.hpp"
-#include "particle/rearrange.hpp"
 #include "particle/view.hpp"
 
 namespace amrpic {
@@ -17,8 +15,9 @@ namespace amrpic {
 /// Particles on their way to the ranks that own their boxes, and to their places there.
 ///
 /// Particles that were sorted before they moved mostly lie in the brick of their neighbour in memory. So one pass holds
-/// eight at a time against the brick at hand; only those that left it are looked up. What stays in a brick remains in
-/// the order of ids; what comes in is sorted and merged in between, and each particle is copied once.
+/// eight at a time against the brick at hand, and only those that left it are looked up. Then it is known how many live
+/// in each brick, and a second pass copies each particle once: what stays in a brick by vectors, the others one by one.
+/// That is a counting sort, so the particles of a brick keep the order in which they came.
 class Migration {
  public:
   /// Find the home of each particle, wrapped along periodic axes, and tell the ranks how many will come. Collective.
@@ -28,9 +27,10 @@ class Migration {
   std::vector<std::int64_t> const& lost() const { return lost_; }              ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + received_start_.back(); }  ///< how many live here afterwards
 
-  /// Send; then write this rank's particles into `out`, which has room for `arriving()`, sorted by slot, brick and id,
-  /// and where each slot starts into `starts` (slots + 1 values). One message per pair of ranks that has any. False if
-  /// a position or momentum of those that were on this rank is not finite; then `out` means nothing. Collective.
+  /// Send; then write this rank's particles into `out`, which has room for `arriving()`, sorted by slot and brick,
+  /// those of a brick by the rank and the place where they were, what was wrapped behind the others; and where each
+  /// slot starts into `starts` (slots + 1 values). One message per pair of ranks that has any. False if a position or
+  /// momentum of those that were on this rank is not finite; then `out` means nothing. Collective.
   bool finish(ParticleView const& out, std::int64_t* starts);
 
  private:
@@ -40,6 +40,7 @@ class Migration {
     Real weight;
     std::int64_t id;
     int level, box, brick;
+    bool wrapped;
   };
   struct Leaving {
     LocalIndex place;
@@ -51,13 +52,12 @@ class Migration {
   };
   /// Particles [first, last), consecutive in memory, that were held against one brick; `first` is a multiple of eight.
   struct Run {
-    int slot, brick;
+    Place at;
     LocalIndex first, last, stayed;
   };
-  /// A particle that comes into a brick: its place in the old arrays, or beyond them among those received.
+  /// A particle that comes into a brick of this rank, from a place on it.
   struct Mover {
-    int brick;
-    LocalIndex place;
+    LocalIndex place, brick;
   };
 
   void hold();
@@ -72,18 +72,18 @@ class Migration {
   void look_up(LocalIndex n);
   void announce();
   void exchange();
-  void count(std::int64_t* starts) const;
-  void group_movers(std::size_t slot);
-  template <class F>
-  void for_each_group(Run const* first, Run const* last, F&& f) const;
-  void line_up(Run const* first, Run const* last, LocalIndex* movers, LocalIndex count);
-  void line_up_all(Run const* first, Run const* last, LocalIndex const* movers, LocalIndex count);
-  void insert(LocalIndex place, std::int64_t n);
-  std::int64_t id_at(LocalIndex place) const;
+  void count(std::int64_t* starts);
+  template <bool far>
+  void copy_stayers(Run const& run, ParticleView const& out);
+  void copy_movers(LocalIndex last, ParticleView const& out);
+  void unpack(std::int64_t first, std::int64_t last, bool wrapped, ParticleView const& out);
+  LocalIndex number(Place const& at) const { return first_brick_[std::size_t(at.slot)] + at.brick; }
 
   ParticleMesh& mesh_;
   ParticleView particles_;
-  Run run_{-1, -1, 0, 0, 0};       ///< of the brick at hand; slot -1: none is
+  std::vector<LocalIndex>
+      first_brick_;                ///< of each slot: its number among all bricks of this rank, and how many there are
+  Run run_{{}, 0, 0, 0};           ///< of the brick at hand
   HomeBrick at_hand_{};            ///< that brick; at first one that holds nothing
   std::array<int, 27> next_door_;  ///< slots found around its box, by direction; -1: none yet
   /// Who left the brick at hand: looked after a few dozen at a time, so that the processor need not guess after each
@@ -94,18 +94,15 @@ class Migration {
   bool finite_ = true;
   std::vector<std::int64_t> lost_;
   std::int64_t staying_ = 0;
-  std::vector<Run> runs_;
-  Scratch<std::uint8_t> stays_;             ///< for each eight particles, a bit for each that stayed in its run's brick
-  std::vector<std::vector<Mover>> movers_;  ///< by slot
+  std::vector<Run> runs_;        ///< in order of their places
+  Scratch<std::uint8_t> stays_;  ///< for each eight particles, a bit for each that stayed in its run's brick
+  std::vector<Mover> movers_;    ///< in order of their places
   std::vector<std::vector<Leaving>> leaving_;  ///< by rank; this one too, for those that were wrapped
   std::vector<Parcel> sent_, received_;        ///< by rank
   std::vector<std::int64_t> sent_start_, received_start_;
-
-  // Of the box that is being written: where the movers into each brick start, and their places.
-  std::vector<LocalIndex> first_mover_, mover_;
-  std::vector<std::int64_t> stayed_id_, came_id_;  ///< of the brick that is being lined up
-  Rearrangement order_;
-  std::vector<std::pair<std::int64_t, LocalIndex>> arrived_;  ///< where which of the received ones are written
+  std::vector<std::int64_t>
+      next_;  ///< where the next particle of each brick is written; how many there are, until all are known
+  std::size_t copied_ = 0;  ///< movers
 };
 
 /// Number of particles of this rank in each box of each level, over all boxes of the level.

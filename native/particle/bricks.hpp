@@ -18,6 +18,7 @@ class Bricks {
     for (int d = 0; d < 3; ++d) count_[d] = (box.extent(d) + brick_shape[d] - 1) / brick_shape[d];
   }
   int count() const { return count_[0] * count_[1] * count_[2]; }
+  int count(int axis) const { return count_[std::size_t(axis)]; }
   int number(Index3 const& cell) const {
     Index3 at;
     for (int d = 0; d < 3; ++d) at[d] = (cell[d] - box_.lower[d]) / brick_shape[d];

@@ -56,6 +56,21 @@ class HomeBox {
     return refined_.empty() || !refined_[std::size_t(out)] ? out : -1;
   }
 
+  /// The same of eight points at a time.
+  IndexLanes find(std::array<Lanes, 3> const& x) const {
+    WideLanes in = WideLanes{} - 1;
+    Lanes number{};
+    for (int d = 2; d >= 0; --d) {
+      Lanes const s = coordinates_.along(d, x[d]);
+      in &= (s >= lower_[d]) & (s < upper_[d]);
+      number = number * Real(bricks_.count(d)) + round_down((s - lower_[d]) / Real(brick_shape[d]));  // exact
+    }
+    auto out = convert<IndexLanes>(in ? number : Lanes{} - 1);
+    for (int i = 0; i < lane_count && !refined_.empty(); ++i)
+      if (out[i] >= 0 && refined_[std::size_t(out[i])]) out[i] = -1;
+    return out;
+  }
+
   /// Where a point lies as seen from the box: 0 to 26, x fastest; below, in or above its range along each axis.
   int direction(Real3 const& x) const {
     Real3 const s = coordinates_(x);

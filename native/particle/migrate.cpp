@@ -34,25 +34,16 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
 
 constexpr LocalIndex part_size = 512;  ///< particles of whom one column is copied after the other
 
-/// Ids as numbers of eight bytes, to be copied and nothing else.
-Real* as_reals(std::int64_t* ids) { return reinterpret_cast<Real*>(ids); }
+constexpr int batch = 32;  ///< movers of whom one column is copied after the other
 
-constexpr std::size_t lead = 32;  ///< so many movers ahead it is asked for where they are written
-
-/// Ask for place n to be brought near, to be written.
-inline void ask_for(std::int64_t n, ParticleView const& out) {
-  for (int d = 0; d < 3; ++d) fetch<Use::write>(out.position[d] + n, 1), fetch<Use::write>(out.momentum[d] + n, 1);
-  fetch<Use::write>(out.weight + n, 1);
-  fetch<Use::write>(out.id + n, 1);
+/// Ask for place n of all columns to be brought near.
+template <Use use>
+inline void ask_for(std::int64_t n, std::array<Real*, 8> const& columns) {
+  for (Real* column : columns) fetch<use>(column + n, 1);
   asm volatile("");  // as in `bring_near`
 }
 
-inline void write(Real3 const& position, Real3 const& momentum, Real weight, std::int64_t id, std::int64_t n,
-                  ParticleView const& out) {
-  for (int d = 0; d < 3; ++d) out.position[d][n] = position[d], out.momentum[d][n] = momentum[d];
-  out.weight[n] = weight;
-  out.id[n] = id;
-}
+bool is_momentum(std::size_t column) { return column >= 3 && column < 6; }
 
 struct Copied {
   LocalIndex count;
@@ -136,13 +127,22 @@ inline unsigned Migration::outside(HomeBrick const& brick, LaneGroup const& grou
   return ~bits_of(brick.holds(x)) & group.lanes;
 }
 
-/// Find where those live who left the brick at hand.
+/// Find where those live who left the brick at hand: mostly in its box, else mostly in one that was found around it.
 void Migration::look_after() {
-  for (int i = 0; i < left_count_; ++i)
-    if (Place const place = known(particles_.at(left_[i])); place.brick >= 0)
-      move_to(place, left_[i]);
-    else
-      look_up(left_[i]);
+  auto const& at = particles_.position;
+  for (int first = 0; first < left_count_; first += lane_count) {
+    LocalIndex const* const n = left_ + first;
+    IndexLanes brick = IndexLanes{} - 1;
+    if (run_.at.slot >= 0)
+      brick = mesh_.homes()[std::size_t(run_.at.slot)].find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
+    for (int i = 0; i < std::min(lane_count, left_count_ - first); ++i)
+      if (brick[i] >= 0)
+        move_to({run_.at.slot, brick[i]}, n[i]);
+      else if (Place const place = next_door(particles_.at(n[i])); place.brick >= 0)
+        move_to(place, n[i]);
+      else
+        look_up(n[i]);
+  }
   left_count_ = 0;
 }
 
@@ -150,7 +150,9 @@ void Migration::look_after() {
 /// which `out` lie. Return who lies outside the brick that is at hand now.
 unsigned Migration::begin_run(LaneGroup const& group, unsigned out) {
   Real3 const x = particles_.at(group.first + group.last());
-  Place place = known(x);
+  Place place;
+  if (run_.at.slot >= 0) place = {run_.at.slot, mesh_.homes()[std::size_t(run_.at.slot)].find(x)};
+  if (place.brick < 0) place = next_door(x);
   if (place.brick < 0) place = find(x);
   if (place.brick < 0) return out;
   HomeBrick const next = mesh_.homes()[std::size_t(place.slot)].brick(place.brick);
@@ -183,12 +185,10 @@ Migration::Place Migration::find(Real3 const& x) {
   return {slot, mesh_.homes()[std::size_t(slot)].find(x)};
 }
 
-/// Where x lies, if that is in the box at hand, or in one that was found around it.
-Migration::Place Migration::known(Real3 const& x) const {
+/// Where x lies, if that is in a box that was found around the one at hand.
+Migration::Place Migration::next_door(Real3 const& x) const {
   if (run_.at.slot < 0) return {};
-  HomeBox const& box = mesh_.homes()[std::size_t(run_.at.slot)];
-  if (int const brick = box.find(x); brick >= 0) return {run_.at.slot, brick};
-  int const next = next_door_[std::size_t(box.direction(x))];
+  int const next = next_door_[std::size_t(mesh_.homes()[std::size_t(run_.at.slot)].direction(x))];
   return next < 0 ? Place{} : Place{next, mesh_.homes()[std::size_t(next)].find(x)};
 }
 
@@ -201,12 +201,13 @@ void Migration::move_to(Place const& place, LocalIndex n) {
 /// Find the home of a particle wherever it lies.
 void Migration::look_up(LocalIndex n) {
   Real3 const before = particles_.at(n);
-  if (!is_finite(before) || !is_finite(particles_.momentum_at(n))) {
+  Real3 x = before;
+  if (!is_finite(before)) {
     finite_ = false;
     return;
   }
-  Real3 x = before;
   if (!mesh_.locator().wrap(x)) {
+    finite_ = finite_ && is_finite(particles_.momentum_at(n));
     lost_.push_back(n);
     return;
   }
@@ -234,12 +235,15 @@ void Migration::announce() {
   require_few(particles_.count + received_start_.back());
   sent_.reserve(std::size_t(sent_start_.back()));
   for (auto const& to_rank : leaving_)
-    for (auto const& [n, home] : to_rank) {
-      Real3 const before = particles_.at(n);
+    for (std::size_t i = 0; i < to_rank.size(); ++i) {
+      ask_for<Use::read>(to_rank[std::min(i + batch, to_rank.size() - 1)].place, particles_.columns());
+      auto const& [n, home] = to_rank[i];
+      Real3 const before = particles_.at(n), momentum = particles_.momentum_at(n);
       Real3 x = before;
       mesh_.locator().wrap(x);
-      sent_.push_back({x, particles_.momentum_at(n), particles_.weight[n], particles_.id[n], home.level, home.box,
-                       home.brick, x != before});
+      finite_ = finite_ && is_finite(momentum);
+      sent_.push_back(
+          {x, momentum, particles_.weight[n], particles_.id[n], home.level, home.box, home.brick, x != before});
     }
 }
 
@@ -293,30 +297,40 @@ void Migration::count(std::int64_t* starts) {
 /// Copy those of a run who stayed, part by part so that who left is still near when copied after each.
 template <bool far>
 void Migration::copy_stayers(Run const& run, ParticleView const& out) {
+  auto const from = particles_.columns(), to = out.columns();
   std::int64_t& next = next_[std::size_t(number(run.at))];
   for (LocalIndex first = run.first; first < run.last; first += part_size) {
     LocalIndex const last = std::min(run.last, first + part_size);
     std::uint8_t const* const stays = stays_.data() + first / lane_count;
-    auto const copy = [&](Real const* from, Real* to, bool check = false) {
-      return copy_chosen<far>(from, first, last, particles_.count, stays, to + next, check);
-    };
-    for (int d = 0; d < 3; ++d) copy(particles_.position[d], out.position[d]);
-    for (int d = 0; d < 3; ++d) finite_ = copy(particles_.momentum[d], out.momentum[d], true).finite && finite_;
-    copy(particles_.weight, out.weight);
-    next += copy(as_reals(particles_.id), as_reals(out.id)).count;
+    LocalIndex count = 0;
+    for (std::size_t c = 0; c < from.size(); ++c) {
+      auto const copied = copy_chosen<far>(from[c], first, last, particles_.count, stays, to[c] + next, is_momentum(c));
+      finite_ = finite_ && copied.finite;
+      count = copied.count;
+    }
+    next += count;
     copy_movers(last, out);
   }
 }
 
 /// Copy the movers from places before `last`.
 void Migration::copy_movers(LocalIndex last, ParticleView const& out) {
-  for (; copied_ < movers_.size() && movers_[copied_].place < last; ++copied_) {
-    Mover const& mover = movers_[copied_];
-    ask_for(next_[std::size_t(movers_[std::min(copied_ + lead, movers_.size() - 1)].brick)], out);
-    Real3 const p = particles_.momentum_at(mover.place);
-    finite_ = finite_ && is_finite(p);
-    write(particles_.at(mover.place), p, particles_.weight[mover.place], particles_.id[mover.place],
-          next_[std::size_t(mover.brick)]++, out);
+  auto const from = particles_.columns(), to = out.columns();
+  while (copied_ < movers_.size() && movers_[copied_].place < last) {
+    Mover const* const mover = movers_.data() + copied_;
+    std::int64_t place[batch];
+    int count = 0;
+    for (; count < batch && copied_ < movers_.size() && mover[count].place < last; ++count, ++copied_) {
+      place[count] = next_[std::size_t(mover[count].brick)]++;
+      ask_for<Use::write>(next_[std::size_t(movers_[std::min(copied_ + batch, movers_.size() - 1)].brick)], to);
+    }
+    Real zero = 0;  // nan as soon as a momentum is not finite
+    for (std::size_t c = 0; c < from.size(); ++c)
+      for (int i = 0; i < count; ++i) {
+        Real const value = to[c][place[i]] = from[c][mover[i].place];
+        if (is_momentum(c)) zero += value - value;
+      }
+    finite_ = finite_ && zero == 0;
   }
 }
 
@@ -325,8 +339,10 @@ void Migration::unpack(std::int64_t first, std::int64_t last, bool wrapped, Part
   for (std::int64_t n = first; n < last; ++n) {
     Parcel const& parcel = received_[std::size_t(n)];
     if (parcel.wrapped != wrapped) continue;
-    int const brick = number({mesh_.slot(parcel.level, parcel.box), parcel.brick});
-    write(parcel.position, parcel.momentum, parcel.weight, parcel.id, next_[std::size_t(brick)]++, out);
+    std::int64_t const to = next_[std::size_t(number({mesh_.slot(parcel.level, parcel.box), parcel.brick}))]++;
+    for (int d = 0; d < 3; ++d) out.position[d][to] = parcel.position[d], out.momentum[d][to] = parcel.momentum[d];
+    out.weight[to] = parcel.weight;
+    out.id[to] = parcel.id;
   }
 }
 

@@ -66,7 +66,7 @@ class Migration {
   unsigned outside(HomeBrick const& brick, LaneGroup const& group) const;
   unsigned begin_run(LaneGroup const& group, unsigned out);
   void end_run(LocalIndex last);
-  Place known(Real3 const& x) const;
+  Place next_door(Real3 const& x) const;
   Place find(Real3 const& x);
   void move_to(Place const& place, LocalIndex n);
   void look_up(LocalIndex n);
@@ -88,7 +88,7 @@ class Migration {
   std::array<int, 27> next_door_;  ///< slots found around its box, by direction; -1: none yet
   /// Who left the brick at hand: looked after a few dozen at a time, so that the processor need not guess after each
   /// eight who that is.
-  LocalIndex left_[block_size];
+  LocalIndex left_[block_size] = {};
   int left_count_ = 0;
   Home latest_;  ///< of the particle that was looked up last
   bool finite_ = true;

@@ -16,6 +16,12 @@ struct ParticleView {
   Real* weight;                   ///< real particles per macroparticle
   std::int64_t* id;
 
+  /// All of them, ids as numbers of eight bytes: to be copied and nothing else. Momenta are columns 3 to 5.
+  std::array<Real*, 8> columns() const {
+    return {position[0], position[1], position[2], momentum[0],
+            momentum[1], momentum[2], weight,      reinterpret_cast<Real*>(id)};
+  }
+
   Real3 at(std::int64_t i) const { return {position[0][i], position[1][i], position[2][i]}; }
   Real3 momentum_at(std::int64_t i) const { return {momentum[0][i], momentum[1][i], momentum[2][i]}; }
 };

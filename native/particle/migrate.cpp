@@ -34,7 +34,7 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
 
 constexpr LocalIndex part_size = 512;  ///< particles of whom one column is copied after the other
 
-constexpr int batch = 32;  ///< movers of whom one column is copied after the other
+constexpr int batch = 64;  ///< movers of whom one column is copied after the other
 
 /// Ask for place n of all columns to be brought near.
 template <Use use>
@@ -137,9 +137,9 @@ void Migration::look_after() {
       brick = mesh_.homes()[std::size_t(run_.at.slot)].find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
     for (int i = 0; i < std::min(lane_count, left_count_ - first); ++i)
       if (brick[i] >= 0)
-        move_to({run_.at.slot, brick[i]}, n[i]);
+        move_to({run_.at.slot, brick[i]}, n[i], movers_);
       else if (Place const place = next_door(particles_.at(n[i])); place.brick >= 0)
-        move_to(place, n[i]);
+        move_to(place, n[i], movers_);
       else
         look_up(n[i]);
   }
@@ -192,8 +192,8 @@ Migration::Place Migration::next_door(Real3 const& x) const {
   return next < 0 ? Place{} : Place{next, mesh_.homes()[std::size_t(next)].find(x)};
 }
 
-void Migration::move_to(Place const& place, LocalIndex n) {
-  movers_.push_back({n, number(place)});
+void Migration::move_to(Place const& place, LocalIndex n, Movers& movers) {
+  movers.all.push_back({n, number(place)});
   ++next_[std::size_t(number(place))];
   ++staying_;
 }
@@ -214,10 +214,11 @@ void Migration::look_up(LocalIndex n) {
   latest_ = mesh_.locator().find(x, latest_);
   Level const& level = mesh_.hierarchy().level(latest_.level);
   int const owner = level.owner(latest_.box);
-  if (owner == level.rank() && x == before) {
+  if (owner == level.rank()) {
     int const slot = mesh_.slot(latest_.level, latest_.box);
-    move_to({slot, latest_.brick}, n);
-    if (run_.at.slot >= 0) next_door_[std::size_t(mesh_.homes()[std::size_t(run_.at.slot)].direction(x))] = slot;
+    move_to({slot, latest_.brick}, n, x == before ? movers_ : wrapped_);
+    if (run_.at.slot >= 0 && x == before)
+      next_door_[std::size_t(mesh_.homes()[std::size_t(run_.at.slot)].direction(x))] = slot;
   } else {
     leaving_[owner].push_back({n, latest_});
   }
@@ -274,14 +275,19 @@ bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   auto const& [x, p] = std::tie(out.position, out.momentum);
   bool const far = are_far(arriving(), x[0], x[1], x[2], p[0], p[1], p[2], out.weight, out.id);
   std::size_t const rank = std::size_t(mesh_.hierarchy().level(0).rank());
-  unpack(0, received_start_[rank], false, out);
+  LocalIndex const all = LocalIndex(particles_.count);
+  std::int64_t const lower = received_start_[rank], higher = received_start_.back();
+  unpack(0, lower, false, out);
   for (Run const& run : runs_) {
-    copy_movers(run.first, out);
+    copy_movers(movers_, run.first, out);
     far ? copy_stayers<true>(run, out) : copy_stayers<false>(run, out);
   }
-  copy_movers(LocalIndex(particles_.count), out);
-  unpack(received_start_[rank], received_start_.back(), false, out);
-  unpack(0, received_start_.back(), true, out);
+  copy_movers(movers_, all, out);
+  unpack(lower, higher, false, out);
+
+  unpack(0, lower, true, out);
+  copy_movers(wrapped_, all, out);
+  unpack(lower, higher, true, out);
   stream_end();
   return finite_;
 }
@@ -309,20 +315,23 @@ void Migration::copy_stayers(Run const& run, ParticleView const& out) {
       count = copied.count;
     }
     next += count;
-    copy_movers(last, out);
+    copy_movers(movers_, last, out);
   }
 }
 
-/// Copy the movers from places before `last`.
-void Migration::copy_movers(LocalIndex last, ParticleView const& out) {
+/// Copy those from places before `last`.
+void Migration::copy_movers(Movers& movers, LocalIndex last, ParticleView const& out) {
   auto const from = particles_.columns(), to = out.columns();
-  while (copied_ < movers_.size() && movers_[copied_].place < last) {
-    Mover const* const mover = movers_.data() + copied_;
+  auto const& all = movers.all;
+  while (movers.copied < all.size() && all[movers.copied].place < last) {
+    Mover const* const mover = all.data() + movers.copied;
     std::int64_t place[batch];
     int count = 0;
-    for (; count < batch && copied_ < movers_.size() && mover[count].place < last; ++count, ++copied_) {
+    for (; count < batch && movers.copied < all.size() && mover[count].place < last; ++count, ++movers.copied) {
+      Mover const& ahead = all[std::min(movers.copied + batch, all.size() - 1)];
+      ask_for<Use::write>(next_[std::size_t(ahead.brick)], to);
+      if (movers.wrapped) ask_for<Use::read>(ahead.place, from);  // others were just passed by
       place[count] = next_[std::size_t(mover[count].brick)]++;
-      ask_for<Use::write>(next_[std::size_t(movers_[std::min(copied_ + batch, movers_.size() - 1)].brick)], to);
     }
     Real zero = 0;  // nan as soon as a momentum is not finite
     for (std::size_t c = 0; c < from.size(); ++c)
@@ -331,6 +340,11 @@ void Migration::copy_movers(LocalIndex last, ParticleView const& out) {
         if (is_momentum(c)) zero += value - value;
       }
     finite_ = finite_ && zero == 0;
+    for (int i = 0; i < count && movers.wrapped; ++i) {
+      Real3 x = particles_.at(mover[i].place);
+      mesh_.locator().wrap(x);
+      for (int d = 0; d < 3; ++d) out.position[d][place[i]] = x[d];
+    }
   }
 }
 

@@ -59,6 +59,12 @@ class Migration {
   struct Mover {
     LocalIndex place, brick;
   };
+  /// Those in order of their places.
+  struct Movers {
+    bool wrapped;  ///< they came through a periodic face, and are yet where they were before it
+    std::vector<Mover> all{};
+    std::size_t copied = 0;
+  };
 
   void hold();
   void hold(LaneGroup const& group);
@@ -68,14 +74,14 @@ class Migration {
   void end_run(LocalIndex last);
   Place next_door(Real3 const& x) const;
   Place find(Real3 const& x);
-  void move_to(Place const& place, LocalIndex n);
+  void move_to(Place const& place, LocalIndex n, Movers& movers);
   void look_up(LocalIndex n);
   void announce();
   void exchange();
   void count(std::int64_t* starts);
   template <bool far>
   void copy_stayers(Run const& run, ParticleView const& out);
-  void copy_movers(LocalIndex last, ParticleView const& out);
+  void copy_movers(Movers& movers, LocalIndex last, ParticleView const& out);
   void unpack(std::int64_t first, std::int64_t last, bool wrapped, ParticleView const& out);
   LocalIndex number(Place const& at) const { return first_brick_[std::size_t(at.slot)] + at.brick; }
 
@@ -96,13 +102,12 @@ class Migration {
   std::int64_t staying_ = 0;
   std::vector<Run> runs_;        ///< in order of their places
   Scratch<std::uint8_t> stays_;  ///< for each eight particles, a bit for each that stayed in its run's brick
-  std::vector<Mover> movers_;    ///< in order of their places
-  std::vector<std::vector<Leaving>> leaving_;  ///< by rank; this one too, for those that were wrapped
+  Movers movers_{false}, wrapped_{true};
+  std::vector<std::vector<Leaving>> leaving_;  ///< by rank
   std::vector<Parcel> sent_, received_;        ///< by rank
   std::vector<std::int64_t> sent_start_, received_start_;
   std::vector<std::int64_t>
       next_;  ///< where the next particle of each brick is written; how many there are, until all are known
-  std::size_t copied_ = 0;  ///< movers
 };
 
 /// Number of particles of this rank in each box of each level, over all boxes of the level.

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from .boxes import Array, cells_of, outer_faces
-from .bunches import Train
+from .bunches import LatticeBunch, Train
 from .scene import Leapfrog, Scene
 
 MIB = 2**20
@@ -24,7 +24,7 @@ ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a 
 IDLE = 0.25  # of the fields, dropped and kept for the next ones
 NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
 LAPLACIAN = ROW + NEIGHBOURS * ENTRY
-PARTICLE = 8 * NUMBER  # position, momentum, weight, id
+PARTICLE = 7 * NUMBER  # position, momentum, id
 
 # The matrix-free backend: a correction and a right-hand side in single precision, with rows padded to whole vectors, the
 # ghosts around boxes, and the coarser values around each box, those of an eighth of the cells and of those beside them; on
@@ -171,11 +171,19 @@ def _fields(scene: Scene) -> int:
 
 def _particle(scene: Scene) -> int:
     """Bytes per particle in the arrays that live at the same time."""
+    each = PARTICLE + (0 if _equal_weights(scene) else NUMBER)
     if scene.schedule.last_step > 0 and isinstance(scene.motion, Leapfrog):
         # before and after a step; where they are next, before and after, and the momenta that the kick replaces
-        return 2 * PARTICLE + 5 * 3 * NUMBER
-    # at the start: bunches, all of them together, sorted, and the memory that sorting keeps for the next time
-    return 5 * PARTICLE
+        return 2 * each + 5 * 3 * NUMBER
+    # at the start: bunches, all of them together, sorted, and the memory that this leaves to the next arrays
+    return 5 * each
+
+
+def _equal_weights(scene: Scene) -> bool:
+    """Whether all particles are known to stand for equally many real ones, which takes no memory."""
+    made = [bunch for bunch in scene.bunches if isinstance(bunch, Train | LatticeBunch) and bunch.number > 0]
+    weights = {bunch.bunch_charge / (bunch.number * bunch.species.charge) for bunch in made}
+    return len(made) == len(scene.bunches) and len(weights) <= 1
 
 
 def base_boxes(scene: Scene) -> list[Array]:

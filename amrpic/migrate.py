@@ -15,13 +15,15 @@ from .particles import Particles, Sorting, particle_mesh
 def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Particles]:
     """Return this rank's particles, and those that it lost because they lie outside the domain. Collective.
 
-    Each particle goes to the rank that owns the finest box around it, and is sorted there by level, box and brick of 8³ cells.
-    Those of a brick keep their order: by the rank and the place where they were, and behind them those that came through a
-    periodic face. Periodic axes are wrapped first. Lost particles stay as they are, on the rank that held them. Raises
+    Positions are wrapped along periodic axes. Each particle goes to the rank that owns the finest box around it, and is sorted
+    there by level, box and brick of 8³ cells. Those of a brick keep their order: by the rank and the place where they were, and
+    behind them those that came through a periodic face. Lost particles stay as they are, on the rank that held them. Raises
     ParticleError on all ranks if a position or momentum is not finite.
     """
-    plan = _native.Migration(particle_mesh(hierarchy), *particles.arrays)
-    here = Particles.allocate(plan.arriving, particles.species)
+    weight = particles.one_weight(hierarchy.comm)
+    given = particles if weight is not None else particles.with_own_weights()
+    plan = _native.Migration(particle_mesh(hierarchy), *given.arrays)
+    here = Particles.allocate(plan.arriving, particles.species, weight)
     starts = np.empty(particle_mesh(hierarchy).slots + 1, dtype=np.int64)
     finite = plan.finish(*here.arrays, starts)
     if not hierarchy.comm.allreduce(finite, MPI.LAND):

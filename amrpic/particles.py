@@ -34,7 +34,8 @@ class Sorting:
 class Particles:
     """Macroparticles on this rank; a value that stages take and return.
 
-    Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change.
+    Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change. Equal weights
+    take no memory if they are given as one number that is repeated, `np.broadcast_to(weight, n)`, as bunches give them.
     Raises ParticleError if the arrays do not fit together.
     """
 
@@ -49,7 +50,7 @@ class Particles:
         set_ = object.__setattr__
         set_(self, "position", _columns(self.position, "position"))
         set_(self, "momentum", _columns(self.momentum, "momentum"))
-        set_(self, "weight", np.ascontiguousarray(self.weight, dtype=np.float64))
+        set_(self, "weight", _weights(self.weight))
         set_(self, "id", np.ascontiguousarray(self.id, dtype=np.int64))
         count = len(self.position)
         for name in ("momentum", "weight", "id"):
@@ -57,12 +58,12 @@ class Particles:
                 raise ParticleError(f"particles have {count} positions but {len(getattr(self, name))} values of {name}")
 
     @staticmethod
-    def allocate(count: int, species: SpeciesTable) -> Particles:
-        """Particles whose values are yet to be set."""
+    def allocate(count: int, species: SpeciesTable, weight: float | None = None) -> Particles:
+        """Particles whose values are yet to be set, but for the weight if all have the same."""
         return Particles(
             empty_columns(count),
             empty_columns(count),
-            recycled(count, np.float64),
+            recycled(count, np.float64) if weight is None else np.broadcast_to(weight, count),
             recycled(count, np.int64),
             species,
         )
@@ -115,6 +116,23 @@ class Particles:
             self.sorting if position is None else None,
         )
 
+    def one_weight(self, comm: MPI.Comm) -> float | None:
+        """The weight that all particles on all ranks are known to have, if there is one. Collective."""
+        if len(self) == 0:
+            bounds = np.array([np.inf, np.inf])
+        elif self.weight.strides == (0,):
+            bounds = np.array([self.weight[0], -self.weight[0]])
+        else:
+            bounds = np.array([-np.inf, -np.inf])
+        comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MIN)
+        return float(bounds[0]) if bounds[0] == -bounds[1] else None
+
+    def with_own_weights(self) -> Particles:
+        """The same particles, with memory for the weight of each even if all are equal."""
+        if self.weight.strides != (0,):
+            return self
+        return Particles(self.position, self.momentum, np.array(self.weight), self.id, self.species, self.sorting)
+
     def sorted_on(self, hierarchy: Hierarchy) -> Sorting:
         """How the particles are sorted on a hierarchy; raises ParticleError if they are not."""
         if self.sorting is None or self.sorting.hierarchy is not hierarchy:
@@ -140,10 +158,17 @@ def concatenate(parts: Sequence[Particles]) -> Particles:
             raise ParticleError(
                 f"particles of the species {part.species} cannot join those of {species}; give all one table of species"
             )
-    out = Particles.allocate(sum(map(len, parts)), species)
+    weights = {float(part.weight[0]) if part.weight.strides == (0,) else None for part in parts if len(part) > 0}
+    out = Particles.allocate(sum(map(len, parts)), species, weights.pop() if len(weights) == 1 else None)
     for target, *sources in zip(out.arrays, *(part.arrays for part in parts), strict=True):
-        np.concatenate(sources, out=target)
+        if target.flags.writeable:  # not of weights that are equal
+            np.concatenate(sources, out=target)
     return out
+
+
+def repeated(values: np.ndarray) -> np.ndarray:
+    """The same values, as one that takes no memory if they are equal."""
+    return np.broadcast_to(values[0], values.shape) if len(values) > 0 and (values == values[0]).all() else values
 
 
 def empty_columns(count: int) -> np.ndarray:
@@ -159,6 +184,11 @@ def recycled(count: int, dtype: type) -> np.ndarray:
     A step makes and drops many arrays of the same size, and fresh memory takes longer to get than to fill.
     """
     return _native.recycled(8 * count).view(dtype)
+
+
+def _weights(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    return values if values.strides == (0,) else np.ascontiguousarray(values)
 
 
 def _columns(values: np.ndarray, name: str) -> np.ndarray:

@@ -19,7 +19,7 @@ from .io.provenance import Provenance
 from .io.restart import read, verify
 from .limits import require_room
 from .migrate import migrate
-from .particles import Particles
+from .particles import Particles, repeated
 from .poisson import SolveReport
 from .scene import Scene
 from .species import SpeciesTable
@@ -105,7 +105,7 @@ def _columns(particles: Particles) -> dict[str, np.ndarray]:
 
 def _particles(columns: Mapping[str, np.ndarray], species: SpeciesTable) -> Particles:
     position, momentum, weight, number = (columns[name] for name in COLUMNS)
-    return Particles(position, momentum, weight, number, species)
+    return Particles(position, momentum, repeated(weight), number, species)
 
 
 def _unheeded(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:

@@ -87,7 +87,7 @@ def memory(particles: int, cells: int, box: int) -> Record:
 
 def _sorted_particles(rng: np.random.Generator, count: int, hierarchy: Hierarchy) -> Particles:
     momentum = 1e-24 * rng.normal(size=(3, count)).T
-    made = Particles(rng.random((3, count)).T, momentum, np.ones(count), np.arange(count), ELECTRON)
+    made = Particles(rng.random((3, count)).T, momentum, np.broadcast_to(1.0, count), np.arange(count), ELECTRON)
     return migrate(made, hierarchy)[0]
 
 

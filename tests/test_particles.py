@@ -10,6 +10,7 @@ import amrpic
 import hierarchies
 from amrpic import _native
 from amrpic.clouds import Clouds
+from amrpic.deposit import deposit
 from amrpic.errors import ParticleError
 from amrpic.gather import gather
 from amrpic.migrate import migrate, particles_per_box
@@ -98,12 +99,12 @@ def test_particles_are_sorted_by_box_and_brick_and_else_keep_their_order(comm):
     assert keys == sorted(keys)
 
 
-@pytest.mark.mpi(ranks=(1, 2), timeout=120)
-@pytest.mark.parametrize("cells, count", [(64, 260_000), (24, 20_000), (4, 3000)])
-def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_brick(comm, cells, count):
-    """More than a cache holds, so many in a brick that they are copied in parts, and bricks that are cut off."""
+@pytest.mark.mpi(ranks=(1, 3), timeout=120)
+@pytest.mark.parametrize("cells, box, count", [(64, 32, 260_000), (24, 12, 20_000), (4, 2, 3000), (4, 4, 3000)])
+def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_brick(comm, cells, box, count):
+    """More than a cache holds, so many in a brick that they are copied in parts, bricks that are cut off, and one alone."""
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, "periodic")
-    hierarchy = amrpic.Hierarchy(comm, domain, max_grid_size=cells // 2, blocking_factor=2)
+    hierarchy = amrpic.Hierarchy(comm, domain, max_grid_size=box, blocking_factor=2)
     moved = shuffled(comm, count)
     for step in range(3):
         before, walked = places(comm, moved), everywhere(comm, moved)["position"]
@@ -111,13 +112,13 @@ def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_brick(comm, ce
         everyone = everywhere(comm, particles)
         cell = np.floor(everyone["position"] * cells).astype(int)
         boxes = hierarchy.boxes(0)[list(hierarchy.local_boxes(0))]
-        box, brick = np.full(count, -1), np.zeros_like(cell)
-        for b, (lower, upper) in enumerate(zip(boxes[:, :3], boxes[:, 3:], strict=True)):
+        slot, brick = np.full(count, -1), np.zeros_like(cell)
+        for n, (lower, upper) in enumerate(zip(boxes[:, :3], boxes[:, 3:], strict=True)):
             inside = ((cell >= lower) & (cell <= upper)).all(axis=1)
-            box[inside], brick[inside] = b, (cell[inside] - lower) // BRICK
+            slot[inside], brick[inside] = n, (cell[inside] - lower) // BRICK
         wrapped = ((walked < 0) | (walked >= 1)).any(axis=1)
-        order = np.lexsort((before, wrapped, *brick.T, box))
-        order = order[box[order] >= 0]
+        order = np.lexsort((before, wrapped, *brick.T, slot))
+        order = order[slot[order] >= 0]
         assert np.array_equal(particles.id, everyone["id"][order])
         for name in ("position", "momentum", "weight"):
             assert np.array_equal(getattr(particles, name), everyone[name][order]), name
@@ -131,6 +132,36 @@ def shuffled(comm: MPI.Comm, count: int) -> Particles:
         rng.random((count, 3)), rng.normal(size=(count, 3)), rng.random(count), rng.permutation(count), ONE_KIND
     )
     return all_of_them.select(slice(comm.rank, None, comm.size))
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_equal_weights_take_no_memory_and_others_keep_theirs(comm):
+    hierarchy = periodic_box(comm)
+    many = shuffled(comm, 3000)
+    for case, weight in {
+        "one for all": np.broadcast_to(2.5, len(many)),
+        "one per rank": np.broadcast_to(2.5 + comm.rank, len(many)),
+        "one each": 1.0 + many.id,
+        "the first rank holds all": np.broadcast_to(2.5, 3000),
+        "ranks but the first hold one each": 1.0 + many.id[: None if comm.rank == 0 else 1],
+    }.items():
+        given = many.select(slice(0, len(weight))) if len(weight) <= len(many) else shuffled(MPI.COMM_SELF, 3000)
+        if case == "the first rank holds all" and comm.rank > 0:
+            given, weight = given.select(slice(0, 0)), weight[:0]
+        before = Particles(given.position, given.momentum, weight, given.id, ONE_KIND)
+        after, _ = migrate(before, hierarchy)
+        again, _ = migrate(random_walk(after, 0.02, seed=1, step=0), hierarchy)
+        equal = case in ("one for all", "the first rank holds all") or (case == "one per rank" and comm.size == 1)
+        assert (after.weight.strides == again.weight.strides == (0,)) == equal or len(after) < 2, case
+        for found in (after, again):
+            a, b = everywhere(comm, before), everywhere(comm, found)  # some were lost at walls
+            assert np.array_equal(b["weight"], a["weight"][np.searchsorted(a["id"], b["id"])]), case
+        single = Particles(before.position, before.momentum, np.array(before.weight), before.id, ONE_KIND)
+        rho = [deposit(migrate(p, hierarchy)[0], hierarchy) for p in (before, single)]
+        for level in range(hierarchy.levels):
+            assert np.array_equal(rho[0].array(level), rho[1].array(level)), case
+        joined = concatenate([after, again])
+        assert np.array_equal(joined.weight, np.concatenate([after.weight, again.weight])), case
 
 
 @pytest.mark.mpi(ranks=(1, 2))

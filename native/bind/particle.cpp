@@ -29,11 +29,15 @@ std::array<Real*, 3> columns(Array const& array) {
   return {first, first + array.stride(1), first + 2 * array.stride(1)};
 }
 
+/// One value each, or one for all, which are 0 numbers apart.
+template <class T>
+using Weights = nb::ndarray<T, nb::ndim<1>, nb::device::cpu>;
+
 /// Particles as Python holds them. The kernels that take a view of them do not write where they should not.
-ParticleView view(ConstColumns const& position, ConstColumns const& momentum, Row<Real const> const& weight,
-                  Row<std::int64_t const> const& id) {
-  return {std::int64_t(position.shape(0)), columns(position), columns(momentum), const_cast<Real*>(weight.data()),
-          const_cast<std::int64_t*>(id.data())};
+template <class Vectors, class Ids>
+ParticleView view(Vectors const& position, Vectors const& momentum, Weights<Real const> const& weight, Ids const& id) {
+  return {std::int64_t(position.shape(0)),  columns(position),     columns(momentum),
+          const_cast<Real*>(weight.data()), weight.stride(0) == 0, const_cast<std::int64_t*>(id.data())};
 }
 
 }  // namespace
@@ -56,8 +60,8 @@ void bind_particle(nb::module_& m) {
   nb::class_<Migration>(m, "Migration")
       .def(
           "__init__",
-          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, Row<Real const> weight,
-             Row<std::int64_t const> id) {
+          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum,
+             Weights<Real const> weight, Row<std::int64_t const> id) {
             nb::gil_scoped_release release;
             new (self) Migration(mesh, view(position, momentum, weight, id));
           },
@@ -68,18 +72,17 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro("arriving", &Migration::arriving)
       .def(
           "finish",
-          [](Migration& self, Columns position, Columns momentum, Row<Real> weight, Row<std::int64_t> id,
+          [](Migration& self, Columns position, Columns momentum, Weights<Real const> weight, Row<std::int64_t> id,
              Row<std::int64_t> starts) {
             nb::gil_scoped_release release;
-            return self.finish({self.arriving(), columns(position), columns(momentum), weight.data(), id.data()},
-                               starts.data());
+            return self.finish(view(position, momentum, weight, id), starts.data());
           },
           "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a);
 
   m.def(
       "count_per_box",
       [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum,
-         Row<Real const> weight, Row<std::int64_t const> id) {
+         Weights<Real const> weight, Row<std::int64_t const> id) {
         std::vector<std::vector<std::int64_t>> counts;
         {
           nb::gil_scoped_release release;
@@ -100,7 +103,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "deposit",
       [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum,
-         Row<Real const> weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
+         Weights<Real const> weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
          Field& density) {
         nb::gil_scoped_release release;
         deposit(mesh, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
@@ -111,7 +114,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "gather",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id,
+         ConstColumns position, ConstColumns momentum, Weights<Real const> weight, Row<std::int64_t const> id,
          Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
         gather(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
@@ -122,7 +125,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "push",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, Row<Real const> weight, Row<std::int64_t const> id,
+         ConstColumns position, ConstColumns momentum, Weights<Real const> weight, Row<std::int64_t const> id,
          Row<std::int64_t const> starts, Row<Real const> charge, Row<Real const> time_over_mass, Real before,
          Real after, Columns momentum_now, Columns momentum_out, Columns position_out) {
         nb::gil_scoped_release release;

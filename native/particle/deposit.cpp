@@ -114,14 +114,15 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
   chosen.for_each_block([&](LaneBlock const& block) {
     CloudBlock<width> clouds;
     auto const& at = particles.position;
-    bring_block_near(block.first + 2 * block_size, {at[0], at[1], at[2], particles.weight});
+    bring_block_near(block.first + 2 * block_size, {at[0], at[1], at[2]});
+    if (!particles.equal_weights) bring_block_near(block.first + 2 * block_size, {particles.weight});
     for_each_group(block, [&](LaneGroup const& group) {
       int const i = int(group.first - block.first);
       auto const s = frame.inside(particles, group, all_in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
       store(clouds.parity + i, convert<IndexLanes>(x.first) & 1);
-      Lanes const weight = load(particles.weight, group);
+      Lanes const weight = particles.equal_weights ? *particles.weight + Lanes{} : load(particles.weight, group);
       for (int k = 0; k < width; ++k)
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
       clouds.put_x_shares(i, x.share);

@@ -63,7 +63,8 @@ class HomeBox {
     for (int d = 2; d >= 0; --d) {
       Lanes const s = coordinates_.along(d, x[d]);
       in &= (s >= lower_[d]) & (s < upper_[d]);
-      number = number * Real(bricks_.count(d)) + round_down((s - lower_[d]) / Real(brick_shape[d]));  // exact
+      // `lower_` is a whole number no larger than s, so that the difference is exact, as is an eighth of it.
+      number = number * Real(bricks_.count(d)) + round_down((s - lower_[d]) / Real(brick_shape[d]));
     }
     auto out = convert<IndexLanes>(in ? number : Lanes{} - 1);
     for (int i = 0; i < lane_count && !refined_.empty(); ++i)

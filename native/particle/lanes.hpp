@@ -26,7 +26,6 @@ typedef std::int64_t WideLanes
     __attribute__((vector_size(8 * lane_count)));  ///< also a comparison: all bits set, or none
 typedef std::int32_t IndexLanes __attribute__((vector_size(4 * lane_count)));
 
-constexpr WideLanes lane_number = {0, 1, 2, 3, 4, 5, 6, 7};
 constexpr IndexLanes index_of_lane = {0, 1, 2, 3, 4, 5, 6, 7};
 
 template <class Vector>
@@ -123,9 +122,6 @@ void for_each_bit(Bits bits, F&& f) {
 #ifdef __AVX512VL__
 inline Lanes compressed(unsigned bits, Lanes const& v) {
   return (Lanes)_mm512_maskz_compress_pd(__mmask8(bits), (__m512d)v);
-}
-inline WideLanes compressed(unsigned bits, WideLanes const& v) {
-  return (WideLanes)_mm512_maskz_compress_epi64(__mmask8(bits), (__m512i)v);
 }
 inline IndexLanes compressed(unsigned bits, IndexLanes const& v) {
   return (IndexLanes)_mm256_maskz_compress_epi32(__mmask8(bits), (__m256i)v);

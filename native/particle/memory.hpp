@@ -17,17 +17,14 @@ void give_block(void* block) noexcept;
 /// Bytes that are kept for the next taker.
 std::size_t idle_bytes();
 
-/// Values for the time of one call, not set.
+/// Values that are needed for a while, not set.
 template <class T>
 class Scratch {
  public:
   static_assert(std::is_trivially_copyable_v<T>);
-  Scratch() = default;
-  explicit Scratch(std::size_t count) : values_(static_cast<T*>(take_block(count * sizeof(T)))), count_(count) {}
+  explicit Scratch(std::size_t count) : values_(static_cast<T*>(take_block(count * sizeof(T)))) {}
 
   T* data() const { return values_.get(); }
-  T* begin() const { return values_.get(); }
-  T* end() const { return values_.get() + count_; }
   T& operator[](std::size_t n) const { return values_[n]; }
 
  private:
@@ -35,7 +32,6 @@ class Scratch {
     void operator()(T* block) const { give_block(block); }
   };
   std::unique_ptr<T[], Give> values_;
-  std::size_t count_ = 0;
 };
 
 }  // namespace amrpic

@@ -8,7 +8,6 @@
 #include <limits>
 #include <numeric>
 #include <stdexcept>
-#include <tuple>
 
 #include "base/fetch.hpp"
 
@@ -18,10 +17,18 @@ namespace {
 
 constexpr int tag_particles = 7201;
 
+/// Particles in a row of whom one column is copied after the other: what is read of them stays in the first-level cache
+/// for those who left.
+constexpr LocalIndex part_size = 512;
+/// Movers of whom one column is copied after the other, and so many ahead it is asked for where they go.
+constexpr int batch = 64;
+
 bool is_finite(Real3 const& v) { return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]); }
 
-void require_few(std::int64_t particles) {
-  if (particles > std::numeric_limits<LocalIndex>::max() - block_size)
+/// Throw std::length_error on all ranks if one of them has too many particles for a LocalIndex. Collective.
+void require_few(std::int64_t particles, MPI_Comm comm) {
+  MPI_Allreduce(MPI_IN_PLACE, &particles, 1, MPI_INT64_T, MPI_MAX, comm);
+  if (particles > std::numeric_limits<LocalIndex>::max() - part_size)
     throw std::length_error("more than 2^31 particles on one rank; use more ranks");
 }
 
@@ -31,19 +38,6 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
   std::partial_sum(counts.begin(), counts.end(), out.begin() + 1);
   return out;
 }
-
-constexpr LocalIndex part_size = 512;  ///< particles of whom one column is copied after the other
-
-constexpr int batch = 64;  ///< movers of whom one column is copied after the other
-
-/// Ask for place n of all columns to be brought near.
-template <Use use>
-inline void ask_for(std::int64_t n, std::array<Real*, 8> const& columns) {
-  for (Real* column : columns) fetch<use>(column + n, 1);
-  asm volatile("");  // as in `bring_near`
-}
-
-bool is_momentum(std::size_t column) { return column >= 3 && column < 6; }
 
 struct Copied {
   LocalIndex count;
@@ -85,7 +79,10 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
       particles_(particles),
       stays_(std::size_t(particles.count) / lane_count + 1),
       leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
-  require_few(particles.count);
+  require_few(particles.count, mesh.hierarchy().comm());
+  for (int d = 0; d < 3; ++d) columns_.push_back({particles.position[d], nullptr, false});
+  for (int d = 0; d < 3; ++d) columns_.push_back({particles.momentum[d], nullptr, true});
+  columns_.push_back({reinterpret_cast<Real const*>(particles.id), nullptr, false});
   first_brick_.push_back(0);
   for (HomeBox const& box : mesh.homes()) first_brick_.push_back(first_brick_.back() + box.bricks());
   next_.assign(std::size_t(first_brick_.back()), 0);
@@ -102,7 +99,7 @@ void Migration::hold() {
     hold({n, all_lanes});
   }
   if (whole < count) hold({whole, all_lanes >> (lane_count - (count - whole))});
-  look_after();
+  find_leavers();
   end_run(count);
 }
 
@@ -110,14 +107,14 @@ void Migration::hold() {
 inline void Migration::hold(LaneGroup const& group) {
   unsigned out = outside(at_hand_, group);
   if (2 * __builtin_popcount(out) > __builtin_popcount(group.lanes)) {
-    look_after();
+    find_leavers();
     out = begin_run(group, out);
   }
   LocalIndex const n = LocalIndex(group.first);
   stays_[std::size_t(n / lane_count)] = std::uint8_t(group.lanes & ~out);
   run_.stayed += __builtin_popcount(group.lanes & ~out);
   left_count_ += compress(out, n + index_of_lane, left_ + left_count_);
-  if (left_count_ > block_size - lane_count) look_after();
+  if (left_count_ > block_size - lane_count) find_leavers();
 }
 
 /// A bit for each particle of a group that lies outside a brick.
@@ -128,18 +125,17 @@ inline unsigned Migration::outside(HomeBrick const& brick, LaneGroup const& grou
 }
 
 /// Find where those live who left the brick at hand: mostly in its box, else mostly in one that was found around it.
-void Migration::look_after() {
+void Migration::find_leavers() {
   auto const& at = particles_.position;
   for (int first = 0; first < left_count_; first += lane_count) {
     LocalIndex const* const n = left_ + first;
     IndexLanes brick = IndexLanes{} - 1;
-    if (run_.at.slot >= 0)
-      brick = mesh_.homes()[std::size_t(run_.at.slot)].find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
+    if (run_.at.slot >= 0) brick = box_at_hand().find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
     for (int i = 0; i < std::min(lane_count, left_count_ - first); ++i)
       if (brick[i] >= 0)
         move_to({run_.at.slot, brick[i]}, n[i], movers_);
-      else if (Place const place = next_door(particles_.at(n[i])); place.brick >= 0)
-        move_to(place, n[i], movers_);
+      else if (LocalBrick const at = next_door(particles_.at(n[i])); at.brick >= 0)
+        move_to(at, n[i], movers_);
       else
         look_up(n[i]);
   }
@@ -150,19 +146,19 @@ void Migration::look_after() {
 /// which `out` lie. Return who lies outside the brick that is at hand now.
 unsigned Migration::begin_run(LaneGroup const& group, unsigned out) {
   Real3 const x = particles_.at(group.first + group.last());
-  Place place;
-  if (run_.at.slot >= 0) place = {run_.at.slot, mesh_.homes()[std::size_t(run_.at.slot)].find(x)};
-  if (place.brick < 0) place = next_door(x);
-  if (place.brick < 0) place = find(x);
-  if (place.brick < 0) return out;
-  HomeBrick const next = mesh_.homes()[std::size_t(place.slot)].brick(place.brick);
+  LocalBrick at;
+  if (run_.at.slot >= 0) at = {run_.at.slot, box_at_hand().find(x)};
+  if (at.brick < 0) at = next_door(x);
+  if (at.brick < 0) at = find(x);
+  if (at.brick < 0) return out;
+  HomeBrick const next = mesh_.homes()[std::size_t(at.slot)].brick(at.brick);
   unsigned const out_of_next = outside(next, group);
   if (__builtin_popcount(out_of_next) >= __builtin_popcount(out)) return out;
   LocalIndex const n = LocalIndex(group.first);
   end_run(n);
-  if (place.slot != run_.at.slot) next_door_.fill(-1);
+  if (at.slot != run_.at.slot) next_door_.fill(-1);
   at_hand_ = next;
-  run_ = {place, n, n, 0};
+  run_ = {at, n, n, 0};
   return out_of_next;
 }
 
@@ -175,7 +171,7 @@ void Migration::end_run(LocalIndex last) {
 }
 
 /// Where x lies, if that is in one of this rank's bricks, and no finer box may hold it.
-Migration::Place Migration::find(Real3 const& x) {
+Migration::LocalBrick Migration::find(Real3 const& x) {
   Real3 wrapped = x;
   if (!is_finite(x) || !mesh_.locator().wrap(wrapped) || wrapped != x) return {};
   Home const home = mesh_.locator().find(x, latest_);
@@ -186,16 +182,24 @@ Migration::Place Migration::find(Real3 const& x) {
 }
 
 /// Where x lies, if that is in a box that was found around the one at hand.
-Migration::Place Migration::next_door(Real3 const& x) const {
+Migration::LocalBrick Migration::next_door(Real3 const& x) const {
   if (run_.at.slot < 0) return {};
-  int const next = next_door_[std::size_t(mesh_.homes()[std::size_t(run_.at.slot)].direction(x))];
-  return next < 0 ? Place{} : Place{next, mesh_.homes()[std::size_t(next)].find(x)};
+  int const next = next_door_[std::size_t(box_at_hand().direction(x))];
+  return next < 0 ? LocalBrick{} : LocalBrick{next, mesh_.homes()[std::size_t(next)].find(x)};
 }
 
-void Migration::move_to(Place const& place, LocalIndex n, Movers& movers) {
-  movers.all.push_back({n, number(place)});
-  ++next_[std::size_t(number(place))];
+void Migration::move_to(LocalBrick const& at, LocalIndex n, Movers& movers) {
+  movers.all.push_back({n, number(at)});
+  ++next_[std::size_t(number(at))];
   ++staying_;
+}
+
+/// Ask for place n of all columns to be brought near.
+template <Use use>
+inline void Migration::ask_for(std::int64_t n) const {
+  for (Column const& column : columns_)
+    use == Use::read ? fetch<Use::read>(column.from + n, 1) : fetch<Use::write>(column.to + n, 1);
+  asm volatile("");  // as in `bring_near`
 }
 
 /// Find the home of a particle wherever it lies.
@@ -217,8 +221,7 @@ void Migration::look_up(LocalIndex n) {
   if (owner == level.rank()) {
     int const slot = mesh_.slot(latest_.level, latest_.box);
     move_to({slot, latest_.brick}, n, x == before ? movers_ : wrapped_);
-    if (run_.at.slot >= 0 && x == before)
-      next_door_[std::size_t(mesh_.homes()[std::size_t(run_.at.slot)].direction(x))] = slot;
+    if (run_.at.slot >= 0 && x == before) next_door_[std::size_t(box_at_hand().direction(x))] = slot;
   } else {
     leaving_[owner].push_back({n, latest_});
   }
@@ -233,18 +236,18 @@ void Migration::announce() {
   MPI_Alltoall(leaving.data(), 1, MPI_INT64_T, coming.data(), 1, MPI_INT64_T, mesh_.hierarchy().comm());
   sent_start_ = starts_of(leaving);
   received_start_ = starts_of(coming);
-  require_few(particles_.count + received_start_.back());
+  require_few(arriving(), mesh_.hierarchy().comm());
   sent_.reserve(std::size_t(sent_start_.back()));
   for (auto const& to_rank : leaving_)
     for (std::size_t i = 0; i < to_rank.size(); ++i) {
-      ask_for<Use::read>(to_rank[std::min(i + batch, to_rank.size() - 1)].place, particles_.columns());
+      ask_for<Use::read>(to_rank[std::min(i + batch, to_rank.size() - 1)].place);
       auto const& [n, home] = to_rank[i];
       Real3 const before = particles_.at(n), momentum = particles_.momentum_at(n);
       Real3 x = before;
       mesh_.locator().wrap(x);
       finite_ = finite_ && is_finite(momentum);
       sent_.push_back(
-          {x, momentum, particles_.weight[n], particles_.id[n], home.level, home.box, home.brick, x != before});
+          {x, momentum, particles_.weight_of(n), particles_.id[n], home.level, home.box, home.brick, x != before});
     }
 }
 
@@ -271,29 +274,41 @@ void Migration::exchange() {
 
 bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   exchange();
-  count(starts);
-  auto const& [x, p] = std::tie(out.position, out.momentum);
-  bool const far = are_far(arriving(), x[0], x[1], x[2], p[0], p[1], p[2], out.weight, out.id);
+  assign_places(starts);
+  set_targets(out);
+  bool const far =
+      std::all_of(columns_.begin(), columns_.end(), [&](auto const& c) { return are_far(arriving(), c.to); });
   std::size_t const rank = std::size_t(mesh_.hierarchy().level(0).rank());
   LocalIndex const all = LocalIndex(particles_.count);
-  std::int64_t const lower = received_start_[rank], higher = received_start_.back();
+  std::int64_t const lower = received_start_[rank], end = received_start_.back();
   unpack(0, lower, false, out);
   for (Run const& run : runs_) {
-    copy_movers(movers_, run.first, out);
-    far ? copy_stayers<true>(run, out) : copy_stayers<false>(run, out);
+    copy_movers(movers_, run.first);
+    if (far)
+      copy_stayers<true>(run);
+    else
+      copy_stayers<false>(run);
   }
-  copy_movers(movers_, all, out);
-  unpack(lower, higher, false, out);
+  copy_movers(movers_, all);
+  unpack(lower, end, false, out);
 
   unpack(0, lower, true, out);
-  copy_movers(wrapped_, all, out);
-  unpack(lower, higher, true, out);
+  copy_movers(wrapped_, all);
+  unpack(lower, end, true, out);
   stream_end();
   return finite_;
 }
 
+/// Let columns be copied to their places in `out`.
+void Migration::set_targets(ParticleView const& out) {
+  for (std::size_t d = 0; d < 3; ++d) columns_[d].to = out.position[d], columns_[3 + d].to = out.momentum[d];
+  columns_[6].to = reinterpret_cast<Real*>(out.id);
+  columns_.resize(7);
+  if (!out.equal_weights) columns_.push_back({particles_.weight, out.weight, false});
+}
+
 /// Let starts[s] be where slot s starts, and `next_` tell where each brick does.
-void Migration::count(std::int64_t* starts) {
+void Migration::assign_places(std::int64_t* starts) {
   for (Parcel const& p : received_) ++next_[std::size_t(number({mesh_.slot(p.level, p.box), p.brick}))];
   std::exclusive_scan(next_.begin(), next_.end(), next_.begin(), std::int64_t(0));
   for (std::size_t s = 0; s < mesh_.boxes().size(); ++s) starts[s] = next_[std::size_t(first_brick_[s])];
@@ -302,49 +317,48 @@ void Migration::count(std::int64_t* starts) {
 
 /// Copy those of a run who stayed, part by part so that who left is still near when copied after each.
 template <bool far>
-void Migration::copy_stayers(Run const& run, ParticleView const& out) {
-  auto const from = particles_.columns(), to = out.columns();
+void Migration::copy_stayers(Run const& run) {
   std::int64_t& next = next_[std::size_t(number(run.at))];
   for (LocalIndex first = run.first; first < run.last; first += part_size) {
     LocalIndex const last = std::min(run.last, first + part_size);
     std::uint8_t const* const stays = stays_.data() + first / lane_count;
     LocalIndex count = 0;
-    for (std::size_t c = 0; c < from.size(); ++c) {
-      auto const copied = copy_chosen<far>(from[c], first, last, particles_.count, stays, to[c] + next, is_momentum(c));
+    for (Column const& c : columns_) {
+      auto const copied = copy_chosen<far>(c.from, first, last, particles_.count, stays, c.to + next, c.is_momentum);
       finite_ = finite_ && copied.finite;
       count = copied.count;
     }
     next += count;
-    copy_movers(movers_, last, out);
+    copy_movers(movers_, last);
   }
 }
 
-/// Copy those from places before `last`.
-void Migration::copy_movers(Movers& movers, LocalIndex last, ParticleView const& out) {
-  auto const from = particles_.columns(), to = out.columns();
+/// Copy those of the movers whose places are before `last`.
+void Migration::copy_movers(Movers& movers, LocalIndex last) {
   auto const& all = movers.all;
   while (movers.copied < all.size() && all[movers.copied].place < last) {
     Mover const* const mover = all.data() + movers.copied;
-    std::int64_t place[batch];
+    std::int64_t to[batch];
     int count = 0;
     for (; count < batch && movers.copied < all.size() && mover[count].place < last; ++count, ++movers.copied) {
       Mover const& ahead = all[std::min(movers.copied + batch, all.size() - 1)];
-      ask_for<Use::write>(next_[std::size_t(ahead.brick)], to);
-      if (movers.wrapped) ask_for<Use::read>(ahead.place, from);  // others were just passed by
-      place[count] = next_[std::size_t(mover[count].brick)]++;
+      ask_for<Use::write>(next_[std::size_t(ahead.brick)]);
+      if (movers.wrapped) ask_for<Use::read>(ahead.place);  // others were just passed by
+      to[count] = next_[std::size_t(mover[count].brick)]++;
     }
     Real zero = 0;  // nan as soon as a momentum is not finite
-    for (std::size_t c = 0; c < from.size(); ++c)
+    for (Column const& c : columns_)
       for (int i = 0; i < count; ++i) {
-        Real const value = to[c][place[i]] = from[c][mover[i].place];
-        if (is_momentum(c)) zero += value - value;
+        Real const value = c.to[to[i]] = c.from[mover[i].place];
+        if (c.is_momentum) zero += value - value;
       }
     finite_ = finite_ && zero == 0;
-    for (int i = 0; i < count && movers.wrapped; ++i) {
-      Real3 x = particles_.at(mover[i].place);
-      mesh_.locator().wrap(x);
-      for (int d = 0; d < 3; ++d) out.position[d][place[i]] = x[d];
-    }
+    if (movers.wrapped)
+      for (int i = 0; i < count; ++i) {
+        Real3 x = particles_.at(mover[i].place);
+        mesh_.locator().wrap(x);
+        for (std::size_t d = 0; d < 3; ++d) columns_[d].to[to[i]] = x[d];
+      }
   }
 }
 
@@ -355,7 +369,7 @@ void Migration::unpack(std::int64_t first, std::int64_t last, bool wrapped, Part
     if (parcel.wrapped != wrapped) continue;
     std::int64_t const to = next_[std::size_t(number({mesh_.slot(parcel.level, parcel.box), parcel.brick}))]++;
     for (int d = 0; d < 3; ++d) out.position[d][to] = parcel.position[d], out.momentum[d][to] = parcel.momentum[d];
-    out.weight[to] = parcel.weight;
+    if (!out.equal_weights) out.weight[to] = parcel.weight;
     out.id[to] = parcel.id;
   }
 }

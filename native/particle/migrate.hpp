@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include "base/fetch.hpp"
 #include "particle/home_box.hpp"
 #include "particle/lanes.hpp"
 #include "particle/memory.hpp"
@@ -21,7 +22,7 @@ namespace amrpic {
 class Migration {
  public:
   /// Find the home of each particle, wrapped along periodic axes, and tell the ranks how many will come. Collective.
-  /// The particles must live until `finish`. Throws std::length_error if a rank gets more than 2^31 of them.
+  /// The particles must live until `finish`. Throws std::length_error on all ranks if one gets more than 2^31 of them.
   Migration(ParticleMesh& mesh, ParticleView const& particles);
 
   std::vector<std::int64_t> const& lost() const { return lost_; }              ///< places of those outside the domain
@@ -30,7 +31,8 @@ class Migration {
   /// Send; then write this rank's particles into `out`, which has room for `arriving()`, sorted by slot and brick,
   /// those of a brick by the rank and the place where they were, what was wrapped behind the others; and where each
   /// slot starts into `starts` (slots + 1 values). One message per pair of ranks that has any. False if a position or
-  /// momentum of those that were on this rank is not finite; then `out` means nothing. Collective.
+  /// momentum of those that were on this rank is not finite; then `out` means nothing. Equal weights are not written;
+  /// if those of `out` are not equal, those of more than one particle here must not be. Collective.
   bool finish(ParticleView const& out, std::int64_t* starts);
 
  private:
@@ -47,46 +49,60 @@ class Migration {
     Home home;
   };
   /// A brick of this rank; none if negative.
-  struct Place {
+  struct LocalBrick {
     int slot = -1, brick = -1;
   };
   /// Particles [first, last), consecutive in memory, that were held against one brick; `first` is a multiple of eight.
   struct Run {
-    Place at;
+    LocalBrick at;
     LocalIndex first, last, stayed;
   };
-  /// A particle that comes into a brick of this rank, from a place on it.
+  /// A particle that goes from a place on this rank to a brick of this rank, which is numbered among all of them.
   struct Mover {
     LocalIndex place, brick;
   };
-  /// Those in order of their places.
+  /// Movers in order of their places. Those that came through a periodic face are kept apart: they may come back into
+  /// the very brick whose stayers, before and behind them, are copied at once; so they follow all others.
   struct Movers {
-    bool wrapped;  ///< they came through a periodic face, and are yet where they were before it
+    bool wrapped;
     std::vector<Mover> all{};
     std::size_t copied = 0;
   };
 
+  /// Values that are copied from place to place, one for each particle. Ids are held for numbers, of which only the
+  /// bytes count.
+  struct Column {
+    Real const* from;
+    Real* to;
+    bool is_momentum;
+  };
+
   void hold();
   void hold(LaneGroup const& group);
-  void look_after();
+  void find_leavers();
+  HomeBox const& box_at_hand() const { return mesh_.homes()[std::size_t(run_.at.slot)]; }
   unsigned outside(HomeBrick const& brick, LaneGroup const& group) const;
   unsigned begin_run(LaneGroup const& group, unsigned out);
   void end_run(LocalIndex last);
-  Place next_door(Real3 const& x) const;
-  Place find(Real3 const& x);
-  void move_to(Place const& place, LocalIndex n, Movers& movers);
+  LocalBrick next_door(Real3 const& x) const;
+  LocalBrick find(Real3 const& x);
+  void move_to(LocalBrick const& at, LocalIndex n, Movers& movers);
   void look_up(LocalIndex n);
   void announce();
   void exchange();
-  void count(std::int64_t* starts);
+  void assign_places(std::int64_t* starts);
+  void set_targets(ParticleView const& out);
+  template <Use use>
+  void ask_for(std::int64_t n) const;
   template <bool far>
-  void copy_stayers(Run const& run, ParticleView const& out);
-  void copy_movers(Movers& movers, LocalIndex last, ParticleView const& out);
+  void copy_stayers(Run const& run);
+  void copy_movers(Movers& movers, LocalIndex last);
   void unpack(std::int64_t first, std::int64_t last, bool wrapped, ParticleView const& out);
-  LocalIndex number(Place const& at) const { return first_brick_[std::size_t(at.slot)] + at.brick; }
+  LocalIndex number(LocalBrick const& at) const { return first_brick_[std::size_t(at.slot)] + at.brick; }
 
   ParticleMesh& mesh_;
   ParticleView particles_;
+  std::vector<Column> columns_;  ///< position, momentum, id, and weight if `finish` asks for it
   std::vector<LocalIndex>
       first_brick_;                ///< of each slot: its number among all bricks of this rank, and how many there are
   Run run_{{}, 0, 0, 0};           ///< of the brick at hand

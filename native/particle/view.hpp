@@ -14,13 +14,10 @@ struct ParticleView {
   std::array<Real*, 3> position;  ///< m
   std::array<Real*, 3> momentum;  ///< kg m/s, of one real particle
   Real* weight;                   ///< real particles per macroparticle
+  bool equal_weights;             ///< one value for all, else one for each
   std::int64_t* id;
 
-  /// All of them, ids as numbers of eight bytes: to be copied and nothing else. Momenta are columns 3 to 5.
-  std::array<Real*, 8> columns() const {
-    return {position[0], position[1], position[2], momentum[0],
-            momentum[1], momentum[2], weight,      reinterpret_cast<Real*>(id)};
-  }
+  Real weight_of(std::int64_t i) const { return weight[equal_weights ? 0 : i]; }
 
   Real3 at(std::int64_t i) const { return {position[0][i], position[1][i], position[2][i]}; }
   Real3 momentum_at(std::int64_t i) const { return {momentum[0][i], momentum[1][i], momentum[2][i]}; }

@@ -282,11 +282,12 @@ previous potential, with fluxes matched between the levels; ImpactX (`impactx-no
 
 {particles}
 
-These too wait for memory where there are few particles per cell. A deposit reads 32 bytes of each particle, and moves 16 of
-each cell; with boxes of 32³, what clouds leave in the cells around boxes moves 14 more. Gather and push read 48 and write 72
-bytes of each particle, a third of that for the momenta at the time of the field, and read 24 of each cell, with boxes of 32³
-half as much again, since cells beside their faces across x come by whole cache lines. A migration reads 88 and writes 64
-bytes. So 1e6 particles on 128³ cells move at least 95, 195 and 152 bytes each, 1e7 38, 128 and 152.
+These too wait for memory where there are few particles per cell. A deposit reads 24 bytes of each particle, since equal
+weights take no memory, and moves 16 of each cell; with boxes of 32³, what clouds leave in the cells around boxes moves 14
+more. Gather and push read 48 and write 72 bytes of each particle, a third of that for the momenta at the time of the field,
+and read 24 of each cell, with boxes of 32³ half as much again, since cells beside their faces across x come by whole cache
+lines. A migration reads 80 and writes 56 bytes. So 1e6 particles on 128³ cells move at least 87, 195 and 136 bytes each, 1e7
+30, 128 and 136.
 
 Particles are sorted by bricks of 8³ cells. What the particles of a brick touch of a tile stays in the first-level cache,
 whatever their order, and few leave a brick in a step: 6 % at 0.3 cell widths. So a migration holds eight particles at a time

@@ -80,9 +80,6 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
       stays_(std::size_t(particles.count) / lane_count + 1),
       leaving_(std::size_t(mesh.hierarchy().level(0).ranks())) {
   require_few(particles.count, mesh.hierarchy().comm());
-  for (int d = 0; d < 3; ++d) columns_.push_back({particles.position[d], nullptr, false});
-  for (int d = 0; d < 3; ++d) columns_.push_back({particles.momentum[d], nullptr, true});
-  columns_.push_back({reinterpret_cast<Real const*>(particles.id), nullptr, false});
   first_brick_.push_back(0);
   for (HomeBox const& box : mesh.homes()) first_brick_.push_back(first_brick_.back() + box.bricks());
   next_.assign(std::size_t(first_brick_.back()), 0);
@@ -239,9 +236,7 @@ void Migration::announce() {
   require_few(arriving(), mesh_.hierarchy().comm());
   sent_.reserve(std::size_t(sent_start_.back()));
   for (auto const& to_rank : leaving_)
-    for (std::size_t i = 0; i < to_rank.size(); ++i) {
-      ask_for<Use::read>(to_rank[std::min(i + batch, to_rank.size() - 1)].place);
-      auto const& [n, home] = to_rank[i];
+    for (auto const& [n, home] : to_rank) {
       Real3 const before = particles_.at(n), momentum = particles_.momentum_at(n);
       Real3 x = before;
       mesh_.locator().wrap(x);
@@ -275,7 +270,7 @@ void Migration::exchange() {
 bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   exchange();
   assign_places(starts);
-  set_targets(out);
+  pair_columns(out);
   bool const far =
       std::all_of(columns_.begin(), columns_.end(), [&](auto const& c) { return are_far(arriving(), c.to); });
   std::size_t const rank = std::size_t(mesh_.hierarchy().level(0).rank());
@@ -299,11 +294,11 @@ bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   return finite_;
 }
 
-/// Let columns be copied to their places in `out`.
-void Migration::set_targets(ParticleView const& out) {
-  for (std::size_t d = 0; d < 3; ++d) columns_[d].to = out.position[d], columns_[3 + d].to = out.momentum[d];
-  columns_[6].to = reinterpret_cast<Real*>(out.id);
-  columns_.resize(7);
+/// Let columns be copied to those of `out`, of which positions come first.
+void Migration::pair_columns(ParticleView const& out) {
+  for (int d = 0; d < 3; ++d) columns_.push_back({particles_.position[d], out.position[d], false});
+  for (int d = 0; d < 3; ++d) columns_.push_back({particles_.momentum[d], out.momentum[d], true});
+  columns_.push_back({reinterpret_cast<Real const*>(particles_.id), reinterpret_cast<Real*>(out.id), false});
   if (!out.equal_weights) columns_.push_back({particles_.weight, out.weight, false});
 }
 

@@ -91,7 +91,7 @@ class Migration {
   void announce();
   void exchange();
   void assign_places(std::int64_t* starts);
-  void set_targets(ParticleView const& out);
+  void pair_columns(ParticleView const& out);
   template <Use use>
   void ask_for(std::int64_t n) const;
   template <bool far>
@@ -102,7 +102,7 @@ class Migration {
 
   ParticleMesh& mesh_;
   ParticleView particles_;
-  std::vector<Column> columns_;  ///< position, momentum, id, and weight if `finish` asks for it
+  std::vector<Column> columns_;  ///< position, momentum, id, and weight if it is not equal; none before `finish`
   std::vector<LocalIndex>
       first_brick_;                ///< of each slot: its number among all bricks of this rank, and how many there are
   Run run_{{}, 0, 0, 0};           ///< of the brick at hand

@@ -39,7 +39,7 @@ def sampled(
     """
     numbers = draw(sampling, seed, first_id, *share(comm, count))
     position, momentum = space.place(distribution(numbers))
-    return _joined(comm, count, position, momentum, _equal_weight(bunch_charge, count, species), species, first_id)
+    return _joined(comm, count, position, momentum, species.weight(bunch_charge, count), species, first_id)
 
 
 def lattice(
@@ -66,7 +66,7 @@ def lattice(
         offset = (place + 0.5) / max(per_axis[axis], 1)
         shift = displacement[axis] * np.sin(2 * np.pi * waves[axis] * offset)
         position[axis] = lower[axis] + (upper[axis] - lower[axis]) * offset + shift
-    weight = _equal_weight(bunch_charge, count, species)
+    weight = species.weight(bunch_charge, count)
     return _joined(comm, count, position.T, np.array(momentum, dtype=float), weight, species, first_id)
 
 
@@ -96,12 +96,8 @@ def from_arrays(
     own = slice(*share(comm, count))
     if momenta.ndim == 2:
         momenta = momenta[own]
-    equal = _equal_weight(bunch_charge or 0.0, count, species)
+    equal = species.weight(bunch_charge or 0.0, count)
     return _joined(comm, count, position[own], momenta, equal if weight is None else weight[own], species, first_id)
-
-
-def _equal_weight(bunch_charge: float, count: int, species: Species) -> float:
-    return bunch_charge / (count * species.charge) if count else 0.0
 
 
 def _joined(

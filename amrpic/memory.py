@@ -182,7 +182,7 @@ def _particle(scene: Scene) -> int:
 def _equal_weights(scene: Scene) -> bool:
     """Whether all particles are known to stand for equally many real ones, which takes no memory."""
     made = [bunch for bunch in scene.bunches if isinstance(bunch, Train | LatticeBunch) and bunch.number > 0]
-    weights = {bunch.bunch_charge / (bunch.number * bunch.species.charge) for bunch in made}
+    weights = {bunch.species.weight(bunch.bunch_charge, bunch.number) for bunch in made}
     return len(made) == len(scene.bunches) and len(weights) <= 1
 
 

@@ -116,11 +116,16 @@ class Particles:
             self.sorting if position is None else None,
         )
 
+    @property
+    def equal_weights(self) -> bool:
+        """Whether the weights are one number that is repeated."""
+        return self.weight.strides == (0,)
+
     def one_weight(self, comm: MPI.Comm) -> float | None:
         """The weight that all particles on all ranks are known to have, if there is one. Collective."""
         if len(self) == 0:
             bounds = np.array([np.inf, np.inf])
-        elif self.weight.strides == (0,):
+        elif self.equal_weights:
             bounds = np.array([self.weight[0], -self.weight[0]])
         else:
             bounds = np.array([-np.inf, -np.inf])
@@ -129,7 +134,7 @@ class Particles:
 
     def with_own_weights(self) -> Particles:
         """The same particles, with memory for the weight of each even if all are equal."""
-        if self.weight.strides != (0,):
+        if not self.equal_weights:
             return self
         return Particles(self.position, self.momentum, np.array(self.weight), self.id, self.species, self.sorting)
 
@@ -158,7 +163,7 @@ def concatenate(parts: Sequence[Particles]) -> Particles:
             raise ParticleError(
                 f"particles of the species {part.species} cannot join those of {species}; give all one table of species"
             )
-    weights = {float(part.weight[0]) if part.weight.strides == (0,) else None for part in parts if len(part) > 0}
+    weights = {float(part.weight[0]) if part.equal_weights else None for part in parts if len(part) > 0}
     out = Particles.allocate(sum(map(len, parts)), species, weights.pop() if len(weights) == 1 else None)
     for target, *sources in zip(out.arrays, *(part.arrays for part in parts), strict=True):
         if target.flags.writeable:  # not of weights that are equal

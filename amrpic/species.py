@@ -40,6 +40,10 @@ class Species(Section):
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"anyOf": [{"enum": list(SPECIES)}, handler(schema)]}
 
+    def weight(self, charge: float, count: int) -> float:
+        """Real particles that each of `count` macroparticles stands for if they carry `charge` (C) together."""
+        return charge / (count * self.charge) if count else 0.0
+
 
 @dataclass(frozen=True)
 class SpeciesTable:

@@ -30,12 +30,11 @@ std::array<Real*, 3> columns(Array const& array) {
 }
 
 /// One value each, or one for all, which are 0 numbers apart.
-template <class T>
-using Weights = nb::ndarray<T, nb::ndim<1>, nb::device::cpu>;
+using Weights = nb::ndarray<Real const, nb::ndim<1>, nb::device::cpu>;
 
 /// Particles as Python holds them. The kernels that take a view of them do not write where they should not.
 template <class Vectors, class Ids>
-ParticleView view(Vectors const& position, Vectors const& momentum, Weights<Real const> const& weight, Ids const& id) {
+ParticleView view(Vectors const& position, Vectors const& momentum, Weights const& weight, Ids const& id) {
   return {std::int64_t(position.shape(0)),  columns(position),     columns(momentum),
           const_cast<Real*>(weight.data()), weight.stride(0) == 0, const_cast<std::int64_t*>(id.data())};
 }
@@ -60,8 +59,8 @@ void bind_particle(nb::module_& m) {
   nb::class_<Migration>(m, "Migration")
       .def(
           "__init__",
-          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum,
-             Weights<Real const> weight, Row<std::int64_t const> id) {
+          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, Weights weight,
+             Row<std::int64_t const> id) {
             nb::gil_scoped_release release;
             new (self) Migration(mesh, view(position, momentum, weight, id));
           },
@@ -72,7 +71,7 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro("arriving", &Migration::arriving)
       .def(
           "finish",
-          [](Migration& self, Columns position, Columns momentum, Weights<Real const> weight, Row<std::int64_t> id,
+          [](Migration& self, Columns position, Columns momentum, Weights weight, Row<std::int64_t> id,
              Row<std::int64_t> starts) {
             nb::gil_scoped_release release;
             return self.finish(view(position, momentum, weight, id), starts.data());
@@ -81,8 +80,8 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "count_per_box",
-      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum,
-         Weights<Real const> weight, Row<std::int64_t const> id) {
+      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum, Weights weight,
+         Row<std::int64_t const> id) {
         std::vector<std::vector<std::int64_t>> counts;
         {
           nb::gil_scoped_release release;
@@ -102,9 +101,8 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "deposit",
-      [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum,
-         Weights<Real const> weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
-         Field& density) {
+      [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum, Weights weight,
+         Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge, Field& density) {
         nb::gil_scoped_release release;
         deposit(mesh, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
       },
@@ -114,7 +112,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "gather",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, Weights<Real const> weight, Row<std::int64_t const> id,
+         ConstColumns position, ConstColumns momentum, Weights weight, Row<std::int64_t const> id,
          Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
         gather(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
@@ -125,7 +123,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "push",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, Weights<Real const> weight, Row<std::int64_t const> id,
+         ConstColumns position, ConstColumns momentum, Weights weight, Row<std::int64_t const> id,
          Row<std::int64_t const> starts, Row<Real const> charge, Row<Real const> time_over_mass, Real before,
          Real after, Columns momentum_now, Columns momentum_out, Columns position_out) {
         nb::gil_scoped_release release;

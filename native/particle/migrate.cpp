@@ -194,8 +194,7 @@ void Migration::move_to(LocalBrick const& at, LocalIndex n, Movers& movers) {
 /// Ask for place n of all columns to be brought near.
 template <Use use>
 inline void Migration::ask_for(std::int64_t n) const {
-  for (Column const& column : columns_)
-    use == Use::read ? fetch<Use::read>(column.from + n, 1) : fetch<Use::write>(column.to + n, 1);
+  for (Column const& column : columns_) fetch<use>(use == Use::read ? column.from + n : column.to + n, 1);
   asm volatile("");  // as in `bring_near`
 }
 

@@ -103,8 +103,8 @@ class Migration {
   ParticleMesh& mesh_;
   ParticleView particles_;
   std::vector<Column> columns_;  ///< position, momentum, id, and weight if it is not equal; none before `finish`
-  std::vector<LocalIndex>
-      first_brick_;                ///< of each slot: its number among all bricks of this rank, and how many there are
+  /// Of each slot: the number of its first brick among all of this rank, and how many there are.
+  std::vector<LocalIndex> first_brick_;
   Run run_{{}, 0, 0, 0};           ///< of the brick at hand
   HomeBrick at_hand_{};            ///< that brick; at first one that holds nothing
   std::array<int, 27> next_door_;  ///< slots found around its box, by direction; -1: none yet
@@ -122,8 +122,8 @@ class Migration {
   std::vector<std::vector<Leaving>> leaving_;  ///< by rank
   std::vector<Parcel> sent_, received_;        ///< by rank
   std::vector<std::int64_t> sent_start_, received_start_;
-  std::vector<std::int64_t>
-      next_;  ///< where the next particle of each brick is written; how many there are, until all are known
+  /// Where the next particle of each brick is written; how many there are, until all are known.
+  std::vector<std::int64_t> next_;
 };
 
 /// Number of particles of this rank in each box of each level, over all boxes of the level.

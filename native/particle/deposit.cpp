@@ -23,51 +23,39 @@ struct Cells {
 typedef Real TwoCells __attribute__((vector_size(16)));
 typedef Real FourCells __attribute__((vector_size(32)));
 
-/// What clouds are added to. A processor hands a number that was just written to its next reader only if both take the
-/// same bytes: so clouds that are two cells wide go to one tile if they start at an even cell along x, to the other if
-/// at an odd one. Within each, two clouds touch the same pairs of cells, or pairs that have none in common.
-struct CloudTiles {
-  std::array<Tile<1>, 2> by_parity;
-
-  /// Take the place of another box. Values are zero then if all of the box before were taken out.
-  void reset(Box const& box) {
-    for (Tile<1>& tile : by_parity) tile.reset(box);
-  }
+/// Sums of charge in and around a slab. All are zero before clouds are added, and again after all were taken out.
+struct ChargeTile : Tile<1> {
   /// Take the place of the box that follows along z, after all planes but those that both have were taken out.
   void follow(Box const& next) {
-    for (Tile<1>& tile : by_parity) {
-      Real *const shared = tile.plane(next.lower[2] - tile_reach), *const end =
-                                                                       shared + 2 * tile_reach * tile.stride_z();
-      std::copy(shared, end, tile.values());
-      std::fill(shared, end, Real(0));
-      tile.reset(next);
-    }
+    Real *const shared = plane(next.lower[2] - tile_reach), *const end = shared + 2 * tile_reach * stride_z();
+    std::copy(shared, end, values());
+    std::fill(shared, end, Real(0));
+    reset(next);
   }
-  /// Take the sums of `count` cells along x out of the tiles: call give(n, sums) for eight of them, the first of which
-  /// is the nth one, and for the rest one by one.
+  /// Take the sums of `count` cells along x out: call give(n, sums) for eight of them, the first of which is the nth
+  /// one, and for the rest one by one.
   template <class Give>
   void take(int i, int j, int k, int count, Give&& give) {
-    Real *const even = by_parity[0].row(i, j, k), *const odd = by_parity[1].row(i, j, k);
+    Real* const sums = row(i, j, k);
     int n = 0;
     for (; n + lane_count <= count; n += lane_count) {
-      give(n, load<Lanes>(even + n) + load<Lanes>(odd + n));
-      store(even + n, Lanes{});
-      store(odd + n, Lanes{});
+      give(n, load<Lanes>(sums + n));
+      store(sums + n, Lanes{});
     }
     for (; n < count; ++n) {
-      give(n, even[n] + odd[n]);
-      even[n] = odd[n] = 0;
+      give(n, sums[n]);
+      sums[n] = 0;
     }
   }
 };
 
-/// The clouds of a block of particles: where they start in a tile, which of the two tiles it is, for each row of cells
-/// its charge, and particle by particle the shares of the cells along a row.
+/// The clouds of a block of particles: where they start in a tile, for each row of cells its charge, and particle by
+/// particle the shares of the cells along a row.
 template <int width>
 struct CloudBlock {
   static constexpr int row = width == 3 ? 4 : 2;  ///< cells; nothing is added to the last one of four
   using Row = std::conditional_t<width == 3, FourCells, TwoCells>;
-  alignas(64) LocalIndex corner[block_size], parity[block_size];
+  alignas(64) LocalIndex corner[block_size];
   alignas(64) Real row_share[width * width][block_size];
   alignas(64) Real x_share[block_size * row];
 
@@ -83,15 +71,14 @@ struct CloudBlock {
   }
 };
 
-/// Add the clouds of a block of particles to the tiles.
+/// Add the clouds of a block of particles to the tile.
 template <int width>
-void add(CloudBlock<width> const& clouds, LaneBlock const& block, CloudTiles& tiles) {
+void add(CloudBlock<width> const& clouds, LaneBlock const& block, ChargeTile& tile) {
   using Row = typename CloudBlock<width>::Row;
-  std::ptrdiff_t const stride_y = tiles.by_parity[0].stride_y(), stride_z = tiles.by_parity[0].stride_z();
-  std::ptrdiff_t const first = tiles.by_parity[0].box_corner();
-  Real* const origin[] = {tiles.by_parity[0].values() + first, tiles.by_parity[1].values() + first};
+  std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
+  Real* const origin = tile.values() + tile.box_corner();
   auto const add_one = [&](int i) {
-    Real* const corner = origin[clouds.parity[i]] + clouds.corner[i];
+    Real* const corner = origin + clouds.corner[i];
     Row const shares = load<Row>(clouds.x_share + clouds.row * i);
     for (int k = 0; k < width; ++k)
       for (int j = 0; j < width; ++j) {
@@ -107,9 +94,9 @@ void add(CloudBlock<width> const& clouds, LaneBlock const& block, CloudTiles& ti
 
 /// Add the clouds of particles to a tile, in real particles per cell.
 template <class Shape>
-void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, CloudTiles& tiles) {
+void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, ChargeTile& tile) {
   constexpr int width = Shape::width;
-  Real const stride_y = Real(tiles.by_parity[0].stride_y()), stride_z = Real(tiles.by_parity[0].stride_z());
+  Real const stride_y = Real(tile.stride_y()), stride_z = Real(tile.stride_z());
   WideLanes all_in = WideLanes{} - 1;
   chosen.for_each_block([&](LaneBlock const& block) {
     CloudBlock<width> clouds;
@@ -121,13 +108,12 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
       auto const s = frame.inside(particles, group, all_in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
-      store(clouds.parity + i, convert<IndexLanes>(x.first) & 1);
       Lanes const weight = particles.equal_weights ? *particles.weight + Lanes{} : load(particles.weight, group);
       for (int k = 0; k < width; ++k)
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
       clouds.put_x_shares(i, x.share);
     });
-    add(clouds, block, tiles);
+    add(clouds, block, tile);
   });
   frame.require_inside(all_in, particles, chosen);
 }
@@ -147,13 +133,13 @@ class Taker {
         own_(cells.own + level.local_offset(at.box)),
         shell_(shell) {}
 
-  /// Take planes [first, last] out of the tiles; each plane once.
-  void take(int first, int last, CloudTiles& tiles) const {
+  /// Take planes [first, last] out of the tile; each plane once.
+  void take(int first, int last, ChargeTile& tile) const {
     for (int k = first; k <= last; ++k) {
-      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tiles);
+      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tile);
       Real* out = shell_ + shell_cells_below(box_, k);
       for_each_shell_row(box_, k, [&](int from, int to, int j) {
-        tiles.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { store(out + n, sums); });
+        tile.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { store(out + n, sums); });
         out += to - from + 1;
       });
     }
@@ -171,10 +157,10 @@ class Taker {
   }
 
  private:
-  void take_interior(int k, CloudTiles& tiles) const {
+  void take_interior(int k, ChargeTile& tile) const {
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
       Real* const out = own_ + box_.offset({box_.lower[0], j, k});
-      tiles.take(box_.lower[0], j, k, box_.extent(0), [&](int n, auto const& sums) {
+      tile.take(box_.lower[0], j, k, box_.extent(0), [&](int n, auto const& sums) {
         fetch<Use::write>(out + n + page<Real>, 1);
         store(out + n, per_cell_ * sums);
       });
@@ -221,11 +207,11 @@ std::size_t clear_empty_boxes(ParticleMesh const& mesh, std::int64_t const* star
 }
 
 /// Move the tile of coarse clouds into the density of its level.
-void add_coarse_tile(CloudTiles& tiles, CoarseCells const& at, Real per_cell, Cells const& cells) {
+void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cells const& cells) {
   Box const box = at.box.grow(tile_reach);
   LocalIndex const* place = at.place.data();
   for_each_cell(box, [&](Index3 const& cell) {
-    tiles.take(cell[0], cell[1], cell[2], 1, [&](int, auto const& sum) {
+    tile.take(cell[0], cell[1], cell[2], 1, [&](int, auto const& sum) {
       if constexpr (std::is_same_v<std::decay_t<decltype(sum)>, Real>)
         if (*place >= 0) cells[*place] += per_cell * sum;
     });
@@ -262,7 +248,7 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
   Scratch<Real> const shells(clear_empty_boxes(mesh, starts, density));
   Real* shell = shells.data();
   std::vector<Taker> takers;
-  std::vector<CloudTiles> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
+  std::vector<ChargeTile> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     Surroundings const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
@@ -272,7 +258,7 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     for (std::size_t r = 1; r <= rises; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
     takers.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), shell);
     shell += at.shell.cells();
-    for_each_slab(mesh, at, planes_per_slab(box, 2), particles, first, last, [&](Box const& slab, auto from, auto to) {
+    for_each_slab(mesh, at, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
       slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
       for_each_rise(
           mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, Chosen const& chosen) {

@@ -96,12 +96,11 @@ def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
             if record is None:
                 continue
             cycles = record.facts["cycles"]
-            more = (told(known.units(name(case, boxes, 1, what))) for what in ("1e-06", "discretization"))
+            more = (in_units(known.records.get(name(case, boxes, 1, what))) for what in ("1e-06", "discretization"))
             reference = MLMG.get((case, boxes))
             cells = f"{record.cells / 1e6:.2f} M"
-            full = known.units(record.name)
-            first = (case, str(boxes), cells, f"{record.median:.3g} s", told(full), str(cycles), told(full / cycles))
-            rows.append((*first, *more, told(reference or math.nan)))
+            first = (case, str(boxes), cells, f"{record.median:.3g} s", in_units(record), str(cycles))
+            rows.append((*first, in_units(record, cycles), *more, told(reference or math.nan)))
     return rows
 
 
@@ -131,7 +130,7 @@ def uniform(records: Sequence[Record]) -> list[tuple[str, ...]]:
             before = f"{setup.median:.3g} s" if setup is not None else ""
             iterations = str(record.facts.get("iterations", ""))
             who = record.name.removeprefix(beginning)
-            rows.append((f"{n}³", who, before, f"{record.median:.3g} s", told(record.units), iterations))
+            rows.append((f"{n}³", who, before, f"{record.median:.3g} s", in_units(record), iterations))
         reference, ours = MLMG.get((f"uniform {n}", 64)), known.get(peer_name(n, "amrpic"))
         if reference is not None and ours is not None:
             scaled = f"{reference * ours.unit:.3g} s"
@@ -174,6 +173,14 @@ def told(value: float, unit: str = "") -> str:
     return "–" if math.isnan(value) else figure(value) + unit
 
 
+def in_units(record: Record | None, cycles: int = 1) -> str:
+    """Return a median in work units, per cycle of so many; in brackets if the unit is void."""
+    if record is None or math.isnan(record.units):
+        return "–"
+    value = figure(record.units / cycles)
+    return value if record.share_of_triad >= LEAST_SHARE else f"({value})"
+
+
 TEXT = """# Performance
 
 Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
@@ -196,8 +203,8 @@ many looks it takes. It is measured beside every figure, best of five.
 
 Such an apply is bound by memory. A cell of it moves {apply_bytes} bytes: its neighbours come from the cache, so 8 bytes are
 read, and 16 move for the value that is written, since an ordinary store fetches the line before it changes it. A triad, a =
-b + s c, moves 32 bytes per value, counted alike. A unit is void, and no figure is told in it, unless its apply reaches
-{least_share} of the bytes per second of a triad in the same run. For that comparison to mean something,
+b + s c, moves 32 bytes per value, counted alike. A unit is void, unless its apply reaches {least_share} of the bytes per second
+of a triad in the same run; figures in it stand in brackets and decide no goal. For that comparison to mean something,
 
 - the triad's three arrays take together what the apply's two take: with arrays as long as the apply's it is half again as
   large, and falls out of a cache that the apply stays in;

@@ -47,11 +47,15 @@ def test_work_unit_of_few_cells_is_a_time():
     assert measuring.work_unit(WORLD, 1).seconds > 0
 
 
-def test_a_void_unit_gives_no_figure():
+def test_a_figure_in_a_void_unit_decides_nothing():
     record = Record("a", [2.0], unit=1.0, share_of_triad=0.5)
     assert np.isnan(goals.Found([record]).units("a"))
+    goal = goals.Found([record]).in_units("a solve", ["a", "b"], 3, 1)
+    assert goal.measured == 2.0 and goal.verdict == "void: the unit's apply at 50% of a triad"
     record.share_of_triad = 0.9
     assert goals.Found([record]).units("a") == 2.0
+    assert goals.Found([record]).in_units("a solve", ["a", "b"], 3, 1).verdict == "met"
+    assert goals.Found([]).in_units("a solve", ["a", "b"], 3, 1).verdict == "not measured"
 
 
 # ---- the cases and what is timed ----

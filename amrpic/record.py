@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 
 from mpi4py import MPI
@@ -23,6 +25,7 @@ from .step import State
 
 SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
+NUMBERED = re.compile(r"(?:checkpoint|fields|particles)_(\d+)")  # what the files of a step begin with
 HISTORY = (  # of the solves: a row for each guess and each cycle
     Quantity("step", counts=True),
     Quantity("time", "s"),
@@ -49,6 +52,17 @@ def prepare(comm: MPI.Comm, scene: Scene) -> None:
         raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
 
 
+def left_behind(directory: Path, last_step: int) -> str | None:
+    """Return a sentence on what an earlier run left of steps that a run up to `last_step` does not come to, if anything."""
+    steps = [int(found[1]) for path in directory.iterdir() if (found := NUMBERED.match(path.name))]
+    if max(steps, default=0) <= last_step:
+        return None
+    return (
+        f"{directory} holds files of an earlier run, up to step {max(steps)}; those beyond step {last_step} stay as they are: "
+        "remove them, or choose another folder by --output"
+    )
+
+
 class Recorder:
     """Writes the states of one run into its folder; a context manager. Collective to make, and in all that it does.
 
@@ -72,6 +86,8 @@ class Recorder:
         self._log = RunLog(comm, scene.schedule.last_step)
         for note in () if resumed else plan.notes:
             self._log.note(note)
+        if comm.rank == 0 and not resumed and (sentence := left_behind(scene.directory, scene.schedule.last_step)):
+            self._log.warn(sentence)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:
@@ -101,6 +117,8 @@ class Recorder:
             self._step, self._time = state.step, state.time
             self._write_history(state.step, state.time)
             self._log.step(row)
+            if row["particles"] == 0 and row["lost_particles"] > 0:
+                self._log.warn("all particles have left the domain; enlarge it, or shorten the run or its steps")
             for remark in remarks:
                 if remark not in self._told:
                     self._told.add(remark)

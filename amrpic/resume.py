@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ from .species import SpeciesTable
 from .step import Lost, State
 
 COLUMNS = ("position", "momentum", "weight", "id")
+# Parts of a scene that a restart follows from the next step on.
+FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion")
 
 
 def about(scene: Scene) -> Provenance:
@@ -67,7 +69,7 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     sizes = refinement.max_grid_size, refinement.blocking_factor
     hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
     held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
-    return _state(held, hierarchy), scene, _unheeded(scene, header.about.scene)
+    return _state(held, hierarchy), scene, _remarks(scene, header.about.scene)
 
 
 def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
@@ -108,11 +110,32 @@ def _particles(columns: Mapping[str, np.ndarray], species: SpeciesTable) -> Part
     return Particles(position, momentum, repeated(weight), number, species)
 
 
-def _unheeded(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
-    """Return a sentence for what a restart cannot follow of a scene; `made_from` is that of the checkpoint."""
-    if scene.to_dict()["bunches"] == made_from["bunches"]:
-        return []
-    return ["bunches of the scene differ from those of the checkpoint, whose particles go on as they are"]
+def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
+    """Return what a restart cannot follow of a scene, and what it follows from now on; `made_from` made the checkpoint."""
+    now, out = scene.to_dict(), []
+    if now["bunches"] != made_from["bunches"]:
+        out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
+    changed = [
+        f"{path} is {_told(value)}, before {_told(before)}"
+        for part in FOLLOWED
+        for path, value, before in _differences(now.get(part), made_from.get(part), part)
+    ]
+    if changed:
+        out.append(f"the run goes on otherwise than up to the checkpoint: {'; '.join(changed)}")
+    return out
+
+
+def _differences(now: Any, before: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
+    """The settings that differ: where, the value now, the value before; None where there is none."""
+    if isinstance(now, dict) and isinstance(before, dict):
+        for key in {**before, **now}:
+            yield from _differences(now.get(key), before.get(key), f"{path}.{key}")
+    elif now != before:
+        yield path, now, before
+
+
+def _told(value: Any) -> str:
+    return "not given" if value is None else str(value)
 
 
 def _require_same_mesh(scene: Scene, header: Header, path: Path) -> None:

@@ -87,7 +87,7 @@ def test_same_run_on_one_rank_and_on_two(comm):
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-@pytest.mark.parametrize("motion", [{"kind": "leapfrog", "dt": 2e-5}, {"kind": "random-walk", "amplitude": 3e-3}])
+@pytest.mark.parametrize("motion", [{"kind": "leapfrog", "dt": 2e-9}, {"kind": "random-walk", "amplitude": 3e-3}])
 def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion):
     given = scene(motion=motion, schedule={"steps": 5})
     simulation = Simulation(comm, given)
@@ -102,8 +102,40 @@ def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion):
     )
     assert (again.step, again.time) == (3, pytest.approx(3 * motion.get("dt", 0)))
     again.run()
+    assert again.particles.global_count(comm) > 3900
     for name, values in everything(simulation).items():
         assert np.array_equal(values, everything(again)[name]), name
+
+
+def test_a_run_tells_of_files_that_an_earlier_one_left(comm, tmp_path, capsys):
+    output = {"directory": str(tmp_path), "write": ["fields"]}
+    told = []
+    for steps in (3, 3, 1):
+        run(comm, scene(schedule={"steps": steps}, output=output))
+        told.append("files of an earlier run, up to step 3; those beyond step 1 stay" in capsys.readouterr().err)
+    assert told == [False, False, True]
+    assert (tmp_path / "fields_00000003.vtkhdf").exists()
+
+
+def test_a_run_tells_that_all_particles_are_lost(comm, tmp_path, capsys):
+    walk = {"kind": "random-walk", "amplitude": "10 m"}
+    output = {"directory": str(tmp_path), "write": []}
+    for motion, told in ((walk, True), ({**walk, "amplitude": "1 mm"}, False)):
+        run(comm, scene(motion=motion, schedule={"steps": 2}, output=output))
+        assert ("all particles have left the domain" in capsys.readouterr().err) == told
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_restart_tells_what_goes_on_otherwise(comm, tmp_path):
+    given = scene(motion={"kind": "leapfrog", "dt": 2e-9}, schedule={"steps": 1})
+    Simulation(comm, given).checkpoint(tmp_path / "start")
+    longer = scene(motion={"kind": "leapfrog", "dt": 2e-9}, schedule={"steps": 7})
+    other = scene(motion={"kind": "random-walk", "amplitude": 3e-3}, seed=5)
+    told = [Simulation.restart(comm, tmp_path / "start", s).remarks for s in (longer, other)]
+    assert not any("goes on otherwise" in remark for remark in told[0])
+    (remark,) = [remark for remark in told[1] if "goes on otherwise" in remark]
+    assert "seed is 5, before" in remark and "motion.kind is random-walk, before leapfrog" in remark
+    assert "motion.dt is not given, before 2e-09" in remark
 
 
 @pytest.mark.mpi(ranks=2)

@@ -87,8 +87,10 @@ def parser() -> argparse.ArgumentParser:
     plot.add_argument(
         "--level", type=int, metavar="N", help="show this level alone; default the finest cells everywhere"
     )
-    plot.add_argument("--scale", choices=("auto", "linear", "symmetric", "log"), default="auto", help="of the colours")
-    plot.add_argument("--no-boxes", dest="boxes", action="store_false", help="leave out the outlines of boxes")
+    plot.add_argument("--scale", choices=("auto", "linear", "symmetric", "log"), help="of the colours; default auto")
+    plot.add_argument(
+        "--no-boxes", dest="boxes", action="store_const", const=False, help="leave out the outlines of boxes"
+    )
     plot.add_argument("--output", metavar="DIR", help="where to put the pictures; default beside what they show")
 
     schema = _command(commands, "schema", _schema, "print what a scene may hold, as a JSON schema for editors")
@@ -239,13 +241,11 @@ def _preview(chosen: argparse.Namespace) -> int:
 
 
 def _plot(chosen: argparse.Namespace) -> int:
-    from dataclasses import replace
-
     from mpi4py import MPI
 
     from .errors import OutputError
     from .parallel import together
-    from .plot import OVERVIEW, View, plot
+    from .plot import OVERVIEW, View, plot, with_options
     from .units import to_metres
 
     folder = None if chosen.output is None else Path(chosen.output)
@@ -253,14 +253,15 @@ def _plot(chosen: argparse.Namespace) -> int:
         if MPI.COMM_WORLD.rank == 0:
             views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
             views = views or [view for view in OVERVIEW if chosen.kind in (None, view.kind)]
-            how = {
+            options = {
                 "axis": None if chosen.axis is None else "xyz".index(chosen.axis),
                 "position": None if chosen.position is None else to_metres(chosen.position),
                 "level": chosen.level,
                 "scale": chosen.scale,
                 "boxes": chosen.boxes,
             }
-            print(*plot(Path(chosen.path), folder, [replace(view, **how) for view in views]), sep="\n")
+            given = {name: value for name, value in options.items() if value is not None}
+            print(*plot(Path(chosen.path), folder, with_options(views, **given)), sep="\n")
     return 0
 
 

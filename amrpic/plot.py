@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +66,22 @@ class View:
         return names[self.kind] + ("" if self.level is None else f"_level{self.level}")
 
 
+HEEDED = {  # what pictures of a kind can be told
+    "slice": ("axis", "position", "level", "scale", "boxes"),
+    "projection": ("axis", "level", "scale", "boxes"),
+    "line": ("axis", "level"),
+}
 OVERVIEW = (View("phi"), View("|E|"), View("rho", "projection"), View("phi E rho", "line"))
+
+
+def with_options(views: Sequence[View], **options: Any) -> list[View]:
+    """Return the views with those of the options that they heed. Raises InputError for one that none of them heeds."""
+    for name in options:
+        if not any(name in HEEDED[view.kind] for view in views):
+            raise _unheeded(name, views[0])
+    return [
+        replace(view, **{name: value for name, value in options.items() if name in HEEDED[view.kind]}) for view in views
+    ]
 
 
 def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVERVIEW) -> list[Path]:
@@ -86,9 +101,16 @@ def draw(dump: Dump, spread: Spread, view: View) -> Figure:
     for name in view.quantity.split():
         dump.unit(name)
     _require_level(dump, view.level)
+    for option in fields(View)[2:]:
+        if option.name not in HEEDED[view.kind] and getattr(view, option.name) != option.default:
+            raise _unheeded(option.name, view)
     if view.kind == "line":
         return profiles(dump, line_through(dump, spread, view.axis), view.quantity.split(), view.level)
     return _projection(dump, spread, view) if view.kind == "projection" else _slice(dump, spread, view)
+
+
+def _unheeded(name: str, view: View) -> InputError:
+    return InputError(f"{name} says nothing to a {view.kind}; leave it out, or choose another kind of picture")
 
 
 def _require_level(dump: Dump, level: int | None) -> None:

@@ -208,10 +208,21 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         assert 0 <= box.y0 < box.y1 <= height
 
 
+def test_options_go_to_the_pictures_that_heed_them():
+    views = plot.with_options(plot.OVERVIEW, position=0.1, scale="log", axis=0)
+    assert [view.position for view in views] == [0.1, 0.1, None, None]
+    assert [view.scale for view in views] == ["log", "log", "log", "auto"]
+    assert all(view.axis == 0 for view in views)
+    with pytest.raises(InputError, match="boxes says nothing to a line"):
+        plot.with_options([plot.View("phi", "line")], boxes=False)
+
+
 @pytest.mark.parametrize(
     ("view", "message"),
     [
         (plot.View("Q"), "holds no Q; choose among E, phi, rho"),
+        (plot.View("phi", "line", scale="log"), "scale says nothing to a line; leave it out"),
+        (plot.View("phi", "projection", position=0.1), "position says nothing to a projection"),
         (plot.View("phi", level=3), "level 3 does not exist in .*; it has levels 0 to 2"),
         (
             plot.View("phi", axis=2, position=0.2),

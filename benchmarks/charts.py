@@ -56,7 +56,9 @@ def standing(known: Mapping[str, Record]) -> Figure | None:
     panel.axvline(1, color="black", linewidth=1, linestyle="--")
     panel.set_yticks(range(len(measured)), [goal.what for goal in reversed(measured)], fontsize=8)
     panel.set_xscale("log")
-    panel.set_xlabel("time or amount over what it must be at most (dashed); aims are black ticks")
+    panel.set_xlabel(
+        "time or amount over what it must be at most (dashed)\nblack ticks: aims; grey: the work unit is void"
+    )
     panel.margins(y=0.01)
     panel.set_xlim(left=LEAST_SHOWN)
     return figure

@@ -98,13 +98,13 @@ def told(found: Sequence[Change], threshold: float, everything: bool = False) ->
     return rows
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("before", type=Path)
     parser.add_argument("after", type=Path)
     parser.add_argument("--threshold", type=float, default=THRESHOLD, help="relative change that counts")
     parser.add_argument("--all", action="store_true", help="show what is as before, too")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     before, after = read(given.before), read(given.after)
     found = changes(before, after)
     print(printed(told(found, given.threshold, given.all)))

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from . import _native
 from .field import Field, VectorField
 from .hierarchy import AXES, Hierarchy
 from .parallel import global_max
 from .particles import Particles
-from .units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+from .units import VACUUM_PERMITTIVITY
 
 STAGES = ("beam", "push", "migrate", "regrid", "deposit", "solve", "gather", "output")
 
@@ -79,8 +80,8 @@ def measure(
         "lost_charge": lost.total_charge(comm),
         "field_energy": field_energy(efield),
         "potential_energy": potential_energy(rho, phi),
-        "kinetic_energy": kinetic_energy(comm, particles),
-        **{f"momentum_{axis}": value for axis, value in zip(AXES, total_momentum(comm, particles), strict=True)},
+        "kinetic_energy": beam.kinetic_energy,
+        **{f"momentum_{axis}": beam.momentum[i] for i, axis in enumerate(AXES)},
         **{f"mean_{axis}": beam.mean[i] for i, axis in enumerate(AXES)},
         **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
         **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
@@ -99,57 +100,38 @@ def field_energy(efield: VectorField) -> float:
 
     What the field holds outside an open domain is not in it.
     """
-    square = Field(efield.hierarchy)
-    for level in range(efield.hierarchy.levels):
-        for component in efield.components:
-            square.array(level)[:] += component.array(level) ** 2
-    return 0.5 * VACUUM_PERMITTIVITY * square.integral()
+    return 0.5 * VACUUM_PERMITTIVITY * sum(component.integral(component) for component in efield.components)
 
 
 def potential_energy(rho: Field, phi: Field) -> float:
     """Return ½ ∫ ρ φ dV in J, which in free space is the energy of the field in all of it. Collective."""
-    product = Field(rho.hierarchy)
-    for level in range(rho.hierarchy.levels):
-        np.multiply(rho.array(level), phi.array(level), out=product.array(level))
-    return 0.5 * product.integral()
-
-
-def kinetic_energy(comm: MPI.Comm, particles: Particles) -> float:
-    """Return the kinetic energy of all real particles in J. Collective."""
-    square = np.einsum("ij,ij->i", particles.momentum, particles.momentum)
-    mass = particles.mass
-    gamma = np.sqrt(1 + square / (mass * SPEED_OF_LIGHT) ** 2)
-    # p² / (m (γ + 1)) equals (γ - 1) m c² and loses no digits when the particles are slow.
-    return float(comm.allreduce(float(np.sum(particles.weight * square / (mass * (gamma + 1))))))
-
-
-def total_momentum(comm: MPI.Comm, particles: Particles) -> np.ndarray:
-    """Return the momentum of all real particles along x, y, z in kg m/s. Collective."""
-    return comm.allreduce(particles.weight @ particles.momentum)
+    return 0.5 * rho.integral(phi)
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Mean position, rms size about it (m) and normalised rms emittance (m rad) along x, y, z; nan without particles."""
+    """What is measured of a beam, in which each particle counts as the real ones that it stands for.
+
+    Mean position, rms size about it (m) and normalised rms emittance (m rad) along x, y, z, nan without particles; total
+    momentum (kg m/s) and kinetic energy (J).
+    """
 
     mean: np.ndarray
     rms: np.ndarray
     emittance: np.ndarray
+    momentum: np.ndarray
+    kinetic_energy: float
 
 
 def moments(comm: MPI.Comm, particles: Particles) -> Moments:
-    """Return the second moments of all particles, weighted by the real ones that they stand for. Collective."""
-    x, weight = particles.position, particles.weight
-    u = particles.spread(1 / (particles.species.masses * SPEED_OF_LIGHT))[:, None] * particles.momentum
-    first = comm.allreduce(np.array([weight.sum(), *(weight @ x), *(weight @ u)]))
-    if not first[0] > 0:
+    """Return the moments of all particles, which are read once. Collective."""
+    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass)
+    rest = np.array(sums.momentum), sums.kinetic_energy
+    if not sums.weight > 0:
         nothing = np.full(3, np.nan)
-        return Moments(nothing, nothing, nothing)
-    mean_x, mean_u = first[1:4] / first[0], first[4:7] / first[0]
-    # About the mean, which is known by now: a difference of large squares would lose the size of a far-off bunch.
-    dx, du = x - mean_x, u - mean_u
-    sums = comm.allreduce(np.array([weight @ dx**2, weight @ du**2, weight @ (dx * du)])) / first[0]
-    return Moments(mean_x, np.sqrt(sums[0]), np.sqrt(np.maximum(sums[0] * sums[1] - sums[2] ** 2, 0)))
+        return Moments(nothing, nothing, nothing, *rest)
+    xx, uu, xu = (np.array(products) / sums.weight for products in (sums.xx, sums.uu, sums.xu))
+    return Moments(np.array(sums.mean_x), np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *rest)
 
 
 def peak_memory(comm: MPI.Comm) -> int:

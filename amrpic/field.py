@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from . import _native
 from .hierarchy import Hierarchy
-from .parallel import global_max, global_sum
+from .parallel import global_max
 
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray | float]
 
@@ -108,13 +108,9 @@ class Field:
         self.native.average_down()
         return self
 
-    def integral(self) -> float:
-        """Volume integral over uncovered cells. Collective."""
-        total = 0.0
-        for patch in self.patches:
-            volume = float(np.prod(self.hierarchy.spacing(patch.level)))
-            total += volume * float(patch.data.sum(where=~patch.covered))
-        return global_sum(self.comm, total)
+    def integral(self, times: Field | None = None) -> float:
+        """Volume integral over uncovered cells; with another field of the hierarchy, that of the product. Collective."""
+        return self.native.integral() if times is None else self.native.integral_with(times.native)
 
     def max_abs(self) -> float:
         """Largest magnitude over uncovered cells; nan if one of them is. Collective."""

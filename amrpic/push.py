@@ -26,12 +26,13 @@ def push(
     sorting = particles.sorted_on(hierarchy)
     x, y, z = (c.native for c in efield.components)
     now, momentum, position = (empty_columns(len(particles)) for _ in range(3))
-    charge = _each_or_all(particles, particles.species.charges)
-    time_over_mass = _each_or_all(particles, dt / particles.species.masses)
+    time_over_mass = particles.spread(dt / particles.species.masses)
     given, out = particles.arrays, (now, momentum, position)
     try:
         mesh, starts = particle_mesh(hierarchy), sorting.starts
-        _native.push(mesh, *clouds.native, x, y, z, *given, starts, charge, time_over_mass, before, after, *out)
+        _native.push(
+            mesh, *clouds.native, x, y, z, *given, starts, particles.charge, time_over_mass, before, after, *out
+        )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return particles.replace(momentum=now), particles.replace(position, momentum)
@@ -45,8 +46,3 @@ def random_walk(particles: Particles, amplitude: float, seed: int, step: int) ->
     draws = np.empty((4, len(particles)))
     _native.uniforms(seed, RANDOM_WALK, step, particles.id, draws)
     return particles.replace(position=particles.position + amplitude * (2 * draws[:3].T - 1))
-
-
-def _each_or_all(particles: Particles, values: np.ndarray) -> np.ndarray:
-    """One value per species as one per particle (n,), or as one for all (1,) if there is one species."""
-    return values if len(values) == 1 else values[particles.kind]

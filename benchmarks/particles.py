@@ -16,6 +16,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.clouds import SHAPES, Clouds, Shape
 from amrpic.deposit import deposit
+from amrpic.diagnostics import moments
 from amrpic.gather import gather
 from amrpic.hierarchy import Hierarchy
 from amrpic.migrate import migrate
@@ -27,7 +28,7 @@ Result = TypeVar("Result")
 ELECTRON = SpeciesTable((Species.model_validate("electron"),))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
-STAGES = ("deposit", "gather", "gather+push", "migrate")
+STAGES = ("deposit", "gather", "gather+push", "migrate", "moments")
 
 
 def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
@@ -44,7 +45,8 @@ def timings(
     Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
     Keys: "deposit"; "gather", the field alone; "gather+push", all of a leapfrog step's motion: the field, two half kicks and
     the drift; "migrate", after each particle has moved by 0.3 cell widths in a direction of its own, so that about two in
-    five change their cell. A stage's result is dropped before the next repeat, as a run drops the step before.
+    five change their cell; "moments", what a row of the time series tells of them. A stage's result is dropped
+    before the next repeat, as a run drops the step before.
     """
     rng = np.random.default_rng(1)
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells, cells, cells), "periodic")
@@ -62,6 +64,7 @@ def timings(
         "gather": lambda: gather(efield, homes, clouds),
         "gather+push": lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds),
         "migrate": lambda: migrate(moved, hierarchy),
+        "moments": lambda: moments(hierarchy.comm, homes),
     }
     return {name: _seconds(stage, repeats) for name, stage in stages.items()}
 

@@ -305,6 +305,10 @@ nothing is sorted by comparing. Of the time at 1e6, copying those that stay take
 up the rest. A gather at half a particle per cell spends half its time on filling the tile, which waits for the
 second-level cache.
 
+Every step adds a row to the time series. Means, sizes, emittances, momentum and kinetic energy of the beam come from one
+pass over the particles (`moments`), deviations being taken from the means so far; energies of the fields from one pass over
+each pair of fields.
+
 ![Particle stages](pictures/performance_particles.png)
 
 {steps}

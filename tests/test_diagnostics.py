@@ -33,6 +33,9 @@ def electrons(comm, position, momentum, weight):
 def test_energies_count_every_place_once(comm):
     hierarchy = Hierarchy(comm, DOMAIN, LEVELS, max_grid_size=16, blocking_factor=8)
     ones = [uniform(hierarchy, value) for value in (1.0, 2.0, 3.0)]
+    for field in ones:
+        for patch in field.patches:
+            patch.data[patch.covered] = np.nan
     energy = 0.5 * VACUUM_PERMITTIVITY * (1 + 4 + 9) * 16
     assert diagnostics.field_energy(VectorField(*ones)) == pytest.approx(energy, rel=1e-13, abs=0)
     assert diagnostics.potential_energy(ones[0], ones[2]) == pytest.approx(0.5 * 3 * 16, rel=1e-13, abs=0)
@@ -55,6 +58,28 @@ def test_moments_are_those_of_the_distribution_also_far_from_the_origin(comm):
     np.testing.assert_allclose(found.emittance, np.array(area) / (ELECTRON_MASS * SPEED_OF_LIGHT), rtol=1e-6)
 
 
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_a_far_halo_takes_no_digits_from_the_emittance_of_few_or_many(comm):
+    random = np.random.default_rng(6)
+    for count in (7, 8, 9, 1003):
+        x, p = 1e-3 * random.normal(size=(count, 3)), 1e-24 * random.normal(size=(count, 3))
+        x[0] = 3.0  # the first of them, at a thousand sizes of the core
+        p += 1e-21 * x  # emittance is a small difference of large products
+        for weight in (np.broadcast_to(2.0, count), 0.5 + random.random(count)):
+            found = diagnostics.moments(comm, electrons(comm, x, p, weight))
+            exact = [a.astype(np.longdouble) for a in (x, p / (ELECTRON_MASS * SPEED_OF_LIGHT))]
+            dx, du = (a - np.average(a, axis=0, weights=weight.astype(np.longdouble)) for a in exact)
+            xx, uu, xu = ((a * weight[:, None]).sum(axis=0) / weight.sum() for a in (dx * dx, du * du, dx * du))
+            np.testing.assert_allclose(found.rms, np.sqrt(xx).astype(float), rtol=1e-13)
+            digits_lost = (xx * uu / (xx * uu - xu**2)).astype(float)
+            np.testing.assert_array_less(
+                np.abs(found.emittance / np.sqrt(xx * uu - xu**2).astype(float) - 1), 1e-14 * digits_lost
+            )
+            np.testing.assert_allclose(
+                found.momentum, weight @ p, rtol=0, atol=1e-13 * np.abs(weight @ np.abs(p)).max()
+            )
+
+
 @pytest.mark.mpi(ranks=(1, 2))
 def test_kinetic_energy_is_exact_for_slow_and_fast_particles(comm):
     rest = ELECTRON_MASS * SPEED_OF_LIGHT**2
@@ -64,7 +89,7 @@ def test_kinetic_energy_is_exact_for_slow_and_fast_particles(comm):
         beam = electrons(comm, np.zeros((6, 3)), momentum, np.full(6, 2.5))
         exact = gamma_beta**2 / 2 if gamma_beta < 1e-8 else np.hypot(1, gamma_beta) - 1
         relative = 1e-9 if gamma_beta == 1e-3 else 1e-14  # there the plain formula is the one that loses digits
-        assert diagnostics.kinetic_energy(comm, beam) == pytest.approx(15 * rest * exact, rel=relative, abs=0)
+        assert diagnostics.moments(comm, beam).kinetic_energy == pytest.approx(15 * rest * exact, rel=relative, abs=0)
 
 
 @pytest.mark.mpi(ranks=(1, 2))

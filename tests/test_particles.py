@@ -257,6 +257,8 @@ def test_counts_per_box_are_global_and_need_no_migration(comm):
         assert [len(c) for c in counts] == [len(hierarchy.boxes(l)) for l in range(hierarchy.levels)]
         assert sum(int(c.sum()) for c in counts) == 1000
         here, _ = migrate(particles, hierarchy)
+        for scattered_ones, sorted_ones in zip(counts, particles_per_box(here, hierarchy), strict=True):
+            assert np.array_equal(scattered_ones, sorted_ones)
         own = np.concatenate([counts[l][list(hierarchy.local_boxes(l))] for l in range(hierarchy.levels)])
         assert np.array_equal(np.diff(here.sorted_on(hierarchy).starts), own)
 

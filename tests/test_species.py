@@ -103,9 +103,11 @@ def test_both_species_are_measured_and_restarted(comm, tmp_path):
     mass = np.where(proton, PROTON_MASS, ELECTRON_MASS)
     u = all_of["momentum"] / (mass * SPEED_OF_LIGHT)[:, None]
     energy = (np.sqrt(1 + (u**2).sum(axis=1)) - 1) * mass * SPEED_OF_LIGHT**2
-    assert diagnostics.kinetic_energy(comm, particles) == pytest.approx(all_of["weight"] @ energy, rel=1e-6, abs=0)
+    assert diagnostics.moments(comm, particles).kinetic_energy == pytest.approx(
+        all_of["weight"] @ energy, rel=1e-6, abs=0
+    )
     total = all_of["weight"] @ all_of["momentum"]
-    np.testing.assert_allclose(diagnostics.total_momentum(comm, particles), total, atol=1e-12 * np.abs(total).max())
+    np.testing.assert_allclose(diagnostics.moments(comm, particles).momentum, total, atol=1e-12 * np.abs(total).max())
     x = all_of["position"]
     area = [np.sqrt(np.linalg.det(np.cov(x[:, i], u[:, i], aweights=all_of["weight"], ddof=0))) for i in range(3)]
     np.testing.assert_allclose(diagnostics.moments(comm, particles).emittance, area, rtol=1e-9)

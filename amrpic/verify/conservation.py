@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ..clouds import Clouds, Shape
 from ..deposit import deposit
-from ..diagnostics import field_energy, kinetic_energy, potential_energy, total_momentum
+from ..diagnostics import field_energy, moments, potential_energy
 from ..field import Field
 from ..hierarchy import BoundarySpec
 from ..migrate import migrate
@@ -163,11 +163,11 @@ def _plasma(comm: MPI.Comm) -> list[list[Cell]]:
     state = begin(plan)
     energy, gone, worst_momentum, worst_charge = _energy(state), 0.0, 0.0, 0.0
     scale = electrons * warm * math.sqrt(3)
-    start = total_momentum(comm, state.particles)
+    start = moments(comm, state.particles).momentum
     for _ in range(round(10 * 2 * math.pi / 0.2)):
         before, state = len(state.lost.particles), advance(state, plan)
         gone += _energy_of_lost(state, before)
-        drift = total_momentum(comm, state.particles) + total_momentum(comm, state.lost.particles) - start
+        drift = moments(comm, state.particles).momentum + moments(comm, state.lost.particles).momentum - start
         worst_momentum = max(worst_momentum, float(np.abs(drift).max()) / scale)
         inside = state.particles.total_charge(comm)
         worst_charge = max(worst_charge, abs(deposit(state.particles, state.hierarchy).integral() - inside) / charge)
@@ -189,11 +189,11 @@ def _energy_of_lost(state: State, known: int) -> float:
     at_wall = np.clip(new.position, domain.lower, np.nextafter(domain.upper, domain.lower))
     places, charges = comm.allgather(at_wall), comm.allgather(new.weight * new.charge)
     potential = state.phi.sample(np.concatenate(places))
-    return kinetic_energy(comm, new) + float(np.concatenate(charges) @ potential)
+    return moments(comm, new).kinetic_energy + float(np.concatenate(charges) @ potential)
 
 
 def _energy(state: State) -> float:
-    return kinetic_energy(state.rho.comm, state.particles) + potential_energy(state.rho, state.phi)
+    return moments(state.rho.comm, state.particles).kinetic_energy + potential_energy(state.rho, state.phi)
 
 
 # ---- regridding ----

@@ -5,6 +5,7 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "mesh/integral.hpp"
 #include "mesh/sample.hpp"
 #include "mesh/transfer.hpp"
 
@@ -24,6 +25,11 @@ void bind_field(nb::module_& m) {
           "level"_a)
       .def(
           "average_down", [](Field& field) { Transfer(field.share_hierarchy()).average_down({&field}); },
+          nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "integral", [](Field const& field) { return integral(field); }, nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "integral_with", [](Field const& field, Field const& other) { return integral(field, other); }, "other"_a,
           nb::call_guard<nb::gil_scoped_release>())
       .def(
           "sample",

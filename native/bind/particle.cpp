@@ -1,5 +1,6 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -9,6 +10,7 @@
 #include "particle/gather.hpp"
 #include "particle/memory.hpp"
 #include "particle/migrate.hpp"
+#include "particle/moments.hpp"
 #include "particle/random.hpp"
 
 namespace nb = nanobind;
@@ -30,11 +32,11 @@ std::array<Real*, 3> columns(Array const& array) {
 }
 
 /// One value each, or one for all, which are 0 numbers apart.
-using Weights = nb::ndarray<Real const, nb::ndim<1>, nb::device::cpu>;
+using OnePerParticle = nb::ndarray<Real const, nb::ndim<1>, nb::device::cpu>;
 
 /// Particles as Python holds them. The kernels that take a view of them do not write where they should not.
 template <class Vectors, class Ids>
-ParticleView view(Vectors const& position, Vectors const& momentum, Weights const& weight, Ids const& id) {
+ParticleView view(Vectors const& position, Vectors const& momentum, OnePerParticle const& weight, Ids const& id) {
   return {std::int64_t(position.shape(0)),  columns(position),     columns(momentum),
           const_cast<Real*>(weight.data()), weight.stride(0) == 0, const_cast<std::int64_t*>(id.data())};
 }
@@ -59,7 +61,7 @@ void bind_particle(nb::module_& m) {
   nb::class_<Migration>(m, "Migration")
       .def(
           "__init__",
-          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, Weights weight,
+          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
              Row<std::int64_t const> id) {
             nb::gil_scoped_release release;
             new (self) Migration(mesh, view(position, momentum, weight, id));
@@ -71,7 +73,7 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro("arriving", &Migration::arriving)
       .def(
           "finish",
-          [](Migration& self, Columns position, Columns momentum, Weights weight, Row<std::int64_t> id,
+          [](Migration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id,
              Row<std::int64_t> starts) {
             nb::gil_scoped_release release;
             return self.finish(view(position, momentum, weight, id), starts.data());
@@ -80,8 +82,8 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "count_per_box",
-      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum, Weights weight,
-         Row<std::int64_t const> id) {
+      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum,
+         OnePerParticle weight, Row<std::int64_t const> id) {
         std::vector<std::vector<std::int64_t>> counts;
         {
           nb::gil_scoped_release release;
@@ -101,8 +103,9 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "deposit",
-      [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum, Weights weight,
-         Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge, Field& density) {
+      [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum,
+         OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
+         Field& density) {
         nb::gil_scoped_release release;
         deposit(mesh, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
       },
@@ -112,7 +115,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "gather",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, Weights weight, Row<std::int64_t const> id,
+         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
         gather(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
@@ -123,16 +126,34 @@ void bind_particle(nb::module_& m) {
   m.def(
       "push",
       [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, Weights weight, Row<std::int64_t const> id,
-         Row<std::int64_t const> starts, Row<Real const> charge, Row<Real const> time_over_mass, Real before,
-         Real after, Columns momentum_now, Columns momentum_out, Columns position_out) {
+         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         Row<std::int64_t const> starts, OnePerParticle charge, OnePerParticle time_over_mass, Real before, Real after,
+         Columns momentum_now, Columns momentum_out, Columns position_out) {
         nb::gil_scoped_release release;
         push(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(),
-             {charge.data(), time_over_mass.data(), charge.shape(0) == 1, before, after},
+             {charge.data(), time_over_mass.data(), charge.stride(0) == 0, before, after},
              {columns(momentum_now), columns(momentum_out), columns(position_out)});
       },
       "mesh"_a, "shape"_a, "matched"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
       "charge"_a, "time_over_mass"_a, "before"_a, "after"_a, "momentum_now"_a, "momentum_out"_a, "position_out"_a);
+
+  nb::class_<BeamSums<Real>>(m, "BeamSums")
+      .def_ro("weight", &BeamSums<Real>::weight)
+      .def_ro("kinetic_energy", &BeamSums<Real>::kinetic_energy)
+      .def_ro("momentum", &BeamSums<Real>::momentum)
+      .def_ro("mean_x", &BeamSums<Real>::mean_x)
+      .def_ro("xx", &BeamSums<Real>::xx)
+      .def_ro("uu", &BeamSums<Real>::uu)
+      .def_ro("xu", &BeamSums<Real>::xu);
+  m.def(
+      "beam_sums",
+      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         OnePerParticle mass) {
+        nb::gil_scoped_release release;
+        auto const particles = view(position, momentum, weight, id);
+        return beam_sums(MPI_Comm_f2c(comm), particles, mass.data(), mass.stride(0) == 0);
+      },
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a);
 
   m.def(
       "uniforms",

@@ -9,7 +9,10 @@
 #include <cstring>
 
 #ifdef __AVX512F__
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // a false alarm of GCC 12 about its own header
 #include <immintrin.h>
+#pragma GCC diagnostic pop
 #endif
 
 #include "base/types.hpp"
@@ -79,6 +82,16 @@ inline Lanes pick(Real const* from, LocalIndex const* n) {
 template <class To, class From>
 inline To convert(From const& values) {
   return __builtin_convertvector(values, To);
+}
+
+inline Lanes square_root(Lanes const& x) {
+#ifdef __AVX512F__
+  return (Lanes)_mm512_sqrt_pd((__m512d)x);
+#else
+  Lanes out;
+  for (int i = 0; i < lane_count; ++i) out[i] = std::sqrt(x[i]);
+  return out;
+#endif
 }
 
 /// Write three vectors lane by lane, and a zero after each three numbers.

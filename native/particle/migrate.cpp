@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <limits>
 #include <numeric>
+#include <optional>
 #include <stdexcept>
 
 #include "base/fetch.hpp"
@@ -370,14 +371,31 @@ void Migration::unpack(std::int64_t first, std::int64_t last, bool wrapped, Part
 
 std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, ParticleView const& particles) {
   std::vector<std::vector<std::int64_t>> out;
-  for (int l = 0; l < locator.hierarchy().level_count(); ++l)
+  std::vector<std::vector<std::optional<HomeBox>>> seen;  // made when first wanted
+  for (int l = 0; l < locator.hierarchy().level_count(); ++l) {
     out.emplace_back(std::size_t(locator.hierarchy().level(l).box_count()), 0);
+    seen.emplace_back(out.back().size());
+  }
   Home home;
-  for (std::int64_t n = 0; n < particles.count; ++n) {
+  auto const count_one = [&](std::int64_t n) {
     Real3 x = particles.at(n);
-    if (!is_finite(x) || !is_finite(particles.momentum_at(n)) || !locator.wrap(x)) continue;
+    if (!is_finite(x) || !locator.wrap(x)) return;
     home = locator.find(x, home);
     ++out[home.level][home.box];
+  };
+  auto const all_in_last_one = [&](std::int64_t first) {
+    if (home.box < 0) return false;
+    auto& box = seen[home.level][home.box];
+    if (!box) box.emplace(locator, home.level, home.box);
+    auto const& x = particles.position;
+    auto const bricks = box->find({load<Lanes>(x[0] + first), load<Lanes>(x[1] + first), load<Lanes>(x[2] + first)});
+    return bits_of(convert<WideLanes>(bricks >= 0)) == all_lanes;
+  };
+  for (std::int64_t first = 0; first < particles.count; first += lane_count) {
+    if (first + lane_count <= particles.count && all_in_last_one(first))
+      out[home.level][home.box] += lane_count;
+    else
+      for (std::int64_t n = first; n < std::min(first + lane_count, particles.count); ++n) count_one(n);
   }
   return out;
 }

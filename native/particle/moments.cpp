@@ -1,0 +1,54 @@
+#include "particle/moments.hpp"
+
+#include "base/all_gather.hpp"
+#include "base/constants.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// Part i of eight.
+BeamSums<Real> part(BeamSums<Lanes> const& eight, int i) {
+  auto const vector = [&](std::array<Lanes, 3> const& v) { return Real3{v[0][i], v[1][i], v[2][i]}; };
+  return {eight.weight[i],      eight.kinetic_energy[i], vector(eight.momentum), vector(eight.mean_x),
+          vector(eight.mean_u), vector(eight.xx),        vector(eight.uu),       vector(eight.xu)};
+}
+
+/// Those of this rank's particles.
+BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool same) {
+  constexpr Real c = speed_of_light;
+  BeamSums<Lanes> eight;
+  for (std::int64_t first = 0; first < particles.count; first += lane_count) {
+    std::int64_t const left = particles.count - first;
+    LaneGroup const group{first, left < lane_count ? (1u << left) - 1 : all_lanes};
+    auto const of = [&](Real const* values, bool one) { return one ? values[0] + Lanes{} : load(values, group); };
+    Lanes weight = of(particles.weight, particles.equal_weights);
+    for (std::int64_t i = left; i < lane_count; ++i) weight[i] = 0;
+    Lanes const m = of(mass, same), per_mc = 1 / (m * c);
+    std::array<Lanes, 3> x, u;
+    Lanes square{};
+    for (std::size_t d = 0; d < 3; ++d) {
+      Lanes const p = load(particles.momentum[d], group);
+      x[d] = load(particles.position[d], group);
+      u[d] = p * per_mc;
+      square += u[d] * u[d];
+      eight.momentum[d] += weight * p;
+    }
+    // u² / (gamma + 1) equals gamma - 1 and loses no digits when particles are slow.
+    eight.kinetic_energy += weight * (m * (c * c)) * (square / (square_root(1 + square) + 1));
+    eight.add(weight, x, u);
+  }
+  BeamSums<Real> out;
+  for (int i = 0; i < lane_count; ++i) out.add(part(eight, i));
+  return out;
+}
+
+}  // namespace
+
+BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same) {
+  BeamSums<Real> out;
+  for (auto const& of_rank : all_gather(comm, std::vector{local_sums(particles, mass, same)}).values) out.add(of_rank);
+  return out;
+}
+
+}  // namespace amrpic

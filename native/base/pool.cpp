@@ -24,7 +24,7 @@ std::size_t rounded(std::size_t bytes) {
 }
 
 void* new_block(std::size_t bytes) {
-  bool const large = bytes >= 8 * large_page;
+  bool const large = bytes >= 2 * large_page;
   std::size_t const page = large ? large_page : small_page;
   void* block = std::aligned_alloc(page, (bytes + page - 1) / page * page);
   if (!block) throw std::bad_alloc();
@@ -48,10 +48,12 @@ void* Pool::take(std::size_t bytes) {
     idle_.erase(std::prev(found.base()));
     idle_total_ -= bytes;
   } else {
+    while (!idle_.empty() && used_total_ + idle_total_ + bytes > most_used_) free_oldest();
     memory = new_block(bytes);
   }
   sizes_[memory] = bytes;
   used_total_ += bytes;
+  most_used_ = std::max(most_used_, used_total_);
   return memory;
 }
 
@@ -66,11 +68,13 @@ void Pool::give(void* memory) noexcept {
     double const most = idle_.size() == 1 ? std::max(1.0, most_idle_) : most_idle_;
     return double(idle_total_) > most * double(used_total_);
   };
-  while (too_much()) {
-    std::free(idle_.front().memory);
-    idle_total_ -= idle_.front().bytes;
-    idle_.erase(idle_.begin());
-  }
+  while (too_much()) free_oldest();
+}
+
+void Pool::free_oldest() {
+  std::free(idle_.front().memory);
+  idle_total_ -= idle_.front().bytes;
+  idle_.erase(idle_.begin());
 }
 
 std::size_t Pool::idle() {
@@ -80,7 +84,7 @@ std::size_t Pool::idle() {
 
 /// Never destroyed: Python may drop its last array after the program's static objects are gone.
 Pool& pool_of_large_arrays() {
-  static Pool* const the_one = new Pool(0.25);
+  static Pool* const the_one = new Pool(1);
   return *the_one;
 }
 

@@ -11,7 +11,9 @@ namespace amrpic {
 
 class Pool {
  public:
-  /// At most `most_idle` times the memory in use lies idle, or one block no larger than that.
+  /// At most `most_idle` times the memory in use lies idle, or one block no larger than that; and never so much that
+  /// with what is in use it would be more than was in use at some time. So a program takes no more at its fullest than
+  /// it would without.
   explicit Pool(double most_idle) : most_idle_(most_idle) {}
 
   /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.
@@ -27,11 +29,13 @@ class Pool {
     std::size_t bytes;
     void* memory;
   };
+  void free_oldest();
+
   double most_idle_;
   std::mutex mutex_;
   std::vector<Block> idle_;                       ///< in the order they were given back
   std::unordered_map<void*, std::size_t> sizes_;  ///< of those in use
-  std::size_t idle_total_ = 0, used_total_ = 0;
+  std::size_t idle_total_ = 0, used_total_ = 0, most_used_ = 0;
 };
 
 /// That of arrays over the cells of a mesh.

@@ -5,6 +5,7 @@
 
 #include "base/constants.hpp"
 #include "matrixfree/composite_kernels.hpp"
+#include "mesh/means.hpp"
 #include "stencil/boundary.hpp"
 
 namespace amrpic {
@@ -29,12 +30,6 @@ void for_each_on_face(Box const& box, int face, int k, F&& f) {
       for (int i = 0; i < nx; ++i) f(i + j * nx, i, j, int(nx));
 }
 
-Real mean_of_children(Real const* child, std::ptrdiff_t y, std::ptrdiff_t z) {
-  return ((child[0] + child[1]) + (child[y] + child[y + 1]) + (child[z] + child[z + 1]) +
-          (child[y + z] + child[y + z + 1])) *
-         0.125;
-}
-
 }  // namespace
 
 CompositeLaplacian::CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real3 const& stretch)
@@ -53,7 +48,7 @@ CompositeLaplacian::CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarch
   for (int f = 0; f < 6; ++f) beyond_[f].resize(face[f / 2]);
   coarse_.resize((row / 2 + 4) * (row / 2 + 4));
   fits_.resize(2 * row);
-  plane_.resize(face[2]);
+  plane_.resize(most_fields * face[2]);
 }
 
 Real CompositeLaplacian::volume(int l) const {
@@ -69,9 +64,10 @@ void CompositeLaplacian::for_each_box(F&& f) {
 // ---- what surrounds a box ----
 
 /// Call f(level, box) for all boxes of this rank, finest level first, with the ghosts of the box at hand and the fluxes
-/// from the finer level through its faces. Hidden boxes have neither interfaces nor uncovered cells.
-template <class F>
-void CompositeLaplacian::visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f) {
+/// from the finer level through its faces; and done(level) after all of a level. Hidden boxes have neither interfaces
+/// nor uncovered cells.
+template <class F, class G>
+void CompositeLaplacian::visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f, G&& done) {
   plan_.cells.start([&](Piece const& piece, Real* out) { pack_cells(phi, piece, out); });
   bool waiting = true;
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
@@ -88,6 +84,7 @@ void CompositeLaplacian::visit(Field const& phi, std::vector<Walls> const& walls
       }
     }
     if (l > 0) send_fluxes(l);
+    done(l);
   }
 }
 
@@ -427,31 +424,42 @@ Real CompositeLaplacian::diagonal_norm(Field const& phi, Norm norm) {
 
 // ---- corrections and means ----
 
+/// Call set(), which writes a plane of cells of some fields; covered ones keep the means that they hold.
+template <std::size_t fields, class Set>
+void CompositeLaplacian::set_uncovered(int l, int b, int k, std::array<Real*, fields> const& planes, Set&& set) {
+  static_assert(fields <= most_fields);
+  auto for_each_covered_row = [&](auto&& f) {
+    Real* kept = plane_.data();
+    for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c) {
+      Box const& part = plan(l).covered[std::size_t(c)];
+      if (k < part.lower[2] || k > part.upper[2]) continue;
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+        for (Real* plane : planes) {
+          f(plane + part.lower[0] + std::ptrdiff_t(j) * box(l, b).extent(0), kept, part.extent(0));
+          kept += part.extent(0);
+        }
+    }
+  };
+  for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(cells, n, kept); });
+  set();
+  for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(kept, n, cells); });
+}
+
 /// phi += scale * correction in the uncovered cells of a plane.
 template <class T>
 void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi,
                                    kernels::Largest<T>& largest) {
   int const nx = box(l, b).extent(0), ny = box(l, b).extent(1);
-  auto for_each_covered_row = [&](auto&& f) {
-    for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c) {
-      Box const& part = plan(l).covered[std::size_t(c)];
-      if (k < part.lower[2] || k > part.upper[2]) continue;
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-        f(phi + part.lower[0] + std::ptrdiff_t(j) * nx, plane_.data() + part.lower[0] + std::ptrdiff_t(j) * nx,
-          part.extent(0));
+  set_uncovered<1>(l, b, k, {phi}, [&] {
+    for (int j = 0; j < ny; ++j) {
+      T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
+      Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
+      fetch<Use::read>(from + correction.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
+      fetch<Use::write>(to + page<Real>, nx);
+      for (int i = 0; i < nx; ++i) to[i] = kernels::fused(scale, Real(from[i]), to[i]);
+      largest.add(from, nx);
     }
-  };
-  // Their new means are in the covered cells already.
-  for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(cells, n, kept); });
-  for (int j = 0; j < ny; ++j) {
-    T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
-    Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
-    fetch<Use::read>(from + correction.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
-    fetch<Use::write>(to + page<Real>, nx);
-    for (int i = 0; i < nx; ++i) to[i] = kernels::fused(scale, Real(from[i]), to[i]);
-    largest.add(from, nx);
-  }
-  for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(kept, n, cells); });
+  });
 }
 
 /// Set the parents of planes k and k + 1 of a box that are cells of this rank to the mean of their children.
@@ -465,8 +473,7 @@ void CompositeLaplacian::average_pair(int l, int b, int k, Field& phi) const {
     Real* parent = phi.level(l - 1).data() + family.parent + std::ptrdiff_t(plane) * family.pitch_z;
     Real const* child = cells + family.child[0] + std::ptrdiff_t(family.child[1]) * pitch[1];
     for (int j = 0; j < family.parents[1]; ++j, parent += family.pitch_y, child += 2 * std::ptrdiff_t(pitch[1]))
-      for (int i = 0; i < family.parents[0]; ++i)
-        parent[i] = mean_of_children(child + 2 * std::ptrdiff_t(i), pitch[1], pitch[2]);
+      average_children(family.parents[0], child, pitch[1], pitch[2], parent);
   }
 }
 
@@ -477,9 +484,11 @@ void CompositeLaplacian::average_across_ranks(int l, Field& phi) {
     Box const& own = level(l).box(piece.box);
     Index3 const pitch = pitches(own);
     Real const* const cells = phi.level(l).data() + level(l).local_offset(piece.box);
-    for_each_cell(piece.part, [&](Index3 const& parent) {
-      *out++ = mean_of_children(cells + own.offset({2 * parent[0], 2 * parent[1], 2 * parent[2]}), pitch[1], pitch[2]);
-    });
+    Box const& part = piece.part;
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += part.extent(0))
+        average_children(part.extent(0), cells + own.offset({2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
+                         out);
   });
   coarse.finer_means.finish();
   for (RemoteMeans const& m : coarse.remote_means) {
@@ -525,45 +534,62 @@ template Real CompositeLaplacian::add(Blocks<Real> const&, Real, Field&);
 
 // ---- the electric field ----
 
+/// The field in plane k of a box, whose components start at `e`.
+void CompositeLaplacian::field_plane(int l, int b, int k, Field const& phi, std::array<Real*, 3> const& e) {
+  Box const& own = box(l, b);
+  int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
+  std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
+  Real const* const cells = phi.level(l).data() + offset(l, b);
+  Real factor[3];
+  for (int d = 0; d < 3; ++d) factor[d] = 0.5 / level(l).spacing()[d] / stretch_[d];
+  for (int j = 0; j < ny; ++j) {
+    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
+    Real const* const c = cells + k * plane + at;
+    fetch<Use::read>(c + plane + page<Real>, nx);
+    for (Real* component : e) fetch<Use::write>(component + at + page<Real>, nx);
+    auto difference = [&](int d, Real const* below, Real const* above, int first, int last) {
+      Real* __restrict out = e[d] + at;
+      for (int i = first; i < last; ++i) out[i] = factor[d] * (below[i] - above[i]);
+    };
+    std::size_t const end = std::size_t(j) + std::size_t(k) * std::size_t(ny);
+    difference(0, c - 1, c + 1, 1, nx - 1);
+    e[0][at] = factor[0] * (beyond_[0][end] - c[1]);
+    e[0][at + nx - 1] = factor[0] * (c[nx - 2] - beyond_[1][end]);
+    difference(1, j > 0 ? c - nx : beyond_[2].data() + std::ptrdiff_t(k) * nx,
+               j + 1 < ny ? c + nx : beyond_[3].data() + std::ptrdiff_t(k) * nx, 0, nx);
+    difference(2, k > 0 ? c - plane : beyond_[4].data() + at, k + 1 < nz ? c + plane : beyond_[5].data() + at, 0, nx);
+  }
+  for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int side, Real excess) {
+    e[axis][at - k * plane] += (side == 0 ? factor[axis] : -factor[axis]) * excess;
+  });
+}
+
 void CompositeLaplacian::electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
                                         std::array<Field*, 3> const& components) {
-  visit(phi, walls, covered == CoveredField::mean ? Hidden::skip : Hidden::visit, [&](int l, int b) {
-    Box const& own = box(l, b);
-    Index3 const pitch = pitches(own);
-    Real const* const cells = phi.level(l).data() + offset(l, b);
-    Real factor[3];
-    Real* e[3];
-    for (int d = 0; d < 3; ++d) {
-      factor[d] = 0.5 / level(l).spacing()[d] / stretch_[d];
-      e[d] = components[d]->level(l).data() + offset(l, b);
+  bool const means = covered == CoveredField::mean;
+  auto average = [&](int l, int b, int k) {
+    for (Field* component : components)
+      if (means && l > 0 && k % 2 == 1) average_pair(l, b, k - 1, *component);
+  };
+  auto set_box = [&](int l, int b) {
+    std::array<Real*, 3> e;
+    for (int d = 0; d < 3; ++d) e[d] = components[d]->level(l).data() + offset(l, b);
+    for (int k = 0; k < box(l, b).extent(2); ++k) {
+      if (means)
+        set_uncovered(l, b, k, e, [&] { field_plane(l, b, k, phi, e); });
+      else
+        field_plane(l, b, k, phi, e);
+      average(l, b, k);
+      for (Real*& plane : e) plane += pitches(box(l, b))[2];
     }
-    int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
-    for (int k = 0; k < nz; ++k) {
-      for (int j = 0; j < ny; ++j) {
-        std::ptrdiff_t const at = std::ptrdiff_t(j) * pitch[1] + std::ptrdiff_t(k) * pitch[2];
-        Real const* c = cells + at;
-        fetch<Use::read>(c + pitch[2] + page<Real>, nx);
-        for (Real* component : e) fetch<Use::write>(component + at + page<Real>, nx);
-        auto difference = [&](int d, Real const* below, Real const* above, int first, int last) {
-          Real* __restrict out = e[d] + at;
-          for (int i = first; i < last; ++i) out[i] = factor[d] * (below[i] - above[i]);
-        };
-        std::size_t const end = std::size_t(j) + std::size_t(k) * std::size_t(ny);
-        difference(0, c - 1, c + 1, 1, nx - 1);
-        e[0][at] = factor[0] * (beyond_[0][end] - c[1]);
-        e[0][at + nx - 1] = factor[0] * (c[nx - 2] - beyond_[1][end]);
-        difference(1, j > 0 ? c - pitch[1] : beyond_[2].data() + std::ptrdiff_t(k) * nx,
-                   j + 1 < ny ? c + pitch[1] : beyond_[3].data() + std::ptrdiff_t(k) * nx, 0, nx);
-        difference(2, k > 0 ? c - pitch[2] : beyond_[4].data() + std::ptrdiff_t(j) * nx,
-                   k + 1 < nz ? c + pitch[2] : beyond_[5].data() + std::ptrdiff_t(j) * nx, 0, nx);
-      }
-      for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int side, Real excess) {
-        e[axis][at] += (side == 0 ? factor[axis] : -factor[axis]) * excess;
-      });
-    }
-  });
-  if (covered == CoveredField::mean)
-    for (Field* e : components) average_down(*e);
+  };
+  auto finish_level = [&](int l) {
+    for (int b = 0; b < boxes(l); ++b)
+      for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); ++k) average(l, b, k);
+    for (Field* component : components)
+      if (means && l > 0) average_across_ranks(l, *component);
+  };
+  visit(phi, walls, means ? Hidden::skip : Hidden::visit, set_box, finish_level);
 }
 
 std::int64_t CompositeLaplacian::messages() const {

@@ -99,9 +99,11 @@ class CompositeLaplacian {
 
  private:
   enum class Hidden { visit, skip };
+  static constexpr std::size_t most_fields = 3;  ///< that are set together
 
-  template <class F>
-  void visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f);
+  static constexpr auto no_more = [](int) {};
+  template <class F, class G = decltype(no_more) const&>
+  void visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f, G&& done = no_more);
   void surround(int l, int b, Field const& phi, Walls const& walls);
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
@@ -139,6 +141,9 @@ class CompositeLaplacian {
   template <class Fill, class Use>
   void for_each_plane(Fill&& fill, Use&& use);
 
+  template <std::size_t fields, class Set>
+  void set_uncovered(int l, int b, int k, std::array<Real*, fields> const& planes, Set&& set);
+  void field_plane(int l, int b, int k, Field const& phi, std::array<Real*, 3> const& e);
   template <class T>
   void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, kernels::Largest<T>& largest);
   void average_pair(int l, int b, int k, Field& phi) const;
@@ -158,7 +163,7 @@ class CompositeLaplacian {
   std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
   std::array<std::vector<Real>, 6> beyond_;  ///< ghosts of the box under way, by face, u fastest
   std::vector<Real> coarse_, fits_;          ///< of the interface under way: coarse values, two rows of phi*
-  std::vector<Real> plane_;                  ///< of the plane under way
+  std::vector<Real> plane_;                  ///< of the plane under way, of up to `most_fields` fields
 };
 
 }  // namespace amrpic

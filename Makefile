@@ -6,7 +6,7 @@ MAKEFLAGS += --no-builtin-rules
 
 BIN := .venv/bin
 NATIVE_BUILD := build/native
-JOBS ?= $(shell nproc)
+JOBS ?= $(shell env -u OMP_NUM_THREADS nproc)
 RANKS ?= 2
 SCENE ?= examples/ten_bunches.toml
 ARGS ?=

@@ -209,13 +209,7 @@ class Migration:
         starts: NDArray[numpy.int64],
     ) -> bool: ...
 
-def count_per_box(
-    hierarchy: Hierarchy,
-    position: NDArray[numpy.float64],
-    momentum: NDArray[numpy.float64],
-    weight: NDArray[numpy.float64],
-    id: NDArray[numpy.int64],
-) -> list: ...
+def count_per_box(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> list: ...
 
 class Shape(enum.Enum):
     nearest_grid_point = 0

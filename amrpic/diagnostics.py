@@ -126,12 +126,12 @@ class Moments:
 def moments(comm: MPI.Comm, particles: Particles) -> Moments:
     """Return the moments of all particles, which are read once. Collective."""
     sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass)
-    rest = np.array(sums.momentum), sums.kinetic_energy
+    totals = np.array(sums.momentum), sums.kinetic_energy
     if not sums.weight > 0:
         nothing = np.full(3, np.nan)
-        return Moments(nothing, nothing, nothing, *rest)
+        return Moments(nothing, nothing, nothing, *totals)
     xx, uu, xu = (np.array(products) / sums.weight for products in (sums.xx, sums.uu, sums.xu))
-    return Moments(np.array(sums.mean_x), np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *rest)
+    return Moments(np.array(sums.mean_x), np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *totals)
 
 
 def peak_memory(comm: MPI.Comm) -> int:

@@ -11,6 +11,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from . import _native
+from .errors import HierarchyError
 from .hierarchy import Hierarchy
 from .parallel import global_max
 
@@ -109,8 +110,17 @@ class Field:
         return self
 
     def integral(self, times: Field | None = None) -> float:
-        """Volume integral over uncovered cells; with another field of the hierarchy, that of the product. Collective."""
-        return self.native.integral() if times is None else self.native.integral_with(times.native)
+        """Volume integral over uncovered cells; with another field of the hierarchy, that of the product. Collective.
+
+        Raises HierarchyError if the other field lives on another hierarchy.
+        """
+        if times is None:
+            return self.native.integral()
+        if times.hierarchy is not self.hierarchy:
+            raise HierarchyError(
+                "the fields of a product live on two hierarchies; carry one of them over to the other's"
+            )
+        return self.native.integral_with(times.native)
 
     def max_abs(self) -> float:
         """Largest magnitude over uncovered cells; nan if one of them is. Collective."""

@@ -21,7 +21,7 @@ QUIET = 44 * MIB  # measured: SciPy's quasi-random numbers in a process
 DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
 
 ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a number of a field
-IDLE = 0.25  # of the fields, dropped and kept for the next ones
+IDLE = 0.25  # of the fields, measured: what the solver and a regrid hold for a while, and ends of large pages
 NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
 LAPLACIAN = ROW + NEIGHBOURS * ENTRY
 PARTICLE = 7 * NUMBER  # position, momentum, id
@@ -165,7 +165,7 @@ def _fields(scene: Scene) -> int:
     """Numbers per cell in the fields that live at the same time."""
     state = 5  # charge density, potential, field
     if scene.schedule.last_step == 0:
-        return state + 2  # what energies are summed up from
+        return state + 1  # what stands for all of them before the first solve
     return 2 * state + (1 if scene.refinement.follows else 0)  # the step before, and its potential carried over
 
 

@@ -37,7 +37,7 @@ def particles_per_box(particles: Particles, hierarchy: Hierarchy) -> list[np.nda
 
     The particles may be sorted on another hierarchy, or not at all; those outside the domain are not counted.
     """
-    counts = _native.count_per_box(hierarchy.native, *particles.arrays)
+    counts = _native.count_per_box(hierarchy.native, particles.position)
     for level in counts:
         hierarchy.comm.Allreduce(MPI.IN_PLACE, level)
     return counts

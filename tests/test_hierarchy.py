@@ -87,6 +87,13 @@ def test_patches_are_views_with_x_fastest():
     assert (x.ravel()[0], y.ravel()[1], z.ravel()[2]) == pytest.approx((8.5 / 32, 9.5 / 32, 10.5 / 32))
 
 
+def test_a_product_of_fields_on_two_hierarchies_is_refused():
+    one, other = (amrpic.Field(hierarchy([MIDDLE])) for _ in range(2))
+    assert one.integral(one) == 0
+    with pytest.raises(HierarchyError, match="live on two hierarchies"):
+        one.integral(other)
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3))
 def test_integral_and_mean_count_each_place_once(comm):
     made = amrpic.Hierarchy(comm, DOMAIN, [MIDDLE], max_grid_size=8)

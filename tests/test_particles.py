@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 import amrpic
 import hierarchies
+import mpi_batch
 from amrpic import _native
 from amrpic.clouds import Clouds
 from amrpic.deposit import deposit
@@ -195,6 +199,21 @@ def test_memory_of_particles_is_used_again_and_not_hoarded():
     huge = recycled(50_000_000, np.float64)
     del huge
     assert _native.idle_bytes() < 8 * 50_000_000
+
+
+def test_idle_memory_makes_room_for_other_sizes():
+    code = """if True:
+        import numpy as np
+        from amrpic import _native
+        from amrpic.particles import recycled
+        kept = [recycled(n, np.float64) for n in 3 * [1_000_000]]
+        kept.pop()
+        idle = _native.idle_bytes()
+        assert idle > 7e6, idle
+        kept.append(recycled(900_000, np.float64))  # with what lies idle there were more than there ever was
+        assert _native.idle_bytes() == 0, _native.idle_bytes()
+    """
+    subprocess.run([sys.executable, "-c", code], env=mpi_batch.ENVIRONMENT, check=True)
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -16,7 +16,7 @@ namespace {
 constexpr std::size_t small_page = 4096, large_page = std::size_t(1) << 21;
 
 /// Sizes in steps of a sixteenth, so that arrays that grow or shrink a little find their old place. Pages that are
-/// never touched cost nothing.
+/// never touched cost nothing, and the last large one less than there is to it.
 std::size_t rounded(std::size_t bytes) {
   std::size_t step = small_page;
   while (step * 32 <= bytes) step *= 2;
@@ -82,7 +82,8 @@ std::size_t Pool::idle() {
   return idle_total_;
 }
 
-/// Never destroyed: Python may drop its last array after the program's static objects are gone.
+/// As much may lie idle as is in use: while a step makes its fields those of the step before live, and between steps
+/// they do not. Never destroyed: Python may drop its last array after the program's static objects are gone.
 Pool& pool_of_large_arrays() {
   static Pool* const the_one = new Pool(1);
   return *the_one;

@@ -82,19 +82,18 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "count_per_box",
-      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position, ConstColumns momentum,
-         OnePerParticle weight, Row<std::int64_t const> id) {
+      [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position) {
         std::vector<std::vector<std::int64_t>> counts;
         {
           nb::gil_scoped_release release;
           Locator locator(std::move(hierarchy));
-          counts = count_per_box(locator, view(position, momentum, weight, id));
+          counts = count_per_box(locator, columns(position), std::int64_t(position.shape(0)));
         }
         nb::list out;
         for (auto& level : counts) out.append(bind::to_array(std::move(level)));
         return out;
       },
-      "hierarchy"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a);
+      "hierarchy"_a, "position"_a);
 
   nb::enum_<Shape>(m, "Shape")
       .value("nearest_grid_point", Shape::nearest_grid_point)

@@ -534,7 +534,7 @@ template Real CompositeLaplacian::add(Blocks<Real> const&, Real, Field&);
 
 // ---- the electric field ----
 
-/// The field in plane k of a box, whose components start at `e`.
+/// Set the field in plane k of a box, whose components there are `e`.
 void CompositeLaplacian::field_plane(int l, int b, int k, Field const& phi, std::array<Real*, 3> const& e) {
   Box const& own = box(l, b);
   int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);

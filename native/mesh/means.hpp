@@ -13,10 +13,10 @@ namespace amrpic {
 
 namespace detail {
 
+/// Sums of the `width` pairs that a row of numbers is made of.
 template <int width>
 struct Pairs;
 
-/// Sums of the pairs that a row of 2 `width` numbers is made of.
 template <>
 struct Pairs<8> {
   typedef Real Sums __attribute__((vector_size(64)));

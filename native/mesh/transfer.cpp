@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "mesh/means.hpp"
 #include "mesh/window.hpp"
 
 namespace amrpic {
@@ -36,12 +37,6 @@ std::vector<LocalIndex> bereaved(Level const& coarse, Level const& fine, std::ve
     }
   }
   return out;
-}
-
-Real mean_of_children(Real const* child, LocalIndex y, LocalIndex z) {
-  return ((child[0] + child[1]) + (child[y] + child[y + 1]) + (child[z] + child[z + 1]) +
-          (child[y + z] + child[y + z + 1])) /
-         8;
 }
 
 }  // namespace
@@ -82,7 +77,8 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
       LocalIndex const owned = pair.parents.owned();
       for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
         LocalIndex const place = pair.place[n++];
-        (place < owned ? coarse[place] : beyond[f][std::size_t(place - owned)]) = mean_of_children(fine + child, y, z);
+        average_children(1, fine + child, y, z,
+                         place < owned ? coarse + place : &beyond[f][std::size_t(place - owned)]);
       });
       own.push_back(coarse);
       ghosts.push_back(beyond[f].data());

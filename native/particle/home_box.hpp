@@ -23,7 +23,7 @@ struct HomeBrick {
   }
 };
 
-/// A box of this rank as a home of particles.
+/// A box as a home of particles.
 class HomeBox {
  public:
   HomeBox(Locator& locator, int level, int box)

@@ -369,7 +369,8 @@ void Migration::unpack(std::int64_t first, std::int64_t last, bool wrapped, Part
   }
 }
 
-std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, ParticleView const& particles) {
+std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::array<Real*, 3> const& position,
+                                                     std::int64_t count) {
   std::vector<std::vector<std::int64_t>> out;
   std::vector<std::vector<std::optional<HomeBox>>> seen;  // made when first wanted
   for (int l = 0; l < locator.hierarchy().level_count(); ++l) {
@@ -378,7 +379,7 @@ std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, ParticleV
   }
   Home home;
   auto const count_one = [&](std::int64_t n) {
-    Real3 x = particles.at(n);
+    Real3 x{position[0][n], position[1][n], position[2][n]};
     if (!is_finite(x) || !locator.wrap(x)) return;
     home = locator.find(x, home);
     ++out[home.level][home.box];
@@ -387,15 +388,15 @@ std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, ParticleV
     if (home.box < 0) return false;
     auto& box = seen[home.level][home.box];
     if (!box) box.emplace(locator, home.level, home.box);
-    auto const& x = particles.position;
+    auto const& x = position;
     auto const bricks = box->find({load<Lanes>(x[0] + first), load<Lanes>(x[1] + first), load<Lanes>(x[2] + first)});
     return bits_of(convert<WideLanes>(bricks >= 0)) == all_lanes;
   };
-  for (std::int64_t first = 0; first < particles.count; first += lane_count) {
-    if (first + lane_count <= particles.count && all_in_last_one(first))
+  for (std::int64_t first = 0; first < count; first += lane_count) {
+    if (first + lane_count <= count && all_in_last_one(first))
       out[home.level][home.box] += lane_count;
     else
-      for (std::int64_t n = first; n < std::min(first + lane_count, particles.count); ++n) count_one(n);
+      for (std::int64_t n = first; n < std::min(first + lane_count, count); ++n) count_one(n);
   }
   return out;
 }

@@ -126,7 +126,9 @@ class Migration {
   std::vector<std::int64_t> next_;
 };
 
-/// Number of particles of this rank in each box of each level, over all boxes of the level.
-std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, ParticleView const& particles);
+/// Number of `count` particles of this rank in each box of each level, over all boxes of the level; those that are
+/// outside the domain are not counted.
+std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::array<Real*, 3> const& position,
+                                                     std::int64_t count);
 
 }  // namespace amrpic

@@ -322,6 +322,9 @@ a run holds them, and at the peak of a migration, with the old ones and the new.
 
 {memory}
 
+Each step makes arrays of about the sizes that the step before made, and a fresh page takes longer to come by than to fill.
+So arrays of megabytes are kept for the next taker: as much as is in use, but never more than was in use at some time.
+
 ## More ranks
 
 `amrpic scaling SCENE --ranks 1 2 4 8` measures steps of any scene on so many ranks, which it starts itself (on a cluster

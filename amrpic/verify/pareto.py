@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
+from ..diagnostics import field_energy
 from ..field import Field, VectorField
 from ..follow import follow, make_base
 from ..hierarchy import Hierarchy
@@ -290,14 +291,11 @@ def _one(case: Case, setting: Setting, exact: ExactField, by_mesh: float) -> Mea
 
 def _apart(found: VectorField, wanted: VectorField) -> float:
     """L2 norm of a difference over that of what is wanted. Collective."""
-    squares = []
-    for less in (True, False):
-        square = Field(wanted.hierarchy)
-        for a, b in zip(found.components, wanted.components, strict=True):
-            for level in range(wanted.hierarchy.levels):
-                square.array(level)[:] += (b.array(level) - a.array(level) if less else b.array(level)) ** 2
-        squares.append(square.integral())
-    return float(np.sqrt(squares[0] / squares[1]))
+    apart = [field.copy() for field in wanted.components]
+    for difference, field in zip(apart, found.components, strict=True):
+        for level in range(wanted.hierarchy.levels):
+            difference.array(level)[:] -= field.array(level)
+    return float(np.sqrt(field_energy(VectorField(*apart)) / field_energy(wanted)))
 
 
 def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> Case:

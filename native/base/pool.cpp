@@ -64,11 +64,7 @@ void Pool::give(void* memory) noexcept {
   idle_total_ += held->second;
   used_total_ -= held->second;
   sizes_.erase(held);
-  auto too_much = [this] {
-    double const most = idle_.size() == 1 ? std::max(1.0, most_idle_) : most_idle_;
-    return double(idle_total_) > most * double(used_total_);
-  };
-  while (too_much()) free_oldest();
+  while (double(idle_total_) > most_idle_ * double(used_total_)) free_oldest();
 }
 
 void Pool::free_oldest() {

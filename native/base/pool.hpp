@@ -11,8 +11,8 @@ namespace amrpic {
 
 class Pool {
  public:
-  /// At most `most_idle` times the memory in use lies idle, or one block no larger than that; and never so much that
-  /// with what is in use it would be more than this pool's takers once had at a time.
+  /// At most `most_idle` times the memory in use lies idle, and never so much that with what is in use it would be more
+  /// than this pool's takers once had at a time.
   explicit Pool(double most_idle) : most_idle_(most_idle) {}
 
   /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.

@@ -231,14 +231,19 @@ void CompositeLaplacian::for_each_refined(int l, int b, int k, Real const* phi, 
   }
 }
 
-void CompositeLaplacian::clear_covered(int l, int b, int k, Real* plane) const {
-  int const nx = box(l, b).extent(0);
+/// Call f(place in the plane, count) for each row of covered cells in plane k of a box.
+template <class F>
+void CompositeLaplacian::for_each_covered_row(int l, int b, int k, F&& f) const {
   for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c) {
     Box const& part = plan(l).covered[std::size_t(c)];
     if (k < part.lower[2] || k > part.upper[2]) continue;
     for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-      std::fill_n(plane + part.lower[0] + std::ptrdiff_t(j) * nx, part.extent(0), 0.0);
+      f(part.lower[0] + std::ptrdiff_t(j) * box(l, b).extent(0), part.extent(0));
   }
+}
+
+void CompositeLaplacian::clear_covered(int l, int b, int k, Real* plane) const {
+  for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) { std::fill_n(plane + at, n, 0.0); });
 }
 
 /// f - Laplace phi of a plane of cells, into `plane_`; zero in covered ones.
@@ -428,21 +433,18 @@ Real CompositeLaplacian::diagonal_norm(Field const& phi, Norm norm) {
 template <std::size_t fields, class Set>
 void CompositeLaplacian::set_uncovered(int l, int b, int k, std::array<Real*, fields> const& planes, Set&& set) {
   static_assert(fields <= most_fields);
-  auto for_each_covered_row = [&](auto&& f) {
-    Real* kept = plane_.data();
-    for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c) {
-      Box const& part = plan(l).covered[std::size_t(c)];
-      if (k < part.lower[2] || k > part.upper[2]) continue;
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-        for (Real* plane : planes) {
-          f(plane + part.lower[0] + std::ptrdiff_t(j) * box(l, b).extent(0), kept, part.extent(0));
-          kept += part.extent(0);
-        }
-    }
-  };
-  for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(cells, n, kept); });
+  Real* end = plane_.data();
+  for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
+    for (Real const* plane : planes) end = std::copy_n(plane + at, n, end);
+  });
   set();
-  for_each_covered_row([](Real* cells, Real* kept, int n) { std::copy_n(kept, n, cells); });
+  Real const* kept = plane_.data();
+  for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
+    for (Real* plane : planes) {
+      std::copy_n(kept, n, plane + at);
+      kept += n;
+    }
+  });
 }
 
 /// phi += scale * correction in the uncovered cells of a plane.
@@ -568,8 +570,7 @@ void CompositeLaplacian::electric_field(Field const& phi, std::vector<Walls> con
                                         std::array<Field*, 3> const& components) {
   bool const means = covered == CoveredField::mean;
   auto average = [&](int l, int b, int k) {
-    for (Field* component : components)
-      if (means && l > 0 && k % 2 == 1) average_pair(l, b, k - 1, *component);
+    for (Field* component : components) average_pair(l, b, k, *component);
   };
   auto set_box = [&](int l, int b) {
     std::array<Real*, 3> e;
@@ -579,15 +580,15 @@ void CompositeLaplacian::electric_field(Field const& phi, std::vector<Walls> con
         set_uncovered(l, b, k, e, [&] { field_plane(l, b, k, phi, e); });
       else
         field_plane(l, b, k, phi, e);
-      average(l, b, k);
+      if (means && l > 0 && k % 2 == 1) average(l, b, k - 1);
       for (Real*& plane : e) plane += pitches(box(l, b))[2];
     }
   };
   auto finish_level = [&](int l) {
+    if (!means || l == 0) return;
     for (int b = 0; b < boxes(l); ++b)
-      for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); ++k) average(l, b, k);
-    for (Field* component : components)
-      if (means && l > 0) average_across_ranks(l, *component);
+      for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); k += 2) average(l, b, k);
+    for (Field* component : components) average_across_ranks(l, *component);
   };
   visit(phi, walls, means ? Hidden::skip : Hidden::visit, set_box, finish_level);
 }

@@ -131,6 +131,8 @@ class CompositeLaplacian {
     }
   }
   Real* pack_cells(Field const& field, Piece const& piece, Real* out) const;
+  template <class F>
+  void for_each_covered_row(int l, int b, int k, F&& f) const;
   void clear_covered(int l, int b, int k, Real* plane) const;
   template <class F>
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const;

@@ -31,18 +31,18 @@ Real integral_on_level(Hierarchy const& hierarchy, int l, Value const& value) {
     Box const& box = level.box(b);
     LocalIndex const first = level.local_offset(b), plane = box.extent(0) * box.extent(1);
     bool const refined = hierarchy.has_finer(l) && hierarchy.level(l + 1).intersects(box.refine(refinement_ratio));
-    Real of_box = 0;
-    if (!refined) {
-      for (int k = 0; k < box.extent(2); ++k)
-        of_box += sum(plane, [&](LocalIndex n) { return value(first + k * plane + n); });
-    } else {
+    auto const of_box = [&](auto const& of_cell) {
+      Real out = 0;
+      for (int k = 0; k < box.extent(2); ++k) out += sum(plane, [&](LocalIndex n) { return of_cell(k * plane + n); });
+      return out;
+    };
+    if (refined) {
       auto const covered = covered_cells(hierarchy.level(l + 1), refinement_ratio, box);
-      for (int k = 0; k < box.extent(2); ++k) {
-        char const* const mask = covered.values().data() + k * plane;
-        of_box += sum(plane, [&](LocalIndex n) { return mask[n] ? 0 : value(first + k * plane + n); });
-      }
+      char const* const mask = covered.values().data();
+      total += of_box([&](LocalIndex n) { return mask[n] ? 0 : value(first + n); });
+    } else {
+      total += of_box([&](LocalIndex n) { return value(first + n); });
     }
-    total += of_box;
   }
   return level.cell_volume() * total;
 }

@@ -108,7 +108,7 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
       auto const s = frame.inside(particles, group, all_in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
-      Lanes const weight = particles.equal_weights ? *particles.weight + Lanes{} : load(particles.weight, group);
+      Lanes const weight = load(particles.weight, particles.equal_weights, group);
       for (int k = 0; k < width; ++k)
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
       clouds.put_x_shares(i, x.share);

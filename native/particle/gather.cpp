@@ -301,11 +301,9 @@ void push(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> 
           ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out) {
   auto const &now = out.momentum_now, &onward = out.momentum, &x = out.position;
   bool const far = are_far(particles.count, now[0], now[1], now[2], onward[0], onward[1], onward[2], x[0], x[1], x[2]);
-  auto const of = [&](Real const* values, LaneGroup const& group) {
-    return motion.same ? values[0] + Lanes{} : load(values, group);
-  };
   read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
-    Lanes const charge = of(motion.charge, group), time_over_mass = of(motion.time_over_mass, group);
+    Lanes const charge = load(motion.charge, motion.same, group);
+    Lanes const time_over_mass = load(motion.time_over_mass, motion.same, group);
     Lanes const before = motion.before * charge, after = motion.after * charge;
     for (int d = 0; d < 3; ++d) {
       Lanes const half = load(particles.momentum[d], group) + before * felt[d];

@@ -215,6 +215,11 @@ inline Lanes load(Real const* values, LaneGroup const& g) {
   return out;
 }
 
+/// The same; if there is `one` for all, that one.
+inline Lanes load(Real const* values, bool one, LaneGroup const& g) {
+  return one ? values[0] + Lanes{} : load(values, g);
+}
+
 /// Write a group, past the cache if the values are `far` and start on a cache line.
 inline void store(Real* values, LaneGroup const& g, Lanes const& from, bool far) {
   if (!g.whole()) {

@@ -388,8 +388,8 @@ std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::arra
     if (home.box < 0) return false;
     auto& box = seen[home.level][home.box];
     if (!box) box.emplace(locator, home.level, home.box);
-    auto const& x = position;
-    auto const bricks = box->find({load<Lanes>(x[0] + first), load<Lanes>(x[1] + first), load<Lanes>(x[2] + first)});
+    LaneGroup const group{first, all_lanes};
+    auto const bricks = box->find({load(position[0], group), load(position[1], group), load(position[2], group)});
     return bits_of(convert<WideLanes>(bricks >= 0)) == all_lanes;
   };
   for (std::int64_t first = 0; first < count; first += lane_count) {

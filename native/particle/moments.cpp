@@ -21,10 +21,9 @@ BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool 
   for (std::int64_t first = 0; first < particles.count; first += lane_count) {
     std::int64_t const left = particles.count - first;
     LaneGroup const group{first, left < lane_count ? (1u << left) - 1 : all_lanes};
-    auto const of = [&](Real const* values, bool one) { return one ? values[0] + Lanes{} : load(values, group); };
-    Lanes weight = of(particles.weight, particles.equal_weights);
+    Lanes weight = load(particles.weight, particles.equal_weights, group);
     for (std::int64_t i = left; i < lane_count; ++i) weight[i] = 0;
-    Lanes const m = of(mass, same), per_mc = 1 / (m * c);
+    Lanes const m = load(mass, same, group), per_mc = 1 / (m * c);
     std::array<Lanes, 3> x, u;
     Lanes square{};
     for (std::size_t d = 0; d < 3; ++d) {

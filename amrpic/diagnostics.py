@@ -100,7 +100,7 @@ def field_energy(efield: VectorField) -> float:
 
     What the field holds outside an open domain is not in it.
     """
-    return 0.5 * VACUUM_PERMITTIVITY * sum(component.integral(component) for component in efield.components)
+    return 0.5 * VACUUM_PERMITTIVITY * efield.integral_of_square()
 
 
 def potential_energy(rho: Field, phi: Field) -> float:

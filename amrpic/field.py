@@ -137,25 +137,55 @@ class Field:
         return self.native.sample(points)
 
 
-@dataclass(frozen=True)
 class VectorField:
-    """Three fields, the components along x, y and z."""
+    """Three fields, the components along x, y and z; or what they follow from, and made when they are first asked for."""
 
-    x: Field
-    y: Field
-    z: Field
+    def __init__(self, x: Field, y: Field, z: Field) -> None:
+        self.hierarchy, self.unit = x.hierarchy, x.unit
+        self.components = x, y, z
+
+    @classmethod
+    def deferred(cls, native: _native.ElectricField, hierarchy: Hierarchy, unit: str) -> VectorField:
+        """A field whose components the native module writes when they are asked for."""
+        out = cls.__new__(cls)
+        out.hierarchy, out.unit = hierarchy, unit
+        out._deferred = native
+        return out
+
+    _deferred: _native.ElectricField | None = None
 
     @property
+    def native(self) -> _native.ElectricField:
+        """The field as native kernels read it; collective where it is made of components."""
+        return self._deferred or _native.ElectricField(*(c.native for c in self.components))
+
+    @cached_property
     def components(self) -> tuple[Field, Field, Field]:
-        return self.x, self.y, self.z
+        return self.made().components
 
     @property
-    def hierarchy(self) -> Hierarchy:
-        return self.x.hierarchy
+    def x(self) -> Field:
+        return self.components[0]
 
     @property
-    def unit(self) -> str:
-        return self.x.unit
+    def y(self) -> Field:
+        return self.components[1]
+
+    @property
+    def z(self) -> Field:
+        return self.components[2]
+
+    def made(self) -> VectorField:
+        """The same field with components of its own, which this one does not keep. Collective."""
+        if self._deferred is None:
+            return self
+        x, y, z = (Field.unset(self.hierarchy, self.unit) for _ in range(3))
+        self._deferred.write(x.native, y.native, z.native)
+        return VectorField(x, y, z)
+
+    def integral_of_square(self) -> float:
+        """Volume integral of the square over uncovered cells. Collective."""
+        return self.native.integral_of_square()
 
     def sample(self, points: ArrayLike) -> np.ndarray:
         """Values at points (n, 3) in m, (n, 3) on every rank. Collective."""

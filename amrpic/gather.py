@@ -19,10 +19,9 @@ def gather(efield: VectorField, particles: Particles, clouds: Clouds = PLAIN) ->
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
-    x, y, z = (c.native for c in efield.components)
     out = empty_columns(len(particles))
     try:
-        _native.gather(particle_mesh(hierarchy), *clouds.native, x, y, z, *particles.arrays, sorting.starts, out)
+        _native.gather(particle_mesh(hierarchy), *clouds.native, efield.native, *particles.arrays, sorting.starts, out)
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return out

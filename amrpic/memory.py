@@ -12,6 +12,7 @@ import numpy as np
 
 from .boxes import Array, cells_of, outer_faces
 from .bunches import LatticeBunch, Train
+from .refinement import CallableRule, FieldStrengthRule, every_rule
 from .scene import Leapfrog, Scene
 
 MIB = 2**20
@@ -41,12 +42,11 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
 
     `boxes` are those of each level, coarse to fine; a mesh that follows the particles may need more later.
     """
-    total = sum(int(cells_of(level).sum()) for level in boxes)
     quiet = any(isinstance(bunch, Train) and bunch.sampling != "random" for bunch in scene.bunches)
     return {
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, boxes),
-        "fields": int((1 + IDLE) * total * NUMBER * _fields(scene)),
+        "fields": int((1 + IDLE) * NUMBER * _fields(scene, boxes)),
         "particles": particles * _particle(scene),
         "pictures": DRAWING if "pictures" in scene.output.write else 0,
     }
@@ -161,12 +161,36 @@ def _smoother(scene: Scene) -> int:
     return 4 if scene.solver.smoother == "red-black" else ROW + NEIGHBOURS * ENTRY + 6 * NUMBER
 
 
-def _fields(scene: Scene) -> int:
-    """Numbers per cell in the fields that live at the same time."""
-    state = 5  # charge density, potential, field
+def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
+    """Numbers in the fields that live at the same time."""
+    total = sum(int(cells_of(level).sum()) for level in boxes)
+    state = 2 * total + 4 * _rims(scene, boxes)  # charge density and potential; field at the rims of boxes
+    components = AXES * total
     if scene.schedule.last_step == 0:
-        return state + 1  # what stands for all of them before the first solve
-    return 2 * state + (1 if scene.refinement.follows else 0)  # the step before, and its potential carried over
+        return state + max(components, total)  # to be written; what stands for all of them before the first solve
+    if not scene.refinement.follows:
+        return 2 * state  # the step before
+    field_decides = any(
+        isinstance(rule, FieldStrengthRule) or (isinstance(rule, CallableRule) and "efield" in rule.arguments)
+        for _, rule in every_rule(scene.refinement.rule)
+    )
+    return 2 * state + total + (2 * components if field_decides else 0)  # potential carried over, field on both meshes
+
+
+def _rims(scene: Scene, boxes: Sequence[Array]) -> int:
+    """Cells at the faces of boxes, and all of those that a finer level covers a part of."""
+    total = 0
+    for level, finer in itertools.zip_longest(boxes, boxes[1:]):
+        sizes = level[:, 3:] - level[:, :3] + 1
+        parts = -(-sizes // scene.refinement.max_grid_size)
+        inside = np.prod(np.maximum(sizes / parts - 2, 0) * parts, axis=1)
+        if finer is not None:
+            parents = finer // 2
+            inside *= [
+                not np.any(np.all((box[:3] <= parents[:, 3:]) & (parents[:, :3] <= box[3:]), axis=1)) for box in level
+            ]
+        total += int((cells_of(level) - inside).sum())
+    return total
 
 
 def _particle(scene: Scene) -> int:

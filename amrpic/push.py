@@ -24,14 +24,13 @@ def push(
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
-    x, y, z = (c.native for c in efield.components)
     now, momentum, position = (empty_columns(len(particles)) for _ in range(3))
     time_over_mass = particles.spread(dt / particles.species.masses)
     given, out = particles.arrays, (now, momentum, position)
     try:
         mesh, starts = particle_mesh(hierarchy), sorting.starts
         _native.push(
-            mesh, *clouds.native, x, y, z, *given, starts, particles.charge, time_over_mass, before, after, *out
+            mesh, *clouds.native, efield.native, *given, starts, particles.charge, time_over_mass, before, after, *out
         )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None

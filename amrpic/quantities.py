@@ -58,7 +58,7 @@ class Quantities:
             return VectorField(x, y, z)
         phi = self.phi
         with self.plan.clock("solve"):
-            return self.plan.poisson(self.hierarchy).electric_field(phi)
+            return self.plan.poisson(self.hierarchy).deferred_field(phi)
 
     @cached_property
     def particles_per_cell(self) -> Field:

@@ -116,7 +116,7 @@ def with_field(state: State, seen: Quantities) -> State:
     plan, rho = seen.plan, seen.rho
     with plan.clock("solve"):
         phi, report = plan.solve(rho, seen.guess)
-        efield = plan.poisson(seen.hierarchy).electric_field(phi, covered=plan.clouds.covered)
+        efield = plan.poisson(seen.hierarchy).deferred_field(phi, covered=plan.clouds.covered)
     regridded = seen.hierarchy is not state.hierarchy
     state = replace(state, particles=seen.particles, hierarchy=seen.hierarchy, regridded=regridded)
     return replace(state, rho=rho, phi=phi, efield=efield, report=report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -15,9 +16,13 @@ from scipy.constants import epsilon_0
 
 import amrpic
 from amrpic import _native
+from amrpic.clouds import SHAPES, Clouds
+from amrpic.gather import gather
 from amrpic.hierarchy import BOUNDARIES
+from amrpic.migrate import migrate
 from amrpic.verify.meshes import MESHES
 from hierarchies import all_cases
+from particle_cases import scattered as scattered_particles
 from parts import hierarchy_of
 
 CASES = all_cases()
@@ -119,6 +124,12 @@ class Problem:
                 out -= self.operator(level, name, other) @ self.whole(self.phi, other)
         return np.where(self.uncovered(level), out, 0.0)
 
+    def electric_field(self, covered: _native.CoveredField) -> _native.ElectricField:
+        return self.laplacian.electric_field(self.phi.native, self.walls, covered)
+
+    def components(self, field: _native.ElectricField) -> tuple[amrpic.Field, ...]:
+        return amrpic.VectorField.deferred(field, self.hierarchy, "V/m").components
+
     def norm(self, values: Levels, norm: str) -> float:
         """Over uncovered cells of all levels and ranks."""
         parts = [
@@ -216,13 +227,29 @@ def test_residual_is_that_of_the_operators(comm, name):
 def test_field_is_that_of_the_operators(comm, name):
     p = problem(name, comm)
     for kind in (_native.CoveredField.mean, _native.CoveredField.difference):
-        fields = [[amrpic.Field(p.hierarchy) for _ in "xyz"] for _ in "12"]
-        p.solver.native.electric_field(p.phi.native, kind, *(f.native for f in fields[0]))
-        p.laplacian.electric_field(p.phi.native, p.walls, kind, *(f.native for f in fields[1]))
-        for expected, found in zip(*fields, strict=True):
+        by_operators = p.components(p.solver.native.electric_field(p.phi.native, kind))
+        for expected, found in zip(by_operators, p.components(p.electric_field(kind)), strict=True):
             for level in range(p.hierarchy.levels):
                 size = ROUNDING * p.largest_term(level) * p.spacing(level).max()
                 assert found.native.level(level) == pytest.approx(expected.native.level(level), rel=0, abs=size)
+
+
+@each_case
+def test_what_follows_from_a_deferred_field_follows_from_its_components(comm, name):
+    """What particles feel to the last bit, and the energy."""
+    p = problem(name, comm)
+    particles, lost = migrate(scattered_particles(p.hierarchy, 300), p.hierarchy)
+    assert len(lost) == 0
+    for matched, shape in itertools.product((False, True), SHAPES):
+        clouds = Clouds(shape, matched)
+        native = p.electric_field(getattr(_native.CoveredField, clouds.covered))
+        deferred = amrpic.VectorField.deferred(native, p.hierarchy, "V/m")
+        felt = gather(deferred, particles, clouds)
+        given = amrpic.VectorField(*p.components(native))
+        assert np.array_equal(felt, gather(given, particles, clouds)), clouds
+        by_component = sum(component.integral(component) for component in given.components)
+        assert deferred.integral_of_square() == pytest.approx(by_component, rel=1e-12, abs=0)
+        assert given.integral_of_square() == pytest.approx(by_component, rel=1e-12, abs=0)
 
 
 @each_case
@@ -346,11 +373,8 @@ def results_of(p: Problem) -> tuple[list[float], dict[str, list[np.ndarray]]]:
         norms += [p.laplacian.diagonal_norm(p.phi.native, norm_of(norm))]
     norms += p.laplacian.integrate_right_hand_side(*source)
     for kind in ("mean", "difference"):
-        e = [amrpic.Field(p.hierarchy) for _ in "xyz"]
-        p.laplacian.electric_field(
-            p.phi.native, p.walls, getattr(_native.CoveredField, kind), *(component.native for component in e)
-        )
-        for axis, component in zip("xyz", e, strict=True):
+        e = p.electric_field(getattr(_native.CoveredField, kind))
+        for axis, component in zip("xyz", p.components(e), strict=True):
             fields[f"E_{axis}, {kind}"] = [component.native.level(level) for level in levels]
     fields["truncation"], _ = p.laplacian.truncation(*source, p.phi.native, (2, 2, 2), p.ones)
     improved = p.phi.copy()
@@ -370,11 +394,9 @@ def test_lengths_may_be_stretched(comm):
     assert size == pytest.approx(p.norm(expected, "l2"), rel=1e-10)
     for level, values in enumerate(found):
         assert values == pytest.approx(expected[level], rel=0, abs=ROUNDING * p.largest_term(level))
-    fields = [[amrpic.Field(p.hierarchy) for _ in "xyz"] for _ in "12"]
     kind = _native.CoveredField.mean
-    p.solver.native.electric_field(p.phi.native, kind, *(f.native for f in fields[0]))
-    p.laplacian.electric_field(p.phi.native, p.walls, kind, *(f.native for f in fields[1]))
-    for one, other in zip(*fields, strict=True):
+    by_operators = p.components(p.solver.native.electric_field(p.phi.native, kind))
+    for one, other in zip(by_operators, p.components(p.electric_field(kind)), strict=True):
         for level in range(p.hierarchy.levels):
             size = ROUNDING * p.largest_term(level)
             assert other.native.level(level) == pytest.approx(one.native.level(level), rel=0, abs=size)

@@ -14,7 +14,7 @@ constexpr std::size_t cache_line = 64;
 
 /// From this size on blocks come from a pool: the faults of fresh pages took as long as all else in the assembly of
 /// operators.
-constexpr std::size_t large_block = std::size_t(1) << 22;
+constexpr std::size_t large_block = std::size_t(1) << 18;
 
 /// Allocates from a cache line on.
 template <class T>

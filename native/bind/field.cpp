@@ -44,4 +44,24 @@ void bind_field(nb::module_& m) {
             return bind::to_array(std::move(values));
           },
           "points"_a);
+
+  nb::class_<ElectricField>(m, "ElectricField")
+      .def(
+          "__init__",
+          [](ElectricField* self, std::shared_ptr<Field const> x, std::shared_ptr<Field const> y,
+             std::shared_ptr<Field const> z) {
+            nb::gil_scoped_release release;
+            new (self) ElectricField({std::move(x), std::move(y), std::move(z)});
+          },
+          "x"_a, "y"_a, "z"_a)
+      .def(
+          "write",
+          [](ElectricField const& field, Field& x, Field& y, Field& z) {
+            nb::gil_scoped_release release;
+            field.write({&x, &y, &z});
+          },
+          "x"_a, "y"_a, "z"_a)
+      .def(
+          "integral_of_square", [](ElectricField const& field) { return integral_of_square(field); },
+          nb::call_guard<nb::gil_scoped_release>());
 }

@@ -156,13 +156,13 @@ void bind_matrixfree(nb::module_& m) {
            nb::call_guard<nb::gil_scoped_release>())
       .def(
           "electric_field",
-          [](CompositeLaplacian& laplacian, Field const& phi, Values const& walls, CoveredField covered, Field& x,
-             Field& y, Field& z) {
+          [](CompositeLaplacian& laplacian, std::shared_ptr<Field const> potential, Values const& walls,
+             CoveredField covered) {
             auto const data = walls_of(laplacian.hierarchy(), walls);
             nb::gil_scoped_release release;
-            laplacian.electric_field(phi, data, covered, {&x, &y, &z});
+            return laplacian.electric_field(std::move(potential), data, covered);
           },
-          "phi"_a, "walls"_a, "covered"_a, "x"_a, "y"_a, "z"_a)
+          "potential"_a, "walls"_a, "covered"_a)
       .def_prop_ro("messages", &CompositeLaplacian::messages)
       .def_prop_ro("message_bytes", &CompositeLaplacian::message_bytes)
       .def_prop_ro("bytes", &CompositeLaplacian::bytes);

@@ -113,27 +113,26 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "gather",
-      [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         Row<std::int64_t const> starts, Columns out) {
+      [](ParticleMesh& mesh, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
+         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
+         Columns out) {
         nb::gil_scoped_release release;
-        gather(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(), columns(out));
+        gather(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), columns(out));
       },
-      "mesh"_a, "shape"_a, "matched"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "out"_a);
+      "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "out"_a);
 
   m.def(
       "push",
-      [](ParticleMesh& mesh, Shape shape, bool matched, Field const& x, Field const& y, Field const& z,
-         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         Row<std::int64_t const> starts, OnePerParticle charge, OnePerParticle time_over_mass, Real before, Real after,
-         Columns momentum_now, Columns momentum_out, Columns position_out) {
+      [](ParticleMesh& mesh, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
+         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
+         OnePerParticle charge, OnePerParticle time_over_mass, Real before, Real after, Columns momentum_now,
+         Columns momentum_out, Columns position_out) {
         nb::gil_scoped_release release;
-        push(mesh, {shape, matched}, {&x, &y, &z}, view(position, momentum, weight, id), starts.data(),
+        push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(),
              {charge.data(), time_over_mass.data(), charge.stride(0) == 0, before, after},
              {columns(momentum_now), columns(momentum_out), columns(position_out)});
       },
-      "mesh"_a, "shape"_a, "matched"_a, "x"_a, "y"_a, "z"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
+      "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
       "charge"_a, "time_over_mass"_a, "before"_a, "after"_a, "momentum_now"_a, "momentum_out"_a, "position_out"_a);
 
   nb::class_<BeamSums<Real>>(m, "BeamSums")

@@ -103,13 +103,8 @@ void bind_solver(nb::module_& m) {
           },
           "hierarchy"_a, "options"_a, "reusable"_a)
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, nb::call_guard<nb::gil_scoped_release>())
-      .def(
-          "electric_field",
-          [](PoissonSolver& solver, Field const& phi, CoveredField covered, Field& x, Field& y, Field& z) {
-            nb::gil_scoped_release release;
-            solver.electric_field(phi, std::array<Field*, 3>{&x, &y, &z}, covered);
-          },
-          "phi"_a, "covered"_a, "x"_a, "y"_a, "z"_a)
+      .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,
+           nb::call_guard<nb::gil_scoped_release>())
       .def(
           "wall_faces",
           [](PoissonSolver& solver, int level) {

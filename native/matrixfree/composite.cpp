@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/constants.hpp"
+#include "base/lanes.hpp"
 #include "matrixfree/composite_kernels.hpp"
 #include "mesh/means.hpp"
 #include "stencil/boundary.hpp"
@@ -12,6 +13,7 @@ namespace amrpic {
 
 namespace {
 
+constexpr int children = 8;  ///< of a cell
 constexpr Real inverse_permittivity = 1 / vacuum_permittivity;
 
 Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
@@ -48,7 +50,7 @@ CompositeLaplacian::CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarch
   for (int f = 0; f < 6; ++f) beyond_[f].resize(face[f / 2]);
   coarse_.resize((row / 2 + 4) * (row / 2 + 4));
   fits_.resize(2 * row);
-  plane_.resize(most_fields * face[2]);
+  plane_.resize(2 * most_fields * face[2]);
 }
 
 Real CompositeLaplacian::volume(int l) const {
@@ -536,61 +538,136 @@ template Real CompositeLaplacian::add(Blocks<Real> const&, Real, Field&);
 
 // ---- the electric field ----
 
-/// Set the field in plane k of a box, whose components there are `e`.
-void CompositeLaplacian::field_plane(int l, int b, int k, Field const& phi, std::array<Real*, 3> const& e) {
+/// Set the field in plane k of a box, whose components there are `e`: in all cells, or in those at faces of the box.
+void CompositeLaplacian::field_plane(int l, int b, int k, Cells which, Field const& phi,
+                                     std::array<Real*, 3> const& e) {
   Box const& own = box(l, b);
   int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
   std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
   Real const* const cells = phi.level(l).data() + offset(l, b);
-  Real factor[3];
-  for (int d = 0; d < 3; ++d) factor[d] = 0.5 / level(l).spacing()[d] / stretch_[d];
+  Real3 factor;
+  for (int d = 0; d < 3; ++d) factor[d] = half_over_spacing(l, d);
   for (int j = 0; j < ny; ++j) {
     std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
     Real const* const c = cells + k * plane + at;
     fetch<Use::read>(c + plane + page<Real>, nx);
-    for (Real* component : e) fetch<Use::write>(component + at + page<Real>, nx);
     auto difference = [&](int d, Real const* below, Real const* above, int first, int last) {
       Real* __restrict out = e[d] + at;
-      for (int i = first; i < last; ++i) out[i] = factor[d] * (below[i] - above[i]);
+      for (int i = first; i < last; ++i) out[i] = field_between(factor[d], below[i], above[i]);
     };
     std::size_t const end = std::size_t(j) + std::size_t(k) * std::size_t(ny);
-    difference(0, c - 1, c + 1, 1, nx - 1);
-    e[0][at] = factor[0] * (beyond_[0][end] - c[1]);
-    e[0][at + nx - 1] = factor[0] * (c[nx - 2] - beyond_[1][end]);
-    difference(1, j > 0 ? c - nx : beyond_[2].data() + std::ptrdiff_t(k) * nx,
-               j + 1 < ny ? c + nx : beyond_[3].data() + std::ptrdiff_t(k) * nx, 0, nx);
-    difference(2, k > 0 ? c - plane : beyond_[4].data() + at, k + 1 < nz ? c + plane : beyond_[5].data() + at, 0, nx);
+    auto set = [&](int first, int last) {
+      difference(0, c - 1, c + 1, std::max(first, 1), std::min(last, nx - 1));
+      if (first == 0) e[0][at] = field_between(factor[0], beyond_[0][end], c[1]);
+      if (last == nx) e[0][at + nx - 1] = field_between(factor[0], c[nx - 2], beyond_[1][end]);
+      difference(1, j > 0 ? c - nx : beyond_[2].data() + std::ptrdiff_t(k) * nx,
+                 j + 1 < ny ? c + nx : beyond_[3].data() + std::ptrdiff_t(k) * nx, first, last);
+      difference(2, k > 0 ? c - plane : beyond_[4].data() + at, k + 1 < nz ? c + plane : beyond_[5].data() + at, first,
+                 last);
+    };
+    if (which == Cells::all || j == 0 || j + 1 == ny || k == 0 || k + 1 == nz) {
+      set(0, nx);
+    } else {
+      set(0, 1);
+      set(nx - 1, nx);
+    }
   }
   for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int side, Real excess) {
     e[axis][at - k * plane] += (side == 0 ? factor[axis] : -factor[axis]) * excess;
   });
 }
 
-void CompositeLaplacian::electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
-                                        std::array<Field*, 3> const& components) {
-  bool const means = covered == CoveredField::mean;
-  auto average = [&](int l, int b, int k) {
-    for (Field* component : components) average_pair(l, b, k, *component);
+/// Give the means of a level's cells, box by box, to the covered cells of the coarser level, whose rim is all of their
+/// box.
+void CompositeLaplacian::give_means(int l, Real const* means, ElectricField& field) {
+  constexpr std::ptrdiff_t width = ElectricField::rim_width;
+  LevelPlan& coarse = plan_.levels[std::size_t(l) - 1];
+  auto const first_of = [&](int b) { return means + width * (level(l).local_offset(b) / children); };
+  auto const parents_of = [&](int b) { return level(l).box(b).coarsen(refinement_ratio); };
+  auto const at_rim = [&](LocalIndex place) { return field.at_rim(l - 1) + width * field.rim(l - 1).number(place); };
+
+  for (int b = 0; b < boxes(l); ++b)
+    for (int f = plan(l, b).families.first; f < plan(l, b).families.last; ++f) {
+      Family const& family = plan(l).families[std::size_t(f)];
+      int const box = level(l).first_local_box() + b;
+      Index3 const pitch = pitches(parents_of(box));
+      Real const* from = first_of(box);
+      for (int d = 0; d < 3; ++d) from += width * (family.child[d] / 2) * pitch[d];
+      Real* const to = at_rim(family.parent);
+      for (int k = 0; k < family.parents[2]; ++k)
+        for (int j = 0; j < family.parents[1]; ++j)
+          std::copy_n(from + width * (j * pitch[1] + k * pitch[2]), width * family.parents[0],
+                      to + width * (j * family.pitch_y + k * family.pitch_z));
+    }
+
+  for (int axis = 0; axis < 3; ++axis) {
+    coarse.finer_means.start([&](Piece const& piece, Real* out) {
+      for_each_cell(piece.part, [&](Index3 const& parent) {
+        *out++ = first_of(piece.box)[width * parents_of(piece.box).offset(parent) + axis];
+      });
+    });
+    coarse.finer_means.finish();
+    for (RemoteMeans const& m : coarse.remote_means) {
+      Real const* from = coarse.finer_means.values(m.owner) + m.from;
+      Real* const to = at_rim(m.parent) + axis;
+      for (int k = 0; k < m.parents[2]; ++k)
+        for (int j = 0; j < m.parents[1]; ++j)
+          for (int i = 0; i < m.parents[0]; ++i) to[width * (i + j * m.pitch_y + k * m.pitch_z)] = *from++;
+    }
+  }
+}
+
+/// Set the means of planes k and k + 1 of a box, which are under way, box by box.
+void CompositeLaplacian::average_field(int l, int b, int k, Real* means) {
+  Box const parents = box(l, b).coarsen(refinement_ratio);
+  std::ptrdiff_t const nx = parents.extent(0), plane = nx * parents.extent(1);
+  Real* to = means + ElectricField::rim_width * (offset(l, b) / children + k / 2 * plane);
+  std::array<Real*, 3> const row{fits_.data(), fits_.data() + nx, coarse_.data()};
+  for (int j = 0; j < parents.extent(1); ++j, to += ElectricField::rim_width * nx) {
+    for (int d = 0; d < 3; ++d)
+      average_children(int(nx), plane_.data() + 2 * d * 4 * plane + 4 * j * nx, 2 * nx, 4 * plane, row[d]);
+    write_cells({row[0], row[1], row[2]}, int(nx), to);
+  }
+}
+
+ElectricField CompositeLaplacian::electric_field(std::shared_ptr<Field const> potential,
+                                                 std::vector<Walls> const& walls, CoveredField covered) {
+  Field const& phi = *potential;
+  std::vector<Real3> factor(std::size_t(hierarchy_->level_count()));
+  for (std::size_t l = 0; l < factor.size(); ++l)
+    for (int d = 0; d < 3; ++d) factor[l][d] = half_over_spacing(int(l), d);
+  ElectricField out(std::move(potential), std::move(factor));
+
+  bool const averages = covered == CoveredField::mean;
+  std::vector<LargeArray<Real>> means(std::size_t(hierarchy_->level_count()));  // of each level's cells
+  for (int l = 1; averages && l < hierarchy_->level_count(); ++l)
+    means[std::size_t(l)].resize(ElectricField::rim_width * std::size_t(level(l).local_cells() / children));
+
+  auto planes_of = [&](int l, int b, int k) {  // set two by two, in memory that all boxes share
+    std::array<Real*, 3> e;
+    for (int d = 0; d < 3; ++d) e[d] = plane_.data() + (2 * d + k % 2) * std::ptrdiff_t(pitches(box(l, b))[2]);
+    return e;
   };
   auto set_box = [&](int l, int b) {
-    std::array<Real*, 3> e;
-    for (int d = 0; d < 3; ++d) e[d] = components[d]->level(l).data() + offset(l, b);
+    bool const whole = out.rim(l).is_whole(b), is_averaged = averages && l > 0 && !whole;
     for (int k = 0; k < box(l, b).extent(2); ++k) {
-      if (means)
-        set_uncovered(l, b, k, e, [&] { field_plane(l, b, k, phi, e); });
-      else
-        field_plane(l, b, k, phi, e);
-      if (means && l > 0 && k % 2 == 1) average(l, b, k - 1);
-      for (Real*& plane : e) plane += pitches(box(l, b))[2];
+      auto const e = planes_of(l, b, k);
+      field_plane(l, b, k, whole || is_averaged ? Cells::all : Cells::at_faces, phi, e);
+      out.set_rim(l, b, k, {e[0], e[1], e[2]});
+      if (is_averaged && k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
     }
   };
-  auto finish_level = [&](int l) {
-    if (!means || l == 0) return;
-    for (int b = 0; b < boxes(l); ++b)
-      for (int k = 0; plan(l, b).hidden && k < box(l, b).extent(2); k += 2) average(l, b, k);
-    for (Field* component : components) average_across_ranks(l, *component);
+  auto finish_level = [&](int l) {  // covered cells first, then the means that take these in
+    stream_end();
+    if (averages && hierarchy_->has_finer(l)) give_means(l + 1, means[std::size_t(l) + 1].data(), out);
+    for (int b = 0; b < boxes(l) && averages && l > 0; ++b)
+      for (int k = 0; out.rim(l).is_whole(b) && k < box(l, b).extent(2); ++k) {
+        out.write_plane(l, b, k, planes_of(l, b, k));
+        if (k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
+      }
   };
-  visit(phi, walls, means ? Hidden::skip : Hidden::visit, set_box, finish_level);
+  visit(phi, walls, averages ? Hidden::skip : Hidden::visit, set_box, finish_level);
+  return out;
 }
 
 std::int64_t CompositeLaplacian::messages() const {

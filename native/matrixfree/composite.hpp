@@ -7,6 +7,7 @@
 
 #include "matrixfree/composite_kernels.hpp"
 #include "matrixfree/composite_plan.hpp"
+#include "mesh/electric_field.hpp"
 #include "mesh/field.hpp"
 #include "mesh/norm.hpp"
 #include "mesh/window.hpp"
@@ -87,10 +88,10 @@ class CompositeLaplacian {
   Real truncation(Source const& source, Field const& phi, Index3 const& base_ratio, std::vector<Real> const& scale,
                   Blocks<T> const& truncation);
 
-  /// Fill the components of E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through
-  /// the faces. `phi` must be averaged down. Collective.
-  void electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
-                      std::array<Field*, 3> const& components);
+  /// E = -grad phi (V/m; over the stretch along each axis once more), from the fluxes through the faces. `potential`
+  /// must be averaged down, and stay as it is. Collective.
+  ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
+                               CoveredField covered);
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   std::int64_t messages() const;       ///< sent by this rank so far
@@ -99,6 +100,7 @@ class CompositeLaplacian {
 
  private:
   enum class Hidden { visit, skip };
+  enum class Cells { all, at_faces };
   static constexpr std::size_t most_fields = 3;  ///< that are set together
 
   static constexpr auto no_more = [](int) {};
@@ -145,11 +147,14 @@ class CompositeLaplacian {
 
   template <std::size_t fields, class Set>
   void set_uncovered(int l, int b, int k, std::array<Real*, fields> const& planes, Set&& set);
-  void field_plane(int l, int b, int k, Field const& phi, std::array<Real*, 3> const& e);
+  void field_plane(int l, int b, int k, Cells which, Field const& phi, std::array<Real*, 3> const& e);
   template <class T>
   void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, kernels::Largest<T>& largest);
   void average_pair(int l, int b, int k, Field& phi) const;
   void average_across_ranks(int l, Field& phi);
+  void average_field(int l, int b, int k, Real* means);
+  void give_means(int l, Real const* means, ElectricField& field);
+  Real half_over_spacing(int l, int axis) const { return 0.5 / level(l).spacing()[axis] / stretch_[axis]; }
 
   Level const& level(int l) const { return hierarchy_->level(l); }
   LevelPlan const& plan(int l) const { return plan_.levels[std::size_t(l)]; }
@@ -165,7 +170,7 @@ class CompositeLaplacian {
   std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
   std::array<std::vector<Real>, 6> beyond_;  ///< ghosts of the box under way, by face, u fastest
   std::vector<Real> coarse_, fits_;          ///< of the interface under way: coarse values, two rows of phi*
-  std::vector<Real> plane_;                  ///< of the plane under way, of up to `most_fields` fields
+  std::vector<Real> plane_;  ///< of the plane under way or a pair of them, of up to `most_fields` fields
 };
 
 }  // namespace amrpic

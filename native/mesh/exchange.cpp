@@ -127,27 +127,29 @@ void Exchange::post(std::vector<Neighbour> const& receive, std::vector<Neighbour
   MPI_Waitall(int(request), requests_.data(), MPI_STATUSES_IGNORE);
 }
 
-void Exchange::pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields) {
+void Exchange::pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields,
+                    std::ptrdiff_t stride) {
   for (auto const& n : neighbours) {
     n.buffer.resize(n.cells.size() * fields.size());
     Real* out = n.buffer.data();
     for (Real const* field : fields)
-      for (LocalIndex cell : n.cells) *out++ = field[cell];
+      for (LocalIndex cell : n.cells) *out++ = field[cell * stride];
   }
 }
 
-void Exchange::update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts) const {
-  pack(readers_, own);
+void Exchange::update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts,
+                      std::ptrdiff_t stride) const {
+  pack(readers_, own, stride);
   post(sources_, readers_, own.size());
   for (auto const& n : sources_) {
     Real const* in = n.buffer.data();
     for (Real* field : ghosts)
-      for (LocalIndex ghost : n.cells) field[ghost] = *in++;
+      for (LocalIndex ghost : n.cells) field[ghost * stride] = *in++;
   }
 }
 
 void Exchange::fold(std::vector<Real*> const& own, std::vector<Real const*> const& ghosts) const {
-  pack(sources_, ghosts);
+  pack(sources_, ghosts, 1);
   post(readers_, sources_, own.size());
   for (auto const& n : readers_) {
     Real const* in = n.buffer.data();

@@ -34,6 +34,17 @@ class Exchange {
   Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& all_ghosts,
            std::vector<GlobalIndex> const& subset);
 
+  /// The same plan for values of which `owned` are kept, those of an own cell at place(its place among all of them).
+  /// It can `update` ghosts; cells are found by the plan that it comes from.
+  template <class Place>
+  Exchange kept_elsewhere(LocalIndex owned, Place const& place) const {
+    Exchange out = *this;
+    out.owned_ = owned;
+    for (auto& n : out.readers_)
+      for (LocalIndex& cell : n.cells) cell = place(cell);
+    return out;
+  }
+
   LocalIndex owned() const { return owned_; }
   LocalIndex ghosts() const { return LocalIndex(ghosts_.size()); }
   std::vector<GlobalIndex> const& ghost_numbers() const { return ghosts_; }
@@ -45,8 +56,8 @@ class Exchange {
   /// periodic images included.
   Window<LocalIndex> places(Level const& level, Box const& region) const;
 
-  /// Fill the ghosts of each field from their owners. Collective.
-  void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts) const;
+  /// Fill the ghosts of each field from their owners; values of a field lie so far apart. Collective.
+  void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts, std::ptrdiff_t stride = 1) const;
 
   /// The same for one field kept as [own cells | ghosts].
   void update(Real* field) const { update({field}, {field + owned_}); }
@@ -65,7 +76,8 @@ class Exchange {
   };
   void make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted);
   void write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const;
-  static void pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields);
+  static void pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields,
+                   std::ptrdiff_t stride);
   void post(std::vector<Neighbour> const& receive, std::vector<Neighbour> const& send, std::size_t fields) const;
 
   MPI_Comm comm_ = MPI_COMM_NULL;

@@ -22,53 +22,66 @@ Real sum(LocalIndex count, Value const& value) {
   return parts[0];
 }
 
-/// Integral of value(n) over the cells n of this rank's part of a level.
-template <class Value>
-Real integral_on_level(Hierarchy const& hierarchy, int l, Value const& value) {
-  Level const& level = hierarchy.level(l);
+/// Integral over the cells of all levels and ranks: `plane(level, box, k)`, all counted from the first one of this
+/// rank, gives a function of the places of cells in a plane.
+template <class Plane>
+Real integral_on_all(Hierarchy const& hierarchy, Plane const& plane) {
   Real total = 0;
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Box const& box = level.box(b);
-    LocalIndex const first = level.local_offset(b), plane = box.extent(0) * box.extent(1);
-    bool const refined = hierarchy.has_finer(l) && hierarchy.level(l + 1).intersects(box.refine(refinement_ratio));
-    auto const of_box = [&](auto const& of_cell) {
-      Real out = 0;
-      for (int k = 0; k < box.extent(2); ++k) out += sum(plane, [&](LocalIndex n) { return of_cell(k * plane + n); });
-      return out;
-    };
-    if (refined) {
-      auto const covered = covered_cells(hierarchy.level(l + 1), refinement_ratio, box);
-      char const* const mask = covered.values().data();
-      total += of_box([&](LocalIndex n) { return mask[n] ? 0 : value(first + n); });
-    } else {
-      total += of_box([&](LocalIndex n) { return value(first + n); });
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    Level const& level = hierarchy.level(l);
+    Real on_level = 0;
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      Box const& box = level.box(b);
+      LocalIndex const cells = box.extent(0) * box.extent(1);
+      bool const refined = hierarchy.has_finer(l) && hierarchy.level(l + 1).intersects(box.refine(refinement_ratio));
+      auto const covered =
+          refined ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box) : Window<char>(Box{}, 0);
+      for (int k = 0; k < box.extent(2); ++k) {
+        auto const value = plane(l, b - level.first_local_box(), k);
+        auto const uncovered = [&](LocalIndex n) {
+          return covered.values()[std::size_t(k * cells + n)] ? 0 : value(n);
+        };
+        on_level += refined ? sum(cells, uncovered) : sum(cells, value);
+      }
     }
+    total += level.cell_volume() * on_level;
   }
-  return level.cell_volume() * total;
-}
-
-/// Integral of value(l)(n) over the cells n of all levels and ranks.
-template <class Value>
-Real integral_on_all(Hierarchy const& hierarchy, Value const& value) {
-  Real total = 0;
-  for (int l = 0; l < hierarchy.level_count(); ++l) total += integral_on_level(hierarchy, l, value(l));
   MPI_Allreduce(MPI_IN_PLACE, &total, 1, MPI_DOUBLE, MPI_SUM, hierarchy.comm());
   return total;
+}
+
+/// Plane k of a box of a field.
+Real const* plane_of(Field const& field, int l, int b, int k) {
+  Level const& level = field.hierarchy().level(l);
+  Box const& box = level.box(level.first_local_box() + b);
+  return field.level(l).data() + level.local_offset(level.first_local_box() + b) + k * box.extent(0) * box.extent(1);
 }
 
 }  // namespace
 
 Real integral(Field const& field) {
-  return integral_on_all(field.hierarchy(), [&](int l) {
-    Real const* const values = field.level(l).data();
-    return [=](LocalIndex n) { return values[n]; };
+  return integral_on_all(field.hierarchy(), [&](int l, int b, int k) {
+    return [values = plane_of(field, l, b, k)](LocalIndex n) { return values[n]; };
   });
 }
 
-Real integral(Field const& a, Field const& b) {
-  return integral_on_all(a.hierarchy(), [&](int l) {
-    Real const *const first = a.level(l).data(), *const second = b.level(l).data();
-    return [=](LocalIndex n) { return first[n] * second[n]; };
+Real integral(Field const& one, Field const& other) {
+  return integral_on_all(one.hierarchy(), [&](int l, int b, int k) {
+    return [first = plane_of(one, l, b, k), second = plane_of(other, l, b, k)](LocalIndex n) {
+      return first[n] * second[n];
+    };
+  });
+}
+
+Real integral_of_square(ElectricField const& field) {
+  std::array<std::vector<Real>, 3> values;
+  return integral_on_all(field.hierarchy(), [&](int l, int b, int k) {
+    Level const& level = field.hierarchy().level(l);
+    Box const& box = level.box(level.first_local_box() + b);
+    for (auto& component : values) component.resize(std::size_t(box.extent(0)) * std::size_t(box.extent(1)));
+    std::array<Real*, 3> const e{values[0].data(), values[1].data(), values[2].data()};
+    field.write_plane(l, b, k, e);
+    return [e](LocalIndex n) { return e[0][n] * e[0][n] + e[1][n] * e[1][n] + e[2][n] * e[2][n]; };
   });
 }
 

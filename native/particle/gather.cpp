@@ -11,55 +11,65 @@ namespace {
 constexpr int lanes = 4;
 typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
-/// The three components of a field on one level: own cells, and ghosts beyond them.
-struct VectorCells {
-  std::array<Real const*, 3> own;
-  std::array<std::vector<Real>, 3> ghosts;
+/// The field at the rims of a level: those of this rank, and ghosts.
+struct RimCells {
+  Real const* own;
+  std::vector<Real> ghosts;
   LocalIndex owned;
 
-  void get(LocalIndex place, Real* out) const {
-    for (int c = 0; c < 3; ++c) out[c] = place < owned ? own[c][place] : ghosts[c][std::size_t(place - owned)];
+  Real const* at(LocalIndex place) const {
+    return place < owned ? own + std::ptrdiff_t(lanes) * place
+                         : ghosts.data() + std::ptrdiff_t(lanes) * (place - owned);
   }
-  /// Those of own cells that lie side by side.
-  void get_row(LocalIndex first, int count, Real* out) const {
-    int const whole = count / lane_count * lane_count;
-    for (int i = 0; i < whole; i += lane_count) {
-      for (int c = 0; c < 3; ++c) bring_near(own[c] + first + page<Real> + i);  // harmless beyond the end
-      interleave(load<Lanes>(own[0] + first + i), load<Lanes>(own[1] + first + i), load<Lanes>(own[2] + first + i),
-                 out + lanes * i);
-    }
-    for (int i = whole; i < count; ++i) get(first + i, out + lanes * i);
-  }
-  /// Those of a run, each written `out_stride` numbers behind the one before.
-  void get_run(ShellRun const& run, Real* out, std::ptrdiff_t out_stride) const {
-    if (run.axis == 0 && run.place_stride == 1 && run.place + run.count <= owned)
-      return get_row(run.place, run.count, out);
-    std::array<Real const*, 3> from;
-    for (int c = 0; c < 3; ++c)
-      from[c] = run.place < owned ? own[c] + run.place : ghosts[c].data() + (run.place - owned);
-    for (std::ptrdiff_t n = 0, at = 0; n < run.count; ++n, at += run.place_stride, out += out_stride)
-      store(out, Cell{from[0][at], from[1][at], from[2][at], 0});
+  /// Write `count` of them, so far apart here and in `out`.
+  void write(LocalIndex place, std::ptrdiff_t stride, LocalIndex count, Real* out, std::ptrdiff_t out_stride) const {
+    Real const* from = at(place);
+    for (LocalIndex n = 0; n < count; ++n, from += lanes * stride, out += out_stride) store(out, load<Cell>(from));
   }
 };
 
-VectorCells with_ghosts(std::array<Field const*, 3> const& field, int level, Exchange const& exchange) {
-  VectorCells out;
-  out.owned = exchange.owned();
+RimCells with_ghosts(ElectricField const& field, int level, Exchange const& exchange) {
+  static_assert(lanes == ElectricField::rim_width);
+  RimCells out{field.at_rim(level), std::vector<Real>(lanes * std::size_t(exchange.ghosts())), exchange.owned()};
   std::vector<Real const*> own;
   std::vector<Real*> ghosts;
   for (int c = 0; c < 3; ++c) {
-    out.ghosts[c].resize(std::size_t(exchange.ghosts()));
-    out.own[c] = field[c]->level(level).data();
-    own.push_back(out.own[c]);
-    ghosts.push_back(out.ghosts[c].data());
+    own.push_back(out.own + c);
+    ghosts.push_back(out.ghosts.data() + c);
   }
-  exchange.update(own, ghosts);
+  exchange.update(own, ghosts, lanes);
   return out;
 }
 
+/// A row of cells of which all components are given.
+void component_row(std::array<Real const*, 3> const& from, int count, Real* out) {
+  int const whole = count / lane_count * lane_count;
+  for (int i = 0; i < whole; i += lane_count) {
+    for (Real const* component : from) bring_near(component + page<Real> + i);  // harmless beyond the end
+    interleave(load<Lanes>(from[0] + i), load<Lanes>(from[1] + i), load<Lanes>(from[2] + i), out + lanes * i);
+  }
+  for (int i = whole; i < count; ++i) store(out + lanes * i, Cell{from[0][i], from[1][i], from[2][i], 0});
+}
+
+/// A row of cells inside a box: E as the difference of the potential across each. Cells beside the row are read.
+void difference_row(Real const* phi, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count, Real* out) {
+  auto const between = [&](auto const& at, std::ptrdiff_t n, int axis, std::ptrdiff_t step) {
+    return field_between(factor[std::size_t(axis)], at(phi + n - step), at(phi + n + step));
+  };
+  int const whole = count / lane_count * lane_count;
+  for (int i = 0; i < whole; i += lane_count) {
+    bring_near(phi + i + z + page<Real>);  // harmless beyond the end
+    auto const eight = [](Real const* from) { return load<Lanes>(from); };
+    interleave(between(eight, i, 0, 1), between(eight, i, 1, y), between(eight, i, 2, z), out + lanes * i);
+  }
+  auto const one = [](Real const* from) { return *from; };
+  for (int i = whole; i < count; ++i)
+    store(out + lanes * i, Cell{between(one, i, 0, 1), between(one, i, 1, y), between(one, i, 2, z), 0});
+}
+
 /// Trilinear value of the coarser level at the centre of `cell`, which lies inside the domain.
-void interpolate(Index3 const& cell, Surroundings const& at, Level const& coarser, VectorCells const& coarse,
-                 Real* out) {
+void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex> const& places, Level const& coarser,
+                 RimCells const& coarse, Real* out) {
   Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
   for (int c = 0; c < 3; ++c) out[c] = 0;
   for (int corner = 0; corner < 8; ++corner) {
@@ -70,8 +80,7 @@ void interpolate(Index3 const& cell, Surroundings const& at, Level const& coarse
       weight *= is_far ? Real(0.25) : Real(0.75);
       from[d] = is_far ? far[d] : near[d];
     }
-    Real value[3];
-    coarse.get(at.coarse[std::size_t(at.parents.offset(fold_at_walls(from, coarser)))], value);
+    Real const* const value = coarse.at(places[std::size_t(parents.offset(fold_at_walls(from, coarser)))]);
     for (int c = 0; c < 3; ++c) out[c] += weight * value[c];
   }
 }
@@ -79,13 +88,17 @@ void interpolate(Index3 const& cell, Surroundings const& at, Level const& coarse
 /// Brings the field in and around one box into tiles of its slabs, plane by plane.
 class Filler {
  public:
-  Filler(Hierarchy const& hierarchy, Surroundings const& at, std::vector<VectorCells> const& cells)
-      : at_(at),
-        level_(hierarchy.level(at.level)),
-        coarser_(hierarchy.level(std::max(0, at.level - 1))),
+  /// `rims`: the field there, level by level.
+  Filler(ElectricField const& field, Surroundings const& at, RimPlaces::Around const& around,
+         std::vector<RimCells> const& rims)
+      : field_(field),
+        at_(at),
+        around_(around),
+        level_(field.hierarchy().level(at.level)),
+        coarser_(field.hierarchy().level(std::max(0, at.level - 1))),
         box_(level_.box(at.box)),
-        cells_(cells[at.level]),
-        coarse_(cells[std::max(0, at.level - 1)]) {}
+        rim_(rims[at.level]),
+        coarse_(rims[std::max(0, at.level - 1)]) {}
 
   /// Fill the tile of a slab. The tile may be that of the slab before, if that one `precedes`.
   void fill(Box const& slab, bool precedes, Tile<lanes>& tile) const {
@@ -101,30 +114,60 @@ class Filler {
 
  private:
   void fill_plane(int k, Tile<lanes>& tile) const {
-    at_.shell.for_each_run(k, [&](ShellRun const& run) {
+    around_.shell.for_each_run(k, [&](ShellRun const& run) {
       Real* const out = tile.row(run.first[0], run.first[1], k);
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
-      if (run.place >= 0) return cells_.get_run(run, out, stride);
+      if (run.place >= 0) return rim_.write(run.place, run.place_stride, run.count, out, stride);
       for (LocalIndex n = 0; n < run.count; ++n)
-        interpolate(fold_at_walls(run.cell(n), level_), at_, coarser_, coarse_, out + n * stride);
+        interpolate(fold_at_walls(run.cell(n), level_), at_.parents, around_.coarse, coarser_, coarse_,
+                    out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;
-    int const length = box_.extent(0);
-    LocalIndex own = level_.local_offset(at_.box) + LocalIndex(box_.offset({box_.lower[0], box_.lower[1], k}));
-    for (int j = box_.lower[1]; j <= box_.upper[1]; ++j, own += length)
-      cells_.get_row(own, length, tile.row(box_.lower[0], j, k));
+    if (field_.potential())
+      fill_by_potential(k, tile);
+    else
+      fill_by_components(k, tile);
   }
 
+  /// The box's own cells in plane k: what lies inside first, with what is left of it at the ends of rows.
+  void fill_by_potential(int k, Tile<lanes>& tile) const {
+    int const b = at_.box - level_.first_local_box(), nx = box_.extent(0), plane = nx * box_.extent(1);
+    Rim const& rim = field_.rim(at_.level);
+    if (!rim.is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
+      Real const* const phi = field_.potential()->level(at_.level).data() + level_.local_offset(at_.box);
+      for (int j = box_.lower[1] + 1; j < box_.upper[1]; ++j)
+        difference_row(phi + box_.offset({box_.lower[0], j, k}), nx, plane, field_.factor(at_.level), nx,
+                       tile.row(box_.lower[0], j, k));
+    }
+    rim.for_each_run(b, k - box_.lower[2], [&](Rim::Run const& run) {
+      Real* const out = tile.row(box_.lower[0] + run.i, box_.lower[1] + run.j, k);
+      rim_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
+    });
+  }
+
+  void fill_by_components(int k, Tile<lanes>& tile) const {
+    std::array<Real const*, 3> from;
+    for (int c = 0; c < 3; ++c)
+      from[c] = field_.component(c).level(at_.level).data() + level_.local_offset(at_.box) +
+                box_.offset({box_.lower[0], box_.lower[1], k});
+    for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
+      component_row(from, box_.extent(0), tile.row(box_.lower[0], j, k));
+      for (Real const*& row : from) row += box_.extent(0);
+    }
+  }
+
+  ElectricField const& field_;
   Surroundings const& at_;
+  RimPlaces::Around const& around_;
   Level const &level_, &coarser_;
   Box box_;
-  VectorCells const &cells_, &coarse_;
+  RimCells const &rim_, &coarse_;
 };
 
-void fill_coarse(CoarseCells const& at, VectorCells const& cells, Tile<lanes>& tile) {
+void fill_coarse(std::vector<LocalIndex> const& places, RimCells const& rims, Tile<lanes>& tile) {
   Real* value = tile.values();
-  for (LocalIndex place : at.place) {
-    if (place >= 0) cells.get(place, value);
+  for (LocalIndex place : places) {
+    if (place >= 0) store(value, load<Cell>(rims.at(place)));
     value += lanes;
   }
 }
@@ -252,14 +295,15 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
 
 /// Call use(group, field) for all particles of this rank, a group at a time. Collective.
 template <class Use>
-void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-                ParticleView const& particles, std::int64_t const* starts, Use const& use) {
+void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+                std::int64_t const* starts, Use const& use) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
-  std::vector<VectorCells> own, coarse;
+  RimPlaces const& places = mesh.rim_places(clouds.matched);
+  std::vector<RimCells> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    own.push_back(with_ghosts(field, l, mesh.exchange(l)));
-    if (zone) coarse.push_back(with_ghosts(field, l, zone->exchange(l)));
+    own.push_back(with_ghosts(field, l, places.exchange(l)));
+    if (zone) coarse.push_back(with_ghosts(field, l, places.exchange_of_matched(l)));
   }
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
@@ -269,9 +313,9 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const
     for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       tiles[r].reset(c.box);
-      fill_coarse(c, coarse[c.level], tiles[r]);
+      fill_coarse(places.around(slot).matched[r - 1], coarse[c.level], tiles[r]);
     }
-    Filler const filler(hierarchy, at, own);
+    Filler const filler(field, at, places.around(slot), own);
     int const planes = planes_per_slab(hierarchy.level(at.level).box(at.box), lanes);
     bool precedes = false;  // whether tiles[0] is that of the slab before
     for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
@@ -288,8 +332,8 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const
 
 }  // namespace
 
-void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-            ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
+void gather(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+            std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
   bool const far = are_far(particles.count, at_particles[0], at_particles[1], at_particles[2]);
   read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
     for (int d = 0; d < 3; ++d) store(at_particles[d], group, felt[d], far);
@@ -297,8 +341,8 @@ void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3
   stream_end();
 }
 
-void push(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out) {
+void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+          std::int64_t const* starts, Motion const& motion, Moved const& out) {
   auto const &now = out.momentum_now, &onward = out.momentum, &x = out.position;
   bool const far = are_far(particles.count, now[0], now[1], now[2], onward[0], onward[1], onward[2], x[0], x[1], x[2]);
   read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {

@@ -2,22 +2,22 @@
 
 #include <array>
 
-#include "mesh/field.hpp"
+#include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
 
 namespace amrpic {
 
-/// Write the vector field `field` (its components along x, y, z) at the particles into `at_particles`, with the shares
-/// that `deposit` gives their charge. Collective.
+/// Write the components of a field at the particles into `at_particles`, with the shares that `deposit` gives their
+/// charge. Collective.
 ///
 /// Particles are sorted by slot: those of slot s are starts[s] to starts[s + 1]. Clouds that overhang refined cells
 /// take what the field holds in the covered ones. Cells beyond the edge of a level are interpolated trilinearly from
 /// the coarser level; beyond a wall stands the wall cell. Throws std::out_of_range, on all ranks, if a particle lies
 /// outside the box it is sorted into.
-void gather(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-            ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
+void gather(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+            std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
 
 /// How particles move by a field.
 struct Motion {
@@ -35,7 +35,7 @@ struct Moved {
 /// Write momenta after `before` seconds in the field into `momentum_now`, those after a further `after` seconds in the
 /// same field into `momentum`, and the positions that a flight with these leads to: what `gather` would give is used
 /// and not kept. Otherwise as `gather`. Collective.
-void push(ParticleMesh& mesh, Clouds const& clouds, std::array<Field const*, 3> const& field,
-          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out);
+void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+          std::int64_t const* starts, Motion const& motion, Moved const& out);
 
 }  // namespace amrpic

@@ -1,5 +1,4 @@
-// Eight particles at a time, in GCC's vector types: the compiler splits them into the vectors that the processor has,
-// so one text serves all.
+// Eight particles at a time.
 #pragma once
 
 #include <algorithm>
@@ -8,35 +7,15 @@
 #include <cstdint>
 #include <cstring>
 
-#ifdef __AVX512F__
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // a false alarm of GCC 12 about its own header
-#include <immintrin.h>
-#pragma GCC diagnostic pop
-#endif
-
-#include "base/types.hpp"
-
-// How vectors are passed matters between object files built for different processors; here all is inlined.
-#pragma GCC diagnostic ignored "-Wpsabi"
+#include "base/lanes.hpp"
 
 namespace amrpic {
 
-constexpr int lane_count = 8;
-
-typedef Real Lanes __attribute__((vector_size(8 * lane_count)));
 typedef std::int64_t WideLanes
     __attribute__((vector_size(8 * lane_count)));  ///< also a comparison: all bits set, or none
 typedef std::int32_t IndexLanes __attribute__((vector_size(4 * lane_count)));
 
 constexpr IndexLanes index_of_lane = {0, 1, 2, 3, 4, 5, 6, 7};
-
-template <class Vector>
-inline Vector load(void const* from) {
-  Vector out;
-  std::memcpy(&out, from, sizeof out);
-  return out;
-}
 
 /// The first `count` of them, or as many as there are lanes; behind those zeros.
 template <class Vector, class T>
@@ -47,30 +26,10 @@ inline Vector load_up_to(T const* from, std::int64_t count) {
   return out;
 }
 
-template <class Vector>
-inline void store(void* to, Vector const& values) {
-  std::memcpy(to, &values, sizeof values);
-}
-
 /// Ask for what lies at an address to be brought into the cache; any address will do.
 inline void bring_near(void const* address) {
   __builtin_prefetch(address);
   asm volatile("");  // else a function that does nothing but this counts as one without effect, and calls are dropped
-}
-
-/// Write eight numbers to the start of a cache line that will not be read soon, past the cache where that can be done:
-/// the line is not read from memory first, and nothing else is displaced. `stream_end` must follow before others read.
-inline void stream(Real* to, Lanes const& values) {
-#ifdef __AVX512F__
-  _mm512_stream_pd(to, (__m512d)values);
-#else
-  store(to, values);
-#endif
-}
-inline void stream_end() {
-#ifdef __AVX512F__
-  _mm_sfence();
-#endif
 }
 
 /// The values at eight places. One by one: where processors mend the leak of gather instructions, these wait for each
@@ -92,18 +51,6 @@ inline Lanes square_root(Lanes const& x) {
   for (int i = 0; i < lane_count; ++i) out[i] = std::sqrt(x[i]);
   return out;
 #endif
-}
-
-/// Write three vectors lane by lane, and a zero after each three numbers.
-inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out) {
-  Lanes const xy[2] = {__builtin_shufflevector(x, y, 0, 8, 1, 9, 2, 10, 3, 11),
-                       __builtin_shufflevector(x, y, 4, 12, 5, 13, 6, 14, 7, 15)};
-  Lanes const z0[2] = {__builtin_shufflevector(z, Lanes{}, 0, 8, 1, 9, 2, 10, 3, 11),
-                       __builtin_shufflevector(z, Lanes{}, 4, 12, 5, 13, 6, 14, 7, 15)};
-  for (int half = 0; half < 2; ++half) {
-    store(out + 16 * half, __builtin_shufflevector(xy[half], z0[half], 0, 1, 8, 9, 2, 3, 10, 11));
-    store(out + 16 * half + 8, __builtin_shufflevector(xy[half], z0[half], 4, 5, 12, 13, 6, 7, 14, 15));
-  }
 }
 
 /// One byte per lane, not zero where the comparison of lanes holds.

@@ -95,4 +95,10 @@ BufferZone const& ParticleMesh::buffer_zone() {
   return *buffer_zone_;
 }
 
+RimPlaces const& ParticleMesh::rim_places(bool matched) {
+  auto& places = matched ? with_matched_ : rim_places_;
+  if (!places) places = std::make_unique<RimPlaces const>(*this, matched ? &buffer_zone() : nullptr);
+  return *places;
+}
+
 }  // namespace amrpic

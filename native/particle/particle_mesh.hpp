@@ -9,6 +9,7 @@
 #include "particle/geometry.hpp"
 #include "particle/home_box.hpp"
 #include "particle/locate.hpp"
+#include "particle/rim_places.hpp"
 #include "particle/shell.hpp"
 
 namespace amrpic {
@@ -38,6 +39,9 @@ class ParticleMesh {
   /// Which particles are treated as matched at coarse-fine faces. Collective at the first call.
   BufferZone const& buffer_zone();
 
+  /// Where the field around this rank's boxes is found; collective at the first call with matched clouds.
+  RimPlaces const& rim_places(bool matched);
+
   /// This rank's boxes, level by level. Their numbers are called slots.
   std::vector<Surroundings> const& boxes() const { return boxes_; }
   int slot(int level, int local_box) const {
@@ -55,7 +59,9 @@ class ParticleMesh {
   std::vector<Surroundings> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;
-  std::unique_ptr<BufferZone const> buffer_zone_;  ///< none until asked for
+  // none until asked for
+  std::unique_ptr<BufferZone const> buffer_zone_;
+  std::unique_ptr<RimPlaces const> rim_places_, with_matched_;
 };
 
 }  // namespace amrpic

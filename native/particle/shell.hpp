@@ -30,6 +30,16 @@ class Shell {
   /// none; so many are own.
   Shell(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
 
+  /// The same cells where the values at `places` are kept elsewhere: place(one of those), `owned` of them own.
+  template <class Place>
+  Shell kept_elsewhere(Box const& box, LocalIndex owned, Place const& place) const {
+    std::vector<LocalIndex> places(cells_, -1);
+    for (ShellRun const& run : runs_)
+      for (LocalIndex n = 0; run.place >= 0 && n < run.count; ++n)
+        places[std::size_t(run.number + n * run.number_stride)] = place(run.place + n * run.place_stride);
+    return Shell(box, places, owned);
+  }
+
   std::size_t cells() const { return cells_; }
   std::vector<ShellRun> const& runs() const { return runs_; }
 

@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "mesh/electric_field.hpp"
 #include "mesh/field.hpp"
 #include "operators/operators.hpp"
 #include "operators/walls.hpp"
@@ -42,8 +43,8 @@ class Backend {
   /// Leave in phi what was found, means of the children in covered cells.
   virtual void finish() = 0;
 
-  /// Fill the three components of E, -(1/s_d^2) d phi/dx_d (V/m).
-  virtual void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) = 0;
+  /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
+  virtual ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) = 0;
 
   /// The operators of a level as compressed rows, those of E among them; assembled now if the backend does without.
   virtual LevelOperators const& operators_with_gradient(int level) = 0;

@@ -213,7 +213,14 @@ LevelOperators const& CrsBackend::operators_with_gradient(int level) {
   return operators(level);
 }
 
-void CrsBackend::electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) {
+ElectricField CrsBackend::electric_field(std::shared_ptr<Field const> potential, CoveredField covered) {
+  Field const& phi = *potential;
+  std::array<std::shared_ptr<Field>, 3> made;
+  std::array<Field*, 3> components;
+  for (int axis = 0; axis < 3; ++axis) {
+    made[axis] = std::make_shared<Field>(phi.share_hierarchy(), false);
+    components[axis] = made[axis].get();
+  }
   int const levels = hierarchy_->level_count();
   operators_with_gradient(0);
   for (int l = 0; l < levels; ++l) {
@@ -235,6 +242,7 @@ void CrsBackend::electric_field(Field const& phi, std::array<Field*, 3> const& c
   for (int axis = 0; axis < 3; ++axis)
     for (int l = 0; l < levels && options_.stretch[axis] != 1; ++l)
       for (Real& e : components[axis]->level(l)) e /= options_.stretch[axis];
+  return ElectricField({made[0], made[1], made[2]});
 }
 
 /// The field in covered cells from the potentials in `phi_`, whose ghosts are up to date; not yet stretched.

@@ -29,7 +29,7 @@ class CrsBackend : public Backend {
   Real discretisation_error() override;
   void finish() override;
 
-  void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) override;
+  ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) override;
 
   LevelOperators const& operators(int level) const { return *operators_[stack_.base + std::size_t(level)]; }
   LevelOperators const& operators_with_gradient(int level) override;

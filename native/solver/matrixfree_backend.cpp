@@ -119,9 +119,8 @@ Real MatrixFreeBackend::discretisation_error() {
   return error;
 }
 
-void MatrixFreeBackend::electric_field(Field const& phi, std::array<Field*, 3> const& components,
-                                       CoveredField covered) {
-  composite_.electric_field(phi, problem_.walls, covered, components);
+ElectricField MatrixFreeBackend::electric_field(std::shared_ptr<Field const> potential, CoveredField covered) {
+  return composite_.electric_field(std::move(potential), problem_.walls, covered);
 }
 
 std::size_t MatrixFreeBackend::bytes() const {

@@ -27,7 +27,7 @@ class MatrixFreeBackend : public Backend {
   Real discretisation_error() override;
   void finish() override {}
 
-  void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) override;
+  ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) override;
 
   LevelOperators const& operators_with_gradient(int level) override;
 

@@ -38,10 +38,10 @@ class PoissonSolver {
   /// hold the mean of their children. Throws SolverError for a charge that no potential can balance. Collective.
   SolveReport solve(Field const& rho, Field& phi, bool from_zero);
 
-  /// Fill the three components of E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve.
+  /// E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve. The potential must stay as it is.
   /// Collective.
-  void electric_field(Field const& phi, std::array<Field*, 3> const& components, CoveredField covered) {
-    backend_->electric_field(phi, components, covered);
+  ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) {
+    return backend_->electric_field(std::move(potential), covered);
   }
 
   Hierarchy const& hierarchy() const { return *given_; }

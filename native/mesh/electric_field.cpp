@@ -1,0 +1,119 @@
+#include "mesh/electric_field.hpp"
+
+#include <algorithm>
+#include <cstdint>
+
+#include "base/fetch.hpp"
+#include "base/lanes.hpp"
+
+namespace amrpic {
+
+void write_cells(std::array<Real const*, 3> const& from, int count, Real* out) {
+  bool const aligned = reinterpret_cast<std::uintptr_t>(out) % sizeof(Lanes) == 0;
+  int n = 0;
+  for (; n + lane_count <= count; n += lane_count) {
+    auto const parts = interleaved(load<Lanes>(from[0] + n), load<Lanes>(from[1] + n), load<Lanes>(from[2] + n));
+    Real* const to = out + ElectricField::rim_width * n;
+    for (int q = 0; q < ElectricField::rim_width; ++q)
+      aligned ? stream(to + lane_count * q, parts[std::size_t(q)]) : store(to + lane_count * q, parts[std::size_t(q)]);
+  }
+  for (; n < count; ++n) {
+    Real const cell[ElectricField::rim_width] = {from[0][n], from[1][n], from[2][n], 0};
+    std::copy_n(cell, ElectricField::rim_width, out + ElectricField::rim_width * n);
+  }
+}
+
+ElectricField::ElectricField(std::shared_ptr<Field const> potential, std::vector<Real3> factor)
+    : hierarchy_(potential->share_hierarchy()), potential_(std::move(potential)) {
+  make_rims();
+  for (std::size_t l = 0; l < levels_.size(); ++l) levels_[l].factor = factor[l];
+}
+
+ElectricField::ElectricField(std::array<std::shared_ptr<Field const>, 3> components)
+    : hierarchy_(components[0]->share_hierarchy()), components_(std::move(components)) {
+  make_rims();
+  for_each_plane([&](int l, int b, int k, std::ptrdiff_t place) {
+    set_rim(l, b, k,
+            {component(0).level(l).data() + place, component(1).level(l).data() + place,
+             component(2).level(l).data() + place});
+  });
+}
+
+void ElectricField::make_rims() {
+  std::size_t all = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Rim rim(hierarchy_->level(l), hierarchy_->has_finer(l) ? &hierarchy_->level(l + 1) : nullptr);
+    std::size_t const values = rim_width * std::size_t(rim.cells());
+    levels_.push_back({std::move(rim), all, {0, 0, 0}});
+    all += values;
+  }
+  at_rims_.resize(all);
+}
+
+/// Call f(level, box, plane, place of its first cell among the own ones of the level).
+template <class F>
+void ElectricField::for_each_plane(F&& f) const {
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    Level const& level = hierarchy_->level(l);
+    for (int b = 0; b < level.last_local_box() - level.first_local_box(); ++b)
+      for (int k = 0; k < box(l, b).extent(2); ++k)
+        f(l, b, k, first_cell(l, b) + std::ptrdiff_t(k) * box(l, b).extent(0) * box(l, b).extent(1));
+  }
+}
+
+void ElectricField::set_rim(int level, int b, int k, std::array<Real const*, 3> const& plane) {
+  std::ptrdiff_t const nx = box(level, b).extent(0);
+  rim(level).for_each_run(b, k, [&](Rim::Run const& run) {
+    auto from = plane;
+    for (Real const*& component : from) component += run.i + nx * run.j;
+    Real* out = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
+    if (run.axis == 0) return write_cells(from, run.count, out);
+    fetch<Use::write>(out + page<Real>, rim_width * run.count);
+    for (int n = 0; n < run.count; ++n, out += rim_width) {
+      Real const cell[rim_width] = {from[0][n * nx], from[1][n * nx], from[2][n * nx], 0};
+      std::copy_n(cell, rim_width, out);
+    }
+  });
+}
+
+void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> const& plane) const {
+  std::ptrdiff_t const nx = box(level, b).extent(0), ny = box(level, b).extent(1), cells = nx * ny;
+  std::ptrdiff_t const place = first_cell(level, b) + k * cells;
+  if (!potential_) {
+    for (int d = 0; d < 3; ++d) std::copy_n(component(d).level(level).data() + place, cells, plane[d]);
+    return;
+  }
+  bool const has_inside = !rim(level).is_whole(b) && k > 0 && k + 1 < box(level, b).extent(2);
+  if (has_inside) {
+    Real const* const phi = potential_->level(level).data() + place;
+    std::ptrdiff_t const step[3] = {1, nx, cells};
+    for (int d = 0; d < 3; ++d) {
+      Real const *const below = phi - step[d], *const above = phi + step[d];
+      Real const f = factor(level)[d];
+      Real* __restrict const out = plane[d];
+      for (std::ptrdiff_t n = nx; n < cells - nx; ++n) out[n] = field_between(f, below[n], above[n]);
+    }
+  }
+  rim(level).for_each_run(b, k, [&](Rim::Run const& run) {
+    std::ptrdiff_t const first = run.i + nx * run.j, stride = run.axis == 0 ? 1 : nx;
+    Real const* const from = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
+    Real *const x = plane[0] + first, *const y = plane[1] + first, *const z = plane[2] + first;
+    std::ptrdiff_t n = 0;
+    for (; run.axis == 0 && n + lane_count <= run.count; n += lane_count)
+      separate(from + rim_width * n, x + n, y + n, z + n);
+    for (; n < run.count; ++n) {
+      Real const* const cell = from + rim_width * n;
+      x[n * stride] = cell[0], y[n * stride] = cell[1], z[n * stride] = cell[2];
+    }
+  });
+}
+
+void ElectricField::write(std::array<Field*, 3> const& components) const {
+  for_each_plane([&](int l, int b, int k, std::ptrdiff_t place) {
+    write_plane(l, b, k,
+                {components[0]->level(l).data() + place, components[1]->level(l).data() + place,
+                 components[2]->level(l).data() + place});
+  });
+}
+
+}  // namespace amrpic

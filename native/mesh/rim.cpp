@@ -1,0 +1,48 @@
+#include "mesh/rim.hpp"
+
+#include <algorithm>
+#include <stdexcept>
+#include <string>
+
+namespace amrpic {
+
+Rim::Rim(Level const& level, Level const* finer) : first_{0} {
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    Box const& box = level.box(b);
+    Index3 const n{box.extent(0), box.extent(1), box.extent(2)};
+    bool const whole =
+        std::min({n[0], n[1], n[2]}) <= 2 || (finer != nullptr && finer->intersects(box.refine(refinement_ratio)));
+    LocalIndex const cells = LocalIndex(box.cells()), inside = (n[0] - 2) * (n[1] - 2) * (n[2] - 2);
+    extent_.push_back(n);
+    whole_.push_back(whole);
+    first_.push_back(first_.back() + cells - (whole ? 0 : inside));
+    first_cell_.push_back(level.local_offset(b));
+  }
+}
+
+LocalIndex Rim::number(int b, Index3 const& cell) const {
+  auto const [nx, ny, nz] = extent_[std::size_t(b)];
+  auto const [i, j, k] = cell;
+  LocalIndex const plane = nx * ny, rows = 2 * plane, columns = rows + 2 * (nz - 2) * nx;
+  LocalIndex out = -1;
+  if (whole_[std::size_t(b)])
+    out = i + nx * j + plane * k;
+  else if (k == 0 || k == nz - 1)
+    out = i + nx * j + (k == 0 ? 0 : plane);
+  else if (j == 0 || j == ny - 1)
+    out = rows + i + nx * (k - 1 + (j == 0 ? 0 : nz - 2));
+  else if (i == 0 || i == nx - 1)
+    out = columns + j - 1 + (ny - 2) * (k - 1 + (i == 0 ? 0 : nz - 2));
+  return out < 0 ? out : first_[std::size_t(b)] + out;
+}
+
+LocalIndex Rim::number(LocalIndex place) const {
+  auto const b = std::size_t(std::upper_bound(first_cell_.begin(), first_cell_.end(), place) - first_cell_.begin() - 1);
+  int const cell = place - first_cell_[b], nx = extent_[b][0], ny = extent_[b][1];
+  LocalIndex const out = number(int(b), {cell % nx, cell / nx % ny, cell / nx / ny});
+  if (out < 0)
+    throw std::logic_error("cell " + std::to_string(place) + " of a level lies inside a box, not at its rim");
+  return out;
+}
+
+}  // namespace amrpic

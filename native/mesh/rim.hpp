@@ -1,0 +1,53 @@
+#pragma once
+
+#include <vector>
+
+#include "mesh/hierarchy.hpp"
+
+namespace amrpic {
+
+/// The cells of this rank's boxes of a level in which a field must be kept that elsewhere follows from the potential of
+/// the box: those at the faces of boxes, and all cells of boxes that a finer level covers in part or whole. As levels
+/// nest by a cell at least, what the particles of other boxes see of a box lies in its rim.
+///
+/// Cells are numbered box by box. Of a box they are its first and its last plane, the first rows of the planes between,
+/// then their last ones, and what is left of their first columns, then of their last ones.
+class Rim {
+ public:
+  /// `finer` may be null.
+  Rim(Level const& level, Level const* finer);
+
+  LocalIndex cells() const { return first_.back(); }  ///< of this rank
+
+  /// Whether the rim of a box, counted from this rank's first one, is all of the box; then it is numbered as the box.
+  bool is_whole(int b) const { return whole_[std::size_t(b)]; }
+  LocalIndex first(int b) const { return first_[std::size_t(b)]; }
+
+  /// Number of an own cell of the level, which must lie in a rim.
+  LocalIndex number(LocalIndex place) const;
+
+  /// Cells (i, j), (i + 1, j) and so on of a plane of a box, or (i, j), (i, j + 1), whose numbers follow each other.
+  struct Run {
+    int i, j, axis, count;
+    LocalIndex number;
+  };
+
+  /// Call f(run) for the rim of box b in plane k, counted from its first one: rows first, then columns.
+  template <class F>
+  void for_each_run(int b, int k, F&& f) const {
+    auto const [nx, ny, nz] = extent_[std::size_t(b)];
+    bool const full = whole_[std::size_t(b)] || k == 0 || k == nz - 1;
+    for (int j = 0; j < ny; j += full ? 1 : ny - 1) f(Run{0, j, 0, nx, number(b, {0, j, k})});
+    for (int i = 0; !full && i < nx; i += nx - 1) f(Run{i, 1, 1, ny - 2, number(b, {i, 1, k})});
+  }
+
+ private:
+  LocalIndex number(int b, Index3 const& cell) const;  ///< cell counted from the box's first one; -1: inside
+
+  std::vector<Index3> extent_;          ///< of each box
+  std::vector<char> whole_;             ///< each box
+  std::vector<LocalIndex> first_;       ///< boxes + 1 values
+  std::vector<LocalIndex> first_cell_;  ///< of each box, among the level's own
+};
+
+}  // namespace amrpic

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from . import _native
-from .errors import HierarchyError
+from .errors import HierarchyError, InputError
 from .hierarchy import Hierarchy
 from .parallel import global_max
 
@@ -26,7 +26,7 @@ class Patch:
     box: int  # its number among the level's boxes
     lower: tuple[int, int, int]  # inclusive global indices of its level
     upper: tuple[int, int, int]
-    data: np.ndarray  # (nx, ny, nz), writable, x fastest in memory
+    data: np.ndarray  # (nx, ny, nz), x fastest in memory; writable unless the field is locked
     hierarchy: Hierarchy
 
     def centres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -65,6 +65,7 @@ class Field:
         self.native = native
         self.hierarchy = hierarchy
         self.unit = unit
+        self.locked = False
 
     @property
     def comm(self) -> MPI.Comm:
@@ -88,11 +89,20 @@ class Field:
         return out
 
     def array(self, level: int) -> np.ndarray:
-        """This rank's cells of a level, 1-D and writable: its boxes one after the other, x fastest in each."""
-        return self.native.level(self.hierarchy._checked(level))
+        """This rank's cells of a level, 1-D: its boxes one after the other, x fastest in each; writable but if locked."""
+        values = self.native.level(self.hierarchy._checked(level))
+        if self.locked:
+            values.flags.writeable = False
+        return values
+
+    def lock(self) -> None:
+        """Hand out read-only arrays from now on: something else follows from these values. A copy can be written to."""
+        self.locked = True
+        vars(self).pop("patches", None)
 
     def fill(self, function: Function) -> Field:
         """Set every cell of every level to `function(x, y, z)` at its centre (m, broadcastable arrays); return self."""
+        self._require_unlocked()
         for patch in self.patches:
             patch.data[...] = function(*patch.centres())
         return self
@@ -106,8 +116,15 @@ class Field:
 
     def average_down(self) -> Field:
         """Set covered cells to the mean of their children, fine to coarse; return self. Collective."""
+        self._require_unlocked()
         self.native.average_down()
         return self
+
+    def _require_unlocked(self) -> None:
+        if self.locked:
+            raise InputError(
+                "the field is locked, because another one follows from its values; write to a copy() of it"
+            )
 
     def integral(self, times: Field | None = None) -> float:
         """Volume integral over uncovered cells; with another field of the hierarchy, that of the product. Collective.
@@ -138,30 +155,41 @@ class Field:
 
 
 class VectorField:
-    """Three fields, the components along x, y and z; or what they follow from, and made when they are first asked for."""
+    """Three fields, the components along x, y and z, or a field of which they are made when they are first asked for.
+
+    Raises HierarchyError if the components live on several hierarchies.
+    """
 
     def __init__(self, x: Field, y: Field, z: Field) -> None:
+        if not x.hierarchy is y.hierarchy is z.hierarchy:
+            raise HierarchyError(
+                "the components of a vector field live on several hierarchies; make all of them on one"
+            )
         self.hierarchy, self.unit = x.hierarchy, x.unit
+        self._deferred: _native.ElectricField | None = None
         self.components = x, y, z
 
     @classmethod
     def deferred(cls, native: _native.ElectricField, hierarchy: Hierarchy, unit: str) -> VectorField:
-        """A field whose components the native module writes when they are asked for."""
+        """A field whose components the native module can write; it keeps those that were asked for, read-only."""
         out = cls.__new__(cls)
         out.hierarchy, out.unit = hierarchy, unit
         out._deferred = native
         return out
 
-    _deferred: _native.ElectricField | None = None
-
     @property
     def native(self) -> _native.ElectricField:
-        """The field as native kernels read it; collective where it is made of components."""
-        return self._deferred or _native.ElectricField(*(c.native for c in self.components))
+        """The field as native kernels read it; made anew from components, which may have been written to."""
+        if self._deferred is not None:
+            return self._deferred
+        return _native.ElectricField(*(c.native for c in self.components))
 
     @cached_property
     def components(self) -> tuple[Field, Field, Field]:
-        return self.made().components
+        made = self.with_components().components
+        for component in made:
+            component.lock()  # kernels would not see what is written there
+        return made
 
     @property
     def x(self) -> Field:
@@ -175,8 +203,8 @@ class VectorField:
     def z(self) -> Field:
         return self.components[2]
 
-    def made(self) -> VectorField:
-        """The same field with components of its own, which this one does not keep. Collective."""
+    def with_components(self) -> VectorField:
+        """The same field made of components, which this one does not keep if it is deferred."""
         if self._deferred is None:
             return self
         x, y, z = (Field.unset(self.hierarchy, self.unit) for _ in range(3))

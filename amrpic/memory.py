@@ -169,16 +169,17 @@ def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
     if scene.schedule.last_step == 0:
         return state + max(components, total)  # to be written; what stands for all of them before the first solve
     if not scene.refinement.follows:
-        return 2 * state  # the step before
+        return max(2 * state, state + components)  # the step before; what is written
     field_decides = any(
         isinstance(rule, FieldStrengthRule) or (isinstance(rule, CallableRule) and "efield" in rule.arguments)
         for _, rule in every_rule(scene.refinement.rule)
     )
-    return 2 * state + total + (2 * components if field_decides else 0)  # potential carried over, field on both meshes
+    carried = total + (2 * components if field_decides else 0)  # potential; field, as it was and as it is carried over
+    return max(2 * state + carried, state + components)
 
 
 def _rims(scene: Scene, boxes: Sequence[Array]) -> int:
-    """Cells at the faces of boxes, and all of those that a finer level covers a part of."""
+    """Cells at the faces of boxes, as they are cut for the run, and all of those that a finer level covers a part of."""
     total = 0
     for level, finer in itertools.zip_longest(boxes, boxes[1:]):
         sizes = level[:, 3:] - level[:, :3] + 1

@@ -205,14 +205,19 @@ class PoissonSolver:
         Walls count with the data of the latest solve. In cells that a finer level covers stands the mean of the children, or,
         for `covered="difference"`, the central difference of the mean potentials, as matched clouds need it (see `Clouds`).
         """
-        return self.deferred_field(phi, covered).made()
+        return self._field(phi, covered).with_components()
 
     def deferred_field(self, phi: Field, covered: str = "mean") -> VectorField:
         """Return what `electric_field` would, with components that are made when they are asked for. Collective.
 
-        Gather, push and the energy of the field do without them, in less memory and time. Nobody may write to `phi` as long
-        as the field is in use.
+        Gather, push and the energy of the field do without them, in less memory and time. The field follows from `phi` as
+        long as it lives, so `phi` is locked: its arrays are read-only from now on.
         """
+        field = self._field(phi, covered)
+        phi.lock()
+        return field
+
+    def _field(self, phi: Field, covered: str) -> VectorField:
         self._require_home("phi", phi)
         _one_of("covered", covered, COVERED)
         native = self.native.electric_field(phi.native, getattr(_native.CoveredField, covered))

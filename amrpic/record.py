@@ -175,7 +175,11 @@ class Recorder:
         if self._written.get("fields") == state.step:
             return
         self._written["fields"] = state.step
-        content: dict[str, Field | VectorField] = {"rho": state.rho, "phi": state.phi, "E": state.efield.made()}
+        content: dict[str, Field | VectorField] = {
+            "rho": state.rho,
+            "phi": state.phi,
+            "E": state.efield.with_components(),
+        }
         path = fields.path_of(self._scene.directory, state.step)
         fields.write(path, state.hierarchy, content, state.step, state.time, self._about, self._scene.output.writers)
 

@@ -96,7 +96,7 @@ def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
 
 
 def _fields(state: State) -> dict[str, Field]:
-    efield = state.efield.made()
+    efield = state.efield.with_components()
     # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
     return {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
 

@@ -117,12 +117,12 @@ class Simulation:
 
     @property
     def phi(self) -> Field:
-        """Potential, V."""
+        """Potential, V; read-only, since the field follows from it."""
         return self.state.phi
 
     @property
     def efield(self) -> VectorField:
-        """Electric field, V/m."""
+        """Electric field, V/m; read-only."""
         return self.state.efield
 
     @property

@@ -57,7 +57,7 @@ def series(records: Sequence[Record]) -> Iterator[tuple[str, str, list[tuple[flo
         for what, ending in (("solve", "1e-10"), ("set-up", "set-up")):
             mine = [r for r in records if r.name.startswith(beginning) and r.name.endswith(f", {ending}")]
             yield what, of, [(size(record), record.median) for record in mine]
-    for stage in STAGES:
+    for stage in (stage for stage in STAGES if stage != "field"):  # which is of the mesh alone
         mine = [r for r in records if r.particles and r.name == record_name(stage, r.particles, "cloud-in-cell")]
         yield stage, PARTICLES, [(record.particles, record.median) for record in mine]
 

@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 ELECTRON = SpeciesTable((Species.model_validate("electron"),))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
-STAGES = ("deposit", "gather", "gather+push", "migrate", "moments")
+STAGES = ("deposit", "field", "gather", "gather+push", "migrate", "moments")
 
 
 def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
@@ -43,16 +43,18 @@ def timings(
     """Return the seconds of each particle stage in each repeat, on this rank alone.
 
     Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
-    Keys: "deposit"; "gather", the field alone; "gather+push", all of a leapfrog step's motion: the field, two half kicks and
-    the drift; "migrate", after each particle has moved by 0.3 cell widths in a direction of its own, so that about two in
-    five change their cell; "moments", what a row of the time series tells of them. A stage's result is dropped
-    before the next repeat, as a run drops the step before.
+    Keys: "deposit"; "field", what the two next ones read, from the potential, which takes the same for any number of
+    particles; "gather", the field at the particles alone; "gather+push", all of a leapfrog step's motion: the field, two half
+    kicks and the drift; "migrate", after each particle has moved by 0.3 cell widths in a direction of its own, so that about
+    two in five change their cell; "moments", what a row of the time series tells of them. A stage's result is dropped before
+    the next repeat, as a run drops the step before.
     """
     rng = np.random.default_rng(1)
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells, cells, cells), "periodic")
     hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, max_grid_size=box)
     homes = _sorted_particles(rng, particles, hierarchy)
-    efield = _smooth_field(hierarchy)
+    solver, phi = amrpic.PoissonSolver(hierarchy, background="neutralizing"), _smooth_potential(hierarchy)
+    efield = solver.deferred_field(phi)
     clouds = Clouds(shape)
     step = rng.normal(size=(3, particles))
     step *= MOVE / cells / np.sqrt((step**2).sum(axis=0))
@@ -61,6 +63,7 @@ def timings(
 
     stages: dict[str, Callable[[], object]] = {
         "deposit": lambda: deposit(homes, hierarchy, clouds),
+        "field": lambda: solver.deferred_field(phi),
         "gather": lambda: gather(efield, homes, clouds),
         "gather+push": lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds),
         "migrate": lambda: migrate(moved, hierarchy),
@@ -94,10 +97,9 @@ def _sorted_particles(rng: np.random.Generator, count: int, hierarchy: Hierarchy
     return migrate(made, hierarchy)[0]
 
 
-def _smooth_field(hierarchy: Hierarchy) -> amrpic.VectorField:
+def _smooth_potential(hierarchy: Hierarchy) -> amrpic.Field:
     wave = 2 * np.pi
-    phi = amrpic.Field(hierarchy, unit="V").fill(lambda x, y, z: np.sin(wave * x) * np.cos(wave * (y + 2 * z)))
-    return amrpic.PoissonSolver(hierarchy, background="neutralizing").deferred_field(phi)
+    return amrpic.Field(hierarchy, unit="V").fill(lambda x, y, z: np.sin(wave * x) * np.cos(wave * (y + 2 * z)))
 
 
 def _seconds(stage: Callable[[], Result], repeats: int) -> list[float]:

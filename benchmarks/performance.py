@@ -292,9 +292,15 @@ previous potential, with fluxes matched between the levels; ImpactX (`impactx-no
 These too wait for memory where there are few particles per cell. A deposit reads 24 bytes of each particle, since equal
 weights take no memory, and moves 16 of each cell; with boxes of 32³, what clouds leave in the cells around boxes moves 14
 more. Gather and push read 48 and write 72 bytes of each particle, a third of that for the momenta at the time of the field,
-and read 24 of each cell, with boxes of 32³ half as much again, since cells beside their faces across x come by whole cache
-lines. A migration reads 80 and writes 56 bytes. So 1e6 particles on 128³ cells move at least 87, 195 and 136 bytes each, 1e7
-30, 128 and 136.
+and of each cell its potential and, with boxes of 32³, 12 bytes of what is kept of E. A migration reads 80 and writes 56
+bytes. So 1e6 particles on 128³ cells move at least 87, 162 and 136 bytes each, 1e7 30, 124 and 136.
+
+The electric field is not kept in all cells. Inside a box it is the difference of the potential across a cell, made as the
+tile is filled, in a third of the memory; only at the faces of boxes, and in boxes that a finer level covers a part of, it is
+made beforehand (`field`): there it takes values of other boxes, walls and levels. These cells lie together, face by face, with
+their three components side by side, so that what a tile takes from the boxes around it comes by whole cache lines: of a row of
+cells one would be of use in each of three lines. The components are written out where somebody asks for them: by dumps,
+checkpoints, tags by field, and in Python.
 
 Particles are sorted by bricks of 8³ cells. What the particles of a brick touch of a tile stays in the first-level cache,
 whatever their order, and few leave a brick in a step: 6 % at 0.3 cell widths. So a migration holds eight particles at a time
@@ -307,7 +313,7 @@ second-level cache.
 
 Every step adds a row to the time series. Means, sizes, emittances, momentum and kinetic energy of the beam come from one
 pass over the particles (`moments`), deviations being taken from the means so far; energies of the fields from one pass over
-each pair of fields.
+each.
 
 ![Particle stages](pictures/performance_particles.png)
 

@@ -3,7 +3,6 @@
 #pragma once
 
 #include <array>
-#include <cstdint>
 #include <cstring>
 
 #ifdef __AVX512F__
@@ -67,16 +66,16 @@ inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out
   for (int n = 0; n < 4; ++n) store(out + lane_count * n, parts[std::size_t(n)]);
 }
 
-/// The opposite: three numbers and one that is left out, eight times.
-inline void separate(Real const* from, Real* x, Real* y, Real* z) {
-  Lanes const a = load<Lanes>(from), b = load<Lanes>(from + 8), c = load<Lanes>(from + 16), d = load<Lanes>(from + 24);
-  Lanes const xy[2] = {__builtin_shufflevector(a, b, 0, 4, 8, 12, 1, 5, 9, 13),
-                       __builtin_shufflevector(c, d, 0, 4, 8, 12, 1, 5, 9, 13)};
-  Lanes const z0[2] = {__builtin_shufflevector(a, b, 2, 6, 10, 14, 3, 7, 11, 15),
-                       __builtin_shufflevector(c, d, 2, 6, 10, 14, 3, 7, 11, 15)};
-  store(x, __builtin_shufflevector(xy[0], xy[1], 0, 1, 2, 3, 8, 9, 10, 11));
-  store(y, __builtin_shufflevector(xy[0], xy[1], 4, 5, 6, 7, 12, 13, 14, 15));
-  store(z, __builtin_shufflevector(z0[0], z0[1], 0, 1, 2, 3, 8, 9, 10, 11));
+/// The opposite: the first three of each four numbers.
+inline std::array<Lanes, 3> separated(std::array<Lanes, 4> const& of) {
+  Lanes xy[2], z[2];
+  for (std::size_t h = 0; h < 2; ++h) {
+    xy[h] = __builtin_shufflevector(of[2 * h], of[2 * h + 1], 0, 4, 8, 12, 1, 5, 9, 13);
+    z[h] = __builtin_shufflevector(of[2 * h], of[2 * h + 1], 2, 6, 10, 14, 3, 7, 11, 15);
+  }
+  return {__builtin_shufflevector(xy[0], xy[1], 0, 1, 2, 3, 8, 9, 10, 11),
+          __builtin_shufflevector(xy[0], xy[1], 4, 5, 6, 7, 12, 13, 14, 15),
+          __builtin_shufflevector(z[0], z[1], 0, 1, 2, 3, 8, 9, 10, 11)};
 }
 
 }  // namespace amrpic

@@ -1,4 +1,4 @@
-// Arrays of megabytes.
+// Arrays over the cells of a mesh.
 #pragma once
 
 #include <cstddef>
@@ -13,7 +13,7 @@ namespace amrpic {
 constexpr std::size_t cache_line = 64;
 
 /// From this size on blocks come from a pool: the faults of fresh pages took as long as all else in the assembly of
-/// operators.
+/// operators, and a fifth of the time of E on small meshes, where the system takes back what a step frees.
 constexpr std::size_t large_block = std::size_t(1) << 18;
 
 /// Allocates from a cache line on.

@@ -50,7 +50,7 @@ CompositeLaplacian::CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarch
   for (int f = 0; f < 6; ++f) beyond_[f].resize(face[f / 2]);
   coarse_.resize((row / 2 + 4) * (row / 2 + 4));
   fits_.resize(2 * row);
-  plane_.resize(2 * most_fields * face[2]);
+  plane_.resize(2 * 3 * face[2]);
 }
 
 Real CompositeLaplacian::volume(int l) const {
@@ -431,21 +431,16 @@ Real CompositeLaplacian::diagonal_norm(Field const& phi, Norm norm) {
 
 // ---- corrections and means ----
 
-/// Call set(), which writes a plane of cells of some fields; covered ones keep the means that they hold.
-template <std::size_t fields, class Set>
-void CompositeLaplacian::set_uncovered(int l, int b, int k, std::array<Real*, fields> const& planes, Set&& set) {
-  static_assert(fields <= most_fields);
+/// Call set(), which writes a plane of cells; covered ones keep the means that they hold.
+template <class Set>
+void CompositeLaplacian::set_uncovered(int l, int b, int k, Real* plane, Set&& set) {
   Real* end = plane_.data();
-  for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
-    for (Real const* plane : planes) end = std::copy_n(plane + at, n, end);
-  });
+  for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) { end = std::copy_n(plane + at, n, end); });
   set();
   Real const* kept = plane_.data();
   for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
-    for (Real* plane : planes) {
-      std::copy_n(kept, n, plane + at);
-      kept += n;
-    }
+    std::copy_n(kept, n, plane + at);
+    kept += n;
   });
 }
 
@@ -454,7 +449,7 @@ template <class T>
 void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi,
                                    kernels::Largest<T>& largest) {
   int const nx = box(l, b).extent(0), ny = box(l, b).extent(1);
-  set_uncovered<1>(l, b, k, {phi}, [&] {
+  set_uncovered(l, b, k, phi, [&] {
     for (int j = 0; j < ny; ++j) {
       T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
       Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
@@ -539,7 +534,7 @@ template Real CompositeLaplacian::add(Blocks<Real> const&, Real, Field&);
 // ---- the electric field ----
 
 /// Set the field in plane k of a box, whose components there are `e`: in all cells, or in those at faces of the box.
-void CompositeLaplacian::field_plane(int l, int b, int k, Cells which, Field const& phi,
+void CompositeLaplacian::field_plane(int l, int b, int k, Where where, Field const& phi,
                                      std::array<Real*, 3> const& e) {
   Box const& own = box(l, b);
   int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
@@ -565,7 +560,7 @@ void CompositeLaplacian::field_plane(int l, int b, int k, Cells which, Field con
       difference(2, k > 0 ? c - plane : beyond_[4].data() + at, k + 1 < nz ? c + plane : beyond_[5].data() + at, first,
                  last);
     };
-    if (which == Cells::all || j == 0 || j + 1 == ny || k == 0 || k + 1 == nz) {
+    if (where == Where::everywhere || j == 0 || j + 1 == ny || k == 0 || k + 1 == nz) {
       set(0, nx);
     } else {
       set(0, 1);
@@ -609,10 +604,14 @@ void CompositeLaplacian::give_means(int l, Real const* means, ElectricField& fie
     coarse.finer_means.finish();
     for (RemoteMeans const& m : coarse.remote_means) {
       Real const* from = coarse.finer_means.values(m.owner) + m.from;
-      Real* const to = at_rim(m.parent) + axis;
+      Real* const to = at_rim(m.parent);
       for (int k = 0; k < m.parents[2]; ++k)
         for (int j = 0; j < m.parents[1]; ++j)
-          for (int i = 0; i < m.parents[0]; ++i) to[width * (i + j * m.pitch_y + k * m.pitch_z)] = *from++;
+          for (int i = 0; i < m.parents[0]; ++i) {
+            Real* const cell = to + width * (i + j * m.pitch_y + k * m.pitch_z);
+            cell[axis] = *from++;
+            cell[3] = 0;
+          }
     }
   }
 }
@@ -652,7 +651,7 @@ ElectricField CompositeLaplacian::electric_field(std::shared_ptr<Field const> po
     bool const whole = out.rim(l).is_whole(b), is_averaged = averages && l > 0 && !whole;
     for (int k = 0; k < box(l, b).extent(2); ++k) {
       auto const e = planes_of(l, b, k);
-      field_plane(l, b, k, whole || is_averaged ? Cells::all : Cells::at_faces, phi, e);
+      field_plane(l, b, k, whole || is_averaged ? Where::everywhere : Where::at_faces, phi, e);
       out.set_rim(l, b, k, {e[0], e[1], e[2]});
       if (is_averaged && k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
     }

@@ -100,8 +100,7 @@ class CompositeLaplacian {
 
  private:
   enum class Hidden { visit, skip };
-  enum class Cells { all, at_faces };
-  static constexpr std::size_t most_fields = 3;  ///< that are set together
+  enum class Where { everywhere, at_faces };
 
   static constexpr auto no_more = [](int) {};
   template <class F, class G = decltype(no_more) const&>
@@ -145,9 +144,9 @@ class CompositeLaplacian {
   template <class Fill, class Use>
   void for_each_plane(Fill&& fill, Use&& use);
 
-  template <std::size_t fields, class Set>
-  void set_uncovered(int l, int b, int k, std::array<Real*, fields> const& planes, Set&& set);
-  void field_plane(int l, int b, int k, Cells which, Field const& phi, std::array<Real*, 3> const& e);
+  template <class Set>
+  void set_uncovered(int l, int b, int k, Real* plane, Set&& set);
+  void field_plane(int l, int b, int k, Where where, Field const& phi, std::array<Real*, 3> const& e);
   template <class T>
   void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, kernels::Largest<T>& largest);
   void average_pair(int l, int b, int k, Field& phi) const;
@@ -169,8 +168,9 @@ class CompositeLaplacian {
   CompositePlan plan_;
   std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
   std::array<std::vector<Real>, 6> beyond_;  ///< ghosts of the box under way, by face, u fastest
-  std::vector<Real> coarse_, fits_;          ///< of the interface under way: coarse values, two rows of phi*
-  std::vector<Real> plane_;  ///< of the plane under way or a pair of them, of up to `most_fields` fields
+  std::vector<Real> coarse_,
+      fits_;                 ///< of the interface under way: coarse values, two rows of phi*; else rows of means
+  std::vector<Real> plane_;  ///< of the plane under way, or of a pair of them with three components
 };
 
 }  // namespace amrpic

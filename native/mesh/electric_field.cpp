@@ -37,6 +37,7 @@ ElectricField::ElectricField(std::array<std::shared_ptr<Field const>, 3> compone
             {component(0).level(l).data() + place, component(1).level(l).data() + place,
              component(2).level(l).data() + place});
   });
+  stream_end();
 }
 
 void ElectricField::make_rims() {
@@ -99,8 +100,12 @@ void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> co
     Real const* const from = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
     Real *const x = plane[0] + first, *const y = plane[1] + first, *const z = plane[2] + first;
     std::ptrdiff_t n = 0;
-    for (; run.axis == 0 && n + lane_count <= run.count; n += lane_count)
-      separate(from + rim_width * n, x + n, y + n, z + n);
+    for (; run.axis == 0 && n + lane_count <= run.count; n += lane_count) {
+      Real const* const cells = from + rim_width * n;
+      auto const e =
+          separated({load<Lanes>(cells), load<Lanes>(cells + 8), load<Lanes>(cells + 16), load<Lanes>(cells + 24)});
+      store(x + n, e[0]), store(y + n, e[1]), store(z + n, e[2]);
+    }
     for (; n < run.count; ++n) {
       Real const* const cell = from + rim_width * n;
       x[n * stride] = cell[0], y[n * stride] = cell[1], z[n * stride] = cell[2];

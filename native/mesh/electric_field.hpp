@@ -20,9 +20,8 @@ inline Value field_between(Real factor, Value const& below, Value const& above) 
 /// done; `stream_end` must follow before others read.
 void write_cells(std::array<Real const*, 3> const& from, int count, Real* out);
 
-/// The electric field on a hierarchy: values in the rims of boxes, and what they follow from inside. That is the
-/// potential, of which E is the difference across a cell there, in a third of the memory and a half of the time; or
-/// the three components, where someone gives them.
+/// The electric field on a hierarchy. In the rims of boxes it is kept; inside boxes it is the difference of a potential
+/// across a cell, or, where someone gives its components, these.
 class ElectricField {
  public:
   /// Of a potential, with factor[level] per axis for `field_between`. The rims are to be set by the caller.
@@ -36,11 +35,12 @@ class ElectricField {
 
   Rim const& rim(int level) const { return levels_[std::size_t(level)].rim; }
   /// The values there, as `write_cells` leaves them.
-  Real const* at_rim(int level) const { return at_rims_.data() + levels_[std::size_t(level)].place; }
-  Real* at_rim(int level) { return at_rims_.data() + levels_[std::size_t(level)].place; }
+  Real const* at_rim(int level) const { return at_rims_.data() + levels_[std::size_t(level)].first; }
+  Real* at_rim(int level) { return at_rims_.data() + levels_[std::size_t(level)].first; }
   static constexpr int rim_width = 4;
 
   Field const* potential() const { return potential_.get(); }  ///< null if components are given
+  /// Only if they are given.
   Field const& component(int axis) const { return *components_[std::size_t(axis)]; }
   Real3 const& factor(int level) const { return levels_[std::size_t(level)].factor; }
 
@@ -57,7 +57,7 @@ class ElectricField {
  private:
   struct OnLevel {
     Rim rim;
-    std::size_t place;  ///< of the first value
+    std::size_t first;  ///< of its values in `at_rims_`
     Real3 factor;
   };
   void make_rims();

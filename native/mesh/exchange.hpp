@@ -40,6 +40,7 @@ class Exchange {
   Exchange kept_elsewhere(LocalIndex owned, Place const& place) const {
     Exchange out = *this;
     out.owned_ = owned;
+    out.messages_ = out.bytes_ = 0;
     for (auto& n : out.readers_)
       for (LocalIndex& cell : n.cells) cell = place(cell);
     return out;
@@ -56,7 +57,7 @@ class Exchange {
   /// periodic images included.
   Window<LocalIndex> places(Level const& level, Box const& region) const;
 
-  /// Fill the ghosts of each field from their owners; values of a field lie so far apart. Collective.
+  /// Fill the ghosts of each field from their owners; values of a field lie `stride` numbers apart. Collective.
   void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts, std::ptrdiff_t stride = 1) const;
 
   /// The same for one field kept as [own cells | ghosts].

@@ -7,8 +7,9 @@
 namespace amrpic {
 
 /// The cells of this rank's boxes of a level in which a field must be kept that elsewhere follows from the potential of
-/// the box: those at the faces of boxes, and all cells of boxes that a finer level covers in part or whole. As levels
-/// nest by a cell at least, what the particles of other boxes see of a box lies in its rim.
+/// the box: those at the faces of boxes, and all cells of boxes that a finer level covers in part or whole. What the
+/// particles of other boxes see of a box lies in its rim: it is within a cell of their own box, or, for those beyond
+/// the edge of the finer level or with clouds of the coarser one, within a cell of one that is covered.
 ///
 /// Cells are numbered box by box. Of a box they are its first and its last plane, the first rows of the planes between,
 /// then their last ones, and what is left of their first columns, then of their last ones.

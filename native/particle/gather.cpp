@@ -8,7 +8,7 @@ namespace amrpic {
 namespace {
 
 /// Three components per cell and one of padding, so that a cell fills a vector register.
-constexpr int lanes = 4;
+constexpr int lanes = ElectricField::rim_width;
 typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
 /// The field at the rims of a level: those of this rank, and ghosts.
@@ -21,7 +21,7 @@ struct RimCells {
     return place < owned ? own + std::ptrdiff_t(lanes) * place
                          : ghosts.data() + std::ptrdiff_t(lanes) * (place - owned);
   }
-  /// Write `count` of them, so far apart here and in `out`.
+  /// Write `count` of them, `stride` cells apart, to places `out_stride` numbers apart.
   void write(LocalIndex place, std::ptrdiff_t stride, LocalIndex count, Real* out, std::ptrdiff_t out_stride) const {
     Real const* from = at(place);
     for (LocalIndex n = 0; n < count; ++n, from += lanes * stride, out += out_stride) store(out, load<Cell>(from));
@@ -29,7 +29,6 @@ struct RimCells {
 };
 
 RimCells with_ghosts(ElectricField const& field, int level, Exchange const& exchange) {
-  static_assert(lanes == ElectricField::rim_width);
   RimCells out{field.at_rim(level), std::vector<Real>(lanes * std::size_t(exchange.ghosts())), exchange.owned()};
   std::vector<Real const*> own;
   std::vector<Real*> ghosts;
@@ -208,16 +207,10 @@ typedef std::array<Lanes, 3> Components;  ///< of the field at eight particles
 
 /// The components of eight third cells.
 inline Components last_cells(std::array<Averages, lane_count> const& of) {
-  Lanes pair[4], xy[2], z[2];
-  for (int p = 0; p < 4; ++p)
+  std::array<Lanes, 4> pair;
+  for (std::size_t p = 0; p < 4; ++p)
     pair[p] = __builtin_shufflevector(of[2 * p].last, of[2 * p + 1].last, 0, 1, 2, 3, 4, 5, 6, 7);
-  for (int h = 0; h < 2; ++h) {
-    xy[h] = __builtin_shufflevector(pair[2 * h], pair[2 * h + 1], 0, 4, 8, 12, 1, 5, 9, 13);
-    z[h] = __builtin_shufflevector(pair[2 * h], pair[2 * h + 1], 2, 6, 10, 14, 3, 7, 11, 15);
-  }
-  return {__builtin_shufflevector(xy[0], xy[1], 0, 1, 2, 3, 8, 9, 10, 11),
-          __builtin_shufflevector(xy[0], xy[1], 4, 5, 6, 7, 12, 13, 14, 15),
-          __builtin_shufflevector(z[0], z[1], 0, 1, 2, 3, 8, 9, 10, 11)};
+  return separated(pair);
 }
 
 /// The components of eight first cells, and of the second ones.

@@ -1,5 +1,7 @@
 #include "particle/rim_places.hpp"
 
+#include <algorithm>
+
 #include "particle/particle_mesh.hpp"
 
 namespace amrpic {
@@ -14,7 +16,7 @@ struct ToRim {
 
   LocalIndex operator()(LocalIndex place) const {
     if (place < 0) return place;
-    return place < owned ? rim.number(place) : rim.cells() + place - owned;
+    return place < owned ? rim.number(place) : rim.cells() + (place - owned);
   }
   std::vector<LocalIndex> operator()(std::vector<LocalIndex> const& places) const {
     std::vector<LocalIndex> out;
@@ -29,14 +31,15 @@ struct ToRim {
 
 RimPlaces::RimPlaces(ParticleMesh const& mesh, BufferZone const* zone) {
   Hierarchy const& hierarchy = mesh.hierarchy();
+  std::vector<Rim> rims;
   for (int l = 0; l < hierarchy.level_count(); ++l)
-    rims_.emplace_back(hierarchy.level(l), hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr);
-  auto const to_rim = [&](int l) { return ToRim{rims_[std::size_t(l)], hierarchy.level(l).local_cells()}; };
+    rims.emplace_back(hierarchy.level(l), hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr);
+  auto const to_rim = [&](int l) { return ToRim{rims[std::size_t(l)], hierarchy.level(l).local_cells()}; };
   for (int l = 0; l < hierarchy.level_count(); ++l) exchanges_.push_back(to_rim(l)(mesh.exchange(l)));
   for (Surroundings const& at : mesh.boxes()) {
     Box const& box = hierarchy.level(at.level).box(at.box);
-    Shell shell = at.shell.kept_elsewhere(box, rims_[std::size_t(at.level)].cells(), to_rim(at.level));
-    around_.push_back({std::move(shell), at.level > 0 ? to_rim(at.level - 1)(at.coarse) : at.coarse, {}});
+    Shell shell = at.shell.kept_elsewhere(box, rims[std::size_t(at.level)].cells(), to_rim(at.level));
+    around_.push_back({std::move(shell), to_rim(std::max(0, at.level - 1))(at.coarse), {}});
   }
   if (!zone) return;
   for (int l = 0; l < hierarchy.level_count(); ++l) of_matched_.push_back(to_rim(l)(zone->exchange(l)));

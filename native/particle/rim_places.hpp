@@ -30,7 +30,6 @@ class RimPlaces {
   Exchange const& exchange_of_matched(int level) const { return of_matched_[std::size_t(level)]; }
 
  private:
-  std::vector<Rim> rims_;
   std::vector<Around> around_;
   std::vector<Exchange> exchanges_, of_matched_;
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -26,6 +27,9 @@ struct Block {
 /// Blocks of the boxes of this rank: [level][local box].
 template <class T>
 using Blocks = std::vector<std::vector<Block<T>>>;
+
+/// Distances in memory of the neighbours of a cell of a box.
+inline Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
 
 /// What the right-hand side f = -rho / eps0 - mean is made of, in V/m^2, with the data of the walls of each level.
 struct Source {
@@ -102,9 +106,8 @@ class CompositeLaplacian {
   enum class Hidden { visit, skip };
   enum class Where { everywhere, at_faces };
 
-  static constexpr auto no_more = [](int) {};
-  template <class F, class G = decltype(no_more) const&>
-  void visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, F&& f, G&& done = no_more);
+  void visit(Field const& phi, std::vector<Walls> const& walls, Hidden hidden, std::function<void(int, int)> const& f,
+             std::function<void(int)> const& done = nullptr);
   void surround(int l, int b, Field const& phi, Walls const& walls);
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);

@@ -6,7 +6,7 @@
 
 namespace amrpic {
 
-Rim::Rim(Level const& level, Level const* finer) : first_{0} {
+Rim::Rim(Level const& level, Level const* finer) : first_{0}, first_cell_{0} {
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const& box = level.box(b);
     Index3 const n{box.extent(0), box.extent(1), box.extent(2)};
@@ -16,7 +16,7 @@ Rim::Rim(Level const& level, Level const* finer) : first_{0} {
     extent_.push_back(n);
     whole_.push_back(whole);
     first_.push_back(first_.back() + cells - (whole ? 0 : inside));
-    first_cell_.push_back(level.local_offset(b));
+    first_cell_.push_back(first_cell_.back() + cells);
   }
 }
 
@@ -36,10 +36,12 @@ LocalIndex Rim::number(int b, Index3 const& cell) const {
   return out < 0 ? out : first_[std::size_t(b)] + out;
 }
 
-LocalIndex Rim::number(LocalIndex place) const {
-  auto const b = std::size_t(std::upper_bound(first_cell_.begin(), first_cell_.end(), place) - first_cell_.begin() - 1);
-  int const cell = place - first_cell_[b], nx = extent_[b][0], ny = extent_[b][1];
-  LocalIndex const out = number(int(b), {cell % nx, cell / nx % ny, cell / nx / ny});
+LocalIndex Rim::number(LocalIndex place, std::size_t& box) const {
+  if (place < first_cell_[box] || place >= first_cell_[box + 1])
+    box = std::size_t(std::upper_bound(first_cell_.begin(), first_cell_.end(), place) - first_cell_.begin() - 1);
+  int const cell = place - first_cell_[box], nx = extent_[box][0], ny = extent_[box][1];
+  LocalIndex const out =
+      whole_[box] ? first_[box] + cell : number(int(box), {cell % nx, cell / nx % ny, cell / nx / ny});
   if (out < 0)
     throw std::logic_error("cell " + std::to_string(place) + " of a level lies inside a box, not at its rim");
   return out;

@@ -24,8 +24,13 @@ class Rim {
   bool is_whole(int b) const { return whole_[std::size_t(b)]; }
   LocalIndex first(int b) const { return first_[std::size_t(b)]; }
 
-  /// Number of an own cell of the level, which must lie in a rim.
-  LocalIndex number(LocalIndex place) const;
+  /// Number of an own cell of the level, which must lie in a rim. `box`, any to begin with, is where the next one is
+  /// looked for first.
+  LocalIndex number(LocalIndex place, std::size_t& box) const;
+  LocalIndex number(LocalIndex place) const {
+    std::size_t box = 0;
+    return number(place, box);
+  }
 
   /// Cells (i, j), (i + 1, j) and so on of a plane of a box, or (i, j), (i, j + 1), whose numbers follow each other.
   struct Run {
@@ -48,7 +53,7 @@ class Rim {
   std::vector<Index3> extent_;          ///< of each box
   std::vector<char> whole_;             ///< each box
   std::vector<LocalIndex> first_;       ///< boxes + 1 values
-  std::vector<LocalIndex> first_cell_;  ///< of each box, among the level's own
+  std::vector<LocalIndex> first_cell_;  ///< among the level's own; boxes + 1 values
 };
 
 }  // namespace amrpic

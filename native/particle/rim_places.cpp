@@ -13,10 +13,11 @@ namespace {
 struct ToRim {
   Rim const& rim;
   LocalIndex owned;
+  mutable std::size_t box = 0;  ///< that held the latest place
 
   LocalIndex operator()(LocalIndex place) const {
     if (place < 0) return place;
-    return place < owned ? rim.number(place) : rim.cells() + (place - owned);
+    return place < owned ? rim.number(place, box) : rim.cells() + (place - owned);
   }
   std::vector<LocalIndex> operator()(std::vector<LocalIndex> const& places) const {
     std::vector<LocalIndex> out;

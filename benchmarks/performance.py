@@ -295,12 +295,12 @@ more. Gather and push read 48 and write 72 bytes of each particle, a third of th
 and of each cell its potential and, with boxes of 32³, 12 bytes of what is kept of E. A migration reads 80 and writes 56
 bytes. So 1e6 particles on 128³ cells move at least 87, 162 and 136 bytes each, 1e7 30, 124 and 136.
 
-The electric field is not kept in all cells. Inside a box it is the difference of the potential across a cell, made as the
-tile is filled, in a third of the memory; only at the faces of boxes, and in boxes that a finer level covers a part of, it is
-made beforehand (`field`): there it takes values of other boxes, walls and levels. These cells lie together, face by face, with
-their three components side by side, so that what a tile takes from the boxes around it comes by whole cache lines: of a row of
-cells one would be of use in each of three lines. The components are written out where somebody asks for them: by dumps,
-checkpoints, tags by field, and in Python.
+The electric field is not kept in all cells. Inside a box it is the difference of the potential across a cell, which is made as
+the tile is filled: a third of what three components take is read. Only at the faces of boxes, and in boxes that a finer level
+covers a part of, it is made beforehand (`field`), since it takes values of other boxes, walls and levels there. These cells lie
+together, face by face, with their components side by side, so that what a tile takes from the boxes around it comes by whole
+cache lines; in three arrays over all cells, a column would use a number in each of three lines per cell. The components are
+written out where somebody asks for them: by dumps, checkpoints, tags by field, and in Python.
 
 Particles are sorted by bricks of 8³ cells. What the particles of a brick touch of a tile stays in the first-level cache,
 whatever their order, and few leave a brick in a step: 6 % at 0.3 cell widths. So a migration holds eight particles at a time
@@ -308,8 +308,8 @@ against a brick, and only those that left it are looked up. Then it is known whe
 copied in the order that they have: those that stay by vectors, the movers one by one to the next free place of their brick,
 which a counting sort tells. So particles of a brick keep their order, a run that was stopped goes on with the same, and
 nothing is sorted by comparing. Of the time at 1e6, copying those that stay takes half, movers a quarter, holding and looking
-up the rest. A gather at half a particle per cell spends half its time on filling the tile, which waits for the
-second-level cache.
+up the rest. A gather at half a particle per cell spends some 40 % of its time on filling the tile, which waits for
+memory.
 
 Every step adds a row to the time series. Means, sizes, emittances, momentum and kinetic energy of the beam come from one
 pass over the particles (`moments`), deviations being taken from the means so far; energies of the fields from one pass over

@@ -1,4 +1,3 @@
-#include "base/lanes.hpp"
 #include "matrixfree/composite.hpp"
 #include "mesh/means.hpp"
 

@@ -4,7 +4,6 @@
 #include <cstdint>
 
 #include "base/fetch.hpp"
-#include "base/lanes.hpp"
 
 namespace amrpic {
 

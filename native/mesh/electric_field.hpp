@@ -4,6 +4,7 @@
 #include <memory>
 #include <vector>
 
+#include "base/lanes.hpp"
 #include "mesh/field.hpp"
 #include "mesh/rim.hpp"
 

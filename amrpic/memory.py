@@ -164,8 +164,10 @@ def _smoother(scene: Scene) -> int:
 def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
     """Numbers in the fields that live at the same time."""
     total = sum(int(cells_of(level).sum()) for level in boxes)
-    state = 2 * total + 4 * _rims(scene, boxes)  # charge density and potential; field at the rims of boxes
     components = AXES * total
+    state = 2 * total + 4 * _rims(scene, boxes)  # charge density and potential; field at the rims of boxes
+    if scene.solver.backend == "crs":
+        state += components  # from which compressed rows make it
     if scene.schedule.last_step == 0:
         return state + max(components, total)  # to be written; what stands for all of them before the first solve
     if not scene.refinement.follows:

@@ -5,13 +5,7 @@
 #include <array>
 #include <cstring>
 
-#ifdef __AVX512F__
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // a false alarm of GCC 12 about its own header
-#include <immintrin.h>
-#pragma GCC diagnostic pop
-#endif
-
+#include "base/intrinsics.hpp"
 #include "base/types.hpp"
 
 // How vectors are passed matters between object files built for different processors; here all is inlined.

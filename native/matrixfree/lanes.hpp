@@ -3,12 +3,7 @@
 #include <cstddef>
 #include <cstring>
 
-#ifdef __AVX512F__
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // a false alarm of GCC 12 about its own header
-#include <immintrin.h>
-#pragma GCC diagnostic pop
-#endif
+#include "base/intrinsics.hpp"
 
 namespace amrpic::matrixfree {
 

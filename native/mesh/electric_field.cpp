@@ -7,14 +7,14 @@
 
 namespace amrpic {
 
-void write_cells(std::array<Real const*, 3> const& from, int count, Real* out) {
-  bool const aligned = reinterpret_cast<std::uintptr_t>(out) % sizeof(Lanes) == 0;
+void write_cells(std::array<Real const*, 3> const& from, int count, Real* out, bool far) {
+  bool const streams = far && reinterpret_cast<std::uintptr_t>(out) % sizeof(Lanes) == 0;
   int n = 0;
   for (; n + lane_count <= count; n += lane_count) {
     auto const parts = interleaved(load<Lanes>(from[0] + n), load<Lanes>(from[1] + n), load<Lanes>(from[2] + n));
     Real* const to = out + ElectricField::rim_width * n;
     for (int q = 0; q < ElectricField::rim_width; ++q)
-      aligned ? stream(to + lane_count * q, parts[std::size_t(q)]) : store(to + lane_count * q, parts[std::size_t(q)]);
+      streams ? stream(to + lane_count * q, parts[std::size_t(q)]) : store(to + lane_count * q, parts[std::size_t(q)]);
   }
   for (; n < count; ++n) {
     Real const cell[ElectricField::rim_width] = {from[0][n], from[1][n], from[2][n], 0};
@@ -67,7 +67,7 @@ void ElectricField::set_rim(int level, int b, int k, std::array<Real const*, 3> 
     auto from = plane;
     for (Real const*& component : from) component += run.i + nx * run.j;
     Real* out = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
-    if (run.axis == 0) return write_cells(from, run.count, out);
+    if (run.axis == 0) return write_cells(from, run.count, out, true);
     fetch<Use::write>(out + page<Real>, rim_width * run.count);
     for (int n = 0; n < run.count; ++n, out += rim_width) {
       Real const cell[rim_width] = {from[0][n * nx], from[1][n * nx], from[2][n * nx], 0};

@@ -17,9 +17,9 @@ inline Value field_between(Real factor, Value const& below, Value const& above) 
   return factor * (below - above);
 }
 
-/// Write a row of cells, four numbers each: the components along x, y, z and a zero. Past the cache, where that can be
-/// done; `stream_end` must follow before others read.
-void write_cells(std::array<Real const*, 3> const& from, int count, Real* out);
+/// Write a row of cells, four numbers each: the components along x, y, z and a zero. If they are `far`, past the cache,
+/// where that can be done; then `stream_end` must follow before others read.
+void write_cells(std::array<Real const*, 3> const& from, int count, Real* out, bool far);
 
 /// The electric field on a hierarchy. In the rims of boxes it is kept; inside boxes it is the difference of a potential
 /// across a cell, or, where someone gives its components, these.
@@ -32,7 +32,6 @@ class ElectricField {
   explicit ElectricField(std::array<std::shared_ptr<Field const>, 3> components);
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
-  std::shared_ptr<Hierarchy const> share_hierarchy() const { return hierarchy_; }
 
   Rim const& rim(int level) const { return levels_[std::size_t(level)].rim; }
   /// The values there, as `write_cells` leaves them.

@@ -40,16 +40,6 @@ RimCells with_ghosts(ElectricField const& field, int level, Exchange const& exch
   return out;
 }
 
-/// A row of cells of which all components are given.
-void component_row(std::array<Real const*, 3> const& from, int count, Real* out) {
-  int const whole = count / lane_count * lane_count;
-  for (int i = 0; i < whole; i += lane_count) {
-    for (Real const* component : from) bring_near(component + page<Real> + i);  // harmless beyond the end
-    interleave(load<Lanes>(from[0] + i), load<Lanes>(from[1] + i), load<Lanes>(from[2] + i), out + lanes * i);
-  }
-  for (int i = whole; i < count; ++i) store(out + lanes * i, Cell{from[0][i], from[1][i], from[2][i], 0});
-}
-
 /// A row of cells inside a box: E as the difference of the potential across each. Cells beside the row are read.
 void difference_row(Real const* phi, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count, Real* out) {
   auto const between = [&](auto const& at, std::ptrdiff_t n, int axis, std::ptrdiff_t step) {
@@ -150,7 +140,7 @@ class Filler {
       from[c] = field_.component(c).level(at_.level).data() + level_.local_offset(at_.box) +
                 box_.offset({box_.lower[0], box_.lower[1], k});
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
-      component_row(from, box_.extent(0), tile.row(box_.lower[0], j, k));
+      write_cells(from, box_.extent(0), tile.row(box_.lower[0], j, k), false);
       for (Real const*& row : from) row += box_.extent(0);
     }
   }

@@ -261,7 +261,6 @@ def push(
     time_over_mass: NDArray[numpy.float64],
     before: float,
     after: float,
-    momentum_now: NDArray[numpy.float64],
     momentum_out: NDArray[numpy.float64],
     position_out: NDArray[numpy.float64],
 ) -> None: ...
@@ -289,6 +288,8 @@ def beam_sums(
     weight: NDArray[numpy.float64],
     id: NDArray[numpy.int64],
     mass: NDArray[numpy.float64],
+    later: NDArray[numpy.float64],
+    share: float,
 ) -> BeamSums: ...
 def uniforms(seed: int, stream: int, step: int, id: NDArray[numpy.int64], out: NDArray[numpy.float64]) -> None:
     """

@@ -57,20 +57,20 @@ def quantities(levels: int) -> list[Quantity]:
 
 def measure(
     particles: Particles,
+    beam: Moments,
     lost: Particles,
     rho: Field,
     phi: Field,
     efield: VectorField,
     seconds: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return what can be measured of particles and fields at one time. Collective.
+    """Return what can be measured of particles, whose moments are known, and fields at one time. Collective.
 
     `charge` is that of the composite grid. `seconds` per stage are those of the slowest rank; levels that do not exist
     have no entry.
     """
     hierarchy = rho.hierarchy
     comm = hierarchy.comm
-    beam = moments(comm, particles)
     return {
         **{f"cells_{level}": hierarchy.cells(level) for level in range(hierarchy.levels)},
         "boxes": box_count(hierarchy),
@@ -123,9 +123,13 @@ class Moments:
     kinetic_energy: float
 
 
-def moments(comm: MPI.Comm, particles: Particles) -> Moments:
-    """Return the moments of all particles, which are read once. Collective."""
-    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass)
+def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None, share: float = 0.0) -> Moments:
+    """Return the moments of all particles, which are read once. Collective.
+
+    With momenta a `share` of the way to those of the same particles `later`, if that is given.
+    """
+    to = particles if later is None else later
+    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, share)
     totals = np.array(sums.momentum), sums.kinetic_energy
     if not sums.weight > 0:
         nothing = np.full(3, np.nan)

@@ -165,7 +165,7 @@ def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
     """Numbers in the fields that live at the same time."""
     total = sum(int(cells_of(level).sum()) for level in boxes)
     components = AXES * total
-    state = 2 * total + 4 * _rims(scene, boxes)  # charge density and potential; field at the rims of boxes
+    state = 2 * total + AXES * _rims(scene, boxes)  # charge density and potential; field at the rims of boxes
     if scene.solver.backend == "crs":
         state += components  # from which compressed rows make it
     if scene.schedule.last_step == 0:
@@ -200,8 +200,8 @@ def _particle(scene: Scene) -> int:
     """Bytes per particle in the arrays that live at the same time."""
     each = PARTICLE + (0 if _equal_weights(scene) else NUMBER)
     if scene.schedule.last_step > 0 and isinstance(scene.motion, Leapfrog):
-        # before and after a step; where they are next, before and after, and the momenta that the kick replaces
-        return 2 * each + 5 * 3 * NUMBER
+        # before and after a step; where they are next, before and after
+        return 2 * each + 4 * 3 * NUMBER
     # at the start: bunches, all of them together, sorted, and the memory that this leaves to the next arrays
     return 5 * each
 

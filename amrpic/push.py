@@ -15,18 +15,19 @@ RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from othe
 
 def push(
     efield: VectorField, particles: Particles, before: float, after: float, dt: float, clouds: Clouds = PLAIN
-) -> tuple[Particles, Particles]:
-    """Return the particles after `before` s in the field at their places, and where they are next: after a further `after` s
-    in it, and a flight of `dt` s with the momenta that they have then. Let `migrate` follow.
+) -> Particles:
+    """Return the particles after `before` s and a further `after` s in the field at their places, and a flight of `dt` s.
+    Let `migrate` follow.
 
-    p += q E Δt, with the field as `gather` finds it, and x += p dt / m, non-relativistic; each particle is read once.
+    p += q E Δt, with the field as `gather` finds it, and x += p dt / m, non-relativistic; each particle is read once. The two
+    parts are added one after the other: with the momenta between them, a second call goes on to the same in all digits.
     Collective, and as `gather` in all else.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
-    now, momentum, position = (empty_columns(len(particles)) for _ in range(3))
+    momentum, position = (empty_columns(len(particles)) for _ in range(2))
     time_over_mass = particles.spread(dt / particles.species.masses)
-    given, out = particles.arrays, (now, momentum, position)
+    given, out = particles.arrays, (momentum, position)
     try:
         mesh, starts = particle_mesh(hierarchy), sorting.starts
         _native.push(
@@ -34,7 +35,7 @@ def push(
         )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
-    return particles.replace(momentum=now), particles.replace(position, momentum)
+    return particles.replace(position, momentum)
 
 
 def random_walk(particles: Particles, amplitude: float, seed: int, step: int) -> Particles:

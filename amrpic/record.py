@@ -11,7 +11,7 @@ from types import TracebackType
 
 from mpi4py import MPI
 
-from .diagnostics import Quantity, measure, quantities
+from .diagnostics import Quantity, measure, moments, quantities
 from .errors import OutputError, SolverError
 from .field import Field, VectorField
 from .io import checkpoint, fields, particles
@@ -21,7 +21,7 @@ from .plan import Plan
 from .report import RunLog
 from .resume import about, snapshot
 from .scene import Scene
-from .step import State
+from .step import State, kicked
 
 SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
@@ -148,7 +148,10 @@ class Recorder:
     def _row(self, state: State) -> dict[str, float]:
         now = time.perf_counter()
         seconds, self._since = now - self._since, now
-        measured = measure(state.particles, state.lost.particles, state.rho, state.phi, state.efield, state.seconds)
+        beam = moments(self._comm, state.particles, state.moved, state.share)
+        measured = measure(
+            state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds
+        )
         residuals = state.report.residuals
         return {
             **measured,
@@ -188,7 +191,7 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = particles.path_of(self._scene.directory, state.step)
-        particles.write(self._comm, path, state.particles, state.step, state.time, self._about)
+        particles.write(self._comm, path, kicked(state, self._plan).particles, state.step, state.time, self._about)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""
@@ -207,6 +210,9 @@ class Recorder:
                 series.sync()  # a restart from the checkpoint relies on the rows before it
         directory, output = self._scene.directory, self._scene.output
         checkpoint.write(
-            self._comm, checkpoint.path_of(directory, state.step), snapshot(state, self._scene), output.writers
+            self._comm,
+            checkpoint.path_of(directory, state.step),
+            snapshot(kicked(state, self._plan), self._scene),
+            output.writers,
         )
         checkpoint.prune(self._comm, directory, output.keep)

@@ -19,7 +19,7 @@ from .poisson import SolveReport
 from .record import Recorder
 from .resume import about, load, snapshot
 from .scene import Scene
-from .step import Lost, State, accelerated, advance, begin
+from .step import Lost, State, accelerated, advance, begin, kicked
 from .stop import Stop
 
 
@@ -54,7 +54,7 @@ class Simulation:
         plan = Plan(comm, scene)
         for remark in remarks:
             plan.remark(remark)
-        run._hold(plan, accelerated(state, plan, 0.0))
+        run._hold(plan, accelerated(state, plan))
         plan.clock.take()
         run._recorded = True
         return run
@@ -78,21 +78,29 @@ class Simulation:
                 record.state(self.state, self.remarks)
             while self.step < self.scene.schedule.last_step:
                 if (reason := stop.reason()) is not None:
+                    self._kick()
                     record.stopped(self.state, reason)
                     return reason
                 self.state = advance(self.state, self._plan)
                 record.state(self.state, self.remarks)
                 for callback in self._callbacks:
                     callback(self)
+            self._kick()
             record.end(self.state)
         return None
 
+    def _kick(self) -> None:
+        """Let particles have the momenta that a checkpoint holds: in all digits, and not by rounding only. Collective."""
+        self.state = kicked(self.state, self._plan)
+
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
+        self._kick()
         checkpoint.write(self.comm, Path(path), snapshot(self.state, self.scene), self.scene.output.writers)
 
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others. Collective; OutputError on all ranks."""
+        self._kick()
         state = self.state
         write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
 
@@ -107,8 +115,8 @@ class Simulation:
 
     @property
     def particles(self) -> Particles:
-        """This rank's particles; momenta belong to the same time as positions."""
-        return self.state.particles
+        """This rank's particles; momenta belong to the same time as positions, to rounding in the midst of a run."""
+        return self.state.synchronized
 
     @property
     def rho(self) -> Field:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -38,27 +39,46 @@ class Lost:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that a step starts from; positions, momenta and fields belong to the same time."""
+    """Everything that a step starts from; positions and fields belong to the same time.
+
+    The momenta of `particles` are those of `behind` s before, with which they came here; those of `moved` are those of
+    `ahead` s later. What the kick between makes of them at the time itself is not kept, but see `synchronized` and `kicked`.
+    """
 
     particles: Particles  # sorted on the hierarchy
     hierarchy: Hierarchy
     rho: Field  # of the particles, C/m³; without a neutralizing background
     phi: Field  # V
     efield: VectorField  # V/m
-    moved: Particles | None  # half a kick and a drift later, not sorted, where motion asks for them
+    moved: Particles | None  # a kick and a drift later, not sorted, where motion asks for them
     lost: Lost
     step: int
     time: float  # s
     report: SolveReport
     regridded: bool = False  # whether the latest step changed the mesh
     seconds: dict[str, float] = field(default_factory=dict)  # of the stages of the latest step, on this rank
+    behind: float = 0.0  # s
+    ahead: float = 0.0  # s
+
+    @property
+    def share(self) -> float:
+        """How far momenta at the time of the state are on the way from those of `particles` to those of `moved`."""
+        return self.behind / (self.behind + self.ahead) if self.behind > 0 else 0.0
+
+    @cached_property
+    def synchronized(self) -> Particles:
+        """The particles with momenta of the time of the state, to rounding."""
+        if self.moved is None or self.share == 0:
+            return self.particles
+        momentum = self.particles.momentum
+        return self.particles.replace(momentum=momentum + self.share * (self.moved.momentum - momentum))
 
 
 def advance(state: State, plan: Plan) -> State:
     """Return the state one step later. Collective.
 
     Leapfrog in its kick, drift, kick form: half a kick with the field that the particles start in, a drift, and half a kick
-    with the field that they arrive in. So momenta belong to the same time as positions whenever a state is looked at.
+    with the field that they arrive in. The latter is taken together with the first one of the step after.
     """
     step, now = state.step + 1, state.time + plan.dt
     with plan.clock("push"):
@@ -88,7 +108,7 @@ def begin(plan: Plan) -> State:
     none = VectorField(nothing, nothing, nothing)
     state = State(seen.particles, seen.hierarchy, nothing, nothing, none, None, lost, 0, 0.0, unsolved)
     state = with_field(state, seen)
-    return replace(accelerated(state, plan, 0.0), seconds=plan.clock.take())
+    return replace(accelerated(state, plan), seconds=plan.clock.take())
 
 
 def set_off(state: State, plan: Plan) -> Particles:
@@ -105,7 +125,7 @@ def set_off(state: State, plan: Plan) -> Particles:
 
 def arrive(state: State, plan: Plan) -> State:
     """Return the state after the last part of the motion, in the new field. Collective."""
-    return replace(accelerated(state, plan, plan.dt / 2), seconds=plan.clock.take())
+    return replace(accelerated(replace(state, behind=state.ahead), plan), seconds=plan.clock.take())
 
 
 def with_field(state: State, seen: Quantities) -> State:
@@ -122,16 +142,25 @@ def with_field(state: State, seen: Quantities) -> State:
     return replace(state, rho=rho, phi=phi, efield=efield, report=report)
 
 
-def accelerated(state: State, plan: Plan, before: float) -> State:
-    """Return the state with momenta after `before` s in its field, and where particles are next, if there is motion by it.
-
-    Collective.
-    """
+def accelerated(state: State, plan: Plan) -> State:
+    """Return the state with where the particles are next, if there is motion by its field. Collective."""
     if not isinstance(plan.scene.motion, Leapfrog):
         return state
+    ahead = plan.dt / 2
     with plan.clock("gather"):
-        particles, moved = push(state.efield, state.particles, before, plan.dt / 2, plan.dt, plan.clouds)
-    return replace(state, particles=particles, moved=moved)
+        moved = push(state.efield, state.particles, state.behind, ahead, plan.dt, plan.clouds)
+    return replace(state, moved=moved, ahead=ahead)
+
+
+def kicked(state: State, plan: Plan) -> State:
+    """Return the state with particles whose momenta are of its own time. Collective.
+
+    In all digits those on the way to `moved`: a run that is started with them goes on as it would have.
+    """
+    if state.behind == 0:
+        return state
+    after_kick = push(state.efield, state.particles, state.behind, 0.0, 0.0, plan.clouds)
+    return replace(state, particles=state.particles.replace(momentum=after_kick.momentum), behind=0.0)
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:

@@ -291,9 +291,13 @@ previous potential, with fluxes matched between the levels; ImpactX (`impactx-no
 
 These too wait for memory where there are few particles per cell. A deposit reads 24 bytes of each particle, since equal
 weights take no memory, and moves 16 of each cell; with boxes of 32³, what clouds leave in the cells around boxes moves 14
-more. Gather and push read 48 and write 72 bytes of each particle, a third of that for the momenta at the time of the field,
-and of each cell its potential and, with boxes of 32³, 12 bytes of what is kept of E. A migration reads 80 and writes 56
-bytes. So 1e6 particles on 128³ cells move at least 87, 162 and 136 bytes each, 1e7 30, 124 and 136.
+more. Gather and push read 48 and write 48 bytes of each particle, and of each cell its potential and, with boxes of 32³, 9
+bytes of what is kept of E. A migration reads 80 and writes 56 bytes. So 1e6 particles on 128³ cells move at least 87, 132 and
+136 bytes each, 1e7 30, 100 and 136. What comes in long rows is asked for a page ahead, what comes in short ones a plane
+ahead, into the second-level cache: in the first one it would displace the tile.
+
+Momenta at the time of the field lie between those that are read and those that are written, and are not kept. The series
+takes them from both (`moments`); a checkpoint, which a run goes on from in all digits, from another pass.
 
 The electric field is not kept in all cells. Inside a box it is the difference of the potential across a cell, which is made as
 the tile is filled: a third of what three components take is read. Only at the faces of boxes, and in boxes that a finer level

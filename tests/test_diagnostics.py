@@ -98,7 +98,8 @@ def test_a_state_without_particles_can_be_measured(comm):
     nothing = Field(hierarchy)
     beam = Particles.empty(ELECTRONS)
     seconds = {"solve": 1.0 + comm.rank}
-    row = diagnostics.measure(beam, beam, nothing, nothing, VectorField(nothing, nothing, nothing), seconds)
+    moments = diagnostics.moments(comm, beam)
+    row = diagnostics.measure(beam, moments, beam, nothing, nothing, VectorField(nothing, nothing, nothing), seconds)
     assert (row["particles"], row["charge"], row["field_energy"], row["kinetic_energy"]) == (0, 0, 0, 0)
     assert np.isnan(row["rms_x"])
     assert row["seconds_solve"] == comm.size

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from amrpic import scene as model
+from amrpic.diagnostics import moments
 from amrpic.io import series
 from amrpic.plan import Clock
 from amrpic.simulation import Simulation
@@ -105,6 +106,45 @@ def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion):
     assert again.particles.global_count(comm) > 3900
     for name, values in everything(simulation).items():
         assert np.array_equal(values, everything(again)[name]), name
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm, tmp_path):
+    """In the midst of a run to rounding, in a checkpoint in all digits; and a run goes on alike, whoever looks."""
+    given = scene(
+        motion={"kind": "leapfrog", "dt": 2e-9},
+        schedule={"steps": 3},
+        output={"directory": str(tmp_path / "out"), "write": ["series"]},
+    )
+    seen, undisturbed = [], run(comm, given)
+
+    def look(now: Simulation) -> None:
+        assert now.state.moved is not None
+        whole_kick = now.state.moved.momentum - now.state.particles.momentum
+        early, synchronized = now.state.particles.momentum, now.particles.momentum
+        kick = np.abs(whole_kick).max(initial=0)
+        assert kick > 0 and np.abs(synchronized - early - whole_kick / 2).max(initial=0) <= 1e-12 * kick
+        now.checkpoint(tmp_path / f"at_{now.step}")
+        assert now.particles.momentum is not synchronized
+        assert np.abs(now.particles.momentum - synchronized).max(initial=0) <= 1e-12 * kick
+        assert np.array_equal(
+            Simulation.restart(comm, tmp_path / f"at_{now.step}").particles.momentum, now.particles.momentum
+        )
+        seen.append(moments(comm, now.particles))
+
+    watched = Simulation(comm, given)
+    watched.on_step(look)
+    watched.run()
+    for name, values in everything(undisturbed).items():
+        assert np.array_equal(values, everything(watched)[name]), name
+    if comm.rank == 0:
+        rows = series.read(tmp_path / "out" / "series.csv")
+        for column, measured in (
+            ("kinetic_energy", [m.kinetic_energy for m in seen]),
+            ("emittance_x", [m.emittance[0] for m in seen]),
+            ("momentum_z", [m.momentum[2] for m in seen]),
+        ):
+            np.testing.assert_allclose(rows[column][1:], measured, rtol=1e-9)
 
 
 def test_a_run_tells_of_files_that_an_earlier_one_left(comm, tmp_path, capsys):

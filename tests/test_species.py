@@ -74,8 +74,7 @@ def test_charge_over_mass_tells_how_far_a_field_moves_each():
     particles = Particles(np.zeros((3, 3)), np.zeros((3, 3)), np.ones(3), ids, table)
     five = Field(hierarchy).fill(lambda x, y, z: 5 + 0 * (x + y + z))
     particles, _ = migrate(particles, hierarchy)
-    now, moved = push(VectorField(five, five, five), particles, 0.4e-9, 0.6e-9, 2e-9)
-    assert moved.momentum == pytest.approx(2.5 * now.momentum, rel=1e-14, abs=0)
+    moved = push(VectorField(five, five, five), particles, 0.4e-9, 0.6e-9, 2e-9)
     ratio = np.array([1 / PROTON_MASS, -1 / ELECTRON_MASS, -1 / ELECTRON_MASS])
     assert moved.position == pytest.approx(
         np.outer(ELEMENTARY_CHARGE * ratio * 5e-9 * 2e-9, np.ones(3)), rel=1e-14, abs=0

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ..clouds import Clouds, Shape
 from ..deposit import deposit
-from ..diagnostics import field_energy, moments, potential_energy
+from ..diagnostics import Moments, field_energy, moments, potential_energy
 from ..field import Field
 from ..hierarchy import BoundarySpec
 from ..migrate import migrate
@@ -163,11 +163,11 @@ def _plasma(comm: MPI.Comm) -> list[list[Cell]]:
     state = begin(plan)
     energy, gone, worst_momentum, worst_charge = _energy(state), 0.0, 0.0, 0.0
     scale = electrons * warm * math.sqrt(3)
-    start = moments(comm, state.particles).momentum
+    start = _beam(state).momentum
     for _ in range(round(10 * 2 * math.pi / 0.2)):
         before, state = len(state.lost.particles), advance(state, plan)
         gone += _energy_of_lost(state, before)
-        drift = moments(comm, state.particles).momentum + moments(comm, state.lost.particles).momentum - start
+        drift = _beam(state).momentum + moments(comm, state.lost.particles).momentum - start
         worst_momentum = max(worst_momentum, float(np.abs(drift).max()) / scale)
         inside = state.particles.total_charge(comm)
         worst_charge = max(worst_charge, abs(deposit(state.particles, state.hierarchy).integral() - inside) / charge)
@@ -193,7 +193,11 @@ def _energy_of_lost(state: State, known: int) -> float:
 
 
 def _energy(state: State) -> float:
-    return moments(state.rho.comm, state.particles).kinetic_energy + potential_energy(state.rho, state.phi)
+    return _beam(state).kinetic_energy + potential_energy(state.rho, state.phi)
+
+
+def _beam(state: State) -> Moments:
+    return moments(state.rho.comm, state.particles, state.moved, state.share)
 
 
 # ---- regridding ----

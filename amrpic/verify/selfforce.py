@@ -184,8 +184,9 @@ def _end_of_flight(comm: MPI.Comm, interface: str, levels: int) -> Flight:
     state = begin(plan)
     for _ in range(steps):
         state = advance(state, plan)
-    found = moments(comm, state.particles)
-    count = state.particles.global_count(comm)
-    mean = comm.allreduce(state.particles.momentum.sum(axis=0)) / count
-    square = comm.allreduce(np.sum((state.particles.momentum - mean) ** 2))
+    particles = state.synchronized
+    found = moments(comm, particles)
+    count = particles.global_count(comm)
+    mean = comm.allreduce(particles.momentum.sum(axis=0)) / count
+    square = comm.allreduce(np.sum((particles.momentum - mean) ** 2))
     return Flight(found.emittance, mean, float(np.sqrt(square / count)))

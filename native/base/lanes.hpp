@@ -60,7 +60,27 @@ inline void interleave(Lanes const& x, Lanes const& y, Lanes const& z, Real* out
   for (int n = 0; n < 4; ++n) store(out + lane_count * n, parts[std::size_t(n)]);
 }
 
-/// The opposite: the first three of each four numbers.
+/// Three vectors lane by lane.
+inline std::array<Lanes, 3> packed(Lanes const& x, Lanes const& y, Lanes const& z) {
+  Lanes const xy[3] = {__builtin_shufflevector(x, y, 0, 8, -1, 1, 9, -1, 2, 10),
+                       __builtin_shufflevector(x, y, -1, 3, 11, -1, 4, 12, -1, 5),
+                       __builtin_shufflevector(x, y, 13, -1, 6, 14, -1, 7, 15, -1)};
+  return {__builtin_shufflevector(xy[0], z, 0, 1, 8, 3, 4, 9, 6, 7),
+          __builtin_shufflevector(xy[1], z, 10, 1, 2, 11, 4, 5, 12, 7),
+          __builtin_shufflevector(xy[2], z, 0, 13, 2, 3, 14, 5, 6, 15)};
+}
+
+/// The opposite.
+inline std::array<Lanes, 3> unpacked(std::array<Lanes, 3> const& of) {
+  Lanes const x = __builtin_shufflevector(of[0], of[1], 0, 3, 6, 9, 12, 15, -1, -1),
+              y = __builtin_shufflevector(of[0], of[1], 1, 4, 7, 10, 13, -1, -1, -1),
+              z = __builtin_shufflevector(of[0], of[1], 2, 5, 8, 11, 14, -1, -1, -1);
+  return {__builtin_shufflevector(x, of[2], 0, 1, 2, 3, 4, 5, 10, 13),
+          __builtin_shufflevector(y, of[2], 0, 1, 2, 3, 4, 8, 11, 14),
+          __builtin_shufflevector(z, of[2], 0, 1, 2, 3, 4, 9, 12, 15)};
+}
+
+/// The first three of each four numbers.
 inline std::array<Lanes, 3> separated(std::array<Lanes, 4> const& of) {
   Lanes xy[2], z[2];
   for (std::size_t h = 0; h < 2; ++h) {

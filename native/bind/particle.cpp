@@ -125,15 +125,15 @@ void bind_particle(nb::module_& m) {
       "push",
       [](ParticleMesh& mesh, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
          ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         OnePerParticle charge, OnePerParticle time_over_mass, Real before, Real after, Columns momentum_now,
-         Columns momentum_out, Columns position_out) {
+         OnePerParticle charge, OnePerParticle time_over_mass, Real before, Real after, Columns momentum_out,
+         Columns position_out) {
         nb::gil_scoped_release release;
         push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(),
              {charge.data(), time_over_mass.data(), charge.stride(0) == 0, before, after},
-             {columns(momentum_now), columns(momentum_out), columns(position_out)});
+             {columns(momentum_out), columns(position_out)});
       },
       "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "charge"_a, "time_over_mass"_a, "before"_a, "after"_a, "momentum_now"_a, "momentum_out"_a, "position_out"_a);
+      "charge"_a, "time_over_mass"_a, "before"_a, "after"_a, "momentum_out"_a, "position_out"_a);
 
   nb::class_<BeamSums<Real>>(m, "BeamSums")
       .def_ro("weight", &BeamSums<Real>::weight)
@@ -146,12 +146,12 @@ void bind_particle(nb::module_& m) {
   m.def(
       "beam_sums",
       [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         OnePerParticle mass) {
+         OnePerParticle mass, ConstColumns later, Real share) {
         nb::gil_scoped_release release;
         auto const particles = view(position, momentum, weight, id);
-        return beam_sums(MPI_Comm_f2c(comm), particles, mass.data(), mass.stride(0) == 0);
+        return beam_sums(MPI_Comm_f2c(comm), particles, mass.data(), mass.stride(0) == 0, columns(later), share);
       },
-      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a);
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
 
   m.def(
       "uniforms",

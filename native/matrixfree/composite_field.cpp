@@ -47,7 +47,6 @@ void CompositeLaplacian::give_means(int l, Real const* means, ElectricField& fie
           for (int i = 0; i < m.parents[0]; ++i) {
             Real* const cell = to + width * (i + j * m.pitch_y + k * m.pitch_z);
             cell[axis] = *from++;
-            cell[3] = 0;
           }
     }
   }
@@ -62,7 +61,7 @@ void CompositeLaplacian::average_field(int l, int b, int k, Real* means) {
   for (int j = 0; j < parents.extent(1); ++j, to += ElectricField::rim_width * nx) {
     for (int d = 0; d < 3; ++d)
       average_children(int(nx), plane_.data() + 2 * d * 4 * plane + 4 * j * nx, 2 * nx, 4 * plane, row[d]);
-    write_cells({row[0], row[1], row[2]}, int(nx), to, true);
+    write_cells({row[0], row[1], row[2]}, int(nx), to);
   }
 }
 

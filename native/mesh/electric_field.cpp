@@ -7,19 +7,16 @@
 
 namespace amrpic {
 
-void write_cells(std::array<Real const*, 3> const& from, int count, Real* out, bool far) {
-  bool const streams = far && reinterpret_cast<std::uintptr_t>(out) % sizeof(Lanes) == 0;
+void write_cells(std::array<Real const*, 3> const& from, int count, Real* out) {
+  bool const streams = reinterpret_cast<std::uintptr_t>(out) % sizeof(Lanes) == 0;
   int n = 0;
-  for (; n + lane_count <= count; n += lane_count) {
-    auto const parts = interleaved(load<Lanes>(from[0] + n), load<Lanes>(from[1] + n), load<Lanes>(from[2] + n));
-    Real* const to = out + ElectricField::rim_width * n;
-    for (int q = 0; q < ElectricField::rim_width; ++q)
-      streams ? stream(to + lane_count * q, parts[std::size_t(q)]) : store(to + lane_count * q, parts[std::size_t(q)]);
-  }
-  for (; n < count; ++n) {
-    Real const cell[ElectricField::rim_width] = {from[0][n], from[1][n], from[2][n], 0};
-    std::copy_n(cell, ElectricField::rim_width, out + ElectricField::rim_width * n);
-  }
+  for (; n + lane_count <= count; n += lane_count)
+    for (Lanes const& part : packed(load<Lanes>(from[0] + n), load<Lanes>(from[1] + n), load<Lanes>(from[2] + n))) {
+      streams ? stream(out, part) : store(out, part);
+      out += lane_count;
+    }
+  for (; n < count; ++n)
+    for (Real const* component : from) *out++ = component[n];
 }
 
 ElectricField::ElectricField(std::shared_ptr<Field const> potential, std::vector<Real3> factor)
@@ -47,7 +44,7 @@ void ElectricField::make_rims() {
     levels_.push_back({std::move(rim), all, {0, 0, 0}});
     all += values;
   }
-  at_rims_.resize(all);
+  at_rims_.resize(all + 1);  // who takes the last one as a vector of four touches what lies beyond
 }
 
 /// Call f(level, box, plane, place of its first cell among the own ones of the level).
@@ -67,12 +64,10 @@ void ElectricField::set_rim(int level, int b, int k, std::array<Real const*, 3> 
     auto from = plane;
     for (Real const*& component : from) component += run.i + nx * run.j;
     Real* out = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
-    if (run.axis == 0) return write_cells(from, run.count, out, true);
+    if (run.axis == 0) return write_cells(from, run.count, out);
     fetch<Use::write>(out + page<Real>, rim_width * run.count);
-    for (int n = 0; n < run.count; ++n, out += rim_width) {
-      Real const cell[rim_width] = {from[0][n * nx], from[1][n * nx], from[2][n * nx], 0};
-      std::copy_n(cell, rim_width, out);
-    }
+    for (int n = 0; n < run.count; ++n)
+      for (Real const* component : from) *out++ = component[n * nx];
   });
 }
 
@@ -101,8 +96,7 @@ void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> co
     std::ptrdiff_t n = 0;
     for (; run.axis == 0 && n + lane_count <= run.count; n += lane_count) {
       Real const* const cells = from + rim_width * n;
-      auto const e =
-          separated({load<Lanes>(cells), load<Lanes>(cells + 8), load<Lanes>(cells + 16), load<Lanes>(cells + 24)});
+      auto const e = unpacked({load<Lanes>(cells), load<Lanes>(cells + 8), load<Lanes>(cells + 16)});
       store(x + n, e[0]), store(y + n, e[1]), store(z + n, e[2]);
     }
     for (; n < run.count; ++n) {

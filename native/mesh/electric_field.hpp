@@ -17,9 +17,9 @@ inline Value field_between(Real factor, Value const& below, Value const& above) 
   return factor * (below - above);
 }
 
-/// Write a row of cells, four numbers each: the components along x, y, z and a zero. If they are `far`, past the cache,
-/// where that can be done; then `stream_end` must follow before others read.
-void write_cells(std::array<Real const*, 3> const& from, int count, Real* out, bool far);
+/// Write a row of cells, their components along x, y, z side by side, past the cache where that can be done:
+/// `stream_end` must follow before others read.
+void write_cells(std::array<Real const*, 3> const& from, int count, Real* out);
 
 /// The electric field on a hierarchy. In the rims of boxes it is kept; inside boxes it is the difference of a potential
 /// across a cell, or, where someone gives its components, these.
@@ -37,7 +37,7 @@ class ElectricField {
   /// The values there, as `write_cells` leaves them.
   Real const* at_rim(int level) const { return at_rims_.data() + levels_[std::size_t(level)].first; }
   Real* at_rim(int level) { return at_rims_.data() + levels_[std::size_t(level)].first; }
-  static constexpr int rim_width = 4;
+  static constexpr int rim_width = 3;
 
   Field const* potential() const { return potential_.get(); }  ///< null if components are given
   /// Only if they are given.

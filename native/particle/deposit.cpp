@@ -98,14 +98,12 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
   constexpr int width = Shape::width;
   Real const stride_y = Real(tile.stride_y()), stride_z = Real(tile.stride_z());
   WideLanes all_in = WideLanes{} - 1;
-  chosen.for_each_block([&](LaneBlock const& block) {
+  chosen.for_each_block([=, &particles, &all_in, &tile](LaneBlock const& block) {
     CloudBlock<width> clouds;
-    auto const& at = particles.position;
-    bring_block_near(block.first + 2 * block_size, {at[0], at[1], at[2]});
-    if (!particles.equal_weights) bring_block_near(block.first + 2 * block_size, {particles.weight});
-    for_each_group(block, [&](LaneGroup const& group) {
+    WideLanes in = WideLanes{} - 1;
+    for_each_group(block, [=, &particles, &clouds, &in](LaneGroup const& group) {
       int const i = int(group.first - block.first);
-      auto const s = frame.inside(particles, group, all_in);
+      auto const s = frame.inside(particles, group, in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
       Lanes const weight = load(particles.weight, particles.equal_weights, group);
@@ -113,6 +111,7 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
       clouds.put_x_shares(i, x.share);
     });
+    all_in &= in;
     add(clouds, block, tile);
   });
   frame.require_inside(all_in, particles, chosen);

@@ -7,8 +7,9 @@ namespace amrpic {
 
 namespace {
 
-/// Three components per cell and one of padding, so that a cell fills a vector register.
-constexpr int lanes = ElectricField::rim_width;
+/// Three components per cell of a tile and one of padding, so that a cell fills a vector register.
+constexpr int lanes = 4;
+constexpr int rim_width = ElectricField::rim_width;  ///< numbers per cell of a rim
 typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
 /// The field at the rims of a level: those of this rank, and ghosts.
@@ -18,25 +19,31 @@ struct RimCells {
   LocalIndex owned;
 
   Real const* at(LocalIndex place) const {
-    return place < owned ? own + std::ptrdiff_t(lanes) * place
-                         : ghosts.data() + std::ptrdiff_t(lanes) * (place - owned);
+    return place < owned ? own + std::ptrdiff_t(rim_width) * place
+                         : ghosts.data() + std::ptrdiff_t(rim_width) * (place - owned);
+  }
+  /// Ask for `count` of them to be brought near.
+  void bring_near(LocalIndex place, LocalIndex count) const {
+    constexpr int line = 8;
+    for (LocalIndex n = 0; n < rim_width * count; n += line) amrpic::bring_near(at(place) + n);
   }
   /// Write `count` of them, `stride` cells apart, to places `out_stride` numbers apart.
   void write(LocalIndex place, std::ptrdiff_t stride, LocalIndex count, Real* out, std::ptrdiff_t out_stride) const {
     Real const* from = at(place);
-    for (LocalIndex n = 0; n < count; ++n, from += lanes * stride, out += out_stride) store(out, load<Cell>(from));
+    for (LocalIndex n = 0; n < count; ++n, from += rim_width * stride, out += out_stride) store(out, load<Cell>(from));
   }
 };
 
 RimCells with_ghosts(ElectricField const& field, int level, Exchange const& exchange) {
-  RimCells out{field.at_rim(level), std::vector<Real>(lanes * std::size_t(exchange.ghosts())), exchange.owned()};
+  RimCells out{field.at_rim(level), std::vector<Real>(rim_width * std::size_t(exchange.ghosts()) + 1),
+               exchange.owned()};
   std::vector<Real const*> own;
   std::vector<Real*> ghosts;
   for (int c = 0; c < 3; ++c) {
     own.push_back(out.own + c);
     ghosts.push_back(out.ghosts.data() + c);
   }
-  exchange.update(own, ghosts, lanes);
+  exchange.update(own, ghosts, rim_width);
   return out;
 }
 
@@ -54,6 +61,13 @@ void difference_row(Real const* phi, std::ptrdiff_t y, std::ptrdiff_t z, Real3 c
   auto const one = [](Real const* from) { return *from; };
   for (int i = whole; i < count; ++i)
     store(out + lanes * i, Cell{between(one, i, 0, 1), between(one, i, 1, y), between(one, i, 2, z), 0});
+}
+
+void interleave_row(std::array<Real const*, 3> const& from, int count, Real* out) {
+  int n = 0;
+  for (; n + lane_count <= count; n += lane_count)
+    interleave(load<Lanes>(from[0] + n), load<Lanes>(from[1] + n), load<Lanes>(from[2] + n), out + lanes * n);
+  for (; n < count; ++n) store(out + lanes * n, Cell{from[0][n], from[1][n], from[2][n], 0});
 }
 
 /// Trilinear value of the coarser level at the centre of `cell`, which lies inside the domain.
@@ -103,6 +117,7 @@ class Filler {
 
  private:
   void fill_plane(int k, Tile<lanes>& tile) const {
+    bring_rims_near(k + 1);
     around_.shell.for_each_run(k, [&](ShellRun const& run) {
       Real* const out = tile.row(run.first[0], run.first[1], k);
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
@@ -118,17 +133,32 @@ class Filler {
       fill_by_components(k, tile);
   }
 
+  /// Those in plane k: rows and columns here and there in memory, which processors do not foresee.
+  void bring_rims_near(int k) const {
+    if (k > box_.upper[2] + tile_reach) return;
+    around_.shell.for_each_run(k, [&](ShellRun const& run) {
+      if (run.place >= 0 && run.place_stride == 1) rim_.bring_near(run.place, run.count);
+    });
+    if (field_.potential() && k >= box_.lower[2] && k <= box_.upper[2])
+      for_each_own_rim(k, [&](Rim::Run const& run) { rim_.bring_near(run.number, run.count); });
+  }
+
+  /// Call f(run) for the rim of the box in plane k.
+  template <class F>
+  void for_each_own_rim(int k, F&& f) const {
+    field_.rim(at_.level).for_each_run(at_.box - level_.first_local_box(), k - box_.lower[2], f);
+  }
+
   /// The box's own cells in plane k: what lies inside first, with what is left of it at the ends of rows.
   void fill_by_potential(int k, Tile<lanes>& tile) const {
     int const b = at_.box - level_.first_local_box(), nx = box_.extent(0), plane = nx * box_.extent(1);
-    Rim const& rim = field_.rim(at_.level);
-    if (!rim.is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
+    if (!field_.rim(at_.level).is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
       Real const* const phi = field_.potential()->level(at_.level).data() + level_.local_offset(at_.box);
       for (int j = box_.lower[1] + 1; j < box_.upper[1]; ++j)
         difference_row(phi + box_.offset({box_.lower[0], j, k}), nx, plane, field_.factor(at_.level), nx,
                        tile.row(box_.lower[0], j, k));
     }
-    rim.for_each_run(b, k - box_.lower[2], [&](Rim::Run const& run) {
+    for_each_own_rim(k, [&](Rim::Run const& run) {
       Real* const out = tile.row(box_.lower[0] + run.i, box_.lower[1] + run.j, k);
       rim_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
     });
@@ -140,7 +170,7 @@ class Filler {
       from[c] = field_.component(c).level(at_.level).data() + level_.local_offset(at_.box) +
                 box_.offset({box_.lower[0], box_.lower[1], k});
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
-      write_cells(from, box_.extent(0), tile.row(box_.lower[0], j, k), false);
+      interleave_row(from, box_.extent(0), tile.row(box_.lower[0], j, k));
       for (Real const*& row : from) row += box_.extent(0);
     }
   }
@@ -248,22 +278,24 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
   constexpr int width = Shape::width;
   std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
   Real const* const origin = tile.values() + tile.box_corner();
+  Real const row_step = Real(stride_y), plane_step = Real(stride_z);
   WideLanes all_in = WideLanes{} - 1;
-  chosen.for_each_block([&](LaneBlock const& block) {
+  chosen.for_each_block([=, &particles, &all_in](LaneBlock const& block) {
     CloudBlock<width> clouds;
-    auto const &at = particles.position, &p = particles.momentum;
-    bring_block_near(block.first + 2 * block_size, {at[0], at[1], at[2], p[0], p[1], p[2]});
-    for_each_group(block, [&](LaneGroup const& group) {
+    bring_block_near(block.first + page<Real>, particles.position);
+    bring_block_near(block.first + page<Real>, particles.momentum);
+    WideLanes in = WideLanes{} - 1;
+    for_each_group(block, [=, &particles, &clouds, &in](LaneGroup const& group) {
       int const i = int(group.first - block.first);
-      auto const s = frame.inside(particles, group, all_in);
+      auto const s = frame.inside(particles, group, in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-      store(clouds.corner + i,
-            convert<IndexLanes>(lanes * x.first + Real(stride_y) * y.first + Real(stride_z) * z.first));
+      store(clouds.corner + i, convert<IndexLanes>(lanes * x.first + row_step * y.first + plane_step * z.first));
       for (int k = 0; k < width; ++k)
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.share[k] * y.share[j]);
       for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.share[j]);
     });
-    for_each_group(block, [&](LaneGroup const& group) {
+    all_in &= in;
+    for_each_group(block, [=, &clouds](LaneGroup const& group) {
       int const start = int(group.first - block.first);
       std::array<Averages, lane_count> averages;
 #pragma GCC unroll 8
@@ -326,17 +358,15 @@ void gather(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field
 
 void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
           std::int64_t const* starts, Motion const& motion, Moved const& out) {
-  auto const &now = out.momentum_now, &onward = out.momentum, &x = out.position;
-  bool const far = are_far(particles.count, now[0], now[1], now[2], onward[0], onward[1], onward[2], x[0], x[1], x[2]);
-  read_field(mesh, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
+  auto const p = out.momentum, x = out.position;
+  bool const far = are_far(particles.count, p[0], p[1], p[2], x[0], x[1], x[2]);
+  read_field(mesh, clouds, field, particles, starts, [=](LaneGroup const& group, Components const& felt) {
     Lanes const charge = load(motion.charge, motion.same, group);
     Lanes const time_over_mass = load(motion.time_over_mass, motion.same, group);
     Lanes const before = motion.before * charge, after = motion.after * charge;
     for (int d = 0; d < 3; ++d) {
-      Lanes const half = load(particles.momentum[d], group) + before * felt[d];
-      Lanes const momentum = half + after * felt[d];
-      store(now[d], group, half, far);
-      store(onward[d], group, momentum, far);
+      Lanes const now = load(particles.momentum[d], group) + before * felt[d], momentum = now + after * felt[d];
+      store(p[d], group, momentum, far);
       store(x[d], group, load(particles.position[d], group) + time_over_mass * momentum, far);
     }
   });

@@ -26,9 +26,10 @@ inline Vector load_up_to(T const* from, std::int64_t count) {
   return out;
 }
 
-/// Ask for what lies at an address to be brought into the cache; any address will do.
+/// Ask for what lies at an address to be brought into the second-level cache: what is asked for well ahead of its use
+/// would not stay in the first one, and displace what is in use there. Any address will do.
 inline void bring_near(void const* address) {
-  __builtin_prefetch(address);
+  __builtin_prefetch(address, 0, 2);
   asm volatile("");  // else a function that does nothing but this counts as one without effect, and calls are dropped
 }
 
@@ -116,9 +117,13 @@ inline void store_some(Real* to, unsigned bits, Lanes const& values) {
 
 /// The largest whole number that is not above `x`, whose magnitude is below 2^51.
 inline Lanes round_down(Lanes const& x) {
+#ifdef __AVX512F__
+  return (Lanes)_mm512_floor_pd((__m512d)x);
+#else
   constexpr Real shift = 0x1.8p52;  // sums with it are rounded to whole numbers
   Lanes const nearest = (x + shift) - shift;
   return nearest - (nearest > x ? Lanes{} + 1 : Lanes{});
+#endif
 }
 
 constexpr unsigned all_lanes = (1u << lane_count) - 1;

@@ -15,7 +15,8 @@ BeamSums<Real> part(BeamSums<Lanes> const& eight, int i) {
 }
 
 /// Those of this rank's particles.
-BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool same) {
+BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool same, std::array<Real*, 3> const& later,
+                          Real share) {
   constexpr Real c = speed_of_light;
   BeamSums<Lanes> eight;
   for (std::int64_t first = 0; first < particles.count; first += lane_count) {
@@ -27,7 +28,7 @@ BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool 
     std::array<Lanes, 3> x, u;
     Lanes square{};
     for (std::size_t d = 0; d < 3; ++d) {
-      Lanes const p = load(particles.momentum[d], group);
+      Lanes const early = load(particles.momentum[d], group), p = early + share * (load(later[d], group) - early);
       x[d] = load(particles.position[d], group);
       u[d] = p * per_mc;
       square += u[d] * u[d];
@@ -44,9 +45,11 @@ BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool 
 
 }  // namespace
 
-BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same) {
+BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same,
+                         std::array<Real*, 3> const& later, Real share) {
   BeamSums<Real> out;
-  for (auto const& of_rank : all_gather(comm, std::vector{local_sums(particles, mass, same)}).values) out.add(of_rank);
+  std::vector const own{local_sums(particles, mass, same, later, share)};
+  for (auto const& of_rank : all_gather(comm, own).values) out.add(of_rank);
   return out;
 }
 

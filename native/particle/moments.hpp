@@ -50,8 +50,9 @@ struct BeamSums {
   }
 };
 
-/// Those of the particles of all ranks. `mass` (kg) holds one value for all if they are `same`, else one for each.
-/// Collective.
-BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same);
+/// Those of the particles of all ranks, with momenta a `share` of the way to `later` ones. `mass` (kg) holds one value
+/// for all if they are `same`, else one for each. Collective.
+BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same,
+                         std::array<Real*, 3> const& later, Real share);
 
 }  // namespace amrpic

@@ -2,7 +2,6 @@
 
 #include <array>
 #include <cstdint>
-#include <initializer_list>
 
 #include "particle/lanes.hpp"
 
@@ -24,7 +23,8 @@ struct ParticleView {
 };
 
 /// Ask for the values of a block of particles to be brought near; there may be fewer.
-inline void bring_block_near(std::int64_t first, std::initializer_list<Real const*> columns) {
+template <std::size_t count>
+void bring_block_near(std::int64_t first, std::array<Real*, count> const& columns) {
   for (Real const* column : columns)
     for (int n = 0; n < block_size; n += lane_count) bring_near(column + first + n);
 }

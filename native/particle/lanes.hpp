@@ -97,6 +97,19 @@ inline Vector compressed(unsigned bits, Vector const& v) {
 }
 #endif
 
+/// Eight of the lanes of one vector followed by those of another, from lane n on; n is at most eight.
+inline Lanes window(Lanes const& a, Lanes const& b, int n) {
+#ifdef __AVX512F__
+  constexpr WideLanes one_after_the_other = {0, 1, 2, 3, 4, 5, 6, 7};
+  return (Lanes)_mm512_permutex2var_pd((__m512d)a, (__m512i)(one_after_the_other + n), (__m512d)b);
+#else
+  Real both[2 * lane_count];
+  store(both, a);
+  store(both + lane_count, b);
+  return load<Lanes>(both + n);
+#endif
+}
+
 /// Write those lanes side by side whose bits are set, and whatever behind them: eight values in all. Return how many.
 template <class Vector, class T>
 inline int compress(unsigned bits, Vector const& from, T* to) {

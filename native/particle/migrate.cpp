@@ -18,18 +18,16 @@ namespace {
 
 constexpr int tag_particles = 7201;
 
-/// Particles in a row of whom one column is copied after the other: what is read of them stays in the first-level cache
-/// for those who left.
-constexpr LocalIndex part_size = 512;
-/// Movers of whom one column is copied after the other, and so many ahead it is asked for where they go.
-constexpr int batch = 64;
+/// Particles in a row of whom one column is copied after the other: so many that memory is read in long rows, so few
+/// that a column of theirs stays in the second-level cache for those who left.
+constexpr LocalIndex batch_size = 4096;
 
 bool is_finite(Real3 const& v) { return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]); }
 
 /// Throw std::length_error on all ranks if one of them has too many particles for a LocalIndex. Collective.
 void require_few(std::int64_t particles, MPI_Comm comm) {
   MPI_Allreduce(MPI_IN_PLACE, &particles, 1, MPI_INT64_T, MPI_MAX, comm);
-  if (particles > std::numeric_limits<LocalIndex>::max() - part_size)
+  if (particles > std::numeric_limits<LocalIndex>::max() - batch_size)
     throw std::length_error("more than 2^31 particles on one rank; use more ranks");
 }
 
@@ -40,35 +38,35 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
   return out;
 }
 
-struct Copied {
-  LocalIndex count;
-  bool finite;  ///< or not checked
-};
-
-/// Copy those of the values [first, last) whose bits are set, no more than `part_size` of them, past the cache if `to`
-/// belongs to an array that is `far`. There are `count` values; `first` is a multiple of eight.
-template <bool far>
-Copied copy_chosen(Real const* from, LocalIndex first, LocalIndex last, std::int64_t count, std::uint8_t const* bits,
-                   Real* to, bool check) {
-  alignas(64) Real chosen[part_size + 3 * lane_count];
-  int const phase = int(reinterpret_cast<std::uintptr_t>(to) / sizeof(Real) % lane_count);
-  LocalIndex end = phase;  // so that cache lines of `to` are vectors here
-  Lanes zero{};            // nan as soon as a value is not finite
+/// Copy those of the values [first, last) whose bits are set; there are `count` values, and `first` is a multiple of
+/// eight. Whole cache lines of `to` are written past the cache if they are `far`. False if a value that is to be
+/// checked is not finite.
+bool copy_chosen(Real const* from, LocalIndex first, LocalIndex last, std::int64_t count, std::uint8_t const* bits,
+                 Real* to, bool far, bool check) {
+  int waiting =
+      int(reinterpret_cast<std::uintptr_t>(to) / sizeof(Real) % lane_count);  // at first, what lies before `to`
+  unsigned lanes = all_lanes << waiting & all_lanes;                          // of the line that is next
+  to -= waiting;
+  Lanes latest{}, zero{};  // the last eight values so far, of which some wait; nan as soon as one is not finite
   for (LocalIndex n = first; n < last; n += lane_count, ++bits) {
-    bring_near(from + n + part_size);
-    auto const eight = compressed(*bits, load_up_to<Lanes>(from + n, count - n));
-    store(chosen + end, eight);
-    end += __builtin_popcount(*bits);
-    if (check) zero += eight - eight;
+    bring_near(from + n + page<Real>);
+    auto const chosen = compressed(*bits, load_up_to<Lanes>(from + n, count - n));
+    if (check) zero += chosen - chosen;
+    int const more = __builtin_popcount(*bits);
+    if (waiting + more >= lane_count) {
+      store(to, {0, lanes}, window(latest, chosen, lane_count - waiting), far);
+      lanes = all_lanes;
+      to += lane_count;
+      waiting -= lane_count;
+    }
+    latest = window(latest, chosen, more);
+    waiting += more;
   }
-  to -= phase;
-  for (LocalIndex n = 0; n < end; n += lane_count) {
-    unsigned lanes = all_lanes;
-    if (n < phase) lanes &= all_lanes << phase;
-    if (n + lane_count > end) lanes &= all_lanes >> (n + lane_count - end);
-    store(to, {n, lanes}, load<Lanes>(chosen + n), far);
+  if (waiting > 0) {
+    lanes &= all_lanes >> (lane_count - waiting);
+    store(to, {0, lanes}, window(latest, latest, lane_count - waiting), far);
   }
-  return {end - phase, bits_of(zero == 0) == all_lanes};
+  return bits_of(zero == 0) == all_lanes;
 }
 
 }  // namespace
@@ -192,13 +190,6 @@ void Migration::move_to(LocalBrick const& at, LocalIndex n, Movers& movers) {
   ++staying_;
 }
 
-/// Ask for place n of all columns to be brought near.
-template <Use use>
-inline void Migration::ask_for(std::int64_t n) const {
-  for (Column const& column : columns_) fetch<use>(use == Use::read ? column.from + n : column.to + n, 1);
-  asm volatile("");  // as in `bring_near`
-}
-
 /// Find the home of a particle wherever it lies.
 void Migration::look_up(LocalIndex n) {
   Real3 const before = particles_.at(n);
@@ -271,25 +262,25 @@ bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   exchange();
   assign_places(starts);
   pair_columns(out);
-  bool const far =
-      std::all_of(columns_.begin(), columns_.end(), [&](auto const& c) { return are_far(arriving(), c.to); });
   std::size_t const rank = std::size_t(mesh_.hierarchy().level(0).rank());
   LocalIndex const all = LocalIndex(particles_.count);
   std::int64_t const lower = received_start_[rank], end = received_start_.back();
   unpack(0, lower, false, out);
   for (Run const& run : runs_) {
-    copy_movers(movers_, run.first);
-    if (far)
-      copy_stayers<true>(run);
-    else
-      copy_stayers<false>(run);
+    assign_movers(movers_, run.first);
+    for (LocalIndex first = run.first; first < run.last; first += batch_size) {
+      LocalIndex const last = std::min(run.last, first + batch_size);
+      assign_stayers(run.at, first, last);
+      assign_movers(movers_, last);
+    }
   }
-  copy_movers(movers_, all);
+  assign_movers(movers_, all);
   unpack(lower, end, false, out);
 
   unpack(0, lower, true, out);
-  copy_movers(wrapped_, all);
+  assign_movers(wrapped_, all);
   unpack(lower, end, true, out);
+  copy_assigned();
   stream_end();
   return finite_;
 }
@@ -310,51 +301,55 @@ void Migration::assign_places(std::int64_t* starts) {
   starts[mesh_.boxes().size()] = arriving();
 }
 
-/// Copy those of a run who stayed, part by part so that who left is still near when copied after each.
-template <bool far>
-void Migration::copy_stayers(Run const& run) {
-  std::int64_t& next = next_[std::size_t(number(run.at))];
-  for (LocalIndex first = run.first; first < run.last; first += part_size) {
-    LocalIndex const last = std::min(run.last, first + part_size);
-    std::uint8_t const* const stays = stays_.data() + first / lane_count;
-    LocalIndex count = 0;
-    for (Column const& c : columns_) {
-      auto const copied = copy_chosen<far>(c.from, first, last, particles_.count, stays, c.to + next, c.is_momentum);
-      finite_ = finite_ && copied.finite;
-      count = copied.count;
-    }
-    next += count;
-    copy_movers(movers_, last);
+/// Assign their places to those of the particles [first, last) who stayed in their brick.
+void Migration::assign_stayers(LocalBrick const& at, LocalIndex first, LocalIndex last) {
+  std::int64_t& next = next_[std::size_t(number(at))];
+  assigned_.stayers.push_back({first, last, next});
+  for (LocalIndex n = first; n < last; n += lane_count) next += __builtin_popcount(stays_[std::size_t(n / lane_count)]);
+  copy_a_batch(last - first);
+}
+
+/// Assign theirs to the movers whose places are before `last`.
+void Migration::assign_movers(Movers& movers, LocalIndex last) {
+  auto const& all = movers.all;
+  for (; movers.assigned < all.size() && all[movers.assigned].place < last; ++movers.assigned) {
+    Mover const& mover = all[movers.assigned];
+    std::int64_t const to = next_[std::size_t(mover.brick)]++;
+    for (Column const& column : columns_) fetch<Use::write>(column.to + to, 1);
+    assigned_.movers.push_back({mover.place, to, movers.wrapped});
+    copy_a_batch(1);
   }
 }
 
-/// Copy those of the movers whose places are before `last`.
-void Migration::copy_movers(Movers& movers, LocalIndex last) {
-  auto const& all = movers.all;
-  while (movers.copied < all.size() && all[movers.copied].place < last) {
-    Mover const* const mover = all.data() + movers.copied;
-    std::int64_t to[batch];
-    int count = 0;
-    for (; count < batch && movers.copied < all.size() && mover[count].place < last; ++count, ++movers.copied) {
-      Mover const& ahead = all[std::min(movers.copied + batch, all.size() - 1)];
-      ask_for<Use::write>(next_[std::size_t(ahead.brick)]);
-      if (movers.wrapped) ask_for<Use::read>(ahead.place);  // others were just passed by
-      to[count] = next_[std::size_t(mover[count].brick)]++;
-    }
+/// So many more have been assigned their places: copy who has one as soon as they are a batch.
+void Migration::copy_a_batch(LocalIndex more) {
+  assigned_.count += more;
+  if (assigned_.count >= batch_size) copy_assigned();
+}
+
+/// Copy all who have been assigned their places, one column after the other.
+void Migration::copy_assigned() {
+  for (Column const& c : columns_) {
+    bool const far = are_far(arriving(), c.to);
+    for (Stayers const& some : assigned_.stayers)
+      finite_ &= copy_chosen(c.from, some.first, some.last, particles_.count, stays_.data() + some.first / lane_count,
+                             c.to + some.to, far, c.is_momentum);
     Real zero = 0;  // nan as soon as a momentum is not finite
-    for (Column const& c : columns_)
-      for (int i = 0; i < count; ++i) {
-        Real const value = c.to[to[i]] = c.from[mover[i].place];
-        if (c.is_momentum) zero += value - value;
-      }
+    for (AssignedMover const& mover : assigned_.movers) {
+      Real const value = c.to[mover.to] = c.from[mover.from];
+      if (c.is_momentum) zero += value - value;
+    }
     finite_ = finite_ && zero == 0;
-    if (movers.wrapped)
-      for (int i = 0; i < count; ++i) {
-        Real3 x = particles_.at(mover[i].place);
-        mesh_.locator().wrap(x);
-        for (std::size_t d = 0; d < 3; ++d) columns_[d].to[to[i]] = x[d];
-      }
   }
+  for (AssignedMover const& mover : assigned_.movers)
+    if (mover.wrapped) {
+      Real3 x = particles_.at(mover.from);
+      mesh_.locator().wrap(x);
+      for (std::size_t d = 0; d < 3; ++d) columns_[d].to[mover.to] = x[d];
+    }
+  assigned_.stayers.clear();
+  assigned_.movers.clear();
+  assigned_.count = 0;
 }
 
 /// Write those of the received particles [first, last) that were wrapped, or those that were not.

@@ -66,7 +66,23 @@ class Migration {
   struct Movers {
     bool wrapped;
     std::vector<Mover> all{};
-    std::size_t copied = 0;
+    std::size_t assigned = 0;
+  };
+  /// Those of the particles [first, last) who stayed, from the place on where they are written.
+  struct Stayers {
+    LocalIndex first, last;
+    std::int64_t to;
+  };
+  struct AssignedMover {
+    LocalIndex from;
+    std::int64_t to;
+    bool wrapped;
+  };
+  /// Who knows where to, and is yet to be copied.
+  struct Assigned {
+    std::vector<Stayers> stayers;
+    std::vector<AssignedMover> movers;
+    LocalIndex count = 0;  ///< of particles, also of those between stayers
   };
 
   /// Values that are copied from place to place, one for each particle. Ids are held for numbers, of which only the
@@ -92,11 +108,10 @@ class Migration {
   void exchange();
   void assign_places(std::int64_t* starts);
   void pair_columns(ParticleView const& out);
-  template <Use use>
-  void ask_for(std::int64_t n) const;
-  template <bool far>
-  void copy_stayers(Run const& run);
-  void copy_movers(Movers& movers, LocalIndex last);
+  void assign_stayers(LocalBrick const& at, LocalIndex first, LocalIndex last);
+  void assign_movers(Movers& movers, LocalIndex last);
+  void copy_a_batch(LocalIndex more);
+  void copy_assigned();
   void unpack(std::int64_t first, std::int64_t last, bool wrapped, ParticleView const& out);
   LocalIndex number(LocalBrick const& at) const { return first_brick_[std::size_t(at.slot)] + at.brick; }
 
@@ -119,6 +134,7 @@ class Migration {
   std::vector<Run> runs_;        ///< in order of their places
   Scratch<std::uint8_t> stays_;  ///< for each eight particles, a bit for each that stayed in its run's brick
   Movers movers_{false}, wrapped_{true};
+  Assigned assigned_;
   std::vector<std::vector<Leaving>> leaving_;  ///< by rank
   std::vector<Parcel> sent_, received_;        ///< by rank
   std::vector<std::int64_t> sent_start_, received_start_;

@@ -17,7 +17,7 @@ from .hierarchy import Hierarchy
 from .parallel import global_sum
 from .species import SpeciesTable
 
-EIGHTH_OF_PAGE = 64  # doubles
+PAGE = 512  # doubles
 
 
 @dataclass(frozen=True)
@@ -181,9 +181,9 @@ def empty_columns(count: int) -> np.ndarray:
     """(count, 3), each column contiguous and starting on a cache line."""
     # Kernels pass along the columns of several arrays at once. So that these neither compete for the same sets of a cache nor
     # look alike in the part of an address that tells a read from an earlier write, each starts an eighth of a page further on.
-    first = next(_columns_made) * EIGHTH_OF_PAGE % (8 * EIGHTH_OF_PAGE)
-    capacity = -(-count // (8 * EIGHTH_OF_PAGE)) * 8 * EIGHTH_OF_PAGE + EIGHTH_OF_PAGE
-    memory = recycled(3 * capacity + 8 * EIGHTH_OF_PAGE, np.float64)
+    first = next(_columns_made) * PAGE // 8 % PAGE
+    capacity = -(-count // PAGE) * PAGE + PAGE // 8
+    memory = recycled(3 * capacity + PAGE, np.float64)
     return memory[first : first + 3 * capacity].reshape(3, capacity).T[:count]
 
 

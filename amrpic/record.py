@@ -126,13 +126,17 @@ class Recorder:
             output = self._scene.output
             if "fields" in self._wanted and output.fields_every and state.step % output.fields_every == 0:
                 self._write_fields(state)
-            if output.particles_every and state.step % output.particles_every == 0:
+            particles_due = output.particles_every and state.step % output.particles_every == 0
+            checkpoint_due = output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0
+            if ("particles" in self._wanted and particles_due) or ("checkpoint" in self._wanted and checkpoint_due):
+                state = kicked(state, self._plan)
+            if particles_due:
                 self._write_particles(state)
-            if output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0:
+            if checkpoint_due:
                 self._write_checkpoint(state)
 
     def end(self, state: State) -> None:
-        """Write what the end of a run leaves."""
+        """Write what the end of a run leaves; the momenta are to be of its time."""
         if self._wanted & {"fields", "pictures"}:
             self._write_fields(state)
         self._write_particles(state)
@@ -141,7 +145,7 @@ class Recorder:
             self._draw(state)
 
     def stopped(self, state: State, reason: str) -> None:
-        """Write what a run needs to go on later."""
+        """Write what a run needs to go on later; the momenta are to be of its time."""
         self._write_checkpoint(state)
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
 
@@ -191,7 +195,7 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = particles.path_of(self._scene.directory, state.step)
-        particles.write(self._comm, path, kicked(state, self._plan).particles, state.step, state.time, self._about)
+        particles.write(self._comm, path, state.particles, state.step, state.time, self._about)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""
@@ -209,10 +213,6 @@ class Recorder:
             if series is not None:
                 series.sync()  # a restart from the checkpoint relies on the rows before it
         directory, output = self._scene.directory, self._scene.output
-        checkpoint.write(
-            self._comm,
-            checkpoint.path_of(directory, state.step),
-            snapshot(kicked(state, self._plan), self._scene),
-            output.writers,
-        )
+        path = checkpoint.path_of(directory, state.step)
+        checkpoint.write(self._comm, path, snapshot(state, self._scene), output.writers)
         checkpoint.prune(self._comm, directory, output.keep)

@@ -54,7 +54,7 @@ class Simulation:
         plan = Plan(comm, scene)
         for remark in remarks:
             plan.remark(remark)
-        run._hold(plan, accelerated(state, plan))
+        run._hold(plan, accelerated(state, plan, 0.0))
         plan.clock.take()
         run._recorded = True
         return run
@@ -78,30 +78,25 @@ class Simulation:
                 record.state(self.state, self.remarks)
             while self.step < self.scene.schedule.last_step:
                 if (reason := stop.reason()) is not None:
-                    self._kick()
+                    self.state = kicked(self.state, self._plan)
                     record.stopped(self.state, reason)
                     return reason
                 self.state = advance(self.state, self._plan)
                 record.state(self.state, self.remarks)
                 for callback in self._callbacks:
                     callback(self)
-            self._kick()
+            self.state = kicked(self.state, self._plan)
             record.end(self.state)
         return None
 
-    def _kick(self) -> None:
-        """Let particles have the momenta that a checkpoint holds: in all digits, and not by rounding only. Collective."""
-        self.state = kicked(self.state, self._plan)
-
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
-        self._kick()
-        checkpoint.write(self.comm, Path(path), snapshot(self.state, self.scene), self.scene.output.writers)
+        state = kicked(self.state, self._plan)
+        checkpoint.write(self.comm, Path(path), snapshot(state, self.scene), self.scene.output.writers)
 
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others. Collective; OutputError on all ranks."""
-        self._kick()
-        state = self.state
+        state = kicked(self.state, self._plan)
         write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
 
     @property
@@ -115,7 +110,10 @@ class Simulation:
 
     @property
     def particles(self) -> Particles:
-        """This rank's particles; momenta belong to the same time as positions, to rounding in the midst of a run."""
+        """This rank's particles; momenta belong to the same time as positions.
+
+        In the midst of a run these are made at each call, to rounding those of a checkpoint; at its end they are those.
+        """
         return self.state.synchronized
 
     @property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -13,7 +12,7 @@ from .field import Field, VectorField
 from .follow import follow, make_base, outrun
 from .hierarchy import Hierarchy
 from .migrate import migrate
-from .particles import Particles, concatenate
+from .particles import Particles, concatenate, empty_columns
 from .plan import Plan
 from .poisson import SolveReport
 from .populate import make_bunches
@@ -41,8 +40,8 @@ class Lost:
 class State:
     """Everything that a step starts from; positions and fields belong to the same time.
 
-    The momenta of `particles` are those of `behind` s before, with which they came here; those of `moved` are those of
-    `ahead` s later. What the kick between makes of them at the time itself is not kept, but see `synchronized` and `kicked`.
+    The momenta of `particles` are those of `behind` s before, with which they came here, half a step or none; those of `moved`
+    are half a step later. Momenta of the time itself are not kept, but see `synchronized` and `kicked`.
     """
 
     particles: Particles  # sorted on the hierarchy
@@ -50,7 +49,7 @@ class State:
     rho: Field  # of the particles, C/m³; without a neutralizing background
     phi: Field  # V
     efield: VectorField  # V/m
-    moved: Particles | None  # a kick and a drift later, not sorted, where motion asks for them
+    moved: Particles | None  # after the kick and a drift, not sorted, where motion asks for them
     lost: Lost
     step: int
     time: float  # s
@@ -58,20 +57,22 @@ class State:
     regridded: bool = False  # whether the latest step changed the mesh
     seconds: dict[str, float] = field(default_factory=dict)  # of the stages of the latest step, on this rank
     behind: float = 0.0  # s
-    ahead: float = 0.0  # s
 
     @property
     def share(self) -> float:
-        """How far momenta at the time of the state are on the way from those of `particles` to those of `moved`."""
-        return self.behind / (self.behind + self.ahead) if self.behind > 0 else 0.0
+        """How far momenta of the time of the state are on the way from those of `particles` to those of `moved`."""
+        return 0.5 if self.behind > 0 else 0.0
 
-    @cached_property
+    @property
     def synchronized(self) -> Particles:
-        """The particles with momenta of the time of the state, to rounding."""
+        """The particles with momenta of the time of the state, to rounding; made anew each time."""
         if self.moved is None or self.share == 0:
             return self.particles
-        momentum = self.particles.momentum
-        return self.particles.replace(momentum=momentum + self.share * (self.moved.momentum - momentum))
+        early, out = self.particles.momentum, empty_columns(len(self.particles))
+        np.subtract(self.moved.momentum, early, out=out)
+        out *= self.share
+        out += early
+        return self.particles.replace(momentum=out)
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -108,7 +109,7 @@ def begin(plan: Plan) -> State:
     none = VectorField(nothing, nothing, nothing)
     state = State(seen.particles, seen.hierarchy, nothing, nothing, none, None, lost, 0, 0.0, unsolved)
     state = with_field(state, seen)
-    return replace(accelerated(state, plan), seconds=plan.clock.take())
+    return replace(accelerated(state, plan, 0.0), seconds=plan.clock.take())
 
 
 def set_off(state: State, plan: Plan) -> Particles:
@@ -125,7 +126,7 @@ def set_off(state: State, plan: Plan) -> Particles:
 
 def arrive(state: State, plan: Plan) -> State:
     """Return the state after the last part of the motion, in the new field. Collective."""
-    return replace(accelerated(replace(state, behind=state.ahead), plan), seconds=plan.clock.take())
+    return replace(accelerated(state, plan, plan.dt / 2), seconds=plan.clock.take())
 
 
 def with_field(state: State, seen: Quantities) -> State:
@@ -142,14 +143,16 @@ def with_field(state: State, seen: Quantities) -> State:
     return replace(state, rho=rho, phi=phi, efield=efield, report=report)
 
 
-def accelerated(state: State, plan: Plan) -> State:
-    """Return the state with where the particles are next, if there is motion by its field. Collective."""
+def accelerated(state: State, plan: Plan, behind: float) -> State:
+    """Return the state with where the particles are next, if there is motion by its field. Collective.
+
+    Their momenta are those of `behind` s before.
+    """
     if not isinstance(plan.scene.motion, Leapfrog):
         return state
-    ahead = plan.dt / 2
     with plan.clock("gather"):
-        moved = push(state.efield, state.particles, state.behind, ahead, plan.dt, plan.clouds)
-    return replace(state, moved=moved, ahead=ahead)
+        moved = push(state.efield, state.particles, behind, plan.dt / 2, plan.dt, plan.clouds)
+    return replace(state, moved=moved, behind=behind)
 
 
 def kicked(state: State, plan: Plan) -> State:

@@ -42,31 +42,39 @@ inline Neighbourhood look_around(Box const& box, Level const& level, Level const
           coarser ? covered_cells(level, {2, 2, 2}, parents) : Window<char>(none, 0)};
 }
 
-/// phi* behind a fine ghost cell: emit(coarse cell number, weight) per term of the fit.
-template <class Emit>
-PlaneFit interpolate_behind(Index3 const& ghost, int axis, Window<GlobalIndex> const& coarse,
-                            Window<char> const& coarse_covered, Emit&& emit) {
-  auto const [u, v] = tangential_axes(axis);
-  Index3 const behind{floor_divide(ghost[0], 2), floor_divide(ghost[1], 2), floor_divide(ghost[2], 2)};
-  auto at = [&](int i, int j) {
-    Index3 cell = behind;
-    cell[u] += i;
-    cell[v] += j;
-    return cell;
-  };
-  unsigned usable = 0;
-  auto look = [&](int reach) {
-    for (int i = -reach; i <= reach; ++i)
-      for (int j = -reach; j <= reach; ++j)
-        if (coarse(at(i, j)) != no_cell && !coarse_covered(at(i, j))) usable |= plane_bit(i, j);
-  };
-  look(1);
-  if (usable != plane_block(-1, -1, 3)) look(2);  // the central block is the first to be tried
-  auto offset = [&](int axis_in_plane) { return ghost[axis_in_plane] == 2 * behind[axis_in_plane] ? -0.25 : 0.25; };
-  PlaneFit const fit = plane_fit(usable, offset(u), offset(v));
-  for (int t = 0; t < fit.count; ++t) emit(coarse(at(fit.terms[t].i, fit.terms[t].j)), fit.terms[t].weight);
-  return fit;
-}
+/// The coarse cells of the plane behind a coarse-fine face, of which phi* is made.
+class PlaneBehind {
+ public:
+  /// The plane around a cell whose face it is; `covered` has the extent of `cells`.
+  PlaneBehind(Index3 const& middle, int axis, Window<GlobalIndex> const& cells, Window<char> const& covered)
+      : middle_(middle), along_(tangential_axes(axis)), cells_(cells) {
+    auto look = [&](int reach) {
+      for (int i = -reach; i <= reach; ++i)
+        for (int j = -reach; j <= reach; ++j)
+          if (cells(at(i, j)) != no_cell && !covered(at(i, j))) usable_ |= plane_bit(i, j);
+    };
+    look(1);
+    if (usable_ != plane_block(-1, -1, 3)) look(2);  // the central block is the first to be tried
+  }
+
+  /// That of the children in the lower or upper half of the cell along either axis of the plane.
+  PlaneFit fit(bool upper_u, bool upper_v) const {
+    return plane_fit(usable_, upper_u ? 0.25 : -0.25, upper_v ? 0.25 : -0.25);
+  }
+  GlobalIndex cell(int i, int j) const { return cells_(at(i, j)); }
+
+ private:
+  Index3 at(int i, int j) const {
+    Index3 out = middle_;
+    out[along_[0]] += i;
+    out[along_[1]] += j;
+    return out;
+  }
+  Index3 middle_;
+  std::array<int, 2> along_;
+  Window<GlobalIndex> const& cells_;
+  unsigned usable_ = 0;
+};
 
 enum class Execution { without_finer, composite };
 
@@ -92,25 +100,39 @@ void outward_gradient(Neighbourhood const& n, Index3 const& cell, int axis, int 
   } else if (n.own(outer) == no_cell) {
     sink.own(n.own(cell), weight * (interface_ghost::first - 1));
     sink.own(n.own(inner), weight * interface_ghost::second);
-    interpolate_behind(outer, axis, n.coarse, n.coarse_covered,
-                       [&](GlobalIndex c, Real w) { sink.coarse(c, weight * interface_ghost::coarse * w); });
+    auto const [u, v] = tangential_axes(axis);
+    Index3 const behind{floor_divide(outer[0], 2), floor_divide(outer[1], 2), floor_divide(outer[2], 2)};
+    PlaneBehind const plane(behind, axis, n.coarse, n.coarse_covered);
+    PlaneFit const fit = plane.fit(outer[u] != 2 * behind[u], outer[v] != 2 * behind[v]);
+    for (int t = 0; t < fit.count; ++t)
+      sink.coarse(plane.cell(fit.terms[t].i, fit.terms[t].j), weight * interface_ghost::coarse * fit.terms[t].weight);
   } else if (execution == Execution::composite && n.covered(outer)) {
     auto const [u, v] = tangential_axes(axis);
     Real const fine_weight = weight * 2 / 4;  // half the spacing, a quarter of the face
+    PlaneBehind const plane(cell, axis, n.own, n.covered);
+    std::array<std::array<Real, 5>, 5> in_plane{};  // the sum of the four fits
+    unsigned taken = 0;
     for (int b = 0; b < 2; ++b)
       for (int a = 0; a < 2; ++a) {
         Index3 first{2 * outer[0], 2 * outer[1], 2 * outer[2]};
         first[axis] += side == 0 ? 1 : 0;
         first[u] += a;
         first[v] += b;
-        Index3 second = first, ghost = first;
+        Index3 second = first;
         second[axis] += step;
-        ghost[axis] -= step;
         sink.fine(n.fine(first), fine_weight * (1 - interface_ghost::first));
         sink.fine(n.fine(second), -fine_weight * interface_ghost::second);
-        interpolate_behind(ghost, axis, n.own, n.covered,
-                           [&](GlobalIndex c, Real w) { sink.own(c, -fine_weight * interface_ghost::coarse * w); });
+        PlaneFit const fit = plane.fit(a == 1, b == 1);
+        for (int t = 0; t < fit.count; ++t) {
+          auto const [i, j, share] = fit.terms[t];
+          in_plane[i + 2][j + 2] += share;
+          taken |= plane_bit(i, j);
+        }
       }
+    for (int i = -2; i <= 2; ++i)
+      for (int j = -2; j <= 2; ++j)
+        if (taken & plane_bit(i, j))
+          sink.own(plane.cell(i, j), -fine_weight * interface_ghost::coarse * in_plane[i + 2][j + 2]);
   } else {
     sink.own(n.own(cell), -weight);
     sink.own(n.own(outer), weight);

@@ -4,66 +4,74 @@
 
 namespace amrpic::matrixfree {
 
-namespace {
-
-/// Whether every box of a level is the parent of the same rank's box in the finer one.
-bool follows(Level const& coarser, Level const& finer, Index3 const& ratio) {
-  if (coarser.ranks() != finer.ranks() || coarser.box_count() != finer.box_count()) {
-    // one rank: joined, both are the whole domain
-    return coarser.ranks() == 1 && finer.ranks() == 1 && finer.cells() == finer.domain().cells();
-  }
-  for (int r = 0; r < finer.ranks(); ++r)
-    if (coarser.first_box(r) != finer.first_box(r)) return false;
-  for (int b = 0; b < finer.box_count(); ++b)
-    if (!(coarser.box(b) == finer.box(b).coarsen(ratio))) return false;
-  return true;
-}
-
-}  // namespace
-
 Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
-                       EndFactor const& behind)
+                       CoarseEnds const& ends)
     : comm_(comm),
       fine_(fine),
       coarse_(coarse),
       ratio_(ratio),
       refines_(refines),
-      in_place_(!refines && follows(coarse.level(), fine.level(), ratio)),
+      in_place_(!refines && keeps_children_together()),
       gathers_(coarse.level().ranks() == 1 && fine.level().ranks() > 1) {
-  surround(comm, behind);
+  surround(comm, ends);
   if (refines)
     interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), surroundings_, fine.stencil().weight(),
                                 coarse.stencil().weight());
 }
 
+/// Whether on all ranks the parents of each own block make up the own block of the same number. Collective.
+bool Coarsening::keeps_children_together() const {
+  Layout const &fine = fine_.layout(), &coarse = coarse_.layout();
+  Level const &level = fine_.level(), &coarser = coarse_.level();
+  int together = fine.own_blocks() == coarse.own_blocks() && coarser.ranks() == level.ranks();
+  for (std::size_t b = 0; together && b < fine.own_blocks(); ++b) {
+    Box const& box = fine.blocks()[b].box;
+    together = box.coarsen(ratio_).intersect(coarser.domain()) == coarse.blocks()[b].box;
+    for (int d = 0; d < 3; ++d) together = together && box.lower[d] % ratio_[d] == 0;
+  }
+  if (level.ranks() > 1) MPI_Allreduce(MPI_IN_PLACE, &together, 1, MPI_INT, MPI_MIN, comm_);
+  return together;
+}
+
 /// Lay out the cells around the own blocks' parents, and plan how their values come.
-void Coarsening::surround(MPI_Comm comm, EndFactor const& behind) {
+void Coarsening::surround(MPI_Comm comm, CoarseEnds const& ends) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
   std::vector<Wanted> wanted;
   std::size_t size = 0;
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
-    Box const parents = layout.blocks()[b].box.coarsen(ratio_);
+    Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
     Surroundings around{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
     around.cells.origin = std::ptrdiff_t(size);
     around.cells.pitch_y = around.box.extent(0);
     around.cells.pitch_z = around.cells.pitch_y * around.box.extent(1);
     size += std::size_t(around.cells.pitch_z * around.box.extent(2));
     std::vector<char> known(std::size_t(around.box.cells()), 0);
-    coarser.for_each_overlap(around.box, [&](int box, Box const& part, Index3 const& shift) {
+    coarser.for_each_overlap(around.box, [&](int n, Box const& part, Index3 const& shift) {
       Rectangle copy = around.cells;
       copy.origin = around.place(part.lower);
-      wanted.push_back({box, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
+      wanted.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
       for (int k = part.lower[2]; k <= part.upper[2]; ++k)
         for (int j = part.lower[1]; j <= part.upper[1]; ++j)
           std::fill_n(&known[std::size_t(around.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
     });
-    add_ends(parents, around, known, behind);
     Rectangle cells = around.cells;
     cells.origin = around.place(parents.lower);
-    sources_.push_back({cells, ratio_});
-    targets_.push_back(in_place_ ? Parents{coarse_.layout().blocks()[b].cells, ratio_} : sources_.back());
+    Parents source{cells, ratio_, {}, {}, {-1, -1, -1}, ends.weight, parents.lower, {}, ends.seam_width};
+    for (int d = 0; d < 3; ++d) {
+      source.odd[d] = box.lower[d] - ratio_[d] * parents.lower[d];
+      int const last = coarser.periodic()[d] ? parents.upper[d] : std::min(parents.upper[d], coarser.domain().upper[d]);
+      source.extent[d] = last - parents.lower[d] + 1;
+      bool const otherwise = ends.weight[d].last != 1 || ends.weight[d].before != 1;
+      int const end = fine_.level().domain().upper[d] - box.lower[d];
+      if (otherwise && end <= box.extent(d)) source.last[d] = end;
+      if (ends.seam_width[d] != 1 && ratio_[d] == 2) source.seam[d] = coarser.domain().extent(d);
+    }
+    sources_.push_back(source);
+    targets_.push_back(source);
+    if (in_place_) targets_.back().cells = coarse_.layout().blocks()[b].cells;
     surroundings_.push_back(around);
+    add_ends(around, known, ends);
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach beyond it
   parents_ = RectangleExchange(comm, coarser, coarse_.layout(), wanted);
@@ -71,26 +79,29 @@ void Coarsening::surround(MPI_Comm comm, EndFactor const& behind) {
 
 /// A correction behind a wall, or where the coarser level ends, is a multiple of that before it; corners follow axis
 /// after axis.
-void Coarsening::add_ends(Box const& parents, Surroundings const& around, std::vector<char>& known,
-                          EndFactor const& behind) {
-  Box const domain = coarse_.level().domain();
+void Coarsening::add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends) {
+  Box const domain = coarse_.level().domain(), region = around.box.grow(refines_ ? -1 : 0);
+  std::vector<Index3> missing;
+  for_each_cell(region, [&](Index3 const& cell) {
+    if (!known[std::size_t(around.box.offset(cell))]) missing.push_back(cell);
+  });
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) {
-      Box layer = parents.grow(1);
-      layer.lower[axis] = layer.upper[axis] = side == 0 ? layer.lower[axis] : layer.upper[axis];
-      for_each_cell(layer, [&](Index3 const& ghost) {
-        char& filled = known[std::size_t(around.box.offset(ghost))];
-        if (filled) return;
+      std::vector<Index3> filled;
+      for (Index3 const& ghost : missing) {
         Index3 before = ghost;
         before[axis] += side == 0 ? 1 : -1;
-        if (!known[std::size_t(around.box.offset(before))]) return;
+        if (known[std::size_t(around.box.offset(ghost))] || !region.contains(before) ||
+            !known[std::size_t(around.box.offset(before))])
+          continue;
         Index3 inside = before;
         for (int d = 0; d < 3; ++d)
           if (!coarse_.level().periodic()[d]) inside[d] = std::clamp(before[d], domain.lower[d], domain.upper[d]);
-        ends_.push_back(
-            {std::int32_t(around.place(before)), std::int32_t(around.place(ghost)), float(behind(inside, axis, side))});
-        filled = 1;
-      });
+        ends_.push_back({std::int32_t(around.place(before)), std::int32_t(around.place(ghost)),
+                         float(ends.behind(inside, axis, side))});
+        filled.push_back(ghost);
+      }
+      for (Index3 const& ghost : filled) known[std::size_t(around.box.offset(ghost))] = 1;
     }
 }
 
@@ -100,6 +111,13 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
     if (b < targets_.size())
       fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], share(), target);
   });
+  if (fine_.has_odd_ring()) {  // the copies beyond it have not seen the sweeps that their cells saw
+    PlaneStage const restriction = std::move(stages.back());
+    stages.pop_back();
+    fine_.run(stages);
+    fine_.exchange_corrections(false);
+    stages = {restriction};
+  }
   fine_.run(stages);
   interface_.subtract_flux(fine_.correction(), target);
   hand_over();

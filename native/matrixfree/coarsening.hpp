@@ -7,9 +7,14 @@
 
 namespace amrpic::matrixfree {
 
-/// The coarse correction behind a wall, or where the coarser level ends, over the one before it: axis, side, the cell
-/// before it.
-using EndFactor = std::function<Real(Index3 const&, int, int)>;
+/// How a level's ends look from the next finer one.
+struct CoarseEnds {
+  /// The coarse correction behind a wall, or where the coarser level ends, over the one before it: the cell before it,
+  /// axis, side.
+  std::function<Real(Index3 const&, int, int)> behind;
+  std::array<LastChildren, 3> weight;  ///< of the finer level's last cells in their parents' means
+  Real3 seam_width{1, 1, 1};           ///< of the coarser level's last cells along periodic axes
+};
 
 /// What passes between a level and the next coarser one in a cycle.
 class Coarsening {
@@ -17,7 +22,7 @@ class Coarsening {
   /// `refines`: the finer level covers but a part of the coarser one, whose right-hand side elsewhere is its own.
   /// Collective.
   Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
-             EndFactor const& behind);
+             CoarseEnds const& ends);
 
   /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
   ///
@@ -43,11 +48,12 @@ class Coarsening {
     std::int32_t from, to;
     float factor;
   };
-  void surround(MPI_Comm comm, EndFactor const& behind);
+  bool keeps_children_together() const;
+  void surround(MPI_Comm comm, CoarseEnds const& ends);
   Vector& clear_target();
   float share() const;
   void hand_over();
-  void add_ends(Box const& parents, Surroundings const& around, std::vector<char>& known, EndFactor const& behind);
+  void add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends);
 
   MPI_Comm comm_;
   SweptLevel& fine_;

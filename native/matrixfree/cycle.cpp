@@ -1,8 +1,9 @@
 #include "matrixfree/cycle.hpp"
 
 #include <algorithm>
+#include <limits>
 
-#include "matrixfree/stack.hpp"
+#include "operators/multigrid_levels.hpp"
 #include "operators/semicoarse.hpp"
 
 #ifdef __SSE2__
@@ -30,7 +31,8 @@ class NoDenormals {
 Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l) {
   Ends out;
   out.walls = stack.walls[l];
-  if (stack.refines(l)) out.interface.fill({interface_ghost::first, interface_ghost::second, 0});
+  out.seam_width = seam_widths(stack.levels[l]->periodic(), stack.upper[l]);
+  out.beyond = [](Index3 const&, int, int) { return WallGhost{interface_ghost::first, interface_ghost::second, 0}; };
   // Covered cells hold corrections of finer ones alone, and those vanish where the finest level's do.
   bool const hidden = l < stack.base;
   Level const* finer = l + 1 < stack.levels.size() ? stack.levels[l + 1].get() : nullptr;
@@ -41,6 +43,8 @@ Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l
   };
   return out;
 }
+
+constexpr GlobalIndex held_by_all = 10000;  ///< cells of a level that every rank relaxes faster than it hears of others
 
 /// Where cells are long or flat, errors couple along fewer axes, and the best over-relaxation lies closer to one.
 Relaxation relaxation_of(Relaxation relaxation, Level const& level) {
@@ -64,25 +68,30 @@ WallGhosts walls_of_coarsest(LevelStack const& stack, OpenWalls const& open_wall
 
 }  // namespace
 
-Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relaxation const& relaxation)
-    : comm_(comm), stack_(coarsen_in_place(stack, domain)), relaxation_(relaxation) {
+Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxation)
+    : comm_(comm),
+      stack_(coarsen_below(stack_of(hierarchy), hierarchy.domain(), {hierarchy.max_grid_size(), held_by_all},
+                           std::numeric_limits<int>::max())),
+      relaxation_(relaxation) {
   OpenWalls const open_walls(stack_);
   for (std::size_t l = 0; l < stack_.levels.size(); ++l) {
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
     Relaxation const own = relaxation_of(relaxation, *stack_.levels[l]);
+    std::vector<LevelCopy> copies;
+    if (stack_.refines(l))
+      copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    bool const local = stack_.refines(l) && has_long_cells(*stack_.levels[l]);
-    int const halo = own.halo() + (local || one_level() ? 1 : 0);
+    int const halo = own.halo() + (!copies.empty() || one_level() ? 1 : 0);
     level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, stack_.ratio[l], stack_.refines(l),
-          [&](Index3 const& cell, int axis, int side) {
-            Boundary const kind = stack_.boundary[axis][side];
-            return kind == Boundary::open ? open_walls.first(l - 1, cell, axis, side) : coarse_wall_ghost(kind).first;
-          });
-    if (stack_.refines(l)) level.local = make_local_cycle(comm, *level.swept, ends, stack_.boundary, own);
+          CoarseEnds{[&](Index3 const& cell, int axis, int side) {
+                       return prolonged_end(stack_, open_walls, l - 1, cell, axis, side);
+                     },
+                     last_children_of(stack_, l), seam_widths(stack_.levels[l - 1]->periodic(), stack_.upper[l - 1])});
+    level.local = make_local_cycle(comm, *level.swept, copies, own);
     levels_.push_back(std::move(level));
   }
   Level const& coarsest = *stack_.levels.front();
@@ -90,7 +99,8 @@ Cycle::Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relax
   Real3 weight;
   for (int d = 0; d < 3; ++d) weight[d] = levels_[0].swept->scale() / coarsest.spacing()[d] / coarsest.spacing()[d];
   direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, weight,
-                                                  walls_of_coarsest(stack_, open_walls), coarsest.periodic());
+                                                  walls_of_coarsest(stack_, open_walls), coarsest.periodic(),
+                                                  ends_of(stack_, open_walls, 0).seam_width);
 }
 
 void Cycle::run() {

@@ -14,7 +14,7 @@ namespace amrpic::matrixfree {
 class Cycle {
  public:
   /// `stack`: the refinement levels. Collective.
-  Cycle(MPI_Comm comm, LevelStack const& stack, Domain const& domain, Relaxation const& relaxation);
+  Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxation);
 
   /// One V-cycle for the corrections from the finest level down; reads every refinement level's right-hand side.
   /// Collective.

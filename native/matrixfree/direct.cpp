@@ -7,33 +7,34 @@
 namespace amrpic::matrixfree {
 
 FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Real3 const& weight, WallGhosts const& walls,
-                                         std::array<bool, 3> const& periodic)
+                                         std::array<bool, 3> const& periodic, Real3 const& seam_width)
     : cells_(cells) {
-  for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], weight[d], walls[d], periodic[d]);
+  for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], weight[d], walls[d], periodic[d], seam_width[d]);
 }
 
 FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::array<WallGhost, 2> const& walls,
-                                                    bool periodic) {
+                                                    bool periodic, Real seam_width) {
   std::size_t const size = std::size_t(n);
   std::vector<Real> matrix(size * size, 0.0);  // column by column
   auto at = [&](int i, int j) -> Real& { return matrix[std::size_t(i) + size * std::size_t(j)]; };
   for (int i = 0; i < n; ++i) {
-    at(i, i) -= 2 * weight;
     for (int side = 0; side < 2; ++side) {
       int const step = side == 0 ? -1 : 1, j = i + step;
       if (periodic || (j >= 0 && j < n)) {
-        at(i, (j + n) % n) += weight;
+        Real const factor = periodic ? weight * seam_factor(i, side, n, seam_width) : weight;
+        at(i, i) -= factor;
+        at(i, (j + n) % n) += factor;
       } else {
-        at(i, i) += weight * walls[side].first;
+        at(i, i) += weight * (walls[side].first - 1);
         if (n > 1) at(i, i - step) += weight * walls[side].second;
       }
     }
   }
-  // A wall's second cell makes a tridiagonal matrix unsymmetric; in other units of each cell it is symmetric.
+  // A wall's second cell, or a volume of its own, makes the matrix unsymmetric; in other units of each cell it is
+  // symmetric.
   std::vector<Real> unit(size, 1.0);
-  if (!periodic)
-    for (int i = 1; i < n; ++i)
-      unit[std::size_t(i)] = unit[std::size_t(i - 1)] * std::sqrt(at(i, i - 1) / at(i - 1, i));
+  for (int i = 1; i < n; ++i)
+    unit[std::size_t(i)] = unit[std::size_t(i - 1)] * std::sqrt(at(i, i - 1) / at(i - 1, i));
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) at(i, j) *= unit[std::size_t(j)] / unit[std::size_t(i)];
 

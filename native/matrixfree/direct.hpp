@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "stencil/boundary.hpp"
+#include "stencil/coarse_end.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -10,9 +10,10 @@ namespace amrpic::matrixfree {
 /// the product of their eigenvectors it is diagonal (Lynch, Rice and Thomas, Numer. Math. 6, 185, 1964).
 class FastDiagonalisation {
  public:
-  /// sum over axes of weight_d (lower neighbour - 2 + upper neighbour), with ghosts behind walls.
+  /// sum over axes of weight_d (lower neighbour - 2 + upper neighbour), with ghosts behind walls, and with finite volumes
+  /// where the last cell of a periodic axis has a width of its own.
   FastDiagonalisation(Index3 const& cells, Real3 const& weight, WallGhosts const& walls,
-                      std::array<bool, 3> const& periodic);
+                      std::array<bool, 3> const& periodic, Real3 const& seam_width);
 
   /// Replace the right-hand side (x fastest) by the solution; the one without a constant if constants solve the
   /// homogeneous equation.
@@ -23,7 +24,7 @@ class FastDiagonalisation {
     std::vector<Real> eigenvalue;
     std::vector<Real> to, from;  ///< into the eigenvectors' coordinates and back, row by row
   };
-  static Axis axis(int n, Real weight, std::array<WallGhost, 2> const& walls, bool periodic);
+  static Axis axis(int n, Real weight, std::array<WallGhost, 2> const& walls, bool periodic, Real seam_width);
   void transform(int axis, std::vector<Real> const& matrix, std::vector<Real>& values);
 
   Index3 cells_;

@@ -3,6 +3,8 @@
 #include <map>
 #include <numeric>
 
+#include "mesh/box_set.hpp"
+
 namespace amrpic::matrixfree {
 
 namespace {

@@ -7,6 +7,12 @@
 
 namespace amrpic::matrixfree {
 
+namespace {
+
+constexpr std::int32_t nothing = -1;  ///< the source of a ghost of which nothing is known yet
+
+}  // namespace
+
 Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation)
     : relaxation_(relaxation), keep_(float(1 - relaxation)) {
   Real3 const& h = level.spacing();
@@ -33,7 +39,6 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
   int const inward = side == 0 ? 1 : -1;
   bool const wall = !level.periodic()[axis] &&
                     (layer.lower[axis] < level.domain().lower[axis] || layer.lower[axis] > level.domain().upper[axis]);
-  WallGhost const& end = wall ? ends.walls[axis][side] : ends.interface[axis];
   bool const thick = block.box.extent(axis) > 1;
   std::vector<Ghost> out(std::size_t(layer.cells()));
   auto for_each_row = [&](Box const& part, auto&& f) {  // of ghosts
@@ -43,10 +48,12 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
         f(&out[std::size_t(layer.offset(first))], first);
       }
   };
-  for_each_row(layer, [&](Ghost* row, Index3 const& first) {
+  auto end_here = [&](Ghost* row, Index3 const& first) {
     for (int i = 0; i < layer.extent(0); ++i) {
+      if (row[i].source != nothing) continue;
       Index3 cell{first[0] + i, first[1], first[2]};
       cell[axis] += inward;
+      WallGhost const end = wall ? ends.walls[axis][side] : ends.beyond(cell, axis, side);
       Ghost ghost{0, float(end.second), float(end.first)};
       if (wall && ends.more) ghost.first += float(ends.more(cell, axis, side));
       if (ghost.factor != 0) {
@@ -57,18 +64,24 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
       }
       row[i] = ghost;
     }
-  });
-  if (wall) return out;
-  // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
-  level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
-    for_each_row(part, [&](Ghost* row, Index3 const&) { std::fill_n(row, part.extent(0), Ghost{}); });
-  });
-  layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
-    for_each_row(part, [&](Ghost* row, Index3 const& first) {
-      std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
-      for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), 1.0f, 0.0f};
+  };
+  for_each_row(layer, [&](Ghost* row, Index3 const&) { std::fill_n(row, layer.extent(0), Ghost{nothing, 0, 0}); });
+  if (!wall) {
+    // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
+    level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
+      for_each_row(part, [&](Ghost* row, Index3 const&) { std::fill_n(row, part.extent(0), Ghost{}); });
     });
-  });
+    int const n = level.domain().extent(axis);
+    float const factor =
+        level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, ends.seam_width[axis])) : 1;
+    layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
+      for_each_row(part, [&](Ghost* row, Index3 const& first) {
+        std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
+        for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), factor, 1 - factor};
+      });
+    });
+  }
+  for_each_row(layer, end_here);
   return out;
 }
 

@@ -6,7 +6,7 @@
 #include <unordered_map>
 
 #include "matrixfree/layout.hpp"
-#include "stencil/boundary.hpp"
+#include "stencil/coarse_end.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -22,10 +22,13 @@ struct Ghost {
 /// What a level's corrections meet where its cells end.
 struct Ends {
   WallGhosts walls;
-  std::array<WallGhost, 3> interface {
-  };  ///< beyond the level's own cells, per axis; zero where the level covers the domain
-  /// More of `first` behind a wall than `walls` has: axis, side, cell.
+  /// More of `first` behind a wall than `walls` has: cell, axis, side.
   std::function<Real(Index3 const&, int, int)> more = nullptr;
+  /// Beyond the level's own cells: cell, axis, side. Not asked where the level covers the domain.
+  std::function<WallGhost(Index3 const&, int, int)> beyond = nullptr;
+  Real3 seam_width{1, 1, 1};  ///< of the last cell along a periodic axis, see `UpperEnd`
+
+  std::array<bool, 3> seams() const { return {seam_width[0] != 1, seam_width[1] != 1, seam_width[2] != 1}; }
 };
 
 /// A run of values of a row: factor * e[source + i] for `count` cells from `place` on.

@@ -4,6 +4,8 @@
 #include <limits>
 #include <map>
 
+#include "mesh/box_set.hpp"
+
 namespace amrpic::matrixfree {
 
 namespace {
@@ -15,29 +17,6 @@ std::ptrdiff_t rounded_up(std::ptrdiff_t n, std::ptrdiff_t to) { return (n + to 
 /// Cells per vector of a row: the wide ones, unless they would carry too much padding.
 int lanes_of(int cells) { return 8 * rounded_up(cells, 16) <= 9 * rounded_up(cells, 8) ? 16 : 8; }
 
-/// Join boxes that follow each other along an axis.
-void join(std::vector<Box>& boxes, int axis) {
-  auto const [u, v] = tangential_axes(axis);
-  auto key = [&, u = u, v = v](Box const& b) {
-    return std::array<int, 5>{b.lower[v], b.upper[v], b.lower[u], b.upper[u], b.lower[axis]};
-  };
-  std::sort(boxes.begin(), boxes.end(), [&](Box const& a, Box const& b) { return key(a) < key(b); });
-  std::vector<Box> out;
-  for (Box const& box : boxes) {
-    if (!out.empty()) {
-      Box wanted = out.back();  // what the neighbour would be
-      wanted.lower[axis] = wanted.upper[axis] + 1;
-      wanted.upper[axis] = box.upper[axis];
-      if (wanted == box) {
-        out.back().upper[axis] = box.upper[axis];
-        continue;
-      }
-    }
-    out.push_back(box);
-  }
-  boxes = std::move(out);
-}
-
 /// How many steps to a neighbour lead from one box to another that it does not overlap, diagonal ones allowed.
 int apart(Box const& a, Box const& b) {
   int out = 0;
@@ -47,33 +26,27 @@ int apart(Box const& a, Box const& b) {
 
 }  // namespace
 
-std::vector<Box> joined(std::vector<Box> boxes) {
-  for (std::size_t before = 0; before != boxes.size();) {
-    before = boxes.size();
-    for (int axis = 0; axis < 3; ++axis) join(boxes, axis);
-  }
-  std::sort(boxes.begin(), boxes.end(), [](Box const& a, Box const& b) {
-    return std::array<int, 3>{a.lower[2], a.lower[1], a.lower[0]} <
-           std::array<int, 3>{b.lower[2], b.lower[1], b.lower[0]};
-  });
-  return boxes;
-}
-
-Layout::Layout(Level const& level, int depth)
-    : domain_(level.domain()), periodic_(level.periodic()), first_box_(level.first_local_box()) {
+Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
+    : domain_(level.domain()), first_box_(level.first_local_box()) {
+  // Across an odd number of cells two of one colour meet: there images are copies with colours of their own.
+  for (int d = 0; d < 3; ++d) wraps_[d] = d < 2 && level.periodic()[d] && domain_.extent(d) % 2 == 0;
+  std::array<Seam, 3> seams;
+  for (int d = 0; d < 3; ++d)
+    if (seam[d]) seams[d] = {domain_.extent(d) - 1, domain_.extent(d)};
   std::vector<Box> own(level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box());
-  auto const large = joined(own);
+  auto const large = joined(split(own, seams), seams);
   for (Box const& box : large) add(box);
   own_blocks_ = blocks_.size();
   for (Block const& block : blocks_) planes_of_.emplace_back(std::size_t(block.box.extent(2)), 0);
 
-  // One copy of a box (or image) holds all that any own block needs of it. Images across x and y of own cells are read
-  // in place; those across z are copied, because a plane is swept when the one at the other end is not yet.
+  // One copy of a box (or image) holds all that any own block needs of it. Images of own cells across x and y are read
+  // in place where they can; those across z are copied, because a plane is swept when the one at the other end is not
+  // yet.
   std::map<std::pair<int, Index3>, Box> wanted;
   for (std::size_t own = 0; own < own_blocks_; ++own)
     level.for_each_overlap(large[own].grow(depth), [&](int b, Box const& part, Index3 const& shift) {
       bool const mine = b >= level.first_local_box() && b < level.last_local_box();
-      if (mine && shift[2] == 0) return;
+      if (mine && in_place(shift)) return;
       Box const near = level.box(b).shift(shift).grow(depth).intersect(large[own]);
       for (int k = near.lower[2]; k <= near.upper[2]; ++k) planes_of_[own][std::size_t(k - large[own].lower[2])] = 1;
       auto const [at, fresh] = wanted.emplace(std::make_pair(b, shift), part);
@@ -85,17 +58,19 @@ Layout::Layout(Level const& level, int depth)
   std::vector<Box> copies;
   for (auto const& [key, part] : wanted) {
     Index3 const& shift = key.second;
-    halo_.push_back({key.first, part.shift({-shift[0], -shift[1], -shift[2]}), shift});
-    copies.push_back(part);
+    for (Box const& piece : split({part}, seams)) {
+      halo_.push_back({key.first, piece.shift({-shift[0], -shift[1], -shift[2]}), shift});
+      copies.push_back(piece);
+    }
   }
-  for (Box const& box : joined(copies)) add(box);
+  for (Box const& box : joined(copies, seams)) add(box);
   measure_halo();
   std::ptrdiff_t longest = 0;
   for (Block const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
   zero_row_ = std::ptrdiff_t(size_);
   size_ += std::size_t(longest) + 64;  // a vector that starts in the last row may reach beyond it
 
-  for (Box const& box : own)
+  for (Box const& box : own)  // a box that a seam cuts is asked for by nobody
     for (std::size_t b = 0; b < own_blocks_; ++b)
       if (blocks_[b].box.contains(box)) {
         Rectangle cells = blocks_[b].cells;
@@ -157,12 +132,19 @@ Rectangle Layout::halo_place(Halo const& halo) const {
   return {};
 }
 
+/// Whether own cells are read in place where they are images of such a shift.
+bool Layout::in_place(Index3 const& shift) const {
+  for (int d = 0; d < 3; ++d)
+    if (shift[d] != 0 && !wraps_[d]) return false;
+  return true;
+}
+
 std::vector<Index3> Layout::images(Box const& region) const {
   std::vector<Index3> out;
   for (int y : {-1, 1, 0})
     for (int x : {-1, 1, 0}) {
       Index3 const shift{x * domain_.extent(0), y * domain_.extent(1), 0};
-      if ((x != 0 && !periodic_[0]) || (y != 0 && !periodic_[1])) continue;
+      if (!in_place(shift)) continue;
       Box reach = domain_.shift(shift);
       reach.lower[2] = region.lower[2], reach.upper[2] = region.upper[2];
       if (!region.intersect(reach).empty() || shift == Index3{0, 0, 0}) out.push_back(shift);

@@ -41,8 +41,9 @@ struct Halo {
 /// that the size of boxes hardly matters, then the halo.
 class Layout {
  public:
-  /// `halo`: how many cells deep the copies of other ranks' cells are.
-  Layout(Level const& level, int halo);
+  /// `halo`: how many cells deep the copies of other ranks' cells are. Along axes with a `seam` the last plane of cells is
+  /// a block of its own, since what it exchanges with its neighbours is not what others do.
+  Layout(Level const& level, int halo, std::array<bool, 3> const& seam);
 
   std::vector<Block> const& blocks() const { return blocks_; }  ///< own ones first
   std::size_t own_blocks() const { return own_blocks_; }
@@ -66,11 +67,11 @@ class Layout {
     return boxes_[std::size_t(b - first_box_)];
   }  ///< of this rank, by its number on the level
 
-  /// Place of a cell, also across a periodic boundary of x and y; -1 if it is not in memory.
+  /// Place of a cell, also where its image is read in place; -1 if it is not in memory.
   std::ptrdiff_t find(Index3 const& cell) const;
 
-  /// Call f(block, part, shift) where a region meets blocks, shifted ones across periodic x and y first: `part` in the
-  /// region's indices, `part` minus `shift` inside the block.
+  /// Call f(block, part, shift) where a region meets blocks, images that are read in place first: `part` in the region's
+  /// indices, `part` minus `shift` inside the block.
   template <class F>
   void for_each_overlap(Box const& region, F&& f) const {
     for (auto const& shift : images(region))
@@ -86,13 +87,14 @@ class Layout {
   std::vector<int> const& on_plane(int k) const { return plane_[std::size_t(k - first_plane_)]; }
 
  private:
+  bool in_place(Index3 const& shift) const;
   std::vector<Index3> images(Box const& region) const;
   std::vector<int> near(int lower_plane, int upper_plane) const;
   void add(Box const& box);
   void measure_halo();
 
   Box domain_;
-  std::array<bool, 3> periodic_;
+  std::array<bool, 3> wraps_;  ///< whether images across the axis are read in place
   int first_box_;
   std::vector<Block> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;
@@ -104,8 +106,5 @@ class Layout {
   int first_plane_ = 0;
   std::vector<std::vector<int>> plane_;
 };
-
-/// Fewer, larger boxes that hold the same cells: neighbours with a common face of equal extent are joined.
-std::vector<Box> joined(std::vector<Box> boxes);
 
 }  // namespace amrpic::matrixfree

@@ -1,7 +1,5 @@
 #include "matrixfree/local_cycle.hpp"
 
-#include "operators/semicoarse.hpp"
-
 namespace amrpic::matrixfree {
 
 namespace {
@@ -14,19 +12,22 @@ Relaxation of_copies(Relaxation relaxation) {
   return relaxation;
 }
 
+Ends ends_of(LevelCopy const& copy) {
+  Ends out;
+  out.walls = copy.walls;
+  out.beyond = copy.beyond;
+  out.seam_width = seam_widths(copy.level->periodic(), copy.upper);
+  return out;
+}
+
 }  // namespace
 
-LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level const> level, Index3 const& ratio,
-                       Ends const& ends, Relaxation const& relaxation)
+LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Relaxation const& relaxation)
     : fine_(fine),
       relaxation_(of_copies(relaxation)),
-      swept_(comm, std::move(level), ends, relaxation_, relaxation_.halo()),
-      coarsening_(comm, fine, swept_, ratio, false, [&](Index3 const& cell, int axis, int side) {
-        Box const& domain = swept_.level().domain();
-        bool const at_wall =
-            !swept_.level().periodic()[axis] && cell[axis] == (side == 0 ? domain.lower[axis] : domain.upper[axis]);
-        return at_wall ? ends.walls[axis][side].first : ends.interface[axis].first;
-      }) {}
+      swept_(comm, copy.level, ends_of(copy), relaxation_, relaxation_.halo()),
+      coarsening_(comm, fine, swept_, copy.ratio, false, 
+                  CoarseEnds{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
 
 std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stages) {
   coarsening_.sweep_and_restrict(stages);
@@ -39,21 +40,17 @@ std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stage
   return out;
 }
 
-std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, Ends const& ends,
-                                             std::array<std::array<Boundary, 2>, 3> const& boundary,
+std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
                                              Relaxation const& relaxation) {
-  CorrectionGhosts ghosts = correction_ghosts(fine.level(), ends.walls, boundary);
   std::unique_ptr<LocalCycle> first;
   std::unique_ptr<LocalCycle>* place = &first;
-  for (SweptLevel* above = &fine;;) {
-    Index3 const ratio = semicoarsening_of(above->level());
-    if (ratio == Index3{1, 1, 1}) return first;
-    auto const level = semicoarse_level(above->level(), ratio, ghosts);
-    Ends const own{ghosts.wall, ghosts.interface};
-    *place = std::make_unique<LocalCycle>(comm, *above, level, ratio, own, relaxation);
+  SweptLevel* above = &fine;
+  for (LevelCopy const& copy : copies) {
+    *place = std::make_unique<LocalCycle>(comm, *above, copy, relaxation);
     above = &(*place)->swept();
     place = &(*place)->next();
   }
+  return first;
 }
 
 }  // namespace amrpic::matrixfree

@@ -3,6 +3,7 @@
 #include <memory>
 
 #include "matrixfree/coarsening.hpp"
+#include "operators/semicoarse.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -13,9 +14,8 @@ namespace amrpic::matrixfree {
 /// along all axes, does not see it where it oscillates along the others.
 class LocalCycle {
  public:
-  /// `fine` is relaxed by the caller; `level` has fewer cells by `ratio`. Collective.
-  LocalCycle(MPI_Comm comm, SweptLevel& fine, std::shared_ptr<Level const> level, Index3 const& ratio, Ends const& ends,
-             Relaxation const& relaxation);
+  /// `fine` is relaxed by the caller. Collective.
+  LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Relaxation const& relaxation);
 
   /// Run stages over the finer level, find a correction for what they leave, and return stages that add it and smooth.
   /// Collective.
@@ -42,10 +42,8 @@ class LocalCycle {
 /// one more on the copies, took as many cycles and three quarters of the time.
 inline int beside_local_cycle(int sweeps) { return (sweeps + 1) / 2; }
 
-/// The local cycle of a refinement level; null where its cells are not so long that it needs one, or where boxes cannot
-/// be halved. Collective.
-std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, Ends const& ends,
-                                             std::array<std::array<Boundary, 2>, 3> const& boundary,
+/// The local cycle of a refinement level over its copies; null without any. Collective.
+std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
                                              Relaxation const& relaxation);
 
 }  // namespace amrpic::matrixfree

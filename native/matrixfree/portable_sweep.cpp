@@ -101,19 +101,28 @@ void relax(Plane const& p, int colour, float const* r, float* e) {
 
 namespace {
 
-/// Give row j's share to its parents: `share` times the sum of value(i) over the children. Rows that share parents come
-/// one after the other, by their `offset`.
+/// Give row j's share to its parents: `share` times the weighted sum of value(i) over the children. Rows that share
+/// parents come one after the other, by their `offset`.
 template <class F>
 void add_shares(Plane const& p, Parents const& parents, float share, float* coarse, Member const& team, int j, int n,
-                int offset, F const& value) {
-  Index3 const ratio = parents.ratio;
-  float* const to = coarse + parents.cells.place(0, j / ratio[1], p.number() / ratio[2]);
-  bool const set = offset == 0 && p.number() % ratio[2] == 0;
-  Kokkos::parallel_for(Kokkos::TeamVectorRange(team, n / ratio[0]), [&](int parent) {
+                F const& value) {
+  int const plane = p.number(), y = parents.parent(1, j), z = parents.parent(2, plane);
+  if (y >= parents.extent[1] || z >= parents.extent[2]) return;
+  float* const to = coarse + parents.cells.place(0, y, z);
+  bool const set = parents.is_first_child(1, j) && parents.is_first_child(2, plane);
+  float const weight = share * parents.weight_of(1, j) * parents.weight_of(2, plane);
+  int const ratio = parents.ratio[0], odd = parents.odd[0];
+  Kokkos::parallel_for(Kokkos::TeamVectorRange(team, parents.extent[0]), [&](int parent) {
     float sum = 0;
-    for (int i = parent * ratio[0]; i < (parent + 1) * ratio[0]; ++i) sum += value(i);
-    to[parent] = (set ? 0 : to[parent]) + share * sum;
+    for (int child = parent * ratio; child < (parent + 1) * ratio; ++child)
+      if (int const i = child - odd; i >= 0 && i < n) sum += parents.weight_of(0, i) * value(i);
+    to[parent] = (set ? 0 : to[parent]) + weight * sum;
   });
+}
+
+/// Whether a row is the `offset`-th child of its parents.
+bool has_offset(Parents const& parents, int j, int offset) {
+  return (j + parents.odd[1]) % parents.ratio[1] == offset;
 }
 
 }  // namespace
@@ -123,10 +132,10 @@ void restrict_residual(Plane const& p, float const* r, float const* e, Parents c
   auto const weight = weights(p);
   for (int offset = 0; offset < parents.ratio[1]; ++offset)
     for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
-      if (j % parents.ratio[1] != offset) return;
+      if (!has_offset(parents, j, offset)) return;
       float const* const diagonal = p.stencil.diagonal(stencil_of(p, j).coefficients);
       float const* const right_hand_side = r + (row.here - e);
-      add_shares(p, parents, share, coarse, team, j, row.n, offset,
+      add_shares(p, parents, share, coarse, team, j, row.n,
                  [&](int i) { return right_hand_side[i] - (row.sum(i, weight) - diagonal[i] * row.here[i]); });
     });
 }
@@ -135,9 +144,9 @@ void restrict_right_hand_side(Plane const& p, float const* r, Parents const& par
   for (int offset = 0; offset < parents.ratio[1]; ++offset)
     Kokkos::parallel_for("restrict", policy(p), [&](Member const& team) {
       int const j = team.league_rank();
-      if (j % parents.ratio[1] != offset) return;
+      if (!has_offset(parents, j, offset)) return;
       float const* const row = r + p.block.cells.place(0, j, p.number());
-      add_shares(p, parents, share, coarse, team, j, p.block.box.extent(0), offset, [&](int i) { return row[i]; });
+      add_shares(p, parents, share, coarse, team, j, p.block.box.extent(0), [&](int i) { return row[i]; });
     });
 }
 
@@ -150,7 +159,7 @@ void prolong(Plane const& p, Parents const& parents, float const* coarse, bool s
     float* const row = e + p.block.cells.place(0, j, k);
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)), [&](int i) {
       int const cell[3] = {i, j, k};
-      float const* const parent = coarse + parents.cells.place(i / ratio[0], j / ratio[1], k / ratio[2]);
+      float const* const parent = coarse + parents.cells.place(parents.parent(0, i), parents.parent(1, j), parents.parent(2, k));
       float sum = 0;
       for (int corner = 0; corner < 8; ++corner) {
         float share = 1;
@@ -161,8 +170,8 @@ void prolong(Plane const& p, Parents const& parents, float const* coarse, bool s
             share *= far ? 0 : 1;
             continue;
           }
-          share *= far ? 0.25f : 0.75f;
-          if (far) at += cell[d] % 2 == 0 ? -stride[std::size_t(d)] : stride[std::size_t(d)];
+          share *= far ? parents.far(d, cell[d]) : 1 - parents.far(d, cell[d]);
+          if (far) at += parents.toward(d, cell[d]) * stride[std::size_t(d)];
         }
         if (share != 0) sum += share * parent[at];
       }

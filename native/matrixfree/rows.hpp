@@ -106,6 +106,13 @@ struct CoarseRows {
   int count;
 };
 
+/// The weighted sum over coarse rows at one place.
+inline float mean(CoarseRows const& coarse, int place) {
+  float sum = 0;
+  for (int c = 0; c < coarse.count; ++c) sum += coarse.share[std::size_t(c)] * coarse.row[std::size_t(c)][place];
+  return sum;
+}
+
 /// Set a fine row of `vectors` to the trilinear interpolation between coarse rows, or add it. The sweeps behind read r
 /// of the same row.
 template <int N>

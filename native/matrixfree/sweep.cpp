@@ -20,7 +20,7 @@ Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)
     : layout_(layout), stencil_(stencil), kernels_(kernels) {
   std::ptrdiff_t pitch = 0;
   for (Block const& b : layout.blocks()) pitch = std::max(pitch, b.cells.pitch_y);
-  for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 64);
+  for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 96);
 }
 
 /// A row beside another one that is composed of runs, put together in a buffer.
@@ -105,14 +105,23 @@ void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector&
   });
 }
 
-/// The share of a row of fine values.
+/// The share of a row of fine values, which lies at `line_of`.
 template <int lanes>
-void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
+void Sweep::restrict_row(Block const& b, int j, int k, float* fine, Parents const& parents, float share,
                          Vector& coarse) const {
-  int const plane = k - b.box.lower[2];
-  bool const set = j % parents.ratio[1] == 0 && plane % parents.ratio[2] == 0;
-  float* const to = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
-  matrixfree::restrict_row<lanes>(fine, b.box.extent(0) / parents.ratio[0], parents.ratio[0], share, set, to);
+  int const plane = k - b.box.lower[2], y = parents.parent(1, j), z = parents.parent(2, plane);
+  if (y >= parents.extent[1] || z >= parents.extent[2]) return;
+  int const nx = b.box.extent(0);
+  if (int const last = parents.last[0]; last >= 0) {
+    fine[last] *= float(parents.weight[0].last);
+    if (last > 0) fine[last - 1] *= float(parents.weight[0].before);
+  }
+  if ((nx + parents.odd[0]) % parents.ratio[0] != 0) fine[nx] = 0;  // half a pair lacks its second child
+  if (parents.odd[0]) *--fine = 0;
+  bool const set = parents.is_first_child(1, j) && parents.is_first_child(2, plane);
+  matrixfree::restrict_row<lanes>(fine, parents.extent[0], parents.ratio[0],
+                                  share * parents.weight_of(1, j) * parents.weight_of(2, plane), set,
+                                  coarse.data() + parents.cells.place(0, y, z));
 }
 
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
@@ -121,7 +130,7 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
   if (kernels_ == Kernels::portable)
     return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, share,
                                        coarse.data());
-  float* const left = buffer_[4].data();
+  float* const left = line_of(parents);
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
     for_each_row(block, k, values, [&](Row const& row, int j, RowStencil const& s) {
@@ -139,8 +148,11 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
     return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, share,
                                               coarse.data());
   with_kind(b.lanes, true, [&](auto n, auto) {
-    for (int j = 0; j < b.box.extent(1); ++j)
-      restrict_row<n()>(b, j, k, r.data() + b.cells.place(0, j, k - b.box.lower[2]), parents, share, coarse);
+    float* const line = line_of(parents);
+    for (int j = 0; j < b.box.extent(1); ++j) {
+      std::copy_n(r.data() + b.cells.place(0, j, k - b.box.lower[2]), b.box.extent(0), line);
+      restrict_row<n()>(b, j, k, line, parents, share, coarse);
+    }
   });
 }
 
@@ -149,25 +161,35 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
   Block const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
     return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), set, e.data());
-  int const plane = k - b.box.lower[2];
+  int const plane = k - b.box.lower[2], nx = b.box.extent(0), z = parents.toward(2, plane);
   // a fine row lies between its parents' row and the next one on its own side
-  auto other = [](int fine, int ratio) { return ratio == 1 ? 0 : fine % 2 == 0 ? -1 : 1; };
-  auto share = [](int toward, int far) { return toward == 0 ? 1.0f : far ? 0.25f : 0.75f; };
-  int const z = other(plane, parents.ratio[2]);
+  auto share = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };
   with_kind(b.lanes, true, [&](auto n, auto) {
     for (int j = 0; j < b.box.extent(1); ++j) {
-      int const y = other(j, parents.ratio[1]);
-      float const* const here = coarse.data() + parents.cells.place(0, j / parents.ratio[1], plane / parents.ratio[2]);
+      int const y = parents.toward(1, j);
+      float const* const here = coarse.data() + parents.cells.place(0, parents.parent(1, j), parents.parent(2, plane));
       CoarseRows from;
       from.count = 0;
       for (int far_z = 0; far_z <= (z != 0); ++far_z)
         for (int far_y = 0; far_y <= (y != 0); ++far_y, ++from.count) {
           from.row[std::size_t(from.count)] =
               here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
-          from.share[std::size_t(from.count)] = share(y, far_y) * share(z, far_z);
+          from.share[std::size_t(from.count)] = share(1, j, far_y) * share(2, plane, far_z);
         }
       std::ptrdiff_t const row = b.cells.place(0, j, plane);
-      prolong_row<n()>(from, parents.ratio[0], b.vectors(), set, r.data() + row, e.data() + row);
+      if (!parents.odd[0] && parents.seam[0] == 0) {
+        prolong_row<n()>(from, parents.ratio[0], b.vectors(), set, r.data() + row, e.data() + row);
+        continue;
+      }
+      float* const line = buffer_[4].data();
+      prolong_row<n()>(from, parents.ratio[0], (nx + 1 + n() - 1) / n(), true, r.data() + row, line);
+      for (int i = 0; i < nx && parents.seam[0] > 0; ++i)
+        if (float const far = parents.far(0, i); far != 0.25f) {
+          int const place = parents.parent(0, i);
+          line[i + parents.odd[0]] = (1 - far) * mean(from, place) + far * mean(from, place + parents.toward(0, i));
+        }
+      for (int i = 0; i < nx; ++i)
+        e[std::size_t(row + i)] = (set ? 0 : e[std::size_t(row + i)]) + line[i + parents.odd[0]];
     }
   });
 }

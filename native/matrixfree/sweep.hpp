@@ -6,10 +6,32 @@
 
 namespace amrpic::matrixfree {
 
-/// Where the children of a block's cells, or their parents, lie in another Vector.
+/// Where the parents of a block's cells lie in another Vector.
 struct Parents {
   Rectangle cells;  ///< the parent of the block's lower corner, and the pitches
   Index3 ratio;
+  Index3 odd{0, 0, 0};  ///< 1 along axes where the block's lower corner is the second child of its parent
+  Index3 extent;        ///< parents that take residuals
+  Index3 last{-1, -1, -1};             ///< place in the block of the level's last cell, where children weigh otherwise
+  std::array<LastChildren, 3> weight;  ///< that and the one before it
+  Index3 first{0, 0, 0};               ///< index of the parent of the lower corner
+  Index3 seam{0, 0, 0};                ///< parents around a periodic axis whose last one has a width of its own, else 0
+  Real3 seam_width{1, 1, 1};
+
+  int parent(int axis, int i) const { return (i + odd[axis]) / ratio[axis]; }
+  bool is_first_child(int axis, int i) const { return i == 0 || (i + odd[axis]) % ratio[axis] == 0; }
+  /// Where between parents a cell lies: its other parent along an axis is the next lower or higher one, or there is none.
+  int toward(int axis, int i) const { return ratio[axis] == 1 ? 0 : (i + odd[axis]) % 2 == 0 ? -1 : 1; }
+  /// What it takes of that one.
+  float far(int axis, int i) const {
+    int const side = toward(axis, i);
+    if (seam[axis] == 0 || side == 0) return side == 0 ? 0.0f : 0.25f;
+    return float(0.25 * prolonged_seam(first[axis] + parent(axis, i), (side + 1) / 2, seam[axis], seam_width[axis]));
+  }
+  /// What a child weighs in its parent's mean, over what others do.
+  float weight_of(int axis, int i) const {
+    return i == last[axis] ? float(weight[axis].last) : i + 1 == last[axis] ? float(weight[axis].before) : 1.0f;
+  }
 };
 
 /// What is done to one plane of one block.
@@ -50,8 +72,9 @@ class Sweep {
 
  private:
   template <int lanes>
-  void restrict_row(Block const& block, int j, int k, float const* fine, Parents const& parents, float share,
+  void restrict_row(Block const& block, int j, int k, float* fine, Parents const& parents, float share,
                     Vector& coarse) const;
+  float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }
   template <class F>
   void for_each_row(std::size_t block, int k, float* e, F&& f) const;
   float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const;
@@ -59,7 +82,7 @@ class Sweep {
   Layout const& layout_;
   Stencil const& stencil_;
   Kernels kernels_;
-  mutable std::array<Vector, 5> buffer_;  ///< rows beside a row, and a residual
+  mutable std::array<Vector, 5> buffer_;  ///< rows beside a row, and a residual or a correction
 };
 
 }  // namespace amrpic::matrixfree

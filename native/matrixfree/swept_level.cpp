@@ -32,7 +32,7 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends c
                        Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
-      layout_(*level_, halo),
+      layout_(*level_, halo, ends.seams()),
       stencil_(*level_, layout_, ends, relaxation.factor),
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),

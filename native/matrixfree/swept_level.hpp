@@ -34,6 +34,12 @@ class SweptLevel {
 
   /// Whether parts of the level are copies, which other ranks or the other end of the domain must fill.
   bool has_halo() const { return level_->ranks() > 1 || layout_.has_halo(); }
+  /// Whether an odd number of cells lies around a periodic axis, where two of one colour meet.
+  bool has_odd_ring() const {
+    for (int d = 0; d < 3; ++d)
+      if (level_->periodic()[d] && level_->domain().extent(d) % 2 != 0) return true;
+    return false;
+  }
   /// Begin to bring the copies of right-hand sides up to date; the next `run` waits for them. Collective.
   void exchange_right_hand_sides();
   /// The same for corrections; `ends_changed`: right-hand sides have changed since then, beside coarser cells alone.

@@ -14,14 +14,14 @@ std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor) 
   // Pieces of equal size to one block, so that 40 cells under a limit of 24 become 24 + 16 or 20 + 20, never 24 + 8
   // + 8.
   auto pieces = [&](int axis) {
-    int const blocks = region.extent(axis) / blocking_factor;
+    int const blocks = (region.extent(axis) + blocking_factor - 1) / blocking_factor;
     int const most = std::max(1, max_grid_size / blocking_factor);
     int const count = (blocks + most - 1) / most;
     std::vector<std::array<int, 2>> out;
     for (int p = 0; p < count; ++p) {
       int const first = region.lower[axis] + int(std::int64_t(blocks) * p / count) * blocking_factor;
       int const next = region.lower[axis] + int(std::int64_t(blocks) * (p + 1) / count) * blocking_factor;
-      out.push_back({first, next - 1});
+      out.push_back({first, std::min(next - 1, region.upper[axis])});
     }
     return out;
   };

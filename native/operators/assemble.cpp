@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <optional>
 
+#include "operators/multigrid_levels.hpp"
 #include "operators/open_walls.hpp"
 #include "operators/operators.hpp"
 #include "operators/regular_rows.hpp"
@@ -101,6 +102,7 @@ class LevelAssembly {
         kind_(kind),
         level_(*stack.levels[l]),
         open_walls_(stack),
+        seam_width_(seam_widths(level_.periodic(), stack.upper[l])),
         prolong_(stack.ratio[l], kind),
         no_fine_(rows(), level_),
         uncovered_(std::size_t(rows()), 1) {
@@ -188,8 +190,8 @@ class LevelAssembly {
   void count_laplacians(int b) {
     Box const& box = level_.box(b);
     Neighbourhood const n = look_around(box, level_, stack_.refines(l_ + 1) ? finer_ : nullptr,
-                                        stack_.refines(l_) ? coarser_ : nullptr, stack_.walls[l_]);
-    auto const kinds = kinds_without_finer(level_, box, n.own);
+                                        stack_.refines(l_) ? coarser_ : nullptr, stack_.walls[l_], seam_width_);
+    auto const kinds = kinds_without_finer(level_, box, n.own, seam_width_);
     auto const composite = hidden() ? RowKinds(box, RowKind::covered) : composite_kinds(kinds, n.covered);
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
       if (kind == RowKind::regular) return no_fine_.put_run(run, RegularRows::laplacian_terms);
@@ -214,7 +216,7 @@ class LevelAssembly {
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
       if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
       if (kind == RowKind::covered) {
-        restriction_->put_run(run, std::size_t(ratio[0] * ratio[1] * ratio[2]));
+        count_restriction(first, run);
         std::fill_n(uncovered_.begin() + run.row, run.count, 0);
       }
       if (kind != RowKind::beside) return;
@@ -224,6 +226,30 @@ class LevelAssembly {
         fine_boundary_->put(row, terms_.fine_row);
       });
     });
+  }
+
+  /// Means over children; single rows where some are missing or weigh otherwise, at the upper ends of the finer level.
+  void count_restriction(Index3 const& first, Run const& run) {
+    Index3 const ratio = stack_.ratio[l_ + 1];
+    auto const weight = last_children_of(stack_, l_ + 1);
+    auto special = [&](int d, int parent) {
+      int const last = finer_->domain().upper[d];
+      bool const otherwise = weight[d].last != 1 || weight[d].before != 1 || last % ratio[d] != ratio[d] - 1;
+      return otherwise && parent == last / ratio[d];
+    };
+    auto put = [&](Index3 const& cell, LocalIndex row) {
+      terms_.clear();
+      restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { terms_.fine_row.append(c, w); });
+      restriction_->put(row, terms_.fine_row);
+    };
+    Run regular = run;
+    if (special(1, first[1]) || special(2, first[2]))
+      regular.count = 0;
+    else if (special(0, first[0] + run.count - 1))
+      --regular.count;
+    if (regular.count > 0) restriction_->put_run(regular, std::size_t(ratio[0] * ratio[1] * ratio[2]));
+    for (LocalIndex n = regular.count; n < run.count; ++n)
+      put({first[0] + int(n), first[1], first[2]}, run.row + n);
   }
 
   void fill_laplacians(int b, Exchange const& halo) {
@@ -245,19 +271,23 @@ class LevelAssembly {
       }
   }
 
-  /// Ghost of a coarser level's correction behind a wall, over its first cell inside.
-  Real correction_at_wall(Index3 const& parent, int axis, int side) const {
-    Boundary const kind = stack_.boundary[axis][side];
-    return kind == Boundary::open ? open_walls_.first(l_ - 1, parent, axis, side) : coarse_wall_ghost(kind).first;
-  }
-
-  /// Prolongation reads beyond the parents' domain in cells at walls, along axes that it interpolates.
+  /// Prolongation reads beyond the parents' domain in cells at walls, along axes that it interpolates; where half a pair
+  /// was dropped, in two.
   RowKinds prolongation_kinds(Box const& box) const {
     Box inside = box;
     for (int d = 0; d < 3; ++d) {
-      if (level_.periodic()[d] || kind_ == Prolongation::constant || stack_.ratio[l_][d] == 1) continue;
+      if (stack_.ratio[l_][d] == 1) continue;
+      if (level_.periodic()[d]) {
+        if (stack_.upper[l_ - 1][d].width == 1) continue;
+        // children of the last cell and of its neighbours
+        inside.lower[d] = std::max(inside.lower[d], level_.domain().lower[d] + 2);
+        inside.upper[d] = std::min(inside.upper[d], level_.domain().upper[d] - 4);
+        continue;
+      }
+      bool const odd = level_.domain().extent(d) % 2 != 0;
+      if (kind_ == Prolongation::constant && !odd) continue;
       inside.lower[d] = std::max(inside.lower[d], level_.domain().lower[d] + 1);
-      inside.upper[d] = std::min(inside.upper[d], level_.domain().upper[d] - 1);
+      inside.upper[d] = std::min(inside.upper[d], level_.domain().upper[d] - (odd ? 2 : 1));
     }
     RowKinds kinds(box, RowKind::special);
     for_each_cell(inside, [&](Index3 const& cell) { kinds(cell) = RowKind::regular; });
@@ -267,6 +297,7 @@ class LevelAssembly {
   void count_prolongation(int b) {
     Box const& box = level_.box(b);
     Index3 const ratio = stack_.ratio[l_];
+    Real3 const coarse_seam = seam_widths(coarser_->periodic(), stack_.upper[l_ - 1]);
     std::optional<Window<GlobalIndex>> coarse;
     for_each_run(
         prolongation_kinds(box), level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
@@ -275,8 +306,10 @@ class LevelAssembly {
           for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
             terms_.clear();
             prolong(
-                cell, ratio, kind_, *coarse, coarser_->domain(), level_.periodic(),
-                [&](Index3 const& parent, int axis, int side) { return correction_at_wall(parent, axis, side); },
+                cell, ratio, kind_, *coarse, coarser_->domain(), level_.periodic(), coarse_seam,
+                [&](Index3 const& parent, int axis, int side) {
+                  return prolonged_end(stack_, open_walls_, l_ - 1, parent, axis, side);
+                },
                 [&](GlobalIndex c, Real w) { terms_.coarse_row.append(c, w); });
             prolongation_->put(row, terms_.coarse_row);
           });
@@ -306,6 +339,7 @@ class LevelAssembly {
   Level const* finer_ = nullptr;
   Terms terms_;
   OpenWalls open_walls_;
+  Real3 seam_width_;
   RegularProlongation prolong_;
   CrsBuilder no_fine_;
   std::optional<CrsBuilder> composite_, fine_boundary_, restriction_, coarse_boundary_, prolongation_;
@@ -365,6 +399,7 @@ LevelStack stack_of(Hierarchy const& hierarchy) {
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     stack.levels.push_back(hierarchy.share_level(l));
     stack.ratio.push_back(refinement_ratio);
+    stack.upper.emplace_back();
     Real3 const h = hierarchy.level(l).spacing();
     Domain const& domain = hierarchy.domain();
     stack.walls.push_back(wall_ghosts(domain, [&](Boundary kind, int axis) { return wall_ghost(kind, h[axis]); }));

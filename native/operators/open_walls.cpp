@@ -26,17 +26,17 @@ Real OpenWalls::first(std::size_t l, Index3 const& cell, int axis, int side) con
   Real const own = stack_.levels[l]->spacing()[axis];
   Real const finest = refined_[axis][side] ? finest_spacing(l, cell, axis, side)
                                            : std::min(own, stack_.levels[stack_.base]->spacing()[axis]);
-  return -(own - finest) / (own + finest);
+  Real const wall = side == 0 ? 0.5 : stack_.upper[l][axis].wall;
+  return ghost_that_vanishes(wall + 0.5 * finest / own);
 }
 
 Real OpenWalls::finest_spacing(std::size_t l, Index3 const& cell, int axis, int side) const {
   if (l + 1 == stack_.levels.size()) return stack_.levels[l]->spacing()[axis];
+  Level const& finer = *stack_.levels[l + 1];
   Box children = Box{cell, cell}.refine(stack_.ratio[l + 1]);
-  if (stack_.levels[l + 1]->find(children.lower) < 0) return stack_.levels[l]->spacing()[axis];
-  if (side == 0)
-    children.upper[axis] = children.lower[axis];
-  else
-    children.lower[axis] = children.upper[axis];
+  children.lower[axis] = children.upper[axis] = side == 0 ? finer.domain().lower[axis] : finer.domain().upper[axis];
+  children = children.intersect(finer.domain());
+  if (finer.find(children.lower) < 0) return stack_.levels[l]->spacing()[axis];
   Real sum = 0;
   for_each_cell(children, [&](Index3 const& child) { sum += finest_spacing(l + 1, child, axis, side); });
   return sum / Real(children.cells());

@@ -16,9 +16,8 @@ class OpenWalls {
  public:
   explicit OpenWalls(LevelStack const& stack);
 
-  /// Factor of the first cell inside in the ghost of a correction behind an open wall:
-  /// -(H - h)/(H + h), H the level's spacing, h the mean spacing of the finest cells at that part of the wall. Zero
-  /// where nothing is finer.
+  /// Factor of the first cell inside in the ghost of a correction behind an open wall. The correction vanishes h / 2
+  /// behind the wall, h the mean spacing of the finest cells at that part of it. Zero where nothing is finer.
   Real first(std::size_t l, Index3 const& cell, int axis, int side) const;
 
  private:

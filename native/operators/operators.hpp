@@ -9,6 +9,7 @@
 #include "mesh/hierarchy.hpp"
 #include "operators/crs.hpp"
 #include "stencil/boundary.hpp"
+#include "stencil/coarse_end.hpp"
 #include "stencil/intergrid.hpp"
 
 namespace amrpic {
@@ -59,6 +60,7 @@ struct LevelStack {
   std::vector<std::shared_ptr<Level const>> levels;
   std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
   std::vector<WallGhosts> walls;
+  std::vector<std::array<UpperEnd, 3>> upper;  ///< [l][axis]
   std::array<std::array<Boundary, 2>, 3> boundary;
   std::size_t base = 0;  ///< the base level's place
 

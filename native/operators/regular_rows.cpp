@@ -2,7 +2,8 @@
 
 namespace amrpic {
 
-RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers) {
+RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers,
+                             Real3 const& seam_width) {
   for (int d = 0; d < 3; ++d)  // both neighbours along a short period are the same cell
     if (level.periodic()[d] && level.domain().extent(d) <= 2) return RowKinds(box, RowKind::special);
   RowKinds kinds(box, RowKind::regular);
@@ -16,6 +17,14 @@ RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIn
         if (numbers(outer) == no_cell) kinds(cell) = RowKind::special;
       });
     }
+  for (int d = 0; d < 3; ++d) {
+    if (seam_width[d] == 1) continue;
+    int const n = level.domain().extent(d);
+    for_each_cell(box, [&](Index3 const& cell) {
+      if (seam_factor(cell[d], 0, n, seam_width[d]) != 1 || seam_factor(cell[d], 1, n, seam_width[d]) != 1)
+        kinds(cell) = RowKind::special;
+    });
+  }
   return kinds;
 }
 

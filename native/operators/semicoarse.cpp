@@ -1,139 +1,204 @@
 #include "operators/semicoarse.hpp"
 
 #include <algorithm>
-#include <cmath>
-#include <limits>
+#include <set>
 
-#include "operators/regular_rows.hpp"
+#include "mesh/box_set.hpp"
 #include "stencil/interface.hpp"
 
 namespace amrpic {
 
 namespace {
 
-std::shared_ptr<Level const> coarsened(Level const& level, Index3 const& ratio) {
-  Real3 spacing = level.spacing();
-  for (int d = 0; d < 3; ++d) spacing[d] *= ratio[d];
-  std::vector<Box> boxes;
-  for (Box const& box : level.boxes()) boxes.push_back(box.coarsen(ratio));
-  std::vector<int> first;
-  for (int r = 0; r <= level.ranks(); ++r) first.push_back(level.first_box(r));
-  return std::make_shared<Level const>(level.domain().coarsen(ratio), level.periodic(), spacing, std::move(boxes),
-                                       std::move(first), level.rank());
-}
+using Faces = std::array<std::array<Boundary, 2>, 3>;
 
-/// The ghost of a correction that vanishes at a distance behind the face.
-WallGhost ghost(Real zero, Real spacing) {
-  return {std::isinf(zero) ? 1 : (zero - 0.5 * spacing) / (zero + 0.5 * spacing), 0, 0};
-}
-
-/// Along an axis that keeps its cells, errors which oscillate meet the level's own ghosts on every coarser copy; along
-/// the others the copies only say where corrections vanish.
-void coarsen(CorrectionGhosts& ghosts, Index3 const& ratio, Real3 const& spacing) {
-  for (int d = 0; d < 3; ++d) {
-    if (ratio[d] == 1) continue;
-    for (int side = 0; side < 2; ++side) ghosts.wall[d][side] = ghost(ghosts.wall_zero[d][side], spacing[d]);
-    ghosts.interface[d] = ghost(ghosts.interface_zero[d], spacing[d]);
+/// Cells of a refinement level as a copy with `size` of them per cell along each axis sees them. Corrections vanish at the
+/// centres of the coarser level's cells around the level, one of its own cells beyond its faces, and at walls.
+class Cells {
+ public:
+  Cells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
+      : level_(std::move(level)), boundary_(boundary), size_(size), domain_(domain) {
+    for (int d = 0; d < 3; ++d) reach_[d] = size[d] > 1;
   }
-}
 
-/// The row of a cell that lacks a neighbour, or has one twice.
-Row special_row(Level const& level, Window<GlobalIndex> const& number, CorrectionGhosts const& ghosts,
-                Index3 const& cell) {
-  Row row;
-  row.add(number(cell), 0);  // the diagonal comes first
-  for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 2; ++side) {
-      Index3 other = cell, inner = cell;
-      other[axis] += side == 0 ? -1 : 1;
-      inner[axis] -= side == 0 ? -1 : 1;
-      bool const at_wall = !level.periodic()[axis] &&
-                           (other[axis] < level.domain().lower[axis] || other[axis] > level.domain().upper[axis]);
-      Real const weight = 1 / level.spacing()[axis] / level.spacing()[axis];
-      if (number(other) != no_cell) {
-        row.add(number(cell), -weight);
-        row.add(number(other), weight);
-      } else {
-        WallGhost const& behind = at_wall ? ghosts.wall[axis][side] : ghosts.interface[axis];
-        row.add(number(cell), weight * (behind.first - 1));
-        if (behind.second != 0) row.add(number(inner), weight * behind.second);
+  /// The cells to keep, as disjoint boxes.
+  std::vector<Box> kept() const {
+    std::vector<Box> out;
+    std::set<Index3> tried;
+    for (int b = 0; b < level_->box_count(); ++b) {
+      Box const candidates = level_->box(b).coarsen(size_).intersect(domain_);
+      std::vector<Box> rest{candidates}, own{surely_kept(b)};
+      if (candidates.empty()) continue;
+      level_->for_each_overlap(candidates.refine(size_).grow(reach_), [&](int other, Box const&, Index3 const&) {
+        rest = without(rest, surely_kept(other));
+        if (other < b) own = without(own, surely_kept(other));
+      });
+      for (Box const& box : own)
+        if (!box.empty()) out.push_back(box);
+      for (Box const& box : rest)
+        for_each_cell(box, [&](Index3 const& cell) {
+          if (tried.insert(cell).second && covers(core(cell))) out.push_back({cell, cell});
+        });
+    }
+    return joined(out);
+  }
+
+  /// How far behind the centre of a cell, in its spacings, corrections vanish on a side where the copy ends.
+  Real distance(Index3 const& cell, int axis, int side) const {
+    Box place = core(cell);
+    int const step = side == 0 ? -1 : 1, size = size_[axis];
+    int at = side == 0 ? place.lower[axis] : place.upper[axis];
+    int const farthest = at + step * size;
+    for (place.lower[axis] = place.upper[axis] = at + step; at != farthest && covers(place);
+         place.lower[axis] = place.upper[axis] = at + step)
+      at += step;
+    Real const centre = (cell[axis] + 0.5) * size, zero = side == 0 ? at : at + 1;
+    return std::max(std::abs(zero - centre) / size, 0.25);
+  }
+
+ private:
+  bool is_wall(int axis, int side) const { return boundary_[axis][side] != Boundary::periodic; }
+
+  /// The level's cells within a quarter of a spacing of a cell's centre; inside the domain where half a cell is kept
+  /// anyway.
+  Box core(Index3 const& cell) const {
+    Box out;
+    for (int d = 0; d < 3; ++d) {
+      out.lower[d] = size_[d] * cell[d] + size_[d] / 4;
+      out.upper[d] = size_[d] * (cell[d] + 1) - 1 - size_[d] / 4;
+      Boundary const upper = boundary_[d][1];
+      if (upper == Boundary::neumann || upper == Boundary::periodic) {
+        int const last = level_->domain().upper[d];
+        out.lower[d] = std::min(out.lower[d], last);
+        out.upper[d] = std::min(out.upper[d], last);
       }
     }
-  return row;
+    return out;
+  }
+
+  /// A box of the level, and the cells around it before which corrections do not vanish.
+  Box reached(Box const& box) const {
+    Box out = box.grow(reach_);
+    for (int d = 0; d < 3; ++d) {
+      if (is_wall(d, 0)) out.lower[d] = std::max(out.lower[d], level_->domain().lower[d]);
+      if (is_wall(d, 1)) out.upper[d] = std::min(out.upper[d], level_->domain().upper[d]);
+    }
+    return out;
+  }
+
+  bool covers(Box const& region) const {
+    std::vector<Box> rest{region};
+    level_->for_each_overlap(region.grow(reach_), [&](int b, Box const&, Index3 const& shift) {
+      if (!rest.empty()) rest = without(rest, reached(level_->box(b).shift(shift)));
+    });
+    return rest.empty();
+  }
+
+  /// Cells of the copy whose cores lie in what one box of the level reaches.
+  Box surely_kept(int b) const {
+    Box const &box = level_->box(b), region = reached(box);
+    Box out = box.coarsen(size_).intersect(domain_);
+    for (int d = 0; d < 3; ++d) {
+      while (out.lower[d] <= out.upper[d] && core(out.lower).lower[d] < region.lower[d]) ++out.lower[d];
+      while (out.lower[d] <= out.upper[d] && core(out.upper).upper[d] > region.upper[d]) --out.upper[d];
+    }
+    return out;
+  }
+
+  std::shared_ptr<Level const> level_;
+  Faces boundary_;
+  Index3 size_;
+  Box domain_;  ///< of the copy
+  Index3 reach_;
+};
+
+/// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing while another spacing is more than
+/// twice that, else all ones.
+Index3 semicoarsening_of(Level const& level) {
+  Real3 const& h = level.spacing();
+  Real const finest = *std::min_element(h.begin(), h.end());
+  Index3 ratio{1, 1, 1};
+  if (!has_long_cells(level)) return ratio;
+  for (int d = 0; d < 3; ++d)
+    if (h[d] <= 1.5 * finest && level.domain().extent(d) > 2) ratio[d] = 2;
+  return ratio;
+}
+
+/// What a copy inherits from the level above it.
+struct Above {
+  std::shared_ptr<Level const> level;
+  Index3 size;  ///< cells of the refinement level per cell
+  WallGhosts walls;
+  std::array<UpperEnd, 3> upper;
+};
+
+LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level const> const& level,
+                  Faces const& boundary, int max_grid_size) {
+  LevelCopy out{nullptr, ratio, above.walls, above.upper, {}, {}, {}};
+  Box domain = above.level->domain();
+  Real3 spacing = above.level->spacing();
+  Index3 size = above.size;
+  std::array<std::array<Real, 2>, 3> wall_factor{};  // for prolongation
+  for (int d = 0; d < 3; ++d) {
+    if (ratio[d] == 1) continue;
+    int const cells = domain.extent(d);
+    CoarseAxis const axis = coarsened(cells, above.upper[d], boundary[d][1]);
+    out.children[d] = last_children(cells, above.upper[d], boundary[d][1]);
+    domain.upper[d] = axis.cells - 1;
+    out.upper[d] = axis.end;
+    spacing[d] *= 2;
+    size[d] *= 2;
+    for (int side = 0; side < 2; ++side) {
+      UpperEnd const end = side == 0 ? UpperEnd{} : axis.end;
+      Boundary const kind = boundary[d][side];
+      // an open wall's potential is given half a cell of the refinement level behind it
+      Real const open = ghost_that_vanishes(end.wall + 0.5 / size[d]);
+      out.walls[d][side] =
+          kind == Boundary::open ? WallGhost{open, 0, 0} : coarse_wall_ghost(kind, axis.cells, end);
+      wall_factor[d][side] = kind == Boundary::open ? open : prolonged_wall_ghost(kind, end);
+    }
+  }
+  auto const cells = std::make_shared<Cells const>(level, boundary, size, domain);
+  out.beyond = [cells, size](Index3 const& cell, int axis, int side) -> WallGhost {
+    if (size[axis] == 1) return {interface_ghost::first, interface_ghost::second, 0};
+    return {ghost_that_vanishes(cells->distance(cell, axis, side)), 0, 0};
+  };
+  std::array<bool, 3> const periodic = above.level->periodic();
+  out.prolonged = [beyond = out.beyond, wall_factor, domain, periodic](Index3 const& cell, int axis, int side) {
+    bool const at_wall = !periodic[axis] && cell[axis] == (side == 0 ? domain.lower[axis] : domain.upper[axis]);
+    return at_wall ? wall_factor[axis][side] : beyond(cell, axis, side).first;
+  };
+  Shared shared = halved(*above.level, ratio, domain);
+  if (shared.boxes.empty()) {
+    for (Box const& box : cells->kept())
+      for (Box const& piece : cut(box, max_grid_size, 1)) shared.boxes.push_back(piece);
+    shared.first = share_along_curve(shared.boxes, above.level->ranks(), above.level->ranks());
+  }
+  out.level = std::make_shared<Level const>(domain, periodic, spacing, std::move(shared.boxes), std::move(shared.first),
+                                            above.level->rank());
+  return out;
 }
 
 }  // namespace
-
-CorrectionGhosts correction_ghosts(Level const& level, WallGhosts const& walls,
-                                   std::array<std::array<Boundary, 2>, 3> const& boundary) {
-  Real3 const& h = level.spacing();
-  CorrectionGhosts out{walls, {}, {}, h};  // beyond the level at the coarse cells' centres
-  out.interface.fill({interface_ghost::first, interface_ghost::second, 0});
-  for (int d = 0; d < 3; ++d)
-    for (int side = 0; side < 2; ++side) {
-      Boundary const kind = boundary[d][side];
-      out.wall_zero[d][side] = kind == Boundary::open      ? 0.5 * h[d]
-                               : kind == Boundary::neumann ? std::numeric_limits<Real>::infinity()
-                                                           : 0.0;
-    }
-  return out;
-}
 
 bool has_long_cells(Level const& level) {
   auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
   return *most > 2.01 * *least;
 }
 
-Index3 semicoarsening_of(Level const& level) {
-  Real3 const& h = level.spacing();
-  Real const finest = *std::min_element(h.begin(), h.end());
-  if (!has_long_cells(level)) return {1, 1, 1};
-  Index3 ratio{1, 1, 1};
-  for (int d = 0; d < 3; ++d)
-    if (h[d] <= 1.5 * finest) ratio[d] = 2;
-  for (int d = 0; d < 3; ++d) {
-    // red-black order needs an even number of cells around a periodic axis
-    if (level.domain().extent(d) % (level.periodic()[d] ? 2 * ratio[d] : ratio[d]) != 0) return {1, 1, 1};
-    for (Box const& box : level.boxes())
-      if (box.lower[d] % ratio[d] != 0 || box.extent(d) % ratio[d] != 0) return {1, 1, 1};
+std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,
+                                         Faces const& boundary, int max_grid_size) {
+  std::vector<LevelCopy> out;
+  Above above{level, {1, 1, 1}, walls, {}};
+  for (Index3 ratio; (ratio = semicoarsening_of(*above.level)) != Index3{1, 1, 1};) {
+    LevelCopy copy = copy_of(above, ratio, level, boundary, max_grid_size);
+    if (copy.level->box_count() == 0) break;
+    for (int d = 0; d < 3; ++d) above.size[d] *= ratio[d];
+    above.level = copy.level;
+    above.walls = copy.walls;
+    above.upper = copy.upper;
+    out.push_back(std::move(copy));
   }
-  return ratio;
-}
-
-std::shared_ptr<Level const> semicoarse_level(Level const& level, Index3 const& ratio, CorrectionGhosts& ghosts) {
-  auto out = coarsened(level, ratio);
-  coarsen(ghosts, ratio, out->spacing());
-  return out;
-}
-
-LevelOperators semicoarsened(MPI_Comm comm, Level const& fine, Index3 const& ratio, CorrectionGhosts& ghosts) {
-  LevelOperators out;
-  out.level = semicoarse_level(fine, ratio, ghosts);
-  Level const& level = *out.level;
-  Real3 const& h = level.spacing();
-  CrsBuilder builder(level.local_cells(), level);
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    auto const number = cell_numbers(level, level.box(b).grow(1));
-    auto const kinds = kinds_without_finer(level, level.box(b), number);
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
-      if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
-      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-        builder.put(row, special_row(level, number, ghosts, cell));
-      });
-    });
-  }
-  std::vector<GlobalIndex> remote;
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
-    append_remote_neighbours(level, level.box(b), remote);
-  out.halo = Exchange(comm, level, remote_cells(level, std::move(remote)));
-  out.stencil_halo = Exchange(comm, level, out.halo.ghost_numbers());
-  builder.start_filling(out.halo);
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    auto const places = out.halo.places(level, level.box(b).grow(1));
-    RegularRows const regular(h, places);
-    builder.fill_runs(level.box(b), level.local_offset(b), [&](auto const&... where) { regular.laplacian(where...); });
-  }
-  out.no_fine = builder.take();
   return out;
 }
 

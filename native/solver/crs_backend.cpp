@@ -6,7 +6,7 @@
 
 #include "base/constants.hpp"
 #include "base/rows.hpp"
-#include "solver/coarsening.hpp"
+#include "operators/multigrid_levels.hpp"
 
 namespace amrpic {
 
@@ -14,11 +14,12 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
     : problem_(problem),
       hierarchy_(problem.hierarchy),
       options_(problem.options),
-      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), hierarchy_->max_grid_size(),
+      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), {hierarchy_->max_grid_size()},
                            options_.coarse_levels)),
       operators_(assembled(reusable)),
       transfer_(hierarchy_),
-      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), options_),
+      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), hierarchy_->max_grid_size(),
+                 options_),
       messages_before_(halo_sum(&Exchange::messages)),
       bytes_before_(halo_sum(&Exchange::bytes)),
       krylov_(make_krylov(options_.krylov, equations())) {

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "operators/semicoarse.hpp"
+#include "operators/copy_operators.hpp"
 #include "solver/smoother.hpp"
 
 namespace amrpic {
@@ -12,8 +12,8 @@ namespace amrpic {
 /// along all axes, does not see it where it oscillates along the others: cells of 1:1:10 took 100 cycles.
 class LocalCycle : public Smoother {
  public:
-  /// Collective. `ratio` is not all ones.
-  LocalCycle(MPI_Comm comm, LevelOperators const& operators, Index3 const& ratio, CorrectionGhosts ghosts,
+  /// `copies`: from the one below this level on; not empty. Collective.
+  LocalCycle(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies, std::size_t count,
              SolverOptions const& options);
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override;
@@ -25,16 +25,14 @@ class LocalCycle : public Smoother {
 
   LevelOperators const& operators_;
   std::unique_ptr<Smoother> points_;
-  std::vector<LocalIndex> parent_;  ///< of each own cell, on the semi-coarsened level
-  Real share_;                      ///< of a cell in the mean over its parent's children
-  LevelOperators coarse_operators_;
+  CopyOperators copy_;
   std::unique_ptr<Smoother> coarse_;
-  std::vector<Real> coarse_f_, coarse_x_;
+  std::vector<Real> residual_, coarse_f_, coarse_x_, values_;
 };
 
-/// The smoother of a refinement level: the one that the options name, in a V-cycle of its own where cells are long or
-/// flat. Collective.
-std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators,
-                                                CorrectionGhosts const& ghosts, SolverOptions const& options);
+/// The smoother of a refinement level: the one that the options name, in a V-cycle of its own where the level has copies.
+/// Collective.
+std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies,
+                                                std::size_t count, SolverOptions const& options);
 
 }  // namespace amrpic

@@ -8,7 +8,7 @@ namespace amrpic {
 MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
     : problem_(problem),
       composite_(problem.hierarchy, problem.options.stretch),
-      cycle_(problem.hierarchy->comm(), stack_of(*problem.hierarchy), problem.hierarchy->domain(),
+      cycle_(problem.hierarchy->comm(), *problem.hierarchy,
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation,
               problem.options.kernels}),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),

@@ -42,15 +42,17 @@ void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
 }
 
 Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators,
-                     std::shared_ptr<Bottom> bottom, SolverOptions const& options)
+                     std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
     : bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());
   for (std::size_t l = 0; l < operators.size(); ++l) {
     LevelOperators const& o = *operators[l];
     std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
-    if (stack.refines(l))
-      smoother = make_refined_smoother(comm, o, correction_ghosts(*o.level, o.walls, stack.boundary), options);
-    else if (l > 0)
+    if (stack.refines(l)) {
+      auto const copies = semicoarse_copies(o.level, o.walls, stack.boundary, max_grid_size);
+      smoother = make_refined_smoother(comm, o, copies.data(), copies.size(), options);
+    }
+    if (l > 0 && !smoother)
       smoother = make_smoother(comm, o, options);
     levels_.emplace_back(o, std::move(smoother));
   }

@@ -44,7 +44,7 @@ class Multigrid {
  public:
   /// Collective.
   Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators, std::shared_ptr<Bottom> bottom,
-            SolverOptions const& options);
+            int max_grid_size, SolverOptions const& options);
 
   std::vector<MultigridLevel> const& levels() const { return levels_; }
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine

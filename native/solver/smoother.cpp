@@ -12,13 +12,24 @@ namespace amrpic {
 
 namespace {
 
-/// Rows of a level by the parity of i + j + k in the level's global indices, which no decomposition changes.
-std::array<std::vector<LocalIndex>, 2> colours(Level const& level) {
-  std::array<std::vector<LocalIndex>, 2> out;
-  for (auto& rows : out) rows.reserve(std::size_t(level.local_cells()) / 2 + 1);
+/// Rows of a level by the parity of i + j + k in the level's global indices, which no decomposition changes; around an odd
+/// number of cells two of one parity meet, so the last ones are colours of their own.
+std::vector<std::vector<LocalIndex>> colours(Level const& level) {
+  std::array<int, 3> odd_last;
+  int rings = 0;
+  for (int d = 0; d < 3; ++d) {
+    bool const odd = level.periodic()[d] && level.domain().extent(d) % 2 != 0;
+    odd_last[d] = odd ? level.domain().upper[d] : -1;
+    rings += odd;
+  }
+  std::vector<std::vector<LocalIndex>> out(rings > 0 ? 16 : 2);
   LocalIndex row = 0;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
-    for_each_cell(level.box(b), [&](Index3 const& c) { out[(c[0] + c[1] + c[2]) & 1].push_back(row++); });
+    for_each_cell(level.box(b), [&](Index3 const& c) {
+      std::size_t place = 0;
+      for (int d = 0; d < 3; ++d) place += c[d] == odd_last[d] ? std::size_t(1) << d : 0;
+      out[out.size() / 2 * std::size_t((c[0] + c[1] + c[2]) & 1) + place].push_back(row++);
+    });
   return out;
 }
 
@@ -35,10 +46,11 @@ class RedBlack : public Smoother {
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {
     std::fill(x.begin(), x.end(), 0.0);
     if (pre_sweeps_ == 0) return;
-    // nothing to read yet for the first colour
-    relax(colour_[0], f, x);
-    operators_.stencil_halo.update(x.data());
-    relax(colour_[1], f, x);
+    relax(colour_[0], f, x);  // there is nothing to read yet
+    for (std::size_t c = 1; c < colour_.size(); ++c) {
+      operators_.stencil_halo.update(x.data());
+      relax(colour_[c], f, x);
+    }
     sweep(pre_sweeps_ - 1, f, x);
   }
   void smooth(std::vector<Real> const& f, std::vector<Real>& x) override { sweep(post_sweeps_, f, x); }
@@ -65,7 +77,7 @@ class RedBlack : public Smoother {
   LevelOperators const& operators_;
   int pre_sweeps_, post_sweeps_;
   Real relaxation_;
-  std::array<std::vector<LocalIndex>, 2> colour_;
+  std::vector<std::vector<LocalIndex>> colour_;
 };
 
 /// Smallest eigenvalue, over the diagonal, of an error that oscillates along an axis which the next coarser level has

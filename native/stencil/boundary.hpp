@@ -26,22 +26,6 @@ inline WallGhost wall_ghost(Boundary kind, Real spacing) {
   return {0.0, 0.0, 0.0};
 }
 
-/// Wall ghosts of corrections on multigrid levels below the base along the axes that these coarsen, where their
-/// operator is symmetric: the correction vanishes on a Dirichlet face. Behind an open one it vanishes at a distance of
-/// its own (see OpenWalls).
-inline WallGhost coarse_wall_ghost(Boundary kind) {
-  switch (kind) {
-    case Boundary::dirichlet:
-      return {-1.0, 0.0, 0.0};
-    case Boundary::neumann:
-      return {1.0, 0.0, 0.0};
-    case Boundary::open:
-    case Boundary::periodic:
-      break;
-  }
-  return {0.0, 0.0, 0.0};
-}
-
 /// Wall ghosts of all faces, [axis][lower or upper].
 using WallGhosts = std::array<std::array<WallGhost, 2>, 3>;
 

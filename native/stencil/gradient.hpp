@@ -1,7 +1,7 @@
 #pragma once
 
 #include "mesh/window.hpp"
-#include "stencil/boundary.hpp"
+#include "stencil/coarse_end.hpp"
 #include "stencil/interface.hpp"
 
 namespace amrpic {
@@ -13,6 +13,7 @@ struct Neighbourhood {
   std::array<bool, 3> periodic;
   Real3 spacing;
   WallGhosts walls;
+  Real3 seam_width;             ///< of last cells along periodic axes, see `UpperEnd`
   Window<GlobalIndex> own;      ///< box grown by 2
   Window<char> covered;         ///< by the next finer level, same extent
   Window<GlobalIndex> fine;     ///< children of the box grown by 1; empty where nothing finer is near
@@ -26,7 +27,7 @@ struct Neighbourhood {
 
 /// The neighbourhood of a box; `finer` and `coarser` may be null.
 inline Neighbourhood look_around(Box const& box, Level const& level, Level const* finer, Level const* coarser,
-                                 WallGhosts const& walls) {
+                                 WallGhosts const& walls, Real3 const& seam_width = {1, 1, 1}) {
   Box const wide = box.grow(2), none;
   Box const parents = coarser ? box.grow(1).coarsen({2, 2, 2}).grow(2) : none;
   auto covered = finer ? covered_cells(*finer, {2, 2, 2}, wide) : Window<char>(wide, 0);
@@ -35,6 +36,7 @@ inline Neighbourhood look_around(Box const& box, Level const& level, Level const
           level.periodic(),
           level.spacing(),
           walls,
+          seam_width,
           cell_numbers(level, wide),
           std::move(covered),
           near ? cell_numbers(*finer, box.grow(1).refine({2, 2, 2})) : Window<GlobalIndex>(none, no_cell),
@@ -134,8 +136,11 @@ void outward_gradient(Neighbourhood const& n, Index3 const& cell, int axis, int 
         if (taken & plane_bit(i, j))
           sink.own(plane.cell(i, j), -fine_weight * interface_ghost::coarse * in_plane[i + 2][j + 2]);
   } else {
-    sink.own(n.own(cell), -weight);
-    sink.own(n.own(outer), weight);
+    Real const factor = n.periodic[axis] && n.seam_width[axis] != 1
+                            ? seam_factor(cell[axis], side, n.domain.extent(axis), n.seam_width[axis])
+                            : 1;
+    sink.own(n.own(cell), -weight * factor);
+    sink.own(n.own(outer), weight * factor);
   }
 }
 

@@ -1,0 +1,144 @@
+#include "operators/copy_operators.hpp"
+
+#include "operators/regular_rows.hpp"
+#include "operators/terms.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
+void special_row(LevelCopy const& copy, Neighbourhood const& n, Index3 const& cell, Terms& terms) {
+  terms.clear();
+  terms.own(n.own(cell), 0);  // the diagonal comes first
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      Index3 outer = cell, inner = cell;
+      outer[axis] += side == 0 ? -1 : 1;
+      inner[axis] -= side == 0 ? -1 : 1;
+      Real const weight = 1 / n.spacing[axis];
+      if (n.behind_wall(outer, axis) || n.own(outer) != no_cell) {
+        outward_gradient(n, cell, axis, side, Execution::without_finer, weight, terms);
+        continue;
+      }
+      WallGhost const ghost = copy.beyond(cell, axis, side);
+      terms.own(n.own(cell), weight * weight * (ghost.first - 1));
+      if (ghost.second != 0 && n.own(inner) != no_cell) terms.own(n.own(inner), weight * weight * ghost.second);
+    }
+}
+
+LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy) {
+  LevelOperators out;
+  out.level = copy.level;
+  Level const& level = *copy.level;
+  Real3 const seam_width = seam_widths(level.periodic(), copy.upper);
+  CrsBuilder builder(level.local_cells(), level);
+  Terms terms;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    Neighbourhood const n = look_around(level.box(b), level, nullptr, nullptr, copy.walls, seam_width);
+    auto const kinds = kinds_without_finer(level, level.box(b), n.own, seam_width);
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
+      for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+        special_row(copy, n, cell, terms);
+        builder.put(row, terms.own_row);
+      });
+    });
+  }
+  std::vector<GlobalIndex> remote;
+  builder.append_remote(remote);
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+    append_remote_neighbours(level, level.box(b), remote);
+  out.halo = Exchange(comm, level, remote_cells(level, std::move(remote)));
+  out.stencil_halo = Exchange(comm, level, out.halo.ghost_numbers());
+  builder.start_filling(out.halo);
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+    auto const places = out.halo.places(level, level.box(b).grow(1));
+    RegularRows const regular(level.spacing(), places);
+    builder.fill_runs(level.box(b), level.local_offset(b), [&](auto const&... where) { regular.laplacian(where...); });
+  }
+  out.no_fine = builder.take();
+  return out;
+}
+
+/// A value of a copy, or beyond its end what corrections are there: emit(cell number, weight). Ends are passed axis after
+/// axis; `passes` of the six sides may be.
+template <class Emit>
+bool emit_value(LevelCopy const& copy, Window<GlobalIndex> const& number, Index3 const& cell, Real weight, int passes,
+                Emit& emit) {
+  if (!number.box().contains(cell)) return false;
+  if (number(cell) != no_cell) {
+    emit(number(cell), weight);
+    return true;
+  }
+  for (int pass = 0; pass < passes; ++pass) {
+    int const axis = pass / 2, side = pass % 2;
+    Index3 before = cell;
+    before[axis] += side == 0 ? 1 : -1;
+    if (number.box().contains(before) && emit_value(copy, number, before, 0, pass, emit))
+      return emit_value(copy, number, before, weight * copy.prolonged(before, axis, side), pass, emit);
+  }
+  return false;
+}
+
+}  // namespace
+
+CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy) {
+  CopyOperators out;
+  out.level = laplacian_of(comm, copy);
+  Level const& level = *copy.level;
+  Row row;
+
+  CrsBuilder restriction(level.local_cells(), above);
+  LocalIndex at = 0;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+    for_each_cell(level.box(b), [&](Index3 const& cell) {
+      row.clear();
+      restrict_mean(cell, copy.ratio, above, copy.children, [&](GlobalIndex c, Real w) { row.append(c, w); });
+      restriction.put(at++, row);
+    });
+  Real3 const seam_width = seam_widths(level.periodic(), copy.upper);
+  CrsBuilder prolongation(above.local_cells(), level);
+  at = 0;
+  for (int b = above.first_local_box(); b < above.last_local_box(); ++b) {
+    auto const number = cell_numbers(level, above.box(b).coarsen(copy.ratio).grow(1));
+    for_each_cell(above.box(b), [&](Index3 const& cell) {
+      row.clear();
+      auto emit = [&](GlobalIndex c, Real w) {
+        if (w != 0) row.add(c, w);
+      };
+      Index3 const parent = Box{cell, cell}.coarsen(copy.ratio).lower;
+      for (int corner = 0; corner < 8; ++corner) {
+        Real weight = 1;
+        Index3 source = parent;
+        for (int d = 0; d < 3; ++d) {
+          bool const other = (corner >> d) & 1;
+          if (copy.ratio[d] == 1) {
+            weight *= other ? 0 : 1;
+          } else {
+            int const side = cell[d] == 2 * parent[d] ? 0 : 1;
+            Real const far = level.periodic()[d]
+                                 ? 0.25 * prolonged_seam(parent[d], side, level.domain().extent(d), seam_width[d])
+                                 : 0.25;
+            weight *= other ? far : 1 - far;
+            if (other) source[d] += 2 * side - 1;
+          }
+        }
+        if (weight != 0) emit_value(copy, number, source, weight, 6, emit);
+      }
+      prolongation.put(at++, row);
+    });
+  }
+  auto finish = [&](CrsBuilder& builder, Level const& columns, Exchange& exchange, Crs& matrix) {
+    std::vector<GlobalIndex> remote;
+    builder.append_remote(remote);
+    exchange = Exchange(comm, columns, remote_cells(columns, std::move(remote)));
+    builder.start_filling(exchange);
+    matrix = builder.take();
+  };
+  finish(restriction, above, out.above, out.restriction);
+  finish(prolongation, level, out.own, out.prolongation);
+  return out;
+}
+
+}  // namespace amrpic

@@ -1,0 +1,18 @@
+#pragma once
+
+#include "operators/semicoarse.hpp"
+
+namespace amrpic {
+
+/// What a local cycle holds of a copy as compressed rows.
+struct CopyOperators {
+  LevelOperators level;  ///< `no_fine` and the halos alone are made
+  Crs restriction;       ///< columns: the level above, whose remote cells `above` brings
+  Crs prolongation;      ///< rows: of the level above; columns: the copy, whose remote cells `own` brings
+  Exchange above, own;
+};
+
+/// The operators of a copy of a level, which is that above it. Collective.
+CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy);
+
+}  // namespace amrpic

@@ -1,0 +1,132 @@
+#include "operators/multigrid_levels.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace amrpic {
+
+namespace {
+
+constexpr GlobalIndex bottom = 64;            ///< cells of a level that is solved faster than coarsened
+constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level whose boxes are made anew: fewer cost less than messages
+constexpr int alignment = 8;                  ///< of such boxes, so that they can be halved three times
+
+/// By how much to coarsen each axis of a level; all ones if it must stay.
+Index3 coarsening_of(Level const& level) {
+  auto shortens = [&](int d) { return level.domain().extent(d) > 2; };
+  Real finest = std::numeric_limits<Real>::infinity();
+  for (int d = 0; d < 3; ++d)
+    if (shortens(d)) finest = std::min(finest, level.spacing()[d]);
+  Index3 ratio{1, 1, 1};
+  if (level.cells() <= bottom) return ratio;
+  // a point smoother reduces just those errors that oscillate along the strongly coupled axes
+  for (int d = 0; d < 3; ++d)
+    if (shortens(d) && level.spacing()[d] <= 1.5 * finest) ratio[d] = 2;
+  return ratio;
+}
+
+/// The ranks that have cells of a level.
+int ranks_in_use(Level const& level) {
+  int out = 0;
+  for (int r = 0; r < level.ranks(); ++r) out += level.first_box(r + 1) > level.first_box(r);
+  return out;
+}
+
+/// New boxes for a level that covers the domain.
+Shared cut_anew(Box const& domain, int max_grid_size, int ranks, int active) {
+  Shared out{cut(domain, std::max(max_grid_size, alignment), alignment), {}};
+  out.first = share_along_curve(out.boxes, ranks, active);
+  return out;
+}
+
+std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Box const& domain,
+                                     CoarseBoxes const& policy) {
+  Real3 spacing = finer.spacing();
+  for (int d = 0; d < 3; ++d) spacing[d] *= ratio[d];
+  if (domain.cells() <= policy.whole || (policy.whole > 0 && finer.ranks() == 1))
+    return std::make_shared<Level const>(domain, finer.periodic(), spacing, std::vector<Box>{domain},
+                                         std::vector<int>{0, 1}, 0);
+  int const worth = int(std::clamp<GlobalIndex>(domain.cells() / cells_per_rank, 1, finer.ranks()));
+  Shared shared = halved(finer, ratio, domain);
+  if (shared.boxes.empty() || ranks_in_use(finer) > worth)
+    shared = cut_anew(domain, policy.max_grid_size, finer.ranks(), worth);
+  return std::make_shared<Level const>(domain, finer.periodic(), spacing, std::move(shared.boxes),
+                                       std::move(shared.first), finer.rank());
+}
+
+/// Put a level below the lowest one.
+void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, CoarseBoxes const& policy) {
+  Level const& finer = *stack.levels.front();
+  Box region = finer.domain();
+  std::array<UpperEnd, 3> upper = stack.upper.front();
+  WallGhosts walls = stack.walls.front();
+  for (int d = 0; d < 3; ++d) {
+    // Along an axis that keeps its cells, errors which oscillate meet the finer level's wall on every level below.
+    if (ratio[d] == 1) continue;
+    CoarseAxis const axis = coarsened(region.extent(d), upper[d], domain.boundary[d][1]);
+    region.upper[d] = axis.cells - 1;
+    upper[d] = axis.end;
+    walls[d] = {coarse_wall_ghost(domain.boundary[d][0], axis.cells, {}),
+                coarse_wall_ghost(domain.boundary[d][1], axis.cells, axis.end)};
+  }
+  auto const level = coarser(finer, ratio, region, policy);
+  stack.ratio.front() = ratio;
+  stack.ratio.insert(stack.ratio.begin(), Index3{1, 1, 1});
+  stack.levels.insert(stack.levels.begin(), level);
+  stack.walls.insert(stack.walls.begin(), walls);
+  stack.upper.insert(stack.upper.begin(), upper);
+  ++stack.base;
+}
+
+}  // namespace
+
+Shared halved(Level const& finer, Index3 const& ratio, Box const& domain) {
+  Shared out;
+  for (Box const& fine : finer.boxes()) {
+    Box const box = fine.coarsen(ratio).intersect(domain);
+    if (box.empty()) return {};
+    for (int d = 0; d < 3; ++d) {
+      bool const ends_domain = fine.upper[d] == finer.domain().upper[d];
+      if (fine.lower[d] % ratio[d] != 0 || (fine.extent(d) % ratio[d] != 0 && !ends_domain)) return {};
+      if (ratio[d] == 2 && box.lower[d] % 2 != 0) return {};
+    }
+    out.boxes.push_back(box);
+  }
+  for (int r = 0; r <= finer.ranks(); ++r) out.first.push_back(finer.first_box(r));
+  return out;
+}
+
+std::vector<int> share_along_curve(std::vector<Box>& boxes, int ranks, int active) {
+  sort_along_curve(boxes);
+  std::vector<Real> load(boxes.size());
+  std::transform(boxes.begin(), boxes.end(), load.begin(), [](Box const& b) { return Real(b.cells()); });
+  auto first = distribute(load, active);
+  first.resize(std::size_t(ranks) + 1, int(boxes.size()));
+  return first;
+}
+
+LevelStack coarsen_below(LevelStack stack, Domain const& domain, CoarseBoxes const& boxes, int most) {
+  while (int(stack.base) < most) {
+    Index3 const ratio = coarsening_of(*stack.levels.front());
+    if (ratio == Index3{1, 1, 1}) break;
+    put_below(stack, domain, ratio, boxes);
+  }
+  return stack;
+}
+
+Real prolonged_end(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l, Index3 const& cell, int axis,
+                   int side) {
+  Boundary const kind = stack.boundary[axis][side];
+  if (kind == Boundary::open) return open_walls.first(l, cell, axis, side);
+  return prolonged_wall_ghost(kind, side == 0 ? UpperEnd{} : stack.upper[l][axis]);
+}
+
+std::array<LastChildren, 3> last_children_of(LevelStack const& stack, std::size_t finer) {
+  std::array<LastChildren, 3> out;
+  for (int d = 0; d < 3; ++d)
+    if (stack.ratio[finer][d] == 2)
+      out[d] = last_children(stack.levels[finer]->domain().extent(d), stack.upper[finer][d], stack.boundary[d][1]);
+  return out;
+}
+
+}  // namespace amrpic

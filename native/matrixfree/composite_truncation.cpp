@@ -20,16 +20,26 @@ struct Part {
 
 int cells_per_parent(Index3 const& ratio) { return ratio[0] * ratio[1] * ratio[2]; }
 
+/// Where the parents of a local box's cells start among those of all of this rank's boxes. Half pairs count as parents.
+std::int64_t parents_before(Level const& level, int box, Index3 const& ratio) {
+  std::int64_t out = 0;
+  for (int b = level.first_local_box(); b < box; ++b) out += level.box(b).coarsen(ratio).cells();
+  return out;
+}
+
 /// Lists the parts of a window that lie in the boxes of a level, all in cells `ratio` times coarser than the level's,
 /// and asks for those of other ranks.
 std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, Box const& window, Imports& imports) {
   std::vector<Part> out;
   for (auto const& o : overlaps(level, window.refine(ratio))) {
     Box const own = o.part.shift({-o.shift[0], -o.shift[1], -o.shift[2]}).coarsen(ratio);
-    Box const box = level.box(o.box).coarsen(ratio), place = o.part.coarsen(ratio);
+    Box const box = level.box(o.box).coarsen(ratio);
+    Box place = o.part.coarsen(ratio);
+    for (int d = 0; d < 3; ++d)  // images beyond an odd number of cells pair them otherwise, and are not used
+      place.upper[d] = std::min(place.upper[d], place.lower[d] + own.extent(d) - 1);
     if (level.owner(o.box) == level.rank())
       out.push_back({Rectangle::here,
-                     level.local_offset(o.box) / cells_per_parent(ratio) + std::int32_t(box.offset(own.lower)),
+                     std::int32_t(parents_before(level, o.box, ratio) + box.offset(own.lower)),
                      box.extent(0), box.extent(0) * box.extent(1), place});
     else
       out.push_back({level.owner(o.box), imports.ask(level.owner(o.box), {l, o.box, -1, own}), own.extent(0),
@@ -51,27 +61,27 @@ Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* 
   return out;
 }
 
-/// Add to a row of n parents `weight` times the sum of each one's children in a row.
+/// Add to parents `weight` times the sum of each one's children in a row of n.
 void add_parents(int n, int ratio, Real weight, Real const* __restrict fine, Real* __restrict parents) {
   if (ratio == 1)
     for (int i = 0; i < n; ++i) parents[i] += weight * fine[i];
   else
-    for (int i = 0; i < n; ++i) parents[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
+    for (int i = 0; i < n / 2; ++i) parents[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
 }
 
 /// The means over groups of `ratio` cells of this rank's boxes, one box after the other, x fastest.
 std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fine) {
-  std::vector<Real> out(std::size_t(level.local_cells() / cells_per_parent(ratio)), 0.0);
+  std::vector<Real> out(std::size_t(parents_before(level, level.last_local_box(), ratio)), 0.0);
   Real const weight = 1.0 / cells_per_parent(ratio);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const &box = level.box(b), parents = box.coarsen(ratio);
-    Real* const first = out.data() + level.local_offset(b) / cells_per_parent(ratio);
+    Real* const first = out.data() + parents_before(level, b, ratio);
     int const n = parents.extent(0);
     for (int k = 0; k < box.extent(2); ++k)
       for (int j = 0; j < box.extent(1); ++j, fine += box.extent(0)) {
         Real* const to =
             first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
-        add_parents(n, ratio[0], weight, fine, to);
+        add_parents(box.extent(0), ratio[0], weight, fine, to);
       }
   }
   return out;
@@ -81,7 +91,7 @@ std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fin
 Real* pack_means(Level const& level, Index3 const& ratio, std::vector<Real> const& means, Piece const& piece,
                  Real* out) {
   Box const parents = level.box(piece.box).coarsen(ratio);
-  Real const* const from = means.data() + level.local_offset(piece.box) / cells_per_parent(ratio);
+  Real const* const from = means.data() + parents_before(level, piece.box, ratio);
   for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
     for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
       out = std::copy_n(from + parents.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
@@ -96,7 +106,8 @@ struct Task {
   std::vector<Part> phi;  ///< in them and their neighbours: the coarser level's, or means where none is
 };
 
-/// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and it is not at a wall.
+/// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and neither a wall nor half a
+/// pair of cells is beside it.
 Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
   Window<char> out(parents, 0);
   Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
@@ -110,12 +121,15 @@ Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, B
   if (finer)
     for (auto const& o : overlaps(*finer, children.refine(refinement_ratio)))
       set(o.part.coarsen(refinement_ratio).coarsen(ratio), 0);
-  for (int d = 0; d < 3; ++d)
-    for (int side = 0; side < 2 && !level.periodic()[d]; ++side) {
-      Box layer = parents;
-      layer.lower[d] = layer.upper[d] = side == 0 ? domain.lower[d] : domain.upper[d];
-      set(layer.intersect(parents), 0);
-    }
+  for (int d = 0; d < 3; ++d) {
+    bool const odd = level.domain().extent(d) % ratio[d] != 0;
+    if (level.periodic()[d] && !odd) continue;
+    Box below = parents, above = parents;
+    below.upper[d] = domain.lower[d];
+    above.lower[d] = domain.upper[d] - (odd ? 1 : 0);
+    set(below.intersect(parents), 0);
+    set(above.intersect(parents), 0);
+  }
   return out;
 }
 
@@ -129,6 +143,7 @@ void prolong_row(int n, int ratio, Real const* __restrict parent, Real* __restri
     out[2 * i] = 0.75 * parent[i] + 0.25 * parent[i - 1];
     out[2 * i + 1] = 0.75 * parent[i] + 0.25 * parent[i + 1];
   }
+  if (n % 2 != 0) out[n - 1] = 0.75 * parent[n / 2] + 0.25 * parent[n / 2 - 1];
 }
 
 /// Parent along an axis, its neighbour on the side of the cell, and the neighbour's weight.

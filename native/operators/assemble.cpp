@@ -169,6 +169,7 @@ class LevelAssembly {
   void move_into(LevelOperators& out) {
     out.level = stack_.levels[l_];
     out.walls = stack_.walls[l_];
+    for (int d = 0; d < 3; ++d) out.last_width[d] = stack_.upper[l_][d].width;
     out.no_fine = no_fine_.take();
     if (coarser_) {
       out.coarse_boundary = coarse_boundary_->take();
@@ -212,7 +213,6 @@ class LevelAssembly {
 
   /// The composite's rows, but for the special ones, and restriction.
   void count_composite(int b, Neighbourhood const& n, RowKinds const& kinds) {
-    Index3 const ratio = stack_.ratio[l_ + 1];
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
       if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
       if (kind == RowKind::covered) {

@@ -35,6 +35,7 @@ struct RemoteCells {
 struct LevelOperators {
   std::shared_ptr<Level const> level;
   WallGhosts walls;
+  Real3 last_width{1, 1, 1};  ///< of last cells, see `UpperEnd`
   Exchange halo;          ///< all cells of this level that any operator reads: numbering of its vectors
   Exchange stencil_halo;  ///< the part of it that `no_fine` reads
 

@@ -70,10 +70,27 @@ Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalInde
   return whole;
 }
 
-/// The matrix over its first diagonal entry, which is negative as all are: positive definite, of order one in any
-/// units. A singular one gets its first diagonal entry doubled: for a right-hand side without mean this picks the
-/// solution that vanishes there.
-Real normalise(Crs& matrix, bool singular) {
+/// Volumes of a level's cells in the order of the domain, over that of ordinary ones.
+std::vector<Real> volumes_of(LevelOperators const& operators) {
+  std::vector<Real> out;
+  Box const& domain = operators.level->domain();
+  out.reserve(std::size_t(domain.cells()));
+  for_each_cell(domain, [&](Index3 const& cell) {
+    Real volume = 1;
+    for (int d = 0; d < 3; ++d)
+      if (cell[d] == domain.upper[d]) volume *= operators.last_width[d];
+    out.push_back(volume);
+  });
+  return out;
+}
+
+/// The matrix times the volumes of its cells, which makes it symmetric where the ghosts do not prevent it, and over its
+/// first diagonal entry, which is negative as all are: positive definite, of order one in any units. A singular one gets
+/// its first diagonal entry doubled: for a right-hand side without net charge this picks the solution that vanishes there.
+Real normalise(Crs& matrix, std::vector<Real> const& volume, bool singular) {
+  for (LocalIndex row = 0; row < matrix.rows(); ++row)
+    for (std::size_t k = matrix.row_start[row]; k < matrix.row_start[row + 1]; ++k)
+      matrix.value[k] *= volume[std::size_t(row)];
   Real const scale = 1 / matrix.value.front();
   for (Real& v : matrix.value) v *= scale;
   if (singular) matrix.value.front() *= 2;
@@ -232,7 +249,8 @@ Bottom::Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, So
   whole_right_hand_side_.resize(std::size_t(total_));
   whole_correction_.resize(std::size_t(total_));
   Crs whole = gather(comm, operators, place_);
-  Real const scale = normalise(whole, singular);
+  volume_ = volumes_of(operators);
+  Real const scale = normalise(whole, volume_, singular);
   require_fit(whole, options);
   Box const& domain = operators.level->domain();
   problem_ =
@@ -246,7 +264,7 @@ bool Bottom::serves(LevelOperators const& operators) const {
     if (operators.level->first_cell(r) != starts_[r]) return false;
   if (operators.level->cells() != total_ || order_of_domain(*operators.level) != place_) return false;
   Crs whole = gather(comm_, operators, place_);
-  Real const scale = normalise(whole, singular_);
+  Real const scale = normalise(whole, volumes_of(operators), singular_);
   return scale == problem_->scale && problem_->has(whole);
 }
 
@@ -254,7 +272,10 @@ void Bottom::solve(std::vector<Real> const& right_hand_side, std::vector<Real>& 
   MPI_Allgatherv(right_hand_side.data(), rows_, MPI_DOUBLE, gathered_.data(), counts_.data(), starts_.data(),
                  MPI_DOUBLE, comm_);
   auto& f = whole_right_hand_side_;
-  for (std::size_t cell = 0; cell < place_.size(); ++cell) f[std::size_t(place_[cell])] = gathered_[cell];
+  for (std::size_t cell = 0; cell < place_.size(); ++cell) {
+    std::size_t const row = std::size_t(place_[cell]);
+    f[row] = volume_[row] * gathered_[cell];
+  }
   Real const size =
       std::abs(*std::max_element(f.begin(), f.end(), [](Real a, Real b) { return std::abs(a) < std::abs(b); }));
   if (size == 0) {

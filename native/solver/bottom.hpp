@@ -36,6 +36,7 @@ class Bottom {
   GlobalIndex first_, total_;
   std::vector<int> counts_, starts_;  ///< rows per rank
   std::vector<LocalIndex> place_;     ///< in the order of the domain, of each cell
+  std::vector<Real> volume_;          ///< of each cell in the order of the domain, over that of ordinary ones
   std::vector<Real> gathered_, whole_right_hand_side_, whole_correction_;
   std::unique_ptr<Problem> problem_;
 };

@@ -12,10 +12,21 @@ namespace {
 /// A second-order stencil of twice the width errs four times as much; seen is what it errs more.
 constexpr Real seen_over_error = 3;
 
-std::vector<char> rows_at_walls(Domain const& domain, Level const& level) {
-  std::vector<char> at_wall(std::size_t(level.local_cells()));
-  for (auto const& face : find_walls(domain, level).faces) at_wall[face.row] = 1;
-  return at_wall;
+/// Rows of which the coarser Laplacian tells nothing: those at walls, and where half a pair of finer cells is beside.
+std::vector<char> rows_at_ends(Domain const& domain, Level const& level, Level const& finer, Index3 const& ratio) {
+  std::vector<char> out(std::size_t(level.local_cells()));
+  for (auto const& face : find_walls(domain, level).faces) out[face.row] = 1;
+  for (int d = 0; d < 3; ++d) {
+    int const n = finer.domain().extent(d);
+    if (n % ratio[d] == 0) continue;
+    LocalIndex row = 0;
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+      for_each_cell(level.box(b), [&](Index3 const& cell) {
+        if (cell[d] == 0 || cell[d] >= n / 2 - 1) out[row] = 1;
+        ++row;
+      });
+  }
+  return out;
 }
 
 }  // namespace
@@ -59,10 +70,10 @@ void CrsBackend::set_truncation() {
       multiply(coarse.restriction, phi_[0].data(), phi.data());
     coarse.halo.update(phi.data());
 
-    auto const at_wall = rows_at_walls(hierarchy_->domain(), *coarse.level);
+    auto const at_end = rows_at_ends(hierarchy_->domain(), *coarse.level, *fine.level, stack_.ratio[place]);
     coarse.restriction.for_each_row([&](LocalIndex row) {
       bool const usable = coarse.restriction.dot(row, uncovered.data()) > 1 - 1e-9;  // no child is covered
-      if (usable && !at_wall[row])
+      if (usable && !at_end[row])
         seen[row] = (coarse.no_fine.dot(row, phi.data()) - coarse.restriction.dot(row, f.data())) / seen_over_error;
     });
     coarse.halo.update(seen.data());

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from measuring import LEAST_SHARE, Record
+from measuring import Record
 from particles import record_name
 from peers import peer_name
 from pic_step import IMPACTX_WALLS, step_name
@@ -22,7 +22,7 @@ ROUNDING = 1e-12  # of the largest residual of a rough potential, relative
 
 @dataclass(frozen=True)
 class Goal:
-    """A figure with its bounds. `measured` is nan where the run did not measure it; what it is told in may be void."""
+    """A figure with its bounds. `measured` is nan where the run did not measure it."""
 
     what: str
     measured: float
@@ -31,15 +31,12 @@ class Goal:
     unit: str = ""
     at_least: bool = False  # whether more is better
     note: str = ""
-    void: str = ""  # why the figure decides nothing
 
     @property
     def verdict(self) -> str:
-        """ "not measured", "void: " and why, "missed", "met" or "aim met"."""
+        """ "not measured", "missed", "met" or "aim met"."""
         if math.isnan(self.measured):
             return "not measured"
-        if self.void:
-            return f"void: {self.void}"
         if not self._reaches(self.must):
             return "missed"
         return "aim met" if self.aim is not None and self._reaches(self.aim) else "met"
@@ -60,19 +57,13 @@ class Found:
         self.records = {record.name: record for record in records}
 
     def units(self, name: str) -> float:
-        """Median in work units; nan where it was not measured, or the unit is void."""
+        """Median in work units; nan where it was not measured."""
         record = self.records.get(name)
-        return NAN if record is None or record.share_of_triad < LEAST_SHARE else record.units
+        return NAN if record is None else record.units
 
     def in_units(self, what: str, names: Sequence[str], must: float, aim: float) -> Goal:
-        """The goal for the least of these in work units; void if all of their units are."""
-        known = [record for name in names if (record := self.records.get(name)) is not None]
-        units = least(map(self.units, names))
-        if not math.isnan(units) or not known:
-            return Goal(what, units, must, aim, " WU")
-        best = min(known, key=lambda record: record.units)
-        void = f"the unit's apply at {best.share_of_triad:.0%} of a triad"
-        return Goal(what, best.units, must, aim, " WU", void=void)
+        """The goal for the least of these in work units."""
+        return Goal(what, least(map(self.units, names)), must, aim, " WU")
 
     def seconds(self, name: str) -> float:
         record = self.records.get(name)

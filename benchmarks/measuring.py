@@ -26,7 +26,6 @@ from amrpic.poisson import PoissonSolver
 ROOT = Path(__file__).parents[1]
 BACKENDS = get_args(menu.Backend)
 BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
-LEAST_SHARE = 0.8  # of a triad's bytes per second, below which a work unit is void
 CORE = "share of a core"
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -39,38 +38,30 @@ ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """The time of one plain 7-point apply on an array of so many cells, which all ranks share out and do at a time."""
+    """What times are given in, measured for an array of so many cells that all ranks divide and pass over at a time.
 
-    seconds: float
-    share_of_triad: (
-        float  # bytes per second over those of a triad, a written value counted as 16 bytes; lowest of the ranks
-    )
-    triad: float  # bytes per second of all ranks
+    It is the time of one plain 7-point apply, or, if that is less, of moving its 24 bytes per cell at the bandwidth of a
+    triad out of cache.
+    """
 
-    @property
-    def void(self) -> bool:
-        """Whether the apply was so far from what memory gives that it is no unit."""
-        return self.share_of_triad < LEAST_SHARE
+    seconds: float  # of the slowest rank
+    apply: float  # s, of the plain apply
+    triad: float  # bytes per second of all ranks, out of cache
 
     def told(self, cells: int) -> dict[str, Any]:
-        """What a record of so many cells says of its unit."""
-        return {"unit": self.seconds, "share_of_triad": self.share_of_triad, "cells": cells}
+        """The fields of a record of so many cells that belong to its unit."""
+        return {"unit": self.seconds, "apply": self.apply, "triad": self.triad, "cells": cells}
 
 
-def work_unit(comm: MPI.Comm, cells: int, trials: int = 8) -> WorkUnit:
-    """Return the work unit of so many cells; one that is void is measured again, up to `trials` times. Collective."""
-    for _ in range(trials):
-        comm.Barrier()
-        own = _native.measure_work_unit(max(1, cells // comm.size))
-        share = own.apply_throughput / own.triad_throughput
-        unit = WorkUnit(
-            comm.allreduce(own.apply_seconds, op=MPI.MAX),
-            comm.allreduce(share, op=MPI.MIN),
-            comm.allreduce(own.triad_throughput),
-        )
-        if not unit.void:
-            break
-    return unit
+def work_unit(comm: MPI.Comm, cells: int) -> WorkUnit:
+    """Return the work unit of so many cells. Collective."""
+    comm.Barrier()
+    own = _native.measure_work_unit(max(1, cells // comm.size))
+    return WorkUnit(
+        comm.allreduce(own.seconds, op=MPI.MAX),
+        comm.allreduce(own.apply_seconds, op=MPI.MAX),
+        comm.allreduce(own.triad_throughput),
+    )
 
 
 @dataclass
@@ -80,10 +71,11 @@ class Record:
     name: str
     seconds: list[float]  # of each run, of the slowest rank
     unit: float = 0.0  # s, the work unit measured beside it; 0 if none was
-    share_of_triad: float = 0.0
     cells: int = 0
     particles: int = 0
     facts: dict[str, Any] = field(default_factory=dict)  # cycles, seconds of stages, bytes per cell and the like
+    apply: float = 0.0  # s, of a plain apply on as many cells
+    triad: float = 0.0  # bytes per second of a triad out of cache
 
     @property
     def median(self) -> float:

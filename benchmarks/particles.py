@@ -138,14 +138,7 @@ def main() -> None:
             print(f"{count:.0e} particles, {shape:24}{figures}  ns/particle", flush=True)
             unit = work_unit(MPI.COMM_SELF, options.cells**3)
             records += [
-                Record(
-                    record_name(stage, count, shape),
-                    taken,
-                    unit.seconds,
-                    unit.share_of_triad,
-                    particles=count,
-                    facts=facts,
-                )
+                Record(record_name(stage, count, shape), taken, unit.seconds, particles=count, facts=facts)
                 for stage, taken in found.items()
             ]
     if options.output:

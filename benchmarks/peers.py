@@ -79,8 +79,7 @@ class Beside:
         self.wanted = by_sine_transform(self.f, self.inverse)
 
     def record(self, who: str, seconds: list[float], **facts: object) -> Record:
-        share = self.unit.share_of_triad
-        return Record(peer_name(self.n, who), seconds, self.unit.seconds, share, self.n**3, facts=dict(facts))
+        return Record(peer_name(self.n, who), seconds, facts=dict(facts), **self.unit.told(self.n**3))
 
     def require_same(self, who: str, phi: Array) -> None:
         """Raise SystemExit unless a potential is the sine transform's: a peer that solves something else is no peer."""

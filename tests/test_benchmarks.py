@@ -16,7 +16,7 @@ from mpi4py import MPI
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import cases
 import charts
-import compare
+import compare_records
 import goals
 import growth
 import measuring
@@ -39,24 +39,20 @@ WORLD = MPI.COMM_SELF
 
 def test_work_unit_grows_with_its_cells_and_is_bounded_by_memory():
     small, large = (measuring.work_unit(WORLD, cells) for cells in (10**5, 4 * 10**6))
-    assert 20 * small.seconds < large.seconds
-    for unit in small, large:
-        assert 0.3 < unit.share_of_triad < 3  # other work on the machine moves it, but bytes are counted alike
+    assert 10 * small.seconds < large.seconds
+    for unit, cells in (small, 10**5), (large, 4 * 10**6):
         assert 1e8 < unit.triad < 1e13
+        assert unit.seconds == pytest.approx(min(unit.apply, performance.APPLY_BYTES * cells / unit.triad))
 
 
 def test_work_unit_of_few_cells_is_a_time():
     assert measuring.work_unit(WORLD, 1).seconds > 0
 
 
-def test_a_figure_in_a_void_unit_decides_nothing():
-    record = Record("a", [2.0], unit=1.0, share_of_triad=0.5)
-    assert np.isnan(goals.Found([record]).units("a"))
-    goal = goals.Found([record]).in_units("a solve", ["a", "b"], 3, 1)
-    assert goal.measured == 2.0 and goal.verdict == "void: the unit's apply at 50% of a triad"
-    record.share_of_triad = 0.9
-    assert goals.Found([record]).units("a") == 2.0
-    assert goals.Found([record]).in_units("a solve", ["a", "b"], 3, 1).verdict == "met"
+def test_goals_in_work_units_take_the_least():
+    records = [Record("a", [2.0], unit=1.0), Record("b", [4.0], unit=1.0)]
+    goal = goals.Found(records).in_units("a solve", ["a", "b"], 3, 1)
+    assert goal.measured == 2.0 and goal.verdict == "met"
     assert goals.Found([]).in_units("a solve", ["a", "b"], 3, 1).verdict == "not measured"
 
 
@@ -139,7 +135,7 @@ def test_a_peer_that_solves_something_else_is_refused():
 
 def test_goals_are_met_or_missed_by_their_records():
     name = solving.name("bunch 64", 24, 1)
-    of = [Record(name, [3.0, 1.0, 2.0], unit=0.02, share_of_triad=1.0, facts={"cycles": 9})]
+    of = [Record(name, [3.0, 1.0, 2.0], unit=0.02, facts={"cycles": 9})]
     told = {goal.what: goal for goal in goals.goals(of)}
     units, cycles = told["bunch 64, boxes 24, to 1e-10"], told["bunch 64, boxes 24: cycles"]
     assert units.measured == 100 and units.verdict == "met"
@@ -159,7 +155,7 @@ def test_cycles_that_differ_between_ranks_are_told():
 
 
 def test_records_survive_their_file(tmp_path):
-    records = [Record("a", [1.0, 2.0], 0.5, 0.9, 8, 3, {"cycles": 7, "stages": {"x": 0.1}})]
+    records = [Record("a", [1.0, 2.0], 0.5, 8, 3, {"cycles": 7, "stages": {"x": 0.1}})]
     measuring.write(tmp_path / "b.json", records, quick=True)
     assert measuring.read(tmp_path / "b.json") == records
 
@@ -170,7 +166,7 @@ def test_records_survive_their_file(tmp_path):
 def runs_of(tmp_path: Path, name: str, **changed: Record) -> Path:
     """A made-up run: a solve and a stage, with what is changed."""
     records = {
-        "solve": Record("solve", [1.0, 1.02, 0.98, 1.01, 0.99], 0.01, 0.9, 8, 0, {"cycles": 7, "stages": {"a": 1.0}}),
+        "solve": Record("solve", [1.0, 1.02, 0.98, 1.01, 0.99], 0.01, 8, 0, {"cycles": 7, "stages": {"a": 1.0}}),
         "stage": Record("stage", [2.0, 2.02, 1.98, 2.0, 2.01]),
         "noisy": Record("noisy", [1.0, 2.0, 0.5, 1.5, 0.7]),
         "memory": Record("memory", [1.0], facts={"bytes per cell, peak": 30.0}),
@@ -183,13 +179,13 @@ def runs_of(tmp_path: Path, name: str, **changed: Record) -> Path:
 
 def compared(before: Path, after: Path, *arguments: str) -> tuple[int, str]:
     with contextlib.redirect_stdout(io.StringIO()) as text:
-        status = compare.main([str(before), str(after), *arguments])
+        status = compare_records.main([str(before), str(after), *arguments])
     return status, text.getvalue()
 
 
 def test_a_run_is_as_fast_as_itself(tmp_path):
     one = runs_of(tmp_path, "one")
-    command = [sys.executable, str(BENCHMARKS / "compare.py"), str(one), str(one)]
+    command = [sys.executable, str(BENCHMARKS / "compare_records.py"), str(one), str(one)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "0 slower, 0 faster, 5 as before; 0 in one run only" in done.stdout
 
@@ -209,10 +205,10 @@ def test_a_stage_that_became_faster_is_no_failure(tmp_path):
 
 
 def test_a_slower_machine_is_not_slower_code(tmp_path):
-    there = Record("solve", [2.0, 2.04, 1.96, 2.02, 1.98], 0.02, 0.9, 8, 0, {"cycles": 7})
+    there = Record("solve", [2.0, 2.04, 1.96, 2.02, 1.98], 0.02, 8, 0, {"cycles": 7})
     status, _ = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", solve=there))
     assert status == 0
-    there.share_of_triad = 0.7  # its unit is void, so seconds decide
+    there.unit = 0.0  # without a unit seconds decide
     status, _ = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", solve=there))
     assert status == 1
 
@@ -224,7 +220,7 @@ def test_noise_is_no_change(tmp_path):
 
 
 def test_a_cycle_more_and_memory_more_are_slower(tmp_path):
-    more = Record("solve", [1.0, 1.02, 0.98, 1.01, 0.99], 0.01, 0.9, 8, 0, {"cycles": 8})
+    more = Record("solve", [1.0, 1.02, 0.98, 1.01, 0.99], 0.01, 8, 0, {"cycles": 8})
     status, text = compared(runs_of(tmp_path, "one"), runs_of(tmp_path, "two", solve=more))
     assert status == 1 and "solve: cycles" in text
     more = Record("memory", [1.0], facts={"bytes per cell, peak": 36.0})
@@ -235,7 +231,7 @@ def test_a_cycle_more_and_memory_more_are_slower(tmp_path):
 def test_standard_error_of_a_median_is_that_of_draws():
     rng = np.random.default_rng(3)
     draws = rng.normal(10, 1, size=(4000, 101))
-    found = np.mean([compare.error(list(row)) for row in draws[:200]])
+    found = np.mean([compare_records.error(list(row)) for row in draws[:200]])
     assert found == pytest.approx(np.median(draws, axis=1).std() / 10, rel=0.1)
 
 
@@ -254,22 +250,20 @@ def made_up() -> list[Record]:
     """Records of every kind that charts and the document show."""
     stages = {"residual": 0.2, "pre_smooth_and_restrict": 0.5}
     out = [
-        Record(
-            solving.name(case, boxes, ranks, what), [1.0 / ranks], 0.01, 0.9, 10**6, 0, {"cycles": 7, "stages": stages}
-        )
+        Record(solving.name(case, boxes, ranks, what), [1.0 / ranks], 0.01, 10**6, 0, {"cycles": 7, "stages": stages})
         for case in ("static 64", "bunch 64", "uniform 64")
         for boxes in (24, 32)
         for ranks in (1, 2)
         for what in ("1e-10", "1e-06", "discretization")
     ]
     for at, who in enumerate(("amrpic", "scipy DST", "hypre PFMG-CG", "hypre PFMG-CG, set-up")):
-        out.append(Record(peers.peer_name(64, who), [0.1 * (at + 1)], 0.01, 0.9, 64**3, facts={"iterations": 9}))
+        out.append(Record(peers.peer_name(64, who), [0.1 * (at + 1)], 0.01, 64**3, facts={"iterations": 9}))
     for stage in particles.STAGES:
         for count in (10**5, 10**6):
             out.append(Record(particles.record_name(stage, count, "cloud-in-cell"), [1e-8 * count], particles=count))
     for levels in (1, 2, 4):
         name = f"growth, levels {levels}, boxes 32, 1 rank, 1e-10"
-        out.append(Record(name, [0.1 * levels], 0.01, 0.9, 8 * levels, facts={"levels": levels, "boxes": levels}))
+        out.append(Record(name, [0.1 * levels], 0.01, 8 * levels, facts={"levels": levels, "boxes": levels}))
     step = Record(pic_step.step_name("amrpic", 64, 10**6, "dirichlet"), [0.2], facts={"stages": {"deposit": 0.1}})
     return [*out, step, Record("memory, static 128, boxes 32", [1.0], cells=8, facts={"bytes per cell, peak": 30.0})]
 

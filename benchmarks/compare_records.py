@@ -1,4 +1,7 @@
-"""Tell two runs of the benchmarks apart: python benchmarks/compare.py BEFORE.json AFTER.json
+"""Compare two runs of `make bench` that were recorded: python benchmarks/compare_records.py BEFORE.json AFTER.json
+
+They were made at different times, so differences below a tenth are not decided; benchmarks/compare.py, which runs two builds
+in turns, decides 3 %.
 
 What was timed beside a work unit in both is compared in work units, so that a slower machine is not slower code; the rest
 in seconds. A difference counts where the medians are further apart than the threshold and than the noise, three standard
@@ -17,7 +20,7 @@ from pathlib import Path
 from statistics import median
 
 from goals import figure, printed
-from measuring import LEAST_SHARE, Record, read
+from measuring import Record, read
 
 THRESHOLD = 0.1
 ERRORS = 3.0  # standard errors of a median that are noise
@@ -60,7 +63,7 @@ def changes(before: Sequence[Record], after: Sequence[Record]) -> list[Change]:
 
 def changed(old: Record, new: Record) -> Change:
     noise = ERRORS * math.hypot(error(old.seconds), error(new.seconds))
-    if min(old.unit, new.unit) > 0 and min(old.share_of_triad, new.share_of_triad) >= LEAST_SHARE:
+    if min(old.unit, new.unit) > 0:
         return Change(new.name, "WU", old.units, new.units, noise)
     return Change(new.name, "s", old.median, new.median, noise)
 

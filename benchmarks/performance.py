@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import bases
 import charts
+import gamma
 import goals
 import growth
 from cases import FAMILIES
@@ -31,6 +33,7 @@ def document(records: Sequence[Record], about: dict[str, Any]) -> str:
     machine = about["machine"]
     return TEXT.format(
         processor=machine["processor"],
+        instructions=machine["instructions"],
         cores=machine["cores"],
         core=share_of_core(records),
         time=machine["time"],
@@ -42,6 +45,8 @@ def document(records: Sequence[Record], about: dict[str, Any]) -> str:
         solves=markdown(solves(records)),
         ranks=markdown(ranks(records)),
         uniform=markdown(uniform(records)),
+        bases=markdown(bases.rows({record.name: record for record in records})),
+        gamma=markdown(gamma.rows({record.name: record for record in records})),
         steps=markdown(steps(records)),
         particles=markdown(particles(records)),
         memory=markdown(memory(records)),
@@ -86,6 +91,7 @@ def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
             "cells",
             "1e-10",
             "WU",
+            "over the DST",
             "cycles",
             "WU per cycle",
             "to 1e-6, WU",
@@ -103,7 +109,8 @@ def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
             more = (in_units(known.records.get(name(case, boxes, 1, what))) for what in ("1e-06", "discretization"))
             reference = MLMG.get((case, boxes))
             cells = f"{record.cells / 1e6:.2f} M"
-            first = (case, str(boxes), cells, f"{record.median:.3g} s", in_units(record), str(cycles))
+            units = (in_units(record), told(record.over_dst, "×"))
+            first = (case, str(boxes), cells, f"{record.median:.3g} s", *units, str(cycles))
             rows.append((*first, in_units(record, cycles), *more, told(reference or math.nan)))
     return rows
 
@@ -195,7 +202,7 @@ def in_units(record: Record | None, cycles: int = 1) -> str:
 TEXT = """# Performance
 
 Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
-{processor}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
+{processor}, kernels for {instructions}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
 {runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
 OLD NEW` runs two builds in turns, and tells a difference of 3 % from noise; `benchmarks/compare_records.py BEFORE.json
 AFTER.json` compares two runs of this.
@@ -290,7 +297,8 @@ what it brings:
 ## Solves
 
 From a zero guess on one rank. AMReX's column is its multigrid (MLMG 24.10, {cycles} cycles) measured on another day on two
-cores with AVX-512, in the WU of that run.
+cores with AVX-512, in the WU of that run. "Over the DST" is the time per cell over that of scipy's sine transform and its
+inverse on 128³ cells in the same turn, which the goals of the first table in "×" of it go by, too, in eleven turns.
 
 {solves}
 
@@ -311,6 +319,19 @@ left out. Ours ends at 1e-10 in the max norm, the peers in the 2-norm.
 {uniform}
 
 ![Solvers on the uniform mesh](pictures/performance_uniform.png)
+
+## Bases of any extent
+
+Time per cell of one level of n³ cells between grounded walls, to 1e-10, beside the nearest 2^k or 3·2^k in the same turns.
+
+{bases}
+
+## Long cells
+
+A bunch that moves with γ is solved for on cells γ times as long. 64³ cells with one refined level of cells 8 to 119 along
+each axis, or with three nested cubes of 64³ cells; beside the same mesh with γ = 1, in the same turns.
+
+{gamma}
 
 ## Particles and whole steps
 

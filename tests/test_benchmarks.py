@@ -14,9 +14,13 @@ import pytest
 from mpi4py import MPI
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import bases
+import builds
 import cases
 import charts
+import compare
 import compare_records
+import gamma
 import goals
 import growth
 import measuring
@@ -24,6 +28,7 @@ import particles
 import peers
 import performance
 import pic_step
+import sine
 import solving
 from measuring import Record
 
@@ -110,8 +115,7 @@ def test_a_step_is_told_by_stages():
 
 def test_sine_transform_solves_the_equations_that_pyamg_gets():
     f = peers.right_hand_side(16)
-    of_x, of_y, of_z = np.meshgrid(*[peers.eigenvalues(16)] * 3, indexing="ij", sparse=True)
-    phi = peers.by_sine_transform(f, 1 / (of_x + of_y + of_z))
+    phi = sine.by_sine_transform(f, sine.inverse_eigenvalues(16))
     assert np.abs(peers.matrix(16) @ phi.ravel() - f.ravel()).max() < 1e-13 * np.abs(f).max()
 
 
@@ -140,7 +144,7 @@ def test_goals_are_met_or_missed_by_their_records():
     units, cycles = told["bunch 64, boxes 24, to 1e-10"], told["bunch 64, boxes 24: cycles"]
     assert units.measured == 100 and units.verdict == "met"
     assert cycles.measured == 9 and cycles.verdict == "missed"
-    assert told["uniform 128 to 1e-10 against scipy's DST"].verdict == "not measured"
+    assert told["uniform 128, boxes 64, to 1e-10: time per cell over the DST's"].verdict == "not measured"
     rows = goals.table(list(told.values()))
     assert ("bunch 64, boxes 24, to 1e-10", "≤ 100 WU", "≤ 57 WU", "100 WU", "met") in rows
 
@@ -235,6 +239,105 @@ def test_standard_error_of_a_median_is_that_of_draws():
     assert found == pytest.approx(np.median(draws, axis=1).std() / 10, rel=0.1)
 
 
+# ---- two builds in turns ----
+
+
+def made_up_turns(rng: np.random.Generator, change: float, noise: float, most: int) -> compare.Difference:
+    """The difference of two builds whose ratio scatters by `noise`, with some outliers, after as many turns as decide."""
+    old: list[float] = []
+    new: list[float] = []
+    while True:
+        for side, speed in ((old, 1.0), (new, 1.0 + change)):
+            disturbed = rng.exponential(5 * noise) if rng.random() < 0.05 else 0.0
+            side.append(speed * float(np.exp(rng.normal(0, noise / np.sqrt(2)) + disturbed)))
+        if len(old) >= most or (len(old) >= compare.TURNS and len(old) % 10 == 1):
+            found = compare.difference(old, new)
+            if len(old) >= most or found.decided():
+                return found
+
+
+def test_a_difference_of_three_percent_is_found_in_noise_of_ten():
+    rng = np.random.default_rng(2)
+    found = [made_up_turns(rng, 0.03, 0.1, 900) for _ in range(40)]
+    assert sum(one.verdict().startswith("slower by") for one in found) >= 36
+    assert all(one.error < compare.LARGEST_ERROR for one in found)
+    assert np.median([one.change for one in found]) == pytest.approx(0.03, abs=0.003)
+
+
+@pytest.mark.parametrize("noise, most", [(0.02, 60), (0.1, 11), (0.1, 100)])
+def test_equal_builds_are_hardly_ever_called_different(noise, most):
+    rng = np.random.default_rng(3)
+    verdicts = [made_up_turns(rng, 0.0, noise, most).verdict() for _ in range(300)]
+    assert sum("er by" in verdict for verdict in verdicts) <= 0.05 * len(verdicts)
+    if noise == 0.02:
+        assert verdicts.count("no difference above 3%") > 0.95 * len(verdicts)
+
+
+def test_a_verdict_says_how_many_turns_it_needs():
+    rng = np.random.default_rng(4)
+    wanted = np.median([made_up_turns(rng, 0.03, 0.1, 900).turns for _ in range(10)])
+    told = [made_up_turns(rng, 0.03, 0.1, 60).verdict() for _ in range(30)]
+    needs = [int(one.split()[-2]) for one in told if one.startswith("too noisy to tell: needs about")]
+    assert len(needs) > 10 and 0.6 * wanted < np.median(needs) < 1.6 * wanted
+
+
+def test_standard_error_of_the_median_is_that_of_draws():
+    draws = np.random.default_rng(3).normal(0, 1, size=(4000, 31))
+    found = np.mean([compare.median_error(list(row)) for row in draws[:400]])
+    assert found == pytest.approx(np.median(draws, axis=1).std(), rel=0.1)
+    assert compare.median_error([1.0] * 4) == np.inf
+
+
+def test_figures_are_told_over_the_sine_transform_and_particles_in_nanoseconds():
+    solver, stages = compare.Case("uniform 128"), compare.Case("particles 1e6")
+    for factor in (1.0, 1.1, 0.9, 1.05, 0.95, 1.0):  # the machine, in both
+        solver.add({"DST": 3e-8 * factor, "solve": 3e-8 * factor}, {"DST": 3e-8, "solve": 3.6e-8})
+        stages.add({"DST": 3e-8, "deposit": 8e-9}, {"DST": 3e-8, "deposit": 8e-9})
+    rows = compare.table([solver, stages])
+    assert rows[1] == ("uniform 128: solve", "1 DST", "1.2 DST", "1.200", "0.000", "6", "slower by 20.0% ± 0.0%")
+    assert rows[2][:3] == ("particles 1e6: deposit", "8 ns", "8 ns") and rows[2][-1] == "no difference above 3%"
+
+
+def test_a_case_is_measured_in_a_process_of_a_build(tmp_path):
+    (tmp_path / "amrpic").mkdir()
+    (tmp_path / "amrpic" / "__init__.py").touch()
+    build = builds.Build("here", tmp_path, {"AMRPIC_TEST": "1"})
+    script = tmp_path / "script.py"
+    script.write_text("import amrpic, os; print(amrpic.__file__, os.environ['AMRPIC_TEST'])")
+    assert build.run(script).split() == [str(tmp_path / "amrpic" / "__init__.py"), "1"]
+    with pytest.raises(SystemExit, match="no-such-revision is no git revision"):
+        builds.build("no-such-revision@A=1")
+
+
+# ---- bases, and long cells ----
+
+
+def test_bases_are_timed_beside_the_nearest_smooth_one():
+    assert [bases.nearest(n) for n in (72, 81, 96, 125, 127, 250)] == [64, 96, 128, 128, 128, 256]
+    one, other = bases.measure(24, 2, 1000.0)
+    assert one.name == "base, 24" and len(one.seconds) == len(other.seconds) == 2
+    skipped = Record("base, 81", [float("nan")], facts={"skipped": "not done within 60 s"})
+    told = bases.rows({record.name: record for record in (one, other, skipped)})
+    assert told[1][0] == "24³" and told[1][-1] == "2" and told[2][-2] == "not done within 60 s"
+    (goal, *_) = goals.any_base(goals.Found([skipped]))
+    assert goal.verdict == "missed" and goal.note == "1 of 1 not done"
+
+
+def test_long_cells_are_timed_beside_cubes():
+    one, cubes = gamma.measure(10, "one level", "dirichlet", 32, 1, 1000.0)
+    assert cubes.name == one.name + gamma.CUBES and one.facts["bytes beyond"] > 0
+    records = {record.name: record for record in (one, cubes)}
+    assert 0 < gamma.gamma_ratio(records, one) < 100 and 0 < gamma.memory_ratio(one) < 100
+    assert gamma.rows(records)[1][:4] == ("10", "one level", "dirichlet", "32")
+
+
+def test_a_part_that_takes_too_long_is_skipped(tmp_path):
+    script = tmp_path / "sleeps.py"
+    script.write_text("import time; time.sleep(60)")
+    (record,) = measuring.launch_or_skip(script, [], "it", 0.5)
+    assert record.skipped.startswith("not done within")
+
+
 # ---- growth, charts and the document ----
 
 
@@ -250,7 +353,14 @@ def made_up() -> list[Record]:
     """Records of every kind that charts and the document show."""
     stages = {"residual": 0.2, "pre_smooth_and_restrict": 0.5}
     out = [
-        Record(solving.name(case, boxes, ranks, what), [1.0 / ranks], 0.01, 10**6, 0, {"cycles": 7, "stages": stages})
+        Record(
+            solving.name(case, boxes, ranks, what),
+            [1.0 / ranks],
+            0.01,
+            10**6,
+            facts={"cycles": 7, "stages": stages},
+            dst=[5e-8],
+        )
         for case in ("static 64", "bunch 64", "uniform 64")
         for boxes in (24, 32)
         for ranks in (1, 2)
@@ -276,14 +386,14 @@ def test_every_chart_is_drawn(tmp_path):
 
 def test_document_tells_what_was_measured(tmp_path):
     about = {
-        "machine": {"processor": "P", "cores": 2, "load": 0.5, "time": "now", "commit": "abc"},
+        "machine": {"processor": "P", "instructions": "AVX2", "cores": 2, "load": 0.5, "time": "now", "commit": "abc"},
         "backend": "crs",
         "runs": 5,
     }
     measuring.write(tmp_path / "bench.json", made_up(), **about)
     text = performance.write(tmp_path / "bench.json", tmp_path).read_text()
     assert "| bunch 64, boxes 24, to 1e-10 | ≤ 100 WU | ≤ 57 WU | 100 WU | met |" in text
-    assert "| static 64 | 24 | 1.00 M | 1 s | 100 | 7 | 14.3 | 100 | 100 | 592 |" in text
+    assert "| static 64 | 24 | 1.00 M | 1 s | 100 | 20× | 7 | 14.3 | 100 | 100 | 592 |" in text
     assert "| static 64 | 32 | 1 s | 0.5 s | 2.00× |" in text
     assert "| 64³ | hypre PFMG-CG | 0.4 s | 0.3 s | 30 | 9 |" in text
     assert "| deposit | particles | 100000 | 1000000 | 1.00 | 0% |" in text

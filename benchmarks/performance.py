@@ -219,7 +219,7 @@ A **work unit** (WU) is the time of one plain 7-point apply, in double precision
 cells as the hierarchy has; or, if that is less, the time that memory takes for the {apply_bytes} bytes per cell that such an
 apply moves, at the bandwidth of a triad on arrays out of cache. It is what an explicit code pays to look at every cell
 once, so a solver's time in WU says how many looks it takes. Both are measured beside every figure, the apply as the best of
-five, the triad as the best of three.
+five, the triad as the best of three, in CPU time, which does not count how long a rank waits where others use its core.
 
 The {apply_bytes} bytes: an apply's neighbours come from the cache, so 8 bytes are read, and 16 move for the value that is
 written, since an ordinary store fetches the line before it changes it. A triad, a = b + s c, moves 32 bytes per value,

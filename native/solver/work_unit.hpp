@@ -4,7 +4,7 @@
 
 namespace amrpic {
 
-/// The unit that solver times are given in, measured on this machine by this rank alone.
+/// The unit that solver times are given in, measured on this machine by this rank alone, in CPU time.
 ///
 /// It is the time of one plain 7-point apply in double precision on one array of so many cells, or, if that is less,
 /// the time that memory takes for the 24 bytes per cell which such an apply moves: a value read, a value written, and

@@ -25,7 +25,7 @@ from amrpic.poisson import PoissonSolver
 BASES = (72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251)
 SMOOTH = sorted({factor << k for factor in (1, 3) for k in range(3, 10)})
 TURNS = 7
-LIMIT = 60.0  # s, for a base and its reference together
+LIMIT = 120.0  # s, for a base and its reference together
 
 
 def nearest(n: int) -> int:

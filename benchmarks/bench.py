@@ -8,7 +8,9 @@ told, not an error.
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.metadata
+import importlib.util
 import os
 import platform
 import subprocess
@@ -19,7 +21,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import bases
 import charts
+import gamma
 import performance
 from goals import goals, printed, table
 from growth import laws, rows
@@ -42,7 +46,7 @@ class Part:
 def parts(backend: str, quick: bool, runs: int) -> list[Part]:
     """Return what is run, in order."""
     options = ("--backend", backend, "--runs", str(runs))
-    repeats = ("--repeats", str(runs))
+    repeats, repeats_of_gamma = ("--repeats", str(runs)), ("--runs", str(runs))
     small = ("--quick",) if quick else ()
     peers = ("--cells", "64") if quick else ("--cells", "64", "128")
     counts = ("1e6",) if quick else ("1e5", "1e6", "1e7")
@@ -60,6 +64,8 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
             for ranks in (1, 2)
         ),
         *(Part("walls", "walls.py", ranks, options) for ranks in walls),
+        Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
+        *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
         Part("agreement", "agreement.py", 1, small),
     ]
 
@@ -92,12 +98,23 @@ def machine() -> dict[str, Any]:
     )
     return {
         "processor": model[0].split(":", 1)[1].strip() if model else platform.processor(),
+        "instructions": instructions(),
         "cores": os.cpu_count(),
         "load": os.getloadavg()[0],
         "time": time.strftime("%Y-%m-%d %H:%M:%S %Z"),
         "commit": commit.stdout.strip(),
         "versions": {name: importlib.metadata.version(name) for name in ("amrpic", "numpy", "scipy")},
     }
+
+
+def instructions() -> str:
+    """Return the instruction set that the kernels use: as the package reports it, else the widest that the processor has,
+    which a native build compiles for."""
+    if importlib.util.find_spec("amrpic.isa") is not None:
+        return str(importlib.import_module("amrpic.isa").description())
+    lines = (line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("flags"))
+    flags = next(lines, "").split()
+    return next((name for flag, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), "without AVX2")
 
 
 def main() -> int:
@@ -114,10 +131,15 @@ def main() -> int:
     about = {"machine": machine(), "quick": given.quick, "backend": given.backend, "runs": given.runs}
     start = time.perf_counter()
     chosen = [part for part in parts(given.backend, given.quick, given.runs) if part.name in given.only]
+    print("{processor}, {cores} cores, {instructions}, commit {commit}".format_map(about["machine"]), flush=True)
     records, failed = measure(chosen)
     write(given.output / "bench.json", records, **about, minutes=(time.perf_counter() - start) / 60)
     charts.draw(records, given.output)
     print(printed(table(goals(records))))
+    known = {record.name: record for record in records}
+    for more in (bases.rows(known), gamma.rows(known)):
+        if len(more) > 1:
+            print("\n" + printed(more))
     if (found := laws(records)) != []:
         print("\n" + printed(rows(found)))
     if not (given.quick or failed or len(given.only) < len(NAMES)):

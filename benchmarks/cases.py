@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -63,7 +64,8 @@ def problem(comm: MPI.Comm, case: str, boxes: int) -> Problem:
         return Problem(peers.bunch(comm, n, boxes), ten.density, Remembered(ten.potential), ten.potential)
     elif family == "uniform":
         domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary="dirichlet")
-        return Problem(amrpic.Hierarchy(comm, domain, max_grid_size=boxes), peers.static_source().density)
+        blocking = math.gcd(n, 8) if n % 2 == 0 else 8
+        return Problem(amrpic.Hierarchy(comm, domain, (), boxes, blocking), peers.static_source().density)
     else:
         return stretched(comm, family, n, boxes)
     return Problem(hierarchy, source.density, Remembered(source.potential), source.potential)

@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from cases import FAMILIES
-from goals import Found, Goal, goals
+from goals import Goal, goals
 from goals import figure as figure_of
 from growth import Law, laws
 from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ def standing(known: Mapping[str, Record]) -> Figure | None:
     figure = Figure(figsize=(9, 0.6 + 0.28 * len(measured)), layout="constrained")
     panel = figure.add_subplot()
     for row, goal in enumerate(reversed(measured)):
-        color = OTHERS if goal.void else BAD if goal.verdict == "missed" else GOOD
+        color = BAD if goal.verdict == "missed" else GOOD
         panel.barh(row, relative(goal, goal.measured), color=color, height=0.62)
         value = f"{figure_of(goal.measured)}{goal.unit}"
         panel.annotate(value, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=8)
@@ -56,9 +56,7 @@ def standing(known: Mapping[str, Record]) -> Figure | None:
     panel.axvline(1, color="black", linewidth=1, linestyle="--")
     panel.set_yticks(range(len(measured)), [goal.what for goal in reversed(measured)], fontsize=8)
     panel.set_xscale("log")
-    panel.set_xlabel(
-        "time or amount over what it must be at most (dashed)\nblack ticks: aims; grey: the work unit is void"
-    )
+    panel.set_xlabel("time or amount over what it must be at most (dashed)\nblack ticks: aims")
     panel.margins(y=0.01)
     panel.set_xlim(left=LEAST_SHOWN)
     return figure
@@ -76,25 +74,20 @@ def solver(known: Mapping[str, Record]) -> Figure | None:
         return None
     figure = Figure(figsize=(9, 4), layout="constrained")
     panel = figure.add_subplot()
-    found = Found(list(known.values()))
     sizes = [boxes for boxes in BOXES if any(name(case, boxes, 1) in known for case in shown)]
     width = 0.8 / len(sizes)
     for at, boxes in enumerate(sizes):
         places = np.arange(len(shown)) + (at - (len(sizes) - 1) / 2) * width
         records = [known.get(name(case, boxes, 1)) for case in shown]
         heights = [math.nan if record is None else record.units for record in records]
-        bars = panel.bar(
+        panel.bar(
             places, heights, width * 0.92, color=OURS, alpha=0.4 + 0.6 * at / len(sizes), label=f"boxes of {boxes}"
         )
-        for bar, record in zip(bars, records, strict=True):
-            if record is not None and math.isnan(found.units(record.name)):
-                bar.set_hatch("//")
-                bar.set_edgecolor("white")
         peers = [MLMG.get((case, boxes), math.nan) for case in shown]
         label = "AMReX MLMG, same boxes" if boxes == 24 else "_"
         panel.hlines(peers, places - width / 2, places + width / 2, color=REFERENCE, linewidth=3, label=label)
     panel.set_xticks(range(len(shown)), shown)
-    panel.set_ylabel("work units to 1e-10, one rank; hatched: void")
+    panel.set_ylabel("work units to 1e-10, one rank")
     panel.legend(fontsize=8, ncols=5, loc="upper center", bbox_to_anchor=(0.5, 1.13), frameon=False)
     return figure
 

@@ -1,118 +1,171 @@
-"""Tell two runs of the benchmarks apart: python benchmarks/compare.py BEFORE.json AFTER.json
+"""Tell which of two builds is faster: python benchmarks/compare.py OLD NEW [--cases ...] [--turns 11] [--minutes 30]
 
-What was timed beside a work unit in both is compared in work units, so that a slower machine is not slower code; the rest
-in seconds. A difference counts where the medians are further apart than the threshold and than the noise, three standard
-errors of the medians as the spread of the runs gives them; what ran but once has none, and its time is left out. More
-cycles, or more memory beyond the threshold, count as slower. The exit status is 1 if anything became slower.
+OLD and NEW are git revisions, working trees, or folders with a built package, and may end in environment variables:
+`main HEAD`, `../other .`, `. .@AMRPIC_ISA=v3`. Each is built in a folder of its own with the same flags. The two take turns,
+OLD, NEW, OLD, NEW, each turn in a fresh process, so that what slows the machine down slows both, and what differs from process
+to process is averaged. A figure is decided by the ratios of the pairs, turns being added until it can be, or time is over.
+
+Times are CPU times: on cores that others use as well a process waits, which wall time counts and CPU time does not (measured:
+of two waiting neighbours wall time more than doubled, CPU time moved by 5 %). What shared memory and caches cost remains in
+both; so the solver's times are divided by that of scipy's sine transform on 128³ cells in the same process, per cell. The exit
+status is 1 if a figure became slower.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import median
+from statistics import NormalDist, median
 
-from goals import figure, printed
-from measuring import LEAST_SHARE, Record, read
+import turn
+from builds import Build, build
+from goals import printed
 
-THRESHOLD = 0.1
-ERRORS = 3.0  # standard errors of a median that are noise
+THRESHOLD = 0.03  # a relative difference that must be told from noise
+LARGEST_ERROR = 0.01  # standard error of a figure that is decided
+CONFIDENCE = 0.99
+ERRORS = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)  # standard errors to either side
+TURNS, MINUTES = 11, 30.0
+
+
+# ---- statistics ----
 
 
 @dataclass(frozen=True)
-class Change:
-    """How something differs: before, after and what is noise, of the larger over the smaller."""
+class Difference:
+    """The median of the ratios NEW / OLD of so many turns, less one, and its standard error."""
+
+    change: float
+    error: float
+    turns: int
+
+    def decided(self, threshold: float = THRESHOLD) -> bool:
+        """Whether the error is so small that the verdict cannot be "too noisy". It does not look at the change: whoever
+        stops when a change looks large finds changes where there are none."""
+        return self.error <= min(LARGEST_ERROR, threshold / (2 * ERRORS))
+
+    def verdict(self, threshold: float = THRESHOLD) -> str:
+        """Return whether the interval of confidence lies within the threshold, or beyond zero, or decides nothing."""
+        size, margin = abs(self.change), ERRORS * self.error
+        if size + margin < threshold:
+            return f"no difference above {threshold:.0%}"
+        if size > margin:
+            return f"{'slower' if self.change > 0 else 'faster'} by {size:.1%} ± {self.error:.1%}"
+        wanted = min(LARGEST_ERROR, threshold / (2 * ERRORS))
+        if not math.isfinite(self.error):
+            return "too noisy to tell: needs more turns"
+        return f"too noisy to tell: needs about {math.ceil(self.turns * (self.error / wanted) ** 2)} turns"
+
+
+def difference(old: Sequence[float], new: Sequence[float]) -> Difference:
+    """Return how NEW differs from OLD, by pairs of turns."""
+    ratios = [math.log(b / a) for a, b in zip(old, new, strict=True)]
+    return Difference(math.expm1(median(ratios)), median_error(ratios), len(ratios))
+
+
+def median_error(values: Sequence[float]) -> float:
+    """Return the standard error of the median, from the two values of ranks about √n from the middle; infinite below five.
+
+    Between them the median of the population lies with a probability that is known for any distribution, from which the error
+    follows as if it was normal: Price and Bonett, J. Stat. Comput. Simul. 68 (2001) 295. Some outliers do not change it.
+    """
+    count = len(values)
+    if count < 5:
+        return math.inf
+    ordered = sorted(values)
+    rank = max(1, round((count + 1) / 2 - math.sqrt(count)))
+    outside = sum(math.comb(count, k) for k in range(rank)) / 2**count  # on one side
+    width = ordered[count - rank] - ordered[rank - 1]
+    return width / (2 * NormalDist().inv_cdf(1 - outside))
+
+
+# ---- turns ----
+
+
+@dataclass
+class Case:
+    """The times of all turns of a case: of each of its works the CPU seconds per cell or particle, OLD's and NEW's."""
 
     name: str
-    unit: str
-    before: float
-    after: float
-    noise: float = 0.0
-    exact: bool = False  # whether any difference counts
+    times: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
 
-    @property
-    def ratio(self) -> float:
-        if self.before == 0:
-            return 1.0 if self.after == 0 else math.inf
-        return self.after / self.before
+    def add(self, old: dict[str, float], new: dict[str, float]) -> None:
+        for work in old.keys() & new.keys():
+            for taken, value in zip(self.times.setdefault(work, ([], [])), (old[work], new[work]), strict=True):
+                taken.append(value)
 
-    def verdict(self, threshold: float) -> str:
-        """ "slower", "faster" or "as before"."""
-        limit = 1 if self.exact else 1 + max(threshold, self.noise)
-        return "slower" if self.ratio > limit else "faster" if self.ratio * limit < 1 else "as before"
+    def figures(self) -> dict[str, tuple[list[float], list[float], str]]:
+        """Return by name the values of OLD and NEW, and their unit: over the sine transform's time, or in ns."""
+        out = {}
+        for work, sides in sorted(self.times.items()):
+            name = self.name if work == self.name else f"{self.name}: {work}"
+            if work == "DST":
+                continue
+            if self.name.startswith("particles"):
+                out[name] = (*([1e9 * value for value in side] for side in sides), "ns")
+            else:
+                of_dst = self.times["DST"]
+                out[name] = (
+                    *([a / b for a, b in zip(*both, strict=True)] for both in zip(sides, of_dst, strict=True)),
+                    "DST",
+                )
+        return out  # type: ignore[return-value]
 
-
-def changes(before: Sequence[Record], after: Sequence[Record]) -> list[Change]:
-    """Return what both runs measured, the times and then cycles and bytes of each record."""
-    known = {record.name: record for record in before}
-    out = []
-    for record in after:
-        old = known.get(record.name)
-        if old is not None:
-            timed = min(len(old.seconds), len(record.seconds)) > 1
-            out += [*([changed(old, record)] if timed else []), *counted(old, record)]
-    return out
+    def decided(self, threshold: float) -> bool:
+        return bool(self.times) and all(difference(a, b).decided(threshold) for a, b, _ in self.figures().values())
 
 
-def changed(old: Record, new: Record) -> Change:
-    noise = ERRORS * math.hypot(error(old.seconds), error(new.seconds))
-    if min(old.unit, new.unit) > 0 and min(old.share_of_triad, new.share_of_triad) >= LEAST_SHARE:
-        return Change(new.name, "WU", old.units, new.units, noise)
-    return Change(new.name, "s", old.median, new.median, noise)
+def take_turns(old: Build, new: Build, cases: Sequence[Case], turns: int, minutes: float, threshold: float) -> None:
+    """Let the builds take turns in all cases, `turns` times, and then in those that are not decided, until time is over."""
+    script = Path(turn.__file__)
+    end = time.monotonic() + 60 * minutes
+    done = 0
+    left = list(cases)
+    while left and time.monotonic() < end:
+        for case in left:
+            one, other = (json.loads(side.run(script, "--case", case.name).splitlines()[-1]) for side in (old, new))
+            case.add(one["cpu"], other["cpu"])
+            if time.monotonic() > end:
+                break
+        done += 1
+        if done >= turns:
+            left = [case for case in left if not case.decided(threshold)]
+        print(f"turn {done}, {max(0.0, end - time.monotonic()) / 60:.0f} min left", file=sys.stderr, flush=True)
 
 
-def counted(old: Record, new: Record) -> list[Change]:
-    """Return the changes of what is counted, not timed: any cycle more is one, bytes are held to the threshold."""
-    out = []
-    for what, value in new.facts.items():
-        if not isinstance(value, int | float):
-            continue
-        if what in old.facts and what == "cycles":
-            out.append(Change(f"{new.name}: cycles", "", old.facts[what], value, exact=True))
-        elif what in old.facts and what.startswith("bytes"):
-            out.append(Change(f"{new.name}: {what}", "B", old.facts[what], value))
-    return out
-
-
-def error(seconds: Sequence[float]) -> float:
-    """Return the standard error of a median over the median, from the median of the distances to it; 0 of a single run."""
-    middle = median(seconds)
-    if len(seconds) < 2 or middle == 0:
-        return 0.0
-    deviation = 1.4826 * median(abs(value - middle) for value in seconds)
-    return 1.2533 * deviation / math.sqrt(len(seconds)) / middle
-
-
-def told(found: Sequence[Change], threshold: float, everything: bool = False) -> list[tuple[str, ...]]:
-    """Return the rows of what became slower, then faster, then (of `everything`) is as before; the largest changes first."""
-    rows: list[tuple[str, ...]] = [("", "before", "after", "ratio", "what")]
-    for verdict in ("slower", "faster", "as before")[: 3 if everything else 2]:
-        mine = [change for change in found if change.verdict(threshold) == verdict]
-        for change in sorted(mine, key=lambda change: -abs(math.log(max(change.ratio, 1e-300)))):
-            values = (f"{figure(value)} {change.unit}".strip() for value in (change.before, change.after))
-            rows.append((verdict, *values, f"{change.ratio:.2f}", change.name))
+def table(cases: Sequence[Case], threshold: float = THRESHOLD) -> list[tuple[str, ...]]:
+    """Return the rows: the medians, the ratio with its standard error, and the verdict."""
+    rows: list[tuple[str, ...]] = [("figure", "old", "new", "new / old", "±", "turns", "verdict")]
+    for case in cases:
+        for name, (old, new, unit) in case.figures().items():
+            found = difference(old, new)
+            values = (f"{median(side):.3g} {unit}" for side in (old, new))
+            ratio = (f"{1 + found.change:.3f}", f"{found.error:.3f}", str(found.turns))
+            rows.append((name, *values, *ratio, found.verdict(threshold)))
     return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("before", type=Path)
-    parser.add_argument("after", type=Path)
-    parser.add_argument("--threshold", type=float, default=THRESHOLD, help="relative change that counts")
-    parser.add_argument("--all", action="store_true", help="show what is as before, too")
+    parser.add_argument("old")
+    parser.add_argument("new")
+    parser.add_argument("--cases", nargs="+", choices=list(turn.CASES), default=list(turn.CASES))
+    parser.add_argument("--turns", type=int, default=TURNS, help="of each build at least")
+    parser.add_argument("--minutes", type=float, default=MINUTES, help="after which no turn begins")
+    parser.add_argument("--threshold", type=float, default=100 * THRESHOLD, help="difference in percent that counts")
     given = parser.parse_args(arguments)
-    before, after = read(given.before), read(given.after)
-    found = changes(before, after)
-    print(printed(told(found, given.threshold, given.all)))
-    slower = sum(change.verdict(given.threshold) == "slower" for change in found)
-    faster = sum(change.verdict(given.threshold) == "faster" for change in found)
-    alone = len({record.name for record in before} ^ {record.name for record in after})
-    print(f"{slower} slower, {faster} faster, {len(found) - slower - faster} as before; {alone} in one run only")
-    return 1 if slower else 0
+    cases = [Case(name) for name in given.cases]
+    threshold = given.threshold / 100
+    take_turns(build(given.old), build(given.new), cases, given.turns, given.minutes, threshold)
+    rows = table([case for case in cases if case.times], threshold)
+    print(printed(rows))
+    return 1 if any(row[-1].startswith("slower") for row in rows) else 0
 
 
 if __name__ == "__main__":

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Any
 
-from measuring import LEAST_SHARE, Record
+from bases import base_of, base_ratio, is_base
+from gamma import CUBES, gamma_ratio, memory_ratio
+from measuring import Record
 from particles import record_name
-from peers import peer_name
 from pic_step import IMPACTX_WALLS, step_name
-from solving import BOXES, IN_TURNS, assembly_name, following_name, name
+from solving import BESIDE_DST, BOXES, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
 
 NAN = float("nan")
@@ -22,7 +24,7 @@ ROUNDING = 1e-12  # of the largest residual of a rough potential, relative
 
 @dataclass(frozen=True)
 class Goal:
-    """A figure with its bounds. `measured` is nan where the run did not measure it; what it is told in may be void."""
+    """A figure with its bounds. `measured` is nan where the run did not measure it."""
 
     what: str
     measured: float
@@ -31,15 +33,12 @@ class Goal:
     unit: str = ""
     at_least: bool = False  # whether more is better
     note: str = ""
-    void: str = ""  # why the figure decides nothing
 
     @property
     def verdict(self) -> str:
-        """ "not measured", "void: " and why, "missed", "met" or "aim met"."""
+        """ "not measured", "missed", "met" or "aim met"."""
         if math.isnan(self.measured):
             return "not measured"
-        if self.void:
-            return f"void: {self.void}"
         if not self._reaches(self.must):
             return "missed"
         return "aim met" if self.aim is not None and self._reaches(self.aim) else "met"
@@ -60,19 +59,13 @@ class Found:
         self.records = {record.name: record for record in records}
 
     def units(self, name: str) -> float:
-        """Median in work units; nan where it was not measured, or the unit is void."""
+        """Median in work units; nan where it was not measured."""
         record = self.records.get(name)
-        return NAN if record is None or record.share_of_triad < LEAST_SHARE else record.units
+        return NAN if record is None else record.units
 
     def in_units(self, what: str, names: Sequence[str], must: float, aim: float) -> Goal:
-        """The goal for the least of these in work units; void if all of their units are."""
-        known = [record for name in names if (record := self.records.get(name)) is not None]
-        units = least(map(self.units, names))
-        if not math.isnan(units) or not known:
-            return Goal(what, units, must, aim, " WU")
-        best = min(known, key=lambda record: record.units)
-        void = f"the unit's apply at {best.share_of_triad:.0%} of a triad"
-        return Goal(what, best.units, must, aim, " WU", void=void)
+        """The goal for the least of these in work units."""
+        return Goal(what, least(map(self.units, names)), must, aim, " WU")
 
     def seconds(self, name: str) -> float:
         record = self.records.get(name)
@@ -100,7 +93,20 @@ def goals(records: Sequence[Record]) -> list[Goal]:
     found = Found(records)
     return [
         goal
-        for topic in (solver, ranks, shapes, memory, setup, assembly, particles, step, backends)
+        for topic in (
+            over_dst,
+            solver,
+            any_base,
+            ranks,
+            shapes,
+            long_cells,
+            memory,
+            setup,
+            assembly,
+            particles,
+            step,
+            backends,
+        )
         for goal in topic(found)
     ]
 
@@ -117,8 +123,45 @@ def solver(found: Found) -> Iterator[Goal]:
         yield found.in_units(f"{case}, to the discretization error", names, 45, 25)
         error = -least(-found.fact(n, "error over the converged one") for n in names)
         yield Goal(f"{case}: true error then, over the converged one", error, 1.05)
-    against = found.ratio(peer_name(128, "amrpic"), peer_name(128, "scipy DST"))
-    yield Goal("uniform 128 to 1e-10 against scipy's DST", against, 1.5, 0.9, "×")
+
+
+def over_dst(found: Found) -> Iterator[Goal]:
+    for case, boxes, must, aim in (
+        ("uniform 128", 64, 1.1, 1.0),
+        ("static 64", 64, 1.5, 1.3),
+        ("static 64", 24, 1.65, 1.5),
+        ("static 128", 64, 1.5, 1.3),
+        ("bunch 64", 24, 2.2, 1.9),
+    ):
+        record = found.records.get(name(case, boxes, 1, BESIDE_DST))
+        each = NAN if record is None else record.over_dst
+        yield Goal(f"{case}, boxes {boxes}, to 1e-10: time per cell over the DST's", each, must, aim, "×")
+
+
+def any_base(found: Found) -> Iterator[Goal]:
+    mine = [record for record in found.records.values() if is_base(record)]
+    ratios = {base_of(record): base_ratio(found.records, record) for record in mine}
+    above = {n: ratio for n, ratio in ratios.items() if n > 64}
+    yield worst("bases above 64³: time per cell over that of the nearest 2^k or 3·2^k", above, 1.3)
+    yield Goal("250³ against 256³, time per cell", ratios.get(250, NAN), 1.3, unit="×")
+
+
+def long_cells(found: Found) -> Iterator[Goal]:
+    mine = {record.name: record for record in found.starting("gamma, ") if not record.name.endswith(CUBES)}
+    ratios = {what.removeprefix("gamma, "): gamma_ratio(found.records, record) for what, record in mine.items()}
+    yield worst("γ of 10 to 100: time per cell over that of cubes", ratios, 2.0, 1.6)
+    memory = {what.removeprefix("gamma, "): memory_ratio(record) for what, record in mine.items()}
+    yield worst("γ of 10 to 100: memory of the solver beyond φ and ρ over 40 B/cell + 100 MB", memory, 1.0)
+
+
+def worst(what: str, values: Mapping[Any, float], must: float, aim: float | None = None) -> Goal:
+    """The goal for the largest of several values, by name; of those that were skipped, infinite, it says so."""
+    if not values:
+        return Goal(what, NAN, must, aim, "×")
+    at = max(values, key=lambda key: values[key])
+    skipped = sum(math.isinf(value) for value in values.values())
+    note = f"{skipped} of {len(values)} not done" if skipped else f"at {at}"
+    return Goal(what, values[at], must, aim, "×", note=note)
 
 
 def ranks(found: Found) -> Iterator[Goal]:
@@ -166,8 +209,13 @@ def assembly(found: Found) -> Iterator[Goal]:
 
 
 def particles(found: Found) -> Iterator[Goal]:
-    for stage, must, aim in (("deposit", 8, 4), ("gather+push", 16, 8), ("migrate", 14, 8)):
-        for count in (1_000_000, 10_000_000):
+    for stage, few, many, aim in (
+        ("deposit", 8, 6, 4),
+        ("gather+push", 14, 8, 8),
+        ("migrate", 14, 10, 8),
+        ("moments", 6, 5, None),
+    ):
+        for count, must in ((1_000_000, few), (10_000_000, many)):
             each = 1e9 * found.seconds(record_name(stage, count, "cloud-in-cell")) / count
             yield Goal(f"{stage}, {count:.0e} particles", each, must, aim, " ns")
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import inspect
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -19,6 +21,7 @@ from typing import Any, get_args
 
 import numpy as np
 from mpi4py import MPI
+from sine import Yardstick
 
 from amrpic import _native, menu
 from amrpic.poisson import PoissonSolver
@@ -26,7 +29,6 @@ from amrpic.poisson import PoissonSolver
 ROOT = Path(__file__).parents[1]
 BACKENDS = get_args(menu.Backend)
 BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
-LEAST_SHARE = 0.8  # of a triad's bytes per second, below which a work unit is void
 CORE = "share of a core"
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -39,38 +41,30 @@ ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class WorkUnit:
-    """The time of one plain 7-point apply on an array of so many cells, which all ranks share out and do at a time."""
+    """What times are given in, measured for an array of so many cells that all ranks divide and pass over at a time.
 
-    seconds: float
-    share_of_triad: (
-        float  # bytes per second over those of a triad, a written value counted as 16 bytes; lowest of the ranks
-    )
-    triad: float  # bytes per second of all ranks
+    It is the time of one plain 7-point apply, or, if that is less, of moving its 24 bytes per cell at the bandwidth of a
+    triad out of cache.
+    """
 
-    @property
-    def void(self) -> bool:
-        """Whether the apply was so far from what memory gives that it is no unit."""
-        return self.share_of_triad < LEAST_SHARE
+    seconds: float  # of the slowest rank
+    apply: float  # s, of the plain apply
+    triad: float  # bytes per second of all ranks, out of cache
 
     def told(self, cells: int) -> dict[str, Any]:
-        """What a record of so many cells says of its unit."""
-        return {"unit": self.seconds, "share_of_triad": self.share_of_triad, "cells": cells}
+        """The fields of a record of so many cells that belong to its unit."""
+        return {"unit": self.seconds, "apply": self.apply, "triad": self.triad, "cells": cells}
 
 
-def work_unit(comm: MPI.Comm, cells: int, trials: int = 8) -> WorkUnit:
-    """Return the work unit of so many cells; one that is void is measured again, up to `trials` times. Collective."""
-    for _ in range(trials):
-        comm.Barrier()
-        own = _native.measure_work_unit(max(1, cells // comm.size))
-        share = own.apply_throughput / own.triad_throughput
-        unit = WorkUnit(
-            comm.allreduce(own.apply_seconds, op=MPI.MAX),
-            comm.allreduce(share, op=MPI.MIN),
-            comm.allreduce(own.triad_throughput),
-        )
-        if not unit.void:
-            break
-    return unit
+def work_unit(comm: MPI.Comm, cells: int) -> WorkUnit:
+    """Return the work unit of so many cells. Collective."""
+    comm.Barrier()
+    own = _native.measure_work_unit(max(1, cells // comm.size))
+    return WorkUnit(
+        comm.allreduce(own.seconds, op=MPI.MAX),
+        comm.allreduce(own.apply_seconds, op=MPI.MAX),
+        comm.allreduce(own.triad_throughput),
+    )
 
 
 @dataclass
@@ -80,10 +74,14 @@ class Record:
     name: str
     seconds: list[float]  # of each run, of the slowest rank
     unit: float = 0.0  # s, the work unit measured beside it; 0 if none was
-    share_of_triad: float = 0.0
     cells: int = 0
     particles: int = 0
     facts: dict[str, Any] = field(default_factory=dict)  # cycles, seconds of stages, bytes per cell and the like
+    apply: float = 0.0  # s, of a plain apply on as many cells
+    triad: float = 0.0  # bytes per second of a triad out of cache
+    dst: list[float] = field(
+        default_factory=list
+    )  # s per cell of the sine transform on 128³ cells, in turns with the runs
 
     @property
     def median(self) -> float:
@@ -94,33 +92,62 @@ class Record:
         """Median in work units; nan without one."""
         return self.median / self.unit if self.unit else float("nan")
 
+    @property
+    def over_dst(self) -> float:
+        """Time per cell over that of the sine transform on 128³ cells, the median of the turns; nan without one."""
+        turns = zip(self.seconds, self.dst, strict=True) if self.dst else ()
+        return statistics.median(one / self.cells / other for one, other in turns) if self.dst else float("nan")
 
-def timed(comm: MPI.Comm, runs: int, work: Callable[[], Any]) -> tuple[list[float], Any]:
+    @property
+    def skipped(self) -> str:
+        """Why it was not measured; empty if it was."""
+        return str(self.facts.get("skipped", ""))
+
+
+# For ratios on one rank: wall time counts how long a rank waits for its core where others use it as well.
+CPU_TIME = time.process_time
+
+
+def timed(
+    comm: MPI.Comm, runs: int, work: Callable[[], Any], clock: Callable[[], float] = time.perf_counter
+) -> tuple[list[float], Any]:
     """Return the seconds of each run on the slowest rank, and what the last run gave. Collective."""
     seconds: list[float] = []
     out = None
     for _ in range(runs):
         out = None  # gone before its successor comes
         comm.Barrier()
-        start = time.perf_counter()
+        start = clock()
         out = work()
-        seconds.append(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
+        seconds.append(comm.allreduce(clock() - start, op=MPI.MAX))
     return seconds, out
+
+
+@functools.cache
+def yardstick() -> Yardstick:
+    return Yardstick()
 
 
 def timed_beside_unit(
     comm: MPI.Comm, runs: int, cells: int, work: Callable[[], Any]
-) -> tuple[list[float], WorkUnit, Any]:
-    """Return what `timed` does, and the median of work units that were measured in turns with the runs. Collective."""
+) -> tuple[list[float], dict[str, Any], Any]:
+    """Return what `timed` does, and what a record says of the work unit and, on one rank, of the sine transform. Collective.
+
+    Both take turns with the runs; the unit is the median one.
+    """
+    dst: list[float] = []
     seconds: list[float] = []
     units: list[WorkUnit] = []
     out = None
     for _ in range(runs):
         units.append(work_unit(comm, cells))
         out = None
+        if comm.size == 1:
+            dst.append(yardstick().seconds_per_cell())
         taken, out = timed(comm, 1, work)
         seconds += taken
-    return seconds, sorted(units, key=lambda unit: unit.seconds)[len(units) // 2], out
+    unit = sorted(units, key=lambda unit: unit.seconds)[len(units) // 2]
+    return seconds, {**unit.told(cells), "dst": dst}, out
 
 
 @contextlib.contextmanager
@@ -157,18 +184,31 @@ def reset_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def launch(script: Path, ranks: int, arguments: Sequence[str]) -> list[Record]:
+def launch(script: Path, ranks: int, arguments: Sequence[str], limit: float | None = None) -> list[Record]:
     """Return the records that a script writes, run on so many ranks with `arguments` and `--output FILE`.
 
     A script that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
-    Raises CalledProcessError if it fails; what it prints is seen.
+    Raises CalledProcessError if it fails; what it prints is seen. A script by itself is killed after `limit` seconds, with
+    TimeoutExpired.
     """
     with tempfile.TemporaryDirectory() as folder:
         found = Path(folder) / "records.json"
         worker = [sys.executable, str(script), *arguments, "--output", str(found)]
         command = ["mpiexec", "-n", str(ranks), *worker] if ranks else worker
-        subprocess.run(command, env={**os.environ, **ENVIRONMENT}, check=True)
+        subprocess.run(command, env={**os.environ, **ENVIRONMENT}, check=True, timeout=limit)
         return read(found)
+
+
+def launch_or_skip(script: Path, arguments: Sequence[str], name: str, limit: float) -> list[Record]:
+    """Return the records that a script on one rank writes; one under `name` that says why, if it fails or takes too long."""
+    try:
+        return launch(script, 0, arguments, limit)
+    except subprocess.TimeoutExpired:
+        why = f"not done within {limit:.0f} s"
+    except subprocess.CalledProcessError as ended:
+        why = f"ended with {ended.returncode}"
+    print(f"{name}: {why}", flush=True)
+    return [Record(name, [math.nan], facts={"skipped": why})]
 
 
 def write(path: Path, records: Sequence[Record], **about: Any) -> None:

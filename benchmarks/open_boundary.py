@@ -62,7 +62,7 @@ def measure(
     first = made + sum(trials[0].values())
     best = {name: min(trial[name] for trial in trials[1:]) for name in stages}
     best["total"] = sum(best.values())
-    unit = comm.allreduce(_native.measure_work_unit(sum(cells) // comm.size).apply_seconds, op=MPI.MAX)
+    unit = comm.allreduce(_native.measure_work_unit(sum(cells) // comm.size).seconds, op=MPI.MAX)
     return {
         "example": example,
         "ranks": comm.size,

@@ -40,7 +40,12 @@ def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell"
 def timings(
     particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5
 ) -> dict[str, list[float]]:
-    """Return the seconds of each particle stage in each repeat, on this rank alone.
+    """Return the seconds of each of `stages` in each repeat, on this rank alone."""
+    return {name: _seconds(stage, repeats) for name, stage in stages(particles, cells, box, shape).items()}
+
+
+def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell") -> dict[str, Callable[[], object]]:
+    """Return the particle stages, ready to be run again and again, on this rank alone.
 
     Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
     Keys: "deposit"; "field", what the two next ones read, from the potential, which takes the same for any number of
@@ -62,7 +67,7 @@ def timings(
     pushed = push(efield, homes, DT / 2, DT / 2, DT, clouds)
     del step
 
-    stages: dict[str, Callable[[], object]] = {
+    return {
         "deposit": lambda: deposit(homes, hierarchy, clouds),
         "field": lambda: solver.deferred_field(phi),
         "gather": lambda: gather(efield, homes, clouds),
@@ -70,7 +75,6 @@ def timings(
         "migrate": lambda: migrate(moved, hierarchy),
         "moments": lambda: moments(hierarchy.comm, homes, pushed, 0.5),
     }
-    return {name: _seconds(stage, repeats) for name, stage in stages.items()}
 
 
 def memory(particles: int, cells: int, box: int) -> Record:
@@ -138,14 +142,7 @@ def main() -> None:
             print(f"{count:.0e} particles, {shape:24}{figures}  ns/particle", flush=True)
             unit = work_unit(MPI.COMM_SELF, options.cells**3)
             records += [
-                Record(
-                    record_name(stage, count, shape),
-                    taken,
-                    unit.seconds,
-                    unit.share_of_triad,
-                    particles=count,
-                    facts=facts,
-                )
+                Record(record_name(stage, count, shape), taken, unit.seconds, particles=count, facts=facts)
                 for stage, taken in found.items()
             ]
     if options.output:

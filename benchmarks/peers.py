@@ -22,7 +22,8 @@ import numpy as np
 from cases import problem
 from measuring import BACKEND, BACKENDS, ENVIRONMENT, Record, WorkUnit, work_unit, write
 from mpi4py import MPI
-from scipy import fft, sparse
+from scipy import sparse
+from sine import by_sine_transform, inverse_eigenvalues
 
 from amrpic.poisson import PoissonSolver
 from amrpic.verify.sources import EPS0
@@ -45,16 +46,6 @@ def right_hand_side(n: int) -> Array:
     return np.ascontiguousarray(patch.data.T) / EPS0 / n**2
 
 
-def eigenvalues(n: int) -> Array:
-    """Those of h² times minus the second difference with ghosts of opposite sign, for dstn type 2."""
-    return 4 * np.sin(np.pi * np.arange(1, n + 1) / (2 * n)) ** 2
-
-
-def by_sine_transform(f: Array, inverse: Array) -> Array:
-    """Return φ by the discrete sine transform and its inverse: a direct solve, the floor for uniform meshes."""
-    return fft.idstn(fft.dstn(f, type=2, workers=1) * inverse, type=2, workers=1)
-
-
 def matrix(n: int) -> sparse.csr_matrix:
     """h² times minus the Laplacian with ghosts of opposite sign, for the cells in the order of `right_hand_side`."""
     line = sparse.diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(n, n)).tolil()
@@ -74,13 +65,11 @@ class Beside:
         self.n, self.runs = n, runs
         self.f = right_hand_side(n)
         self.unit: WorkUnit = work_unit(MPI.COMM_SELF, n**3)
-        of_x, of_y, of_z = np.meshgrid(*[eigenvalues(n)] * 3, indexing="ij", sparse=True)
-        self.inverse = 1 / (of_x + of_y + of_z)
+        self.inverse = inverse_eigenvalues(n)
         self.wanted = by_sine_transform(self.f, self.inverse)
 
     def record(self, who: str, seconds: list[float], **facts: object) -> Record:
-        share = self.unit.share_of_triad
-        return Record(peer_name(self.n, who), seconds, self.unit.seconds, share, self.n**3, facts=dict(facts))
+        return Record(peer_name(self.n, who), seconds, facts=dict(facts), **self.unit.told(self.n**3))
 
     def require_same(self, who: str, phi: Array) -> None:
         """Raise SystemExit unless a potential is the sine transform's: a peer that solves something else is no peer."""

@@ -10,12 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import bases
 import charts
+import gamma
 import goals
 import growth
 from cases import FAMILIES
 from goals import figure, markdown
-from measuring import LEAST_SHARE, ROOT, Record, read, share_of_core
+from measuring import ROOT, Record, read, share_of_core
 from particles import STAGES
 from peers import peer_name
 from reference import MLMG, MLMG_CYCLES
@@ -31,6 +33,7 @@ def document(records: Sequence[Record], about: dict[str, Any]) -> str:
     machine = about["machine"]
     return TEXT.format(
         processor=machine["processor"],
+        instructions=machine["instructions"],
         cores=machine["cores"],
         core=share_of_core(records),
         time=machine["time"],
@@ -42,27 +45,33 @@ def document(records: Sequence[Record], about: dict[str, Any]) -> str:
         solves=markdown(solves(records)),
         ranks=markdown(ranks(records)),
         uniform=markdown(uniform(records)),
+        bases=markdown(bases.rows({record.name: record for record in records})),
+        gamma=markdown(gamma.rows({record.name: record for record in records})),
         steps=markdown(steps(records)),
         particles=markdown(particles(records)),
         memory=markdown(memory(records)),
         growth=markdown(growth.rows(growth.laws(records))),
         apply_bytes=APPLY_BYTES,
-        least_share=LEAST_SHARE,
     )
 
 
 def units(records: Sequence[Record]) -> list[tuple[str, ...]]:
-    """Return the work units of one rank by number of cells, the median where one was measured several times."""
-    rows: list[tuple[str, ...]] = [("cells", "work unit", "per cell", "bandwidth", "share of a triad's")]
+    """Return the work units of one rank by number of cells, with the two times that each is the less of."""
+    rows: list[tuple[str, ...]] = [
+        (
+            "cells",
+            "plain apply, per cell",
+            f"{APPLY_BYTES} bytes at a triad's bandwidth",
+            "triad",
+            "work unit, per cell",
+        )
+    ]
     mine = {record.cells: record for record in records if record.unit and record.cells and ", 1 rank, " in record.name}
     for cells in spread(sorted(mine), 7):
         record = mine[cells]
-        bandwidth = APPLY_BYTES * cells / record.unit
-        each = f"{record.unit / cells * 1e9:.2f} ns"
-        share = f"{record.share_of_triad:.0%}"
-        rows.append(
-            (f"{cells:,}".replace(",", " "), f"{record.unit * 1e3:.3g} ms", each, f"{bandwidth / 1e9:.1f} GB/s", share)
-        )
+        per_cell = (record.apply / cells, APPLY_BYTES / record.triad if record.triad else math.nan, record.unit / cells)
+        apply, memory, unit = (f"{1e9 * seconds:.2f} ns" for seconds in per_cell)
+        rows.append((f"{cells:,}".replace(",", " "), apply, memory, f"{record.triad / 1e9:.1f} GB/s", unit))
     return rows
 
 
@@ -82,6 +91,7 @@ def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
             "cells",
             "1e-10",
             "WU",
+            "over the DST",
             "cycles",
             "WU per cycle",
             "to 1e-6, WU",
@@ -99,7 +109,8 @@ def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
             more = (in_units(known.records.get(name(case, boxes, 1, what))) for what in ("1e-06", "discretization"))
             reference = MLMG.get((case, boxes))
             cells = f"{record.cells / 1e6:.2f} M"
-            first = (case, str(boxes), cells, f"{record.median:.3g} s", in_units(record), str(cycles))
+            units = (in_units(record), told(record.over_dst, "×"))
+            first = (case, str(boxes), cells, f"{record.median:.3g} s", *units, str(cycles))
             rows.append((*first, in_units(record, cycles), *more, told(reference or math.nan)))
     return rows
 
@@ -184,20 +195,17 @@ def told(value: float, unit: str = "") -> str:
 
 
 def in_units(record: Record | None, cycles: int = 1) -> str:
-    """Return a median in work units, per cycle of so many; in brackets if the unit is void."""
-    if record is None or math.isnan(record.units):
-        return "–"
-    value = figure(record.units / cycles)
-    return value if record.share_of_triad >= LEAST_SHARE else f"({value})"
+    """Return a median in work units, per cycle of so many."""
+    return "–" if record is None or math.isnan(record.units) else figure(record.units / cycles)
 
 
 TEXT = """# Performance
 
 Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
-{processor}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
+{processor}, kernels for {instructions}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
 {runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
-BEFORE.json AFTER.json` tells two runs apart, by work units where it can, and ends with status 1 if something became
-slower.
+OLD NEW` runs two builds in turns, and tells a difference of 3 % from noise; `benchmarks/compare_records.py BEFORE.json
+AFTER.json` compares two runs of this.
 
 ## Goals
 
@@ -208,25 +216,44 @@ slower.
 ## The roof: what memory gives
 
 A **work unit** (WU) is the time of one plain 7-point apply, in double precision and vectorised, on one array with as many
-cells as the hierarchy has. It is what an explicit code pays to look at every cell once, so a solver's time in WU says how
-many looks it takes. It is measured beside every figure, best of five.
+cells as the hierarchy has; or, if that is less, the time that memory takes for the {apply_bytes} bytes per cell that such an
+apply moves, at the bandwidth of a triad on arrays out of cache. It is what an explicit code pays to look at every cell
+once, so a solver's time in WU says how many looks it takes. Both are measured beside every figure, the apply as the best of
+five, the triad as the best of three, in CPU time, which does not count how long a rank waits where others use its core.
 
-Such an apply is bound by memory. A cell of it moves {apply_bytes} bytes: its neighbours come from the cache, so 8 bytes are
-read, and 16 move for the value that is written, since an ordinary store fetches the line before it changes it. A triad, a =
-b + s c, moves 32 bytes per value, counted alike. A unit is void, unless its apply reaches {least_share} of the bytes per second
-of a triad in the same run; figures in it stand in brackets and decide no goal. For that comparison to mean something,
+The {apply_bytes} bytes: an apply's neighbours come from the cache, so 8 bytes are read, and 16 move for the value that is
+written, since an ordinary store fetches the line before it changes it. A triad, a = b + s c, moves 32 bytes per value,
+counted equally; its three arrays take 144 MB. For the apply,
 
-- the triad's three arrays take together what the apply's two take: with arrays as long as the apply's it is half again as
-  large, and falls out of a cache that the apply stays in;
 - rows start on cache lines and hold whole vectors, else most loads cross a line;
-- the apply goes through tiles of 32 rows, so that three planes of a tile stay in the second-level cache; without tiles,
-  planes of 192² cells and more are read from further away up to three times, which gave 0.3 to 0.6 of a triad;
+- tiles of 32 rows keep three planes in the second-level cache; without tiles, planes of 192² cells and more are read from
+  further away up to three times, which gave 0.3 to 0.6 of a triad's bandwidth;
 - arrays are written once before anything is timed, so that pages exist, and each trial's first pass is not counted.
+
+**Why the bound.** Out of cache, an apply should take what its bytes take. On a Xeon with AVX-512 it reached 0.79 to 0.85 of
+a triad's bandwidth: 15.5 of 18.8 GB/s on 17 and 34 million cells. A plain copy with one factor, which has the same two
+streams, reached 17.5 GB/s; so half of the gap is the larger part of writes. The other half is prefetching: the hardware
+loses its streams at the ends of rows and tiles, and software prefetch of one plane and one row ahead brought the apply to
+17.8 GB/s. Non-temporal stores save the fetch in both (from 1.52 to 1.28 ns per cell of the apply, from 1.70 to 1.26 ns per
+value of the triad) and leave the apply further behind; huge pages and other tiles gained nothing. On an AMD EPYC with Zen 4
+cores the same apply reached 0.43 to 0.78 of a triad on the same footprint. There a third-level cache of high bandwidth
+serves the triad, while an apply of one core issues seven loads per vector, two of which cross a line; this was not measured
+further. An apply that loses its streams makes a long unit, and a solver look good; so the unit is never longer than memory
+needs.
+
+**What goals in WU mean.** Until commit 8e352b5 the unit was the apply alone, and a figure decided nothing where the apply
+reached less than 0.8 of the bandwidth of a triad on the same footprint. Where it was valid in that sense and out of cache,
+the present unit is 0.8 to 1 of the former one; in cache, where the apply is faster than memory, it is the former one. So
+the goals of 80, 100 and 45 WU, which come from an AVX-512 machine where a unit took 0.65 to 1.1 ns per cell and a copy
+moved 32 GB/s (0.75 ns per {apply_bytes} bytes), mean the same or up to a fifth less time, never more. AMReX's 420 to 730 WU
+were measured in the former unit, at 0.82 to 0.90 ns per cell; in the present one they would be the same or up to a quarter
+more.
 
 {units}
 
-While both arrays fit the last cache a work unit per cell is about half as long as beyond it: figures in WU of small and of
-large cases are not to be compared with each other.
+While both arrays fit the last cache a work unit per cell can be half as long as beyond it: figures in WU of small and of
+large cases are not to be compared with each other. Times over those of scipy's sine transform on 128³ cells, in the same
+turn and per cell, can.
 
 **What a cycle must move.** Per cell of the refinement levels, if every pass reads and writes memory once: the composite
 residual reads φ and ρ and writes r in single precision (8 + 8 + 8 bytes), the sweeps before the coarse correction read r
@@ -270,7 +297,8 @@ what it brings:
 ## Solves
 
 From a zero guess on one rank. AMReX's column is its multigrid (MLMG 24.10, {cycles} cycles) measured on another day on two
-cores with AVX-512, in the WU of that run.
+cores with AVX-512, in the WU of that run. "Over the DST" is the time per cell over that of scipy's sine transform and its
+inverse on 128³ cells in the same turn, which the goals of the first table in "×" of it go by, too, in eleven turns.
 
 {solves}
 
@@ -291,6 +319,19 @@ left out. Ours ends at 1e-10 in the max norm, the peers in the 2-norm.
 {uniform}
 
 ![Solvers on the uniform mesh](pictures/performance_uniform.png)
+
+## Bases of any extent
+
+Time per cell of one level of n³ cells between grounded walls, to 1e-10, beside the nearest 2^k or 3·2^k in the same turns.
+
+{bases}
+
+## Long cells
+
+A bunch that moves with γ is solved for on cells γ times as long. 64³ cells with one refined level of cells 8 to 119 along
+each axis, or with three nested cubes of 64³ cells; beside the same mesh with γ = 1, in the same turns.
+
+{gamma}
 
 ## Particles and whole steps
 

@@ -178,8 +178,7 @@ class Table:
     case: str
     ranks: int
     cells: list[int]
-    unit: float  # s, of one plain 7-point apply on as many cells
-    share_of_triad: float  # of its bytes per second
+    unit: float  # s, the work unit of as many cells
     rows: list[Measured] = field(default_factory=list)
     contest: list[tuple[Options, float]] = field(default_factory=list)  # the fastest rows again, s
     reuse: list[tuple[str, float, float]] = field(default_factory=list)  # what, s of set-up without and with
@@ -191,7 +190,7 @@ class Table:
 def measure(comm: MPI.Comm, case: str, quick: bool) -> Table:
     problem = CASES[case](comm, quick)
     unit = work_unit(comm, sum(problem.cells))
-    table = Table(case, comm.size, problem.cells, unit.seconds, unit.share_of_triad)
+    table = Table(case, comm.size, problem.cells, unit.seconds)
     wanted: amrpic.Field | None = None
     for group, choices in rows(quick):
         for options in choices:
@@ -287,8 +286,7 @@ def document(tables: list[Table]) -> str:
         parts.append(
             f"\n## {table.case}, {table.ranks} rank{'s' * (table.ranks > 1)}\n\n"
             f"{(CASES[table.case].__doc__ or '').strip()}\n\nCells per level: {sizes}. One work unit takes "
-            f"{table.unit * 1e3:.3g} ms, {table.unit / sum(table.cells) * 1e9:.2f} ns per cell, at "
-            f"{table.share_of_triad:.0%} of the bytes per second of a triad. {verdict(table)}\n"
+            f"{table.unit * 1e3:.3g} ms, {table.unit / sum(table.cells) * 1e9:.2f} ns per cell. {verdict(table)}\n"
         )
         parts.append(COLUMNS)
         for group, members in itertools.groupby(table.rows, key=lambda row: row.group):
@@ -340,7 +338,8 @@ The menu is that of compressed rows (`backend = "crs"`), which offer all of it; 
 row "backend matrix-free". Each row differs from the default with compressed rows in what it names. *Solve* is the faster
 of two solves from a zero guess, without the potential of open faces, which no option touches; *set-up* is the solver's
 construction. A *work unit* is the time of one plain, vectorised 7-point apply in double precision on one array with as
-many cells as the hierarchy, best of five, in the same run. Times are of one run on a machine of two cores that others
+many cells as the hierarchy, best of five, in the same run, or that of its 24 bytes per cell at the bandwidth of a triad
+out of cache, if that is less. Times are of one run on a machine of two cores that others
 used as well: only the comparison in turns above each table tells small differences.
 
 With as many multigrid levels below the base as it has factors of two, the default, the bottom has few cells and every

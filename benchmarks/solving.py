@@ -6,7 +6,7 @@ import argparse
 import itertools
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ from cases import FAMILIES, STRETCHED, Problem, problem
 from measuring import (
     BACKEND,
     BACKENDS,
+    CPU_TIME,
     Record,
     reset_peak,
     resident,
@@ -25,6 +26,7 @@ from measuring import (
     watched,
     work_unit,
     write,
+    yardstick,
 )
 from mpi4py import MPI
 
@@ -35,6 +37,9 @@ from amrpic.verify.errors import errors
 
 FULL = 1e-10
 IN_TURNS = f"{FULL:g}, in turns"
+BESIDE_DST = f"{FULL:g}, in turns with the sine transform"
+OVER_DST = (("uniform 128", 64), ("static 64", 64), ("static 64", 24), ("bunch 64", 24), ("static 128", 64))
+TURNS = 11
 Tolerance = float | Literal["discretization"]
 BOXES = (16, 24, 32, 64)
 
@@ -65,7 +70,7 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         facts: dict[str, Any] = dict(levels)
         with watched(facts):
             work = partial(solver.solve, given.rho, boundary_values=given.walls)
-            seconds, unit, (phi, report) = timed_beside_unit(comm, runs, given.cells, work)
+            seconds, beside, (phi, report) = timed_beside_unit(comm, runs, given.cells, work)
         facts |= {
             "cycles": report.cycles,
             "converged": report.converged,
@@ -77,7 +82,26 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         elif tolerance == "discretization" and converged is not None and given.exact is not None:
             left, least = (errors([field], given.exact)[1] for field in (phi, converged))
             facts["error over the converged one"] = left / least
-        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **unit.told(given.cells))
+        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **beside)
+
+
+def over_dst(comm: MPI.Comm, cases: Sequence[tuple[str, int]], backend: str, runs: int) -> Iterator[Record]:
+    """Yield solves of cases in boxes from a zero guess, in turns with each other and with the sine transform, in CPU time."""
+    given = [problem(comm, case, boxes) for case, boxes in cases]
+    works = []
+    for one in given:
+        solver = PoissonSolver(one.hierarchy, tolerance=FULL, backend=backend)
+        works.append(partial(solver.solve, one.rho, boundary_values=one.walls))
+    reports = [work()[1] for work in works]
+    seconds: list[list[float]] = [[] for _ in cases]
+    dst: list[list[float]] = [[] for _ in cases]
+    for _ in range(runs):
+        for work, taken, beside in zip(works, seconds, dst, strict=True):
+            beside.append(yardstick().seconds_per_cell(CPU_TIME))
+            taken += timed(comm, 1, work, CPU_TIME)[0]
+    for (case, boxes), one, taken, beside, report in zip(cases, given, seconds, dst, reports, strict=True):
+        facts = {"cycles": report.cycles}
+        yield Record(name(case, boxes, 1, BESIDE_DST), taken, cells=one.cells, facts=facts, dst=beside)
 
 
 def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: int) -> Iterator[Record]:
@@ -154,23 +178,12 @@ def following(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) ->
     A regrid: tags from the charge, boxes from tags, φ carried over, the solver set up with what can be reused.
     """
     given = problem(comm, case, boxes)
-    kept = PoissonSolver(given.hierarchy, tolerance=1e-6, backend=backend)
-    phi, _ = kept.solve(given.rho, boundary_values=given.walls)
-    step = float(given.hierarchy.domain.spacing[0])
-    moved = amrpic.Field(given.hierarchy).fill(lambda x, y, z: given.density(x - step, y, z))
-    thresholds = [share * moved.max_abs() for share in (1e-3, 2e-2)]
-    settings = Regridding(max_levels=given.hierarchy.levels)
+    follow, step = follower(given, backend), float(given.hierarchy.domain.spacing[0])
     seconds: dict[str, list[float]] = {what: [] for what in ("boxes", "carry over", "set-up")}
     for _ in range(runs):
         solver: PoissonSolver | None = None  # gone before its successor comes
         clock = Laps(comm)
-        tags = [np.abs(moved.array(level)) > threshold for level, threshold in enumerate(thresholds)]
-        mesh = regrid(given.hierarchy, tags, settings)
-        seconds["boxes"].append(clock.lap())
-        guess = carry_over(phi, mesh)
-        seconds["carry over"].append(clock.lap())
-        solver = PoissonSolver(mesh, tolerance=1e-6, backend=backend, reuse=kept.base_setup)
-        seconds["set-up"].append(clock.lap())
+        mesh, guess, solver = follow(partial(clock.note, seconds))
     rho = amrpic.Field(mesh).fill(lambda x, y, z: given.density(x - step, y, z))
     cells = sum(mesh.cells(level) for level in range(mesh.levels))
     common = work_unit(comm, cells).told(cells)
@@ -187,6 +200,33 @@ def following(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) ->
         yield Record(following_name(case, boxes, what), taken, **common)
     whole = [sum(parts) for parts in zip(*seconds.values(), strict=True)]
     yield Record(following_name(case, boxes, "regrid"), whole, **common)
+
+
+def follower(
+    given: Problem, backend: str = BACKEND
+) -> Callable[[Callable[[str], object]], tuple[amrpic.Hierarchy, amrpic.Field, PoissonSolver]]:
+    """Return a function that regrids once, after `given`'s charge has moved by a base cell. Collective, and so is the function.
+
+    It calls what it gets after each of its parts, by name, and returns the new mesh, φ on it and its solver.
+    """
+    kept = PoissonSolver(given.hierarchy, tolerance=1e-6, backend=backend)
+    phi, _ = kept.solve(given.rho, boundary_values=given.walls)
+    step = float(given.hierarchy.domain.spacing[0])
+    moved = amrpic.Field(given.hierarchy).fill(lambda x, y, z: given.density(x - step, y, z))
+    thresholds = [share * moved.max_abs() for share in (1e-3, 2e-2)]
+    settings = Regridding(max_levels=given.hierarchy.levels)
+
+    def follow(done: Callable[[str], object]) -> tuple[amrpic.Hierarchy, amrpic.Field, PoissonSolver]:
+        tags = [np.abs(moved.array(level)) > threshold for level, threshold in enumerate(thresholds)]
+        mesh = regrid(given.hierarchy, tags, settings)
+        done("boxes")
+        guess = carry_over(phi, mesh)
+        done("carry over")
+        solver = PoissonSolver(mesh, tolerance=1e-6, backend=backend, reuse=kept.base_setup)
+        done("set-up")
+        return mesh, guess, solver
+
+    return follow
 
 
 def following_name(case: str, boxes: int, what: str) -> str:
@@ -206,6 +246,10 @@ class Laps:
         seconds = self.comm.allreduce(time.perf_counter() - self.start, op=MPI.MAX)
         self.start = time.perf_counter()
         return seconds
+
+    def note(self, taken: dict[str, list[float]], what: str) -> None:
+        """Append such a lap to what was taken. Collective."""
+        taken[what].append(self.lap())
 
 
 # ---- memory ----
@@ -277,6 +321,7 @@ def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator
         # Single ratios scatter by a fifth: one rank is disturbed otherwise than two.
         yield from rank_by_rank(comm, f"static {sizes[-1]}", 32, backend, 3 * runs)
     if comm.size == 1:
+        yield from over_dst(comm, OVER_DST[: 4 if quick else 5], backend, TURNS)
         yield from in_turns(comm, [f"{cells} 64" for cells in STRETCHED], 32, backend, runs)
         yield from following(comm, "bunch 64", 24, backend, runs)
         yield assembly(comm, "bunch 64", 24, runs)
@@ -300,7 +345,10 @@ def main() -> int:
         for record in everything(comm, given.backend, given.quick, given.runs):
             records.append(record)
             if comm.rank == 0:
-                print(f"{record.name}: {record.median:.4g} s, {record.units:.0f} work units", flush=True)
+                print(
+                    f"{record.name}: {record.median:.4g} s, {record.units:.0f} work units, {record.over_dst:.2f} DST",
+                    flush=True,
+                )
     if comm.rank == 0:
         write(given.output, records)
     return 0

@@ -33,5 +33,5 @@ def test_a_row_that_does_not_hold_is_told():
         Measured("", {}, refused="it cannot work; do without"),
     )
     assert [row.sound for row in (good, off, stuck, refused)] == [True, False, False, True]
-    text = document([Table("static 64", 1, [8], 1e-3, 0.5, [good, stuck, refused])])
+    text = document([Table("static 64", 1, [8], 1e-3, [good, stuck, refused])])
     assert "0 (not converged)" in text and "refused: it cannot work; do without" in text

@@ -85,14 +85,15 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
     tried = settings(scene, exact is not None, quick)
     found = list(_measured(comm, scene, density, exact, tried, LARGEST[quick]))
     (own,) = (m for m in found if m.setting == default)
-    unit = comm.allreduce(_native.measure_work_unit(max(own.cells // comm.size, 1)).apply_seconds, op=MPI.MAX)
+    unit = comm.allreduce(_native.measure_work_unit(max(own.cells // comm.size, 1)).seconds, op=MPI.MAX)
     against = "the exact field" if exact else f"the field on {FINER} times as many base cells per axis"
     yield Table(
         f"Speed against error: {scene.name}",
         f"Error of E (L2 over the domain) against {against} of the density that the bunches of `{scene.name}` are drawn from, "
         "averaged over cells, on the mesh that their particles call for. Seconds are of a solve and its field, the best of "
         "three; a work unit is the time of one plain 7-point Laplacian on as many cells as the scene's own mesh has "
-        f"({own.cells}); visits are cells times cycles, which the frontier goes by. A warm guess is the potential of the "
+        f"({own.cells}), or of its 24 bytes per cell at the bandwidth of a triad out of cache if that is less; visits "
+        "are cells times cycles, which the frontier goes by. A warm guess is the potential of the "
         "charge half a finest cell away. Left by the solve: its part of the error of E over the mesh's. The goal: what the "
         f"scene's own settings lose to the best of those that leave at most {text(LEFT)}, the lesser of their error over the "
         "least for as many visits, and of their visits, but for one cycle, over the least for an error up to a tenth larger.",

@@ -57,8 +57,8 @@ void bind_solver(nb::module_& m) {
       .value("difference", CoveredField::difference);
 
   nb::class_<WorkUnit>(m, "WorkUnit")
+      .def_ro("seconds", &WorkUnit::seconds)
       .def_ro("apply_seconds", &WorkUnit::apply_seconds)
-      .def_ro("apply_throughput", &WorkUnit::apply_throughput)
       .def_ro("triad_throughput", &WorkUnit::triad_throughput);
   m.def("measure_work_unit", &measure_work_unit, "cells"_a, nb::call_guard<nb::gil_scoped_release>());
 

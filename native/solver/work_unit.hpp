@@ -4,17 +4,16 @@
 
 namespace amrpic {
 
-/// The unit that solver times are told in, and the roof above it, measured on this machine by this rank alone: each the
-/// best of five, one apply and one triad in turns, so that what disturbs one disturbs the other.
+/// The unit that solver times are given in, measured on this machine by this rank alone, in CPU time.
 ///
-/// Bytes count what memory moves: 8 for each value read, and 16 for each value written, since ordinary stores fetch the
-/// line first. So an apply moves 24 bytes per cell, its neighbours coming from the cache, and a triad a = b + s c moves
-/// 32 per value. The triad's three arrays take together what the apply's two take, so that both live in the same cache,
-/// or in none.
+/// It is the time of one plain 7-point apply in double precision on one array of so many cells, or, if that is less,
+/// the time that memory takes for the 24 bytes per cell which such an apply moves: a value read, a value written, and
+/// the line of the latter fetched, at the bandwidth of a triad a = b + s c on arrays out of cache. Some processors lose
+/// the streams of an apply, which then reaches half of a triad's bandwidth; that must not make a solver look good.
 struct WorkUnit {
-  Real apply_seconds;     ///< of one plain 7-point apply in double precision on one array of so many cells
-  Real apply_throughput;  ///< bytes per second
-  Real triad_throughput;  ///< bytes per second
+  Real seconds;           ///< the unit
+  Real apply_seconds;     ///< of the plain apply, the best of five
+  Real triad_throughput;  ///< bytes per second out of cache, 32 per value, the best of three
 };
 
 /// `cells` >= 1 is the size of the array that the time belongs to; it is measured on a box of nearly as many.

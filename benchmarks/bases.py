@@ -1,0 +1,122 @@
+"""Time solves on bases of any extent beside those of the nearest 2^k or 3·2^k, in CPU time. A worker of benchmarks/bench.py.
+
+Each base is measured in a process of its own, in turns with its reference; one that takes too long is skipped, and the table
+says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import statistics
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+
+from cases import problem
+from measuring import CPU_TIME, Record, launch_or_skip, timed, write
+from mpi4py import MPI
+from solving import FULL
+
+from amrpic.errors import AmrpicError
+from amrpic.poisson import PoissonSolver
+
+BASES = (72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251)
+SMOOTH = sorted({factor << k for factor in (1, 3) for k in range(3, 10)})
+TURNS = 7
+LIMIT = 120.0  # s, for a base and its reference together
+
+
+def nearest(n: int) -> int:
+    """Return the 2^k or 3·2^k next to `n` as a ratio, other than itself."""
+    return min((m for m in SMOOTH if m != n), key=lambda m: abs(math.log(m / n)))
+
+
+def measure(n: int, turns: int, seconds: float) -> Iterator[Record]:
+    """Yield the solves of a base and of its reference, in as many turns as fit into about so many seconds, at least one."""
+    sizes = (n, nearest(n))
+    works: list[Callable] = []
+    reports, first = [], 0.0
+    for size in sizes:
+        given = problem(MPI.COMM_SELF, f"uniform {size}", 64)
+        solver = PoissonSolver(given.hierarchy, tolerance=FULL)
+        works.append(partial(solver.solve, given.rho))
+        taken, (_, report) = timed(MPI.COMM_SELF, 1, works[-1])
+        first += taken[0]
+        reports.append(report)
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(max(1, min(turns, int(seconds / first)))):
+        for work, mine in zip(works, times, strict=True):
+            mine += timed(MPI.COMM_SELF, 1, work, CPU_TIME)[0]
+    for label, size, taken, report in zip((base_name(n), beside_name(n)), sizes, times, reports, strict=True):
+        yield Record(label, taken, cells=size**3, facts={"cycles": report.cycles, "base": size})
+
+
+def base_name(n: int) -> str:
+    return f"base, {n}"
+
+
+def beside_name(n: int) -> str:
+    return f"base, {n}, beside {nearest(n)}"
+
+
+def is_base(record: Record) -> bool:
+    return record.name.startswith("base, ") and ", beside" not in record.name
+
+
+def base_of(record: Record) -> int:
+    return int(record.name.split(", ")[1])
+
+
+def base_ratio(records: Mapping[str, Record], record: Record) -> float:
+    """Return the time per cell over that of the reference, the median of the turns; infinite if it was skipped."""
+    if record.skipped:
+        return math.inf
+    other = records[beside_name(base_of(record))]
+    turns = zip(record.seconds, other.seconds, strict=True)
+    return statistics.median(one / record.cells / (two / other.cells) for one, two in turns)
+
+
+def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
+    """Return the table: the base, its reference, cycles, ns per cell, and the ratio."""
+    out: list[tuple[str, ...]] = [("base", "beside", "cycles", "per cell", "over the other's", "turns")]
+    for record in filter(is_base, records.values()):
+        n = base_of(record)
+        if record.skipped:
+            out.append((f"{n}³", f"{nearest(n)}³", "–", "–", record.skipped, "0"))
+            continue
+        each = f"{1e9 * record.median / record.cells:.3g} ns"
+        ratio = f"{base_ratio(records, record):.2f}×"
+        out.append((f"{n}³", f"{nearest(n)}³", str(record.facts["cycles"]), each, ratio, str(len(record.seconds))))
+    return out
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--bases", type=int, nargs="+", default=list(BASES))
+    parser.add_argument("--runs", type=int, default=TURNS)
+    parser.add_argument("--limit", type=float, default=LIMIT, help="seconds for a base")
+    parser.add_argument("--alone", action="store_true", help="measure the only base given in this process")
+    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    given = parser.parse_args()
+    records: list[Record] = []
+    for n in given.bases:
+        if given.alone:
+            try:
+                records += measure(n, given.runs, given.limit / 2)
+            except AmrpicError as refused:
+                records.append(Record(base_name(n), [math.nan], facts={"skipped": f"refused: {refused}"}))
+            continue
+        arguments = ["--alone", "--bases", str(n), "--runs", str(given.runs), "--limit", str(given.limit)]
+        records += launch_or_skip(Path(__file__), arguments, base_name(n), given.limit)
+    if not given.alone:
+        known = {record.name: record for record in records}
+        for row in rows(known):
+            print("  ".join(row), flush=True)
+    write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""Time solves in the rest frame of fast bunches, on cells γ times as long, beside cubes on the same mesh. A worker of bench.py.
+
+64³ cells and one refined level of most of the domain, or three nested ones; grounded and open walls; boxes of several sizes.
+Each is measured in a process of its own, for its memory; one that takes too long, or fails, is skipped, and the table says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+import statistics
+import sys
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from measuring import CPU_TIME, Record, launch_or_skip, reset_peak, resident, timed, write
+from mpi4py import MPI
+from solving import FULL
+
+import amrpic
+from amrpic.poisson import PoissonSolver
+from amrpic.verify.sources import EPS0
+
+GAMMAS = (10, 20, 50, 100)
+MESHES = {  # levels beyond the base, by the first and the last cell along each axis
+    "one level": ((8, 119),),
+    "three levels": ((32, 95), (96, 159), (224, 287)),
+}
+WALLS = ("dirichlet", "open")
+BOXES = (16, 24, 32)
+CUBES = ", cubes"  # what the name of the solve beside ends in
+LIMIT = 60.0  # s, of one process
+BYTES_PER_CELL, BYTES = 40, 100e6  # that the solver may take
+
+
+def measure(gamma: float, mesh: str, walls: str, boxes: int, turns: int, seconds: float) -> Iterator[Record]:
+    """Yield the solves on long cells and on cubes, in as many turns as fit into about so many seconds, at least one."""
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (64,) * 3, boundary=walls)
+    levels = [[((first,) * 3, (last,) * 3)] for first, last in MESHES[mesh]]
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, levels, boxes)
+    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
+    rho, guess = amrpic.Field(hierarchy).fill(density), amrpic.Field(hierarchy)
+    for level in range(hierarchy.levels):
+        guess.array(level)[:] = 0.0  # its pages exist
+    small = amrpic.Hierarchy(MPI.COMM_SELF, amrpic.Domain((0, 0, 0), (1, 1, 1), (16,) * 3, boundary="dirichlet"))
+    PoissonSolver(small)  # libraries are loaded
+
+    before = resident("VmRSS")
+    reset_peak()
+    first = 0.0
+    works, reports = [], []
+    beyond = math.nan
+    for stretch in (gamma, 1.0):
+        solver = PoissonSolver(hierarchy, tolerance=FULL, stretch=(1.0, 1.0, stretch))
+        works.append(partial(solver.solve, rho, guess=guess))
+        taken, (phi, report) = timed(MPI.COMM_SELF, 1, works[-1])
+        if stretch == gamma:
+            beyond = resident("VmHWM") - before - 8 * cells  # less the potential that it returns
+        del phi
+        first += taken[0]
+        reports.append(report)
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(max(1, min(turns, int(seconds / first)))):
+        for work, mine in zip(works, times, strict=True):
+            mine += timed(MPI.COMM_SELF, 1, work, CPU_TIME)[0]
+    label = gamma_name(gamma, mesh, walls, boxes)
+    for one, taken, report in zip((label, label + CUBES), times, reports, strict=True):
+        facts: dict[str, Any] = {"cycles": report.cycles, "converged": report.converged}
+        if one == label:
+            facts["bytes beyond"] = beyond
+        yield Record(one, taken, cells=cells, facts=facts)
+
+
+def density(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return EPS0 * np.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2 + (z - 0.5) ** 2) / (2 * 0.06**2))
+
+
+def gamma_name(gamma: float, mesh: str, walls: str, boxes: int) -> str:
+    return f"gamma, {gamma:g}, {mesh}, {walls}, boxes {boxes}"
+
+
+def gamma_ratio(records: Mapping[str, Record], record: Record) -> float:
+    """Return the time over that of cubes, the median of the turns; infinite if it was skipped."""
+    if record.skipped:
+        return math.inf
+    turns = zip(record.seconds, records[record.name + CUBES].seconds, strict=True)
+    return statistics.median(one / other for one, other in turns)
+
+
+def memory_ratio(record: Record) -> float:
+    """Return the solver's memory over what it may take; infinite if it was skipped."""
+    if record.skipped:
+        return math.inf
+    return float(record.facts["bytes beyond"]) / (BYTES_PER_CELL * record.cells + BYTES)
+
+
+def rows(records: Mapping[str, Record]) -> list[tuple[str, ...]]:
+    """Return the table: the case, cycles beside those of cubes, the ratio, and memory."""
+    out: list[tuple[str, ...]] = [
+        ("γ", "mesh", "walls", "boxes", "cycles", "of cubes", "time over that of cubes", "memory beyond φ and ρ")
+    ]
+    for record in records.values():
+        if not record.name.startswith("gamma, ") or record.name.endswith(CUBES):
+            continue
+        case = tuple(record.name.removeprefix("gamma, ").replace("boxes ", "").split(", "))
+        if record.skipped:
+            out.append((*case, "–", "–", record.skipped, "–"))
+            continue
+        cubes = records[record.name + CUBES]
+        cycles = f"{record.facts['cycles']}{'' if record.facts['converged'] else ', not converged'}"
+        memory = (
+            f"{record.facts['bytes beyond'] / record.cells:.0f} B/cell, {record.facts['bytes beyond'] / 1e6:.0f} MB"
+        )
+        ratio = f"{gamma_ratio(records, record):.2f}×"
+        out.append((*case, cycles, str(cubes.facts["cycles"]), ratio, memory))
+    return out
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--gammas", type=float, nargs="+", default=list(GAMMAS))
+    parser.add_argument("--meshes", nargs="+", choices=list(MESHES), default=list(MESHES))
+    parser.add_argument("--walls", nargs="+", choices=WALLS, default=list(WALLS))
+    parser.add_argument("--boxes", type=int, nargs="+", default=list(BOXES))
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--limit", type=float, default=LIMIT, help="seconds for a case")
+    parser.add_argument("--alone", action="store_true", help="measure the only case given in this process")
+    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    given = parser.parse_args()
+    records: list[Record] = []
+    for case in itertools.product(given.gammas, given.meshes, given.walls, given.boxes):
+        if given.alone:
+            records += measure(*case, given.runs, given.limit / 3)
+            continue
+        options = zip(("--gammas", "--meshes", "--walls", "--boxes"), map(str, case), strict=True)
+        arguments = ["--alone", *itertools.chain(*options), "--runs", str(given.runs), "--limit", str(given.limit)]
+        records += launch_or_skip(Path(__file__), arguments, gamma_name(*case), given.limit)
+    if not given.alone:
+        for row in rows({record.name: record for record in records}):
+            print("  ".join(row), flush=True)
+    write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -127,8 +127,9 @@ class Hierarchy:
     an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
     if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
 
-    Raises HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned to the blocking
-    factor, or do not nest.
+    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
+
+    Raises HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not nest.
     """
 
     def __init__(

@@ -257,10 +257,14 @@ class Refinement(Section):
     max_grid_size: int = Field(
         default=32,
         ge=2,
-        description="Most cells of a box along an axis: small boxes balance the ranks, large ones are faster.",
+        description="Most cells of a box along an axis, and one more where a single layer of cells would be left at the "
+        "domain's upper face: small boxes balance the ranks, large ones are faster.",
     )
     blocking_factor: int = Field(
-        default=8, ge=2, description="Boxes begin and end at multiples of it; a power of two, so that they coarsen."
+        default=8,
+        ge=2,
+        description="Boxes begin at multiples of it, and end there or at the domain's upper face, where the last one may "
+        "be shorter; a power of two, so that they coarsen.",
     )
     rule: RuleKind = Field(
         default=ChargeDensityRule(relative=1e-3),

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mpi4py import MPI
 
+from .boxes import scaled_cells
 from .errors import InputError, OutputError
 from .failure import Meeting
 from .plan import Plan
@@ -88,16 +89,15 @@ def measure(comm: MPI.Comm, scene: Scene, kind: str, steps: int) -> Measured:
 def grown(scene: Scene, factor: float) -> list[str]:
     """Return the overrides that give a scene so many times its particles and, nearly, its cells: a finer mesh.
 
-    Cells per axis are rounded to multiples of the blocking factor.
+    Along axes whose cells are a multiple of the blocking factor they stay one.
     """
-    block = scene.refinement.blocking_factor
-    cells = [max(block, block * round(n * factor ** (1 / 3) / block)) for n in scene.domain.value.cells]
+    cells = scaled_cells(scene.domain.value.cells, factor ** (1 / 3), scene.refinement.blocking_factor)
     bunches = scene.to_dict()["bunches"]
     counts = [
         0 if "file" in bunch else bunch.get("particles", 0) for bunch in bunches
     ]  # those of a file are what they are
     more = [f"bunches.{number}.particles={round(count * factor)}" for number, count in enumerate(counts) if count]
-    return [f"domain.cells={cells}", *more]
+    return [f"domain.cells={list(cells)}", *more]
 
 
 # ---- the study ----

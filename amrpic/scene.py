@@ -58,9 +58,7 @@ class DomainSection(Section):
 
     lower: Length3 = Field(description="Lower corner, m.")
     upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
-    cells: Index3 = Field(
-        description="Base cells per axis; multiples of refinement.blocking_factor, because boxes are."
-    )
+    cells: Index3 = Field(description="Base cells per axis, at least 2; any number will do.")
     boundary: Annotated[
         dict[str, tuple[str, str]],
         BeforeValidator(lambda value: _per_face(value)),
@@ -364,16 +362,8 @@ class Scene(Section):
         return self
 
     def _check_cells(self) -> None:
-        cells, block = self.domain.cells, self.refinement.blocking_factor
+        cells = self.domain.cells
         for axis, number in enumerate(cells):
-            if number % block:
-                near = number // block * block
-                raise complaint(
-                    f"is not divisible by the blocking factor {block}",
-                    f"use {near or block} or {near + block}, or another refinement.blocking_factor",
-                    path=f"domain.cells.{axis}",
-                    found=number,
-                )
             if number * 2**self.refinement.levels > LARGEST_INDEX:
                 raise complaint(
                     f"makes {number * 2**self.refinement.levels} cells on the finest level, more than 32 bits count",

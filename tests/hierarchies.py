@@ -1,8 +1,8 @@
 """Seeded hierarchies of awkward shape, as plain data, properly nested by construction.
 
-A level is a mask of blocks (`blocking_factor` cells wide) within what its coarser level allows: a block may be refined
-if its cells and all their neighbours, also the diagonal ones, exist on the coarser level. Walls need no neighbours
-beyond them; periodic faces do.
+A level is a mask of blocks (`blocking_factor` cells wide, the last one along an axis perhaps shorter) within what its
+coarser level allows: a block may be refined if its cells and all their neighbours, also the diagonal ones, exist on the
+coarser level. Walls need no neighbours beyond them; periodic faces do.
 """
 
 from __future__ import annotations
@@ -97,6 +97,11 @@ def lower_corner(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
 def upper_edge(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
     x, y, _ = grid(n)
     return (2 * x >= n[0]) & (2 * y >= n[1])
+
+
+def upper_corner(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
+    x, y, z = grid(n)
+    return (2 * x >= n[0]) & (2 * y >= n[1]) & (2 * z >= n[2])
 
 
 def lower_face(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
@@ -206,9 +211,16 @@ def doubled(mask: Mask) -> Mask:
 
 
 def whole_blocks(mask: Mask, size: int) -> Mask:
-    """Return the blocks that lie in the mask of cells as a whole."""
-    nx, ny, nz = (count // size for count in mask.shape)
-    return np.asarray(mask.reshape(nx, size, ny, size, nz, size).all(axis=(1, 3, 5)))
+    """Return the blocks that lie in the mask of cells as a whole; the last one along an axis may be shorter."""
+    filled = np.pad(mask, [(0, -count % size) for count in mask.shape], constant_values=True)
+    nx, ny, nz = (count // size for count in filled.shape)
+    return np.asarray(filled.reshape(nx, size, ny, size, nz, size).all(axis=(1, 3, 5)))
+
+
+def cells_of_blocks(blocks: Mask, size: int, cells: tuple[int, ...]) -> Mask:
+    """Return the mask of so many cells that the blocks cover."""
+    nx, ny, nz = cells
+    return blocks.repeat(size, 0).repeat(size, 1).repeat(size, 2)[:nx, :ny, :nz]
 
 
 def cut_out(allowed: Mask, shape: Shape, rng: np.random.Generator) -> Mask:
@@ -222,8 +234,11 @@ def cut_out(allowed: Mask, shape: Shape, rng: np.random.Generator) -> Mask:
     return blocks
 
 
-def boxes_of(blocks: Mask, size: int) -> tuple[Box, ...]:
-    """Return disjoint boxes of cells that make up the blocks: the first free block grown along x, then y, then z."""
+def boxes_of(blocks: Mask, size: int, cells: tuple[int, ...]) -> tuple[Box, ...]:
+    """Return disjoint boxes of cells that make up the blocks: the first free block grown along x, then y, then z.
+
+    The level has so many `cells`, where its last blocks end.
+    """
     free = blocks.copy()
     boxes = []
     for start in itertools.product(*(range(count) for count in free.shape)):
@@ -235,7 +250,7 @@ def boxes_of(blocks: Mask, size: int) -> tuple[Box, ...]:
                 stop[axis] += 1
         free[tuple(slice(a, b) for a, b in zip(start, stop, strict=True))] = False
         x0, y0, z0 = (index * size for index in start)
-        x1, y1, z1 = (index * size - 1 for index in stop)
+        x1, y1, z1 = (min(index * size, count) - 1 for index, count in zip(stop, cells, strict=True))
         boxes.append(((x0, y0, z0), (x1, y1, z1)))
     return tuple(boxes)
 
@@ -264,11 +279,12 @@ def make(
     mask: Mask = np.ones(cells, dtype=bool)
     levels: list[tuple[Box, ...]] = []
     for shape in shapes:
-        blocks = cut_out(whole_blocks(doubled(eroded(mask, periodic)), blocking_factor), shape, rng)
+        allowed = doubled(eroded(mask, periodic))
+        blocks = cut_out(whole_blocks(allowed, blocking_factor), shape, rng)
         if not blocks.any():
             raise ValueError(f"{name}: level {len(levels) + 1} is empty")
-        levels.append(boxes_of(blocks, blocking_factor))
-        mask = blocks.repeat(blocking_factor, 0).repeat(blocking_factor, 1).repeat(blocking_factor, 2)
+        levels.append(boxes_of(blocks, blocking_factor, allowed.shape))
+        mask = cells_of_blocks(blocks, blocking_factor, allowed.shape)
     return Case(name, cells, faces, blocking_factor, max_grid_size, tuple(levels), upper=upper)
 
 
@@ -314,6 +330,17 @@ def named_cases() -> list[Case]:
         make("crossings normal to y", (6, 12, 6), "oooooo", 2, [crossings(1)]),
         make("crossings normal to z", (6, 6, 12), "pppppp", 2, [crossings(2)]),
         make("all refined", n8, "dndndn", 4, [everything, scattered(1.0, 2)], max_grid_size=16),
+        make("odd cells, refined at upper walls", (9, 7, 11), "dndnnd", 4, [upper_corner, upper_corner]),
+        make("odd cells, refined across periodic faces", (9, 13, 7), "ppppdd", 4, [all_corners], upper=STRETCHED),
+        make("fewer cells than a block", (5, 11, 3), "oooooo", 8, [upper_edge]),
+        make(
+            "a layer beyond the last block, all refined",
+            (9, 5, 5),
+            "ppnnpp",
+            4,
+            [everything, both_ends],
+            max_grid_size=4,
+        ),
     ]
 
 

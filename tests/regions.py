@@ -32,9 +32,10 @@ def finer(marks: np.ndarray, factor: int = 2) -> np.ndarray:
 
 
 def coarser(marks: np.ndarray, factor: int = 2) -> np.ndarray:
-    """Cubes of `factor` cells of which any is marked."""
-    a, b, c = (n // factor for n in marks.shape)
-    return np.asarray(marks.reshape(a, factor, b, factor, c, factor).any(axis=(1, 3, 5)))
+    """Cubes of `factor` cells of which any is marked; the last one along an axis may be shorter."""
+    filled = np.pad(marks, [(0, -n % factor) for n in marks.shape])
+    a, b, c = (n // factor for n in filled.shape)
+    return np.asarray(filled.reshape(a, factor, b, factor, c, factor).any(axis=(1, 3, 5)))
 
 
 def wanted_blocks(
@@ -51,7 +52,8 @@ def wanted_blocks(
     edge, periodic = hierarchy.blocking_factor, hierarchy.domain.periodic
     out: list[np.ndarray] = []
     for level in range(max(len(tags), len(static)), 0, -1):
-        blocks = np.zeros(np.array(hierarchy.domain.cells) * 2**level // edge, dtype=bool)
+        cells = np.array(hierarchy.domain.cells) * 2**level
+        blocks = np.zeros(-(-cells // edge), dtype=bool)
         exists = mask(hierarchy, level - 1) == 1
         if level <= len(tags):
             blocks |= coarser(finer(grown(tags[level - 1] & exists, settings.buffer, periodic)), edge)
@@ -61,6 +63,8 @@ def wanted_blocks(
         for a, b, c, d, e, f in static[level - 1] if level <= len(static) else ():
             blocks[a // edge : d // edge + 1, b // edge : e // edge + 1, c // edge : f // edge + 1] = True
         if out:  # the finer level, with room around it
-            blocks |= coarser(grown(coarser(finer(out[0], edge)), settings.nesting, periodic), edge)
+            nx, ny, nz = 2 * cells
+            covered = finer(out[0], edge)[:nx, :ny, :nz]
+            blocks |= coarser(grown(coarser(covered), settings.nesting, periodic), edge)
         out.insert(0, blocks)
     return out

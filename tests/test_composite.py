@@ -318,30 +318,35 @@ def check_truncation(p: Problem, base_ratio: tuple[int, int, int]) -> None:
 def truncation_by_definition(
     p: Problem, phi: list[np.ndarray], rho: list[np.ndarray], level: int, ratio: tuple[int, ...]
 ) -> np.ndarray:
-    """On dense arrays that hold nan where a level has no cells."""
+    """On dense arrays that hold nan where a level has no cells. Along an axis with an odd number of them, the last one is
+    left out, and there the mesh ends as at walls."""
     if ratio == (1, 1, 1):
         return np.zeros_like(phi[level])
-    f = -rho[level] / epsilon_0 - p.mean
+    left = [(0, n % r) for n, r in zip(phi[level].shape, ratio, strict=True)]
+    periodic = [wraps and alone == 0 for wraps, (_, alone) in zip(p.hierarchy.domain.periodic, left, strict=True)]
+    nx, ny, nz = (n - alone for n, (_, alone) in zip(phi[level].shape, left, strict=True))
+    paired = [values[:nx, :ny, :nz] for values in (phi[level], rho[level])]
+    f = -paired[1] / epsilon_0 - p.mean
     covered = np.zeros(f.shape, dtype=bool)
     if level + 1 < p.hierarchy.levels:
-        covered = np.isfinite(phi[level + 1][::2, ::2, ::2])
+        covered = np.isfinite(phi[level + 1][::2, ::2, ::2])[:nx, :ny, :nz]
     coarse_f = mean_of_blocks(np.where(covered, np.nan, f), ratio)
-    coarse_phi = phi[level - 1] if level else mean_of_blocks(phi[0], ratio)
+    coarse_phi = phi[level - 1] if level else mean_of_blocks(paired[0], ratio)
     seen = -coarse_f
     for d in range(3):
         second = np.roll(coarse_phi, 1, d) + np.roll(coarse_phi, -1, d) - 2 * coarse_phi
-        if not p.hierarchy.domain.periodic[d]:
+        if not periodic[d]:
             for end in (0, -1):
                 second[(slice(None),) * d + (end,)] = np.nan
         seen = seen + second / (ratio[d] * p.spacing(level)[d]) ** 2
     out = np.nan_to_num(seen, nan=0.0) / 3
     for d in (d for d in range(3) if ratio[d] == 2):
         low, high = np.roll(out, 1, d), np.roll(out, -1, d)
-        if not p.hierarchy.domain.periodic[d]:
+        if not periodic[d]:
             low[(slice(None),) * d + (0,)] = high[(slice(None),) * d + (-1,)] = 0
         out = np.stack([0.75 * out + 0.25 * low, 0.75 * out + 0.25 * high], axis=d + 1)
         out = out.reshape([2 * n if a == d else n for a, n in enumerate(low.shape)])
-    return np.where(covered, 0.0, out)
+    return np.pad(np.where(covered, 0.0, out), left)
 
 
 def mean_of_blocks(values: np.ndarray, ratio: tuple[int, ...]) -> np.ndarray:

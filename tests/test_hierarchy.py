@@ -22,6 +22,7 @@ def hierarchy(levels=(), domain=DOMAIN, **options):
     [
         ([[((8, 8, 8), (23, 23, 22))]], r"box \(8, 8, 8\)-\(23, 23, 22\) of level 1 is not aligned .* 8 along z"),
         ([[((4, 8, 8), (19, 23, 23))]], "not aligned to the blocking factor 8 along x"),
+        ([[((8, 8, 8), (31, 30, 31))]], r"8 along y; start it on a multiple .* or end it at the domain's upper face"),
         ([[((8, 8, 8), (39, 23, 23))]], "leaves the domain"),
         ([[((16, 8, 8), (15, 23, 23))]], "is empty"),
         ([[*MIDDLE, ((16, 16, 16), (31, 31, 31))]], "overlaps .* must be disjoint"),
@@ -41,7 +42,6 @@ def test_boxes_that_cannot_be_are_refused_by_name(levels, complaint):
     [
         ({"blocking_factor": 3}, "blocking_factor is 3; it must be a power of two"),
         ({"max_grid_size": 4}, "max_grid_size is 4, less than the blocking factor 8"),
-        ({"blocking_factor": 32, "max_grid_size": 32}, "16 cells along x, not a multiple of the blocking factor 32"),
         ({"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (2**20,) * 3)}, "more than the .* that 1 ranks can number"),
         ({"weights": [np.ones(3)]}, "level 0 has 1 boxes but 3 weights"),
         (

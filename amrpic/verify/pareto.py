@@ -12,6 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
+from ..boxes import scaled_cells
 from ..diagnostics import field_energy
 from ..field import Field, VectorField
 from ..follow import follow, make_base
@@ -121,7 +122,7 @@ def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
     if any(isinstance(rule, StaticRule) for _, rule in every_rule(scene.refinement.rule, "")):
         factors, levels = (1,), range(default.levels, default.levels + 1)  # its boxes belong to its mesh
     made = [
-        Setting(_scaled(default.cells, factor, block), level, default.box, tolerance, default.warm)
+        Setting(scaled_cells(default.cells, factor, block), level, default.box, tolerance, default.warm)
         for factor in factors
         for level in levels
         for tolerance in tolerances
@@ -130,10 +131,6 @@ def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
     made += [Setting(default.cells, default.levels, box, default.tolerance, default.warm) for box in boxes]
     made += [Setting(default.cells, default.levels, default.box, t, not default.warm) for t in tolerances]
     return list(dict.fromkeys([*made, default]))
-
-
-def _scaled(cells: tuple[int, int, int], factor: float, block: int) -> tuple[int, int, int]:
-    return tuple(max(round(n * factor / block), 1) * block for n in cells)  # type: ignore[return-value]
 
 
 # ---- the frontier ----
@@ -319,7 +316,7 @@ def _reference(scene: Scene, density: Density) -> ExactField:
     """The field on a much finer mesh, which every rank solves by itself."""
     default = default_of(scene)
     block = scene.refinement.blocking_factor
-    fine = Setting(_scaled(default.cells, FINER, block), default.levels, default.box, 1e-10, False)
+    fine = Setting(scaled_cells(default.cells, FINER, block), default.levels, default.box, 1e-10, False)
     case = _case(MPI.COMM_SELF, scene, fine, density)
     plan = case.plan(1e-8)
     phi, _ = plan.solve(case.rho, None)

@@ -20,26 +20,46 @@ struct Part {
 
 int cells_per_parent(Index3 const& ratio) { return ratio[0] * ratio[1] * ratio[2]; }
 
-/// Where the parents of a local box's cells start among those of all of this rank's boxes. Half pairs count as parents.
-std::int64_t parents_before(Level const& level, int box, Index3 const& ratio) {
-  std::int64_t out = 0;
-  for (int b = level.first_local_box(); b < box; ++b) out += level.box(b).coarsen(ratio).cells();
+/// Whether the last cell of a level along an axis, the base's, has no partner to share a parent with. The parent that
+/// it has alone holds no mean, and nothing is told of its neighbours, as of cells at walls.
+bool leaves_a_cell(Level const& level, Index3 const& ratio, int axis) {
+  return level.domain().extent(axis) % ratio[axis] != 0;
+}
+
+/// The overlaps with a region, except those across periodic faces where the last cell is alone: parents do not go on
+/// there.
+std::vector<Overlap> overlaps_of_parents(Level const& level, Index3 const& ratio, Box const& region) {
+  auto out = overlaps(level, region);
+  out.erase(std::remove_if(out.begin(), out.end(),
+                           [&](Overlap const& o) {
+                             bool crosses = false;
+                             for (int d = 0; d < 3; ++d)
+                               crosses = crosses || (o.shift[d] != 0 && leaves_a_cell(level, ratio, d));
+                             return crosses;
+                           }),
+            out.end());
+  return out;
+}
+
+/// Where the parents of this rank's boxes start, one box after the other; boxes + 1 values.
+std::vector<std::int32_t> first_parents(Level const& level, Index3 const& ratio) {
+  std::vector<std::int32_t> out{0};
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+    out.push_back(out.back() + std::int32_t(level.box(b).coarsen(ratio).cells()));
   return out;
 }
 
 /// Lists the parts of a window that lie in the boxes of a level, all in cells `ratio` times coarser than the level's,
-/// and asks for those of other ranks.
-std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, Box const& window, Imports& imports) {
+/// and asks for those of other ranks. `first`: of `first_parents`.
+std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, std::vector<std::int32_t> const& first,
+                             Box const& window, Imports& imports) {
   std::vector<Part> out;
-  for (auto const& o : overlaps(level, window.refine(ratio))) {
+  for (auto const& o : overlaps_of_parents(level, ratio, window.refine(ratio))) {
     Box const own = o.part.shift({-o.shift[0], -o.shift[1], -o.shift[2]}).coarsen(ratio);
-    Box const box = level.box(o.box).coarsen(ratio);
-    Box place = o.part.coarsen(ratio);
-    for (int d = 0; d < 3; ++d)  // images beyond an odd number of cells pair them otherwise, and are not used
-      place.upper[d] = std::min(place.upper[d], place.lower[d] + own.extent(d) - 1);
+    Box const box = level.box(o.box).coarsen(ratio), place = o.part.coarsen(ratio);
     if (level.owner(o.box) == level.rank())
       out.push_back({Rectangle::here,
-                     std::int32_t(parents_before(level, o.box, ratio) + box.offset(own.lower)),
+                     first[std::size_t(o.box - level.first_local_box())] + std::int32_t(box.offset(own.lower)),
                      box.extent(0), box.extent(0) * box.extent(1), place});
     else
       out.push_back({level.owner(o.box), imports.ask(level.owner(o.box), {l, o.box, -1, own}), own.extent(0),
@@ -61,37 +81,38 @@ Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* 
   return out;
 }
 
-/// Add to parents `weight` times the sum of each one's children in a row of n.
+/// Add to a row of n parents `weight` times the sum of each one's children in a row.
 void add_parents(int n, int ratio, Real weight, Real const* __restrict fine, Real* __restrict parents) {
   if (ratio == 1)
     for (int i = 0; i < n; ++i) parents[i] += weight * fine[i];
   else
-    for (int i = 0; i < n / 2; ++i) parents[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
+    for (int i = 0; i < n; ++i) parents[i] += weight * (fine[2 * i] + fine[2 * i + 1]);
 }
 
 /// The means over groups of `ratio` cells of this rank's boxes, one box after the other, x fastest.
-std::vector<Real> means(Level const& level, Index3 const& ratio, Real const* fine) {
-  std::vector<Real> out(std::size_t(parents_before(level, level.last_local_box(), ratio)), 0.0);
+std::vector<Real> means(Level const& level, Index3 const& ratio, std::vector<std::int32_t> const& first_parent,
+                        Real const* fine) {
+  std::vector<Real> out(std::size_t(first_parent.back()), 0.0);
   Real const weight = 1.0 / cells_per_parent(ratio);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const &box = level.box(b), parents = box.coarsen(ratio);
-    Real* const first = out.data() + parents_before(level, b, ratio);
+    Real* const first = out.data() + first_parent[std::size_t(b - level.first_local_box())];
     int const n = parents.extent(0);
     for (int k = 0; k < box.extent(2); ++k)
       for (int j = 0; j < box.extent(1); ++j, fine += box.extent(0)) {
         Real* const to =
             first + std::ptrdiff_t(n) * (j / ratio[1] + std::ptrdiff_t(parents.extent(1)) * (k / ratio[2]));
-        add_parents(box.extent(0), ratio[0], weight, fine, to);
+        add_parents(box.extent(0) / ratio[0], ratio[0], weight, fine, to);
       }
   }
   return out;
 }
 
 /// Pack a piece of such means.
-Real* pack_means(Level const& level, Index3 const& ratio, std::vector<Real> const& means, Piece const& piece,
-                 Real* out) {
+Real* pack_means(Level const& level, Index3 const& ratio, std::vector<std::int32_t> const& first,
+                 std::vector<Real> const& means, Piece const& piece, Real* out) {
   Box const parents = level.box(piece.box).coarsen(ratio);
-  Real const* const from = means.data() + parents_before(level, piece.box, ratio);
+  Real const* const from = means.data() + first[std::size_t(piece.box - level.first_local_box())];
   for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
     for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
       out = std::copy_n(from + parents.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
@@ -106,8 +127,7 @@ struct Task {
   std::vector<Part> phi;  ///< in them and their neighbours: the coarser level's, or means where none is
 };
 
-/// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and neither a wall nor half a
-/// pair of cells is beside it.
+/// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and it is not at a wall.
 Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
   Window<char> out(parents, 0);
   Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
@@ -117,16 +137,16 @@ Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, B
       for (int j = part.lower[1]; j <= part.upper[1]; ++j)
         std::fill_n(&out({part.lower[0], j, k}), part.extent(0), value);
   };
-  for (auto const& o : overlaps(level, children)) set(o.part.coarsen(ratio), 1);
+  for (auto const& o : overlaps_of_parents(level, ratio, children)) set(o.part.coarsen(ratio), 1);
   if (finer)
     for (auto const& o : overlaps(*finer, children.refine(refinement_ratio)))
       set(o.part.coarsen(refinement_ratio).coarsen(ratio), 0);
   for (int d = 0; d < 3; ++d) {
-    bool const odd = level.domain().extent(d) % ratio[d] != 0;
-    if (level.periodic()[d] && !odd) continue;
-    Box below = parents, above = parents;
+    bool const is_left = leaves_a_cell(level, ratio, d);
+    if (level.periodic()[d] && !is_left) continue;
+    Box below = parents, above = parents;  // with what lies beyond
     below.upper[d] = domain.lower[d];
-    above.lower[d] = domain.upper[d] - (odd ? 1 : 0);
+    above.lower[d] = domain.upper[d] - (is_left ? 1 : 0);
     set(below.intersect(parents), 0);
     set(above.intersect(parents), 0);
   }
@@ -184,23 +204,25 @@ Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
         for (int k = 0; k < box(l, b).extent(2); ++k) write_plane(l, b, k, 0, truncation[l][b]);
       continue;
     }
+    auto const first = first_parents(level(l), ratio);
+    auto const first_coarse = l > 0 ? first_parents(level(l - 1), {1, 1, 1}) : first;
     Imports rho_imports, phi_imports;
     std::vector<Task> tasks;
     for (int b = 0; b < boxes(l); ++b) {
       Box const parents = box(l, b).coarsen(ratio).grow({ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
-      Task task{b, parents, find_parts(level(l), l, ratio, parents, rho_imports), {}};
-      task.phi = l > 0 ? find_parts(level(l - 1), l - 1, {1, 1, 1}, parents.grow(1), phi_imports)
-                       : find_parts(level(0), 0, ratio, parents.grow(1), phi_imports);
+      Task task{b, parents, find_parts(level(l), l, ratio, first, parents, rho_imports), {}};
+      task.phi = l > 0 ? find_parts(level(l - 1), l - 1, {1, 1, 1}, first_coarse, parents.grow(1), phi_imports)
+                       : find_parts(level(0), 0, ratio, first, parents.grow(1), phi_imports);
       tasks.push_back(std::move(task));
     }
-    auto const charges = means(level(l), ratio, source.rho.level(l).data());
-    auto const potentials = l > 0 ? std::vector<Real>() : means(level(0), ratio, phi.level(0).data());
+    auto const charges = means(level(l), ratio, first, source.rho.level(l).data());
+    auto const potentials = l > 0 ? std::vector<Real>() : means(level(0), ratio, first, phi.level(0).data());
     Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
     rho_imports.connect(hierarchy_->comm());
     phi_imports.connect(hierarchy_->comm());
-    rho_imports.start([&](Piece const& piece, Real* out) { pack_means(level(l), ratio, charges, piece, out); });
+    rho_imports.start([&](Piece const& piece, Real* out) { pack_means(level(l), ratio, first, charges, piece, out); });
     phi_imports.start([&](Piece const& piece, Real* out) {
-      l > 0 ? pack_cells(phi, piece, out) : pack_means(level(0), ratio, potentials, piece, out);
+      l > 0 ? pack_cells(phi, piece, out) : pack_means(level(0), ratio, first, potentials, piece, out);
     });
     rho_imports.finish();
     phi_imports.finish();

@@ -12,16 +12,18 @@ namespace amrpic {
 
 std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor) {
   // Pieces of equal size to one block, so that 40 cells under a limit of 24 become 24 + 16 or 20 + 20, never 24 + 8
-  // + 8.
+  // + 8. The last block, and with it the last piece, may be shorter.
   auto pieces = [&](int axis) {
-    int const blocks = (region.extent(axis) + blocking_factor - 1) / blocking_factor;
+    int const lower = region.lower[axis], upper = region.upper[axis];
+    int const blocks = (region.extent(axis) - 1) / blocking_factor + 1;
     int const most = std::max(1, max_grid_size / blocking_factor);
-    int const count = (blocks + most - 1) / most;
+    int const count = (blocks - 1) / most + 1;
     std::vector<std::array<int, 2>> out;
     for (int p = 0; p < count; ++p) {
-      int const first = region.lower[axis] + int(std::int64_t(blocks) * p / count) * blocking_factor;
-      int const next = region.lower[axis] + int(std::int64_t(blocks) * (p + 1) / count) * blocking_factor;
-      out.push_back({first, std::min(next - 1, region.upper[axis])});
+      int const first = lower + int(std::int64_t(blocks) * p / count) * blocking_factor;
+      if (first == upper && p > 0) break;  // a wall's ghosts take two cells of a box
+      if (p > 0) out.back()[1] = first - 1;
+      out.push_back({first, upper});
     }
     return out;
   };
@@ -60,10 +62,12 @@ void check_box(int level, Box const& box, Box const& domain, int blocking_factor
     throw HierarchyError(where(level, box) + " leaves the domain " + to_string(domain) +
                          " of that level; clip it to the domain");
   for (int d = 0; d < 3; ++d)
-    if (box.lower[d] % blocking_factor != 0 || box.extent(d) % blocking_factor != 0)
+    if (box.lower[d] % blocking_factor != 0 ||
+        (box.extent(d) % blocking_factor != 0 && box.upper[d] != domain.upper[d]))
       throw HierarchyError(where(level, box) + " is not aligned to the blocking factor " +
                            std::to_string(blocking_factor) + " along " + "xyz"[d] +
-                           "; start it on a multiple and give it a multiple of that many cells");
+                           "; start it on a multiple and give it a multiple of that many cells, or end it at the "
+                           "domain's upper face");
 }
 
 void check_disjoint(int number, Level const& level) {
@@ -111,9 +115,9 @@ void check_domain(Domain const& domain, int max_grid_size, int blocking_factor) 
     throw HierarchyError("max_grid_size is " + std::to_string(max_grid_size) + ", less than the blocking factor " +
                          std::to_string(blocking_factor) + "; make it a multiple of the blocking factor");
   for (int d = 0; d < 3; ++d) {
-    if (domain.cells[d] < 2 || domain.cells[d] % blocking_factor != 0)
+    if (domain.cells[d] < 2)
       throw HierarchyError("the domain has " + std::to_string(domain.cells[d]) + " cells along " + "xyz"[d] +
-                           ", not a multiple of the blocking factor " + std::to_string(blocking_factor));
+                           "; give it at least 2");
     if (!(domain.upper[d] > domain.lower[d]))
       throw HierarchyError("the domain's upper corner does not lie above its lower one along " +
                            std::string(1, "xyz"[d]));

@@ -15,8 +15,10 @@ constexpr Index3 refinement_ratio{2, 2, 2};
 class Hierarchy {
  public:
   /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself); `weights[l]`, if
-  /// given, holds one positive number per box of level l as it comes out of the cutting. Throws HierarchyError, alike
-  /// on all ranks, for boxes that overlap, leave the domain, are not aligned to the blocking factor, or do not nest.
+  /// given, holds one positive number per box of level l as it comes out of the cutting. Boxes start on multiples of
+  /// the blocking factor and have a multiple of it, except that those at the domain's upper faces may be shorter.
+  /// Throws HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not
+  /// nest.
   Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vector<Box>> const& refined, int max_grid_size,
             int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
 
@@ -39,7 +41,9 @@ class Hierarchy {
   std::vector<std::shared_ptr<Level const>> levels_;
 };
 
-/// `region` cut into boxes of at most `max_grid_size` cells per axis, corners on multiples of `blocking_factor`.
+/// `region` cut into boxes of at most `max_grid_size` cells per axis that start on multiples of `blocking_factor`. Its
+/// last block may be shorter; if it is a single layer of cells, which none would share, it joins the box before it,
+/// which may then exceed `max_grid_size` by one. So boxes have at least two cells along each axis, as the region has.
 std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor);
 
 /// Sort boxes along a space-filling curve (Morton order of their centres).

@@ -29,14 +29,17 @@ void sort_unique(std::vector<Key>& keys) {
   keys.erase(std::unique(keys.begin(), keys.end()), keys.end());
 }
 
-/// The blocks of a level: what can be refined or not.
+/// The blocks of a level: what can be refined or not. The last one along an axis may be shorter.
+///
+/// Blocks are counted on beyond the domain. Behind an upper periodic face begins an image of the domain with as many
+/// blocks, the first of them block 0 again, so that a short last block has its neighbours where its cells have theirs.
 class Lattice {
  public:
-  Lattice(Hierarchy const& hierarchy, int level) {
+  Lattice(Hierarchy const& hierarchy, int level) : edge_(hierarchy.blocking_factor()) {
     Domain const& domain = hierarchy.domain();
     for (int d = 0; d < 3; ++d) {
-      std::int64_t const blocks =
-          (std::int64_t(domain.cells[d]) << std::min(level, key_bits)) / hierarchy.blocking_factor();
+      cells_[d] = std::int64_t(domain.cells[d]) << std::min(level, key_bits);
+      std::int64_t const blocks = (cells_[d] + edge_ - 1) / edge_;
       if (level > key_bits || blocks > (1 << (key_bits - 1)))
         throw HierarchyError("level " + std::to_string(level) + " would have more than 2^20 blocks along " + "xyz"[d] +
                              "; use fewer levels");
@@ -45,7 +48,31 @@ class Lattice {
     }
   }
 
-  /// Append the blocks of a region, wrapped where periodic and clipped elsewhere.
+  /// The block along an axis that holds a cell of the level, which may lie beyond the domain.
+  int block(int axis, std::int64_t cell) const {
+    auto const divide = [](std::int64_t a, std::int64_t b) { return a / b - (a % b < 0); };
+    std::int64_t const image = periodic_[axis] ? divide(cell, cells_[axis]) : 0;
+    return int(image * extent_[axis] + divide(cell - image * cells_[axis], edge_));
+  }
+
+  /// The blocks that a region of cells touches.
+  Box blocks(Box const& cells) const {
+    Box out;
+    for (int d = 0; d < 3; ++d) out.lower[d] = block(d, cells.lower[d]), out.upper[d] = block(d, cells.upper[d]);
+    return out;
+  }
+
+  /// The cells of a region of blocks in the domain.
+  Box cells(Box const& blocks) const {
+    Box out;
+    for (int d = 0; d < 3; ++d) {
+      out.lower[d] = blocks.lower[d] * edge_;
+      out.upper[d] = int(std::min((std::int64_t(blocks.upper[d]) + 1) * edge_, cells_[d]) - 1);
+    }
+    return out;
+  }
+
+  /// Append a region of blocks, wrapped where periodic and clipped elsewhere.
   void append(Box region, std::vector<Key>& out) const {
     for (int d = 0; d < 3; ++d)
       if (periodic_[d])
@@ -62,14 +89,17 @@ class Lattice {
     return block;
   }
 
-  Index3 extent_;
+  int edge_;
+  std::array<std::int64_t, 3> cells_;
+  Index3 extent_;  ///< blocks
   std::array<bool, 3> periodic_;
 };
 
-/// Marks per cell turned into marks per `edge` cells along one axis, each first grown by `buffer` cells both ways.
-Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, int edge) {
-  auto first = [&](int cell) { return floor_divide(cell - buffer, edge); };
-  auto last = [&](int cell) { return floor_divide(cell + buffer, edge); };
+/// Marks per cell turned, along one axis, into marks per block of the next finer level, each first grown by `buffer`
+/// cells both ways.
+Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, Lattice const& finer) {
+  auto first = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) - buffer)); };
+  auto last = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) + buffer)); };
   Box box = cells.box();
   box.lower[axis] = first(box.lower[axis]);
   box.upper[axis] = last(box.upper[axis]);
@@ -84,7 +114,7 @@ Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, i
 
 /// Blocks of the next finer level that this rank's tags of one kind reach.
 std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std::uint8_t kind, Lattice const& lattice,
-                               int buffer, int edge) {
+                               int buffer) {
   std::vector<Key> out;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Window<char> marks(level.box(b), 0);
@@ -93,7 +123,7 @@ std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std
     if (std::none_of(first, last, [&](std::uint8_t tag) { return tag & kind; })) continue;
     std::transform(first, last, marks.values().begin(), [&](std::uint8_t tag) { return (tag & kind) != 0; });
     // A cube around a tag is the product of intervals, so the axes can be grown one after the other.
-    for (int axis = 0; axis < 3; ++axis) marks = grow_and_coarsen(marks, axis, buffer, edge);
+    for (int axis = 0; axis < 3; ++axis) marks = grow_and_coarsen(marks, axis, buffer, lattice);
     for_each_cell(marks.box(), [&](Index3 const& block) {
       if (marks(block)) lattice.append({block, block}, out);
     });
@@ -112,11 +142,11 @@ std::vector<Key> existing(std::vector<Key> keys, Level const& level, int edge) {
   return keys;
 }
 
-std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, int edge) {
+std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, Lattice const& lattice) {
   std::vector<Index3> blocks(keys.size());
   std::transform(keys.begin(), keys.end(), blocks.begin(), from_key);
   std::vector<Box> boxes = cluster(std::move(blocks), efficiency);
-  for (Box& box : boxes) box = box.refine({edge, edge, edge});
+  for (Box& box : boxes) box = lattice.cells(box);
   return boxes;
 }
 
@@ -136,7 +166,7 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
     if (l - 1 < tagged) {
       std::vector<Key> mine;
       auto reached = [&](std::uint8_t kind) {
-        return tagged_blocks(hierarchy.level(l - 1), tags[l - 1], kind, lattice, options.buffer, edge / 2);
+        return tagged_blocks(hierarchy.level(l - 1), tags[l - 1], kind, lattice, options.buffer);
       };
       if (tags[l - 1]) {
         mine = reached(wanted);
@@ -147,12 +177,12 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
       blocks = all_gather(hierarchy.comm(), mine).values;
     }
     if (l <= int(fixed.size()))
-      for (Box const& box : fixed[l - 1]) lattice.append(box.coarsen({edge, edge, edge}), blocks);
+      for (Box const& box : fixed[l - 1]) lattice.append(lattice.blocks(box), blocks);
     if (l < finest)
       for (Box const& box : levels[l])
-        lattice.append(box.coarsen(refinement_ratio).grow(options.nesting).coarsen({edge, edge, edge}), blocks);
+        lattice.append(lattice.blocks(box.coarsen(refinement_ratio).grow(options.nesting)), blocks);
     sort_unique(blocks);
-    levels[l - 1] = boxes_of_blocks(blocks, options.efficiency, edge);
+    levels[l - 1] = boxes_of_blocks(blocks, options.efficiency, lattice);
   }
   while (!levels.empty() && levels.back().empty()) levels.pop_back();
   return levels;

@@ -78,7 +78,7 @@ int Locator::child_box(int level, int box, Index3 const& cell) {
   if (children.size() == 1) return children[0];
   Box const& parent = hierarchy_->level(level).box(box);
   auto const block = [&](int d) { return (cell[d] - parent.lower[d]) >> block_shift_; };
-  auto const blocks = [&](int d) { return parent.extent(d) >> block_shift_; };
+  auto const blocks = [&](int d) { return ((parent.extent(d) - 1) >> block_shift_) + 1; };  // the last may be shorter
   return children[std::size_t(block(0) + blocks(0) * (block(1) + blocks(1) * block(2)))];
 }
 
@@ -87,9 +87,9 @@ std::vector<int> Locator::make_children(int level, int box) const {
   Box const blocks = hierarchy_->level(level).box(box).coarsen({size, size, size});
   std::vector<int> out(std::size_t(blocks.cells()), -1);
   bool any = false;
-  // Boxes start and end on block faces, so a block lies in one box or in none.
+  // Boxes start and end on block faces or at a face of the domain, so a block lies in one box or in none.
   hierarchy_->level(level + 1).for_each_overlap(
-      blocks.refine({2 * size, 2 * size, 2 * size}), [&](int child, Box const& part, Index3 const&) {
+      hierarchy_->level(level).box(box).refine(refinement_ratio), [&](int child, Box const& part, Index3 const&) {
         any = true;
         for_each_cell(part.coarsen({2 * size, 2 * size, 2 * size}),
                       [&](Index3 const& b) { out[std::size_t(blocks.offset(b))] = child; });

@@ -114,6 +114,25 @@ def test_extents_are_cut_into_boxes_of_equal_size_to_one_block(cells, most, exte
     assert (boxes[:, 3] - boxes[:, 0] + 1).tolist() == extents
 
 
+@pytest.mark.mpi(ranks=2)
+def test_open_walls_of_an_odd_domain_carry_the_potential_of_free_space(comm):
+    """That of a larger domain with the same charge in the same cells, within what the octree leaves out."""
+
+    def solved(cells: tuple[int, int, int]) -> amrpic.Field:
+        domain = amrpic.Domain((0, 0, 0), tuple(0.1 * n for n in cells), cells, "open")
+        hierarchy = amrpic.Hierarchy(comm, domain, (), 8, 8)
+        rho = amrpic.Field(hierarchy).fill(
+            lambda x, y, z: np.exp(-50 * ((x - 0.8) ** 2 + (y - 0.5) ** 2 + (z - 0.6) ** 2)) * (y < 0.8)
+        )
+        phi, report = amrpic.PoissonSolver(hierarchy, tolerance=1e-10).solve(rho)
+        assert report.converged, report.reason
+        return phi
+
+    odd, even = solved((17, 9, 13)), solved((24, 16, 16))
+    points = np.stack(np.meshgrid(*(0.1 * (np.arange(n) + 0.5) for n in (17, 9, 13))), axis=-1).reshape(-1, 3)
+    assert odd.sample(points) == pytest.approx(even.sample(points), rel=0, abs=6e-5 * even.max_abs())
+
+
 def moving(folder: Any, steps: int) -> Scene:
     bunch = {"distribution": "gaussian", "sigma": 0.03, "charge": 1e-11, "particles": 800}
     return Scene.from_dict(

@@ -34,6 +34,8 @@ SOLVED = (
     "crossings normal to z",
     "scattered 6",
     "scattered 9",
+    "odd cells, refined at upper walls",
+    "odd cells, refined across periodic faces",
 )
 Array = np.ndarray
 

@@ -69,16 +69,21 @@ setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, na
 	@$(MAKE) --no-print-directory build
 	@touch $@
 
-# The new module is loaded once before it takes the old one's place: undefined symbols show here, and a running
-# process keeps the file it has mapped.
+# A new module is checked before it takes the old one's place: all its symbols are found, and it loads where the processor
+# has its instruction set. A running process keeps the file it has mapped.
 build:  ## compile what changed; one build at a time
 	@mkdir -p build; exec 9>build/.lock; flock 9; \
 	nice ninja -C $(NATIVE_BUILD) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }; \
-	new=$$(echo $(NATIVE_BUILD)/_native.*.so); old=$$(echo .venv/lib/python3*/site-packages/amrpic)/$$(basename $$new); \
-	if ! cmp -s $$new $$old; then \
-	  $(BIN)/python -c "import ctypes; ctypes.CDLL('$$new')"; \
+	runs=" native baseline processor $$(PYTHONPATH=$(NATIVE_BUILD) $(BIN)/python -c 'import _processor; print(*_processor.sets())') "; \
+	for new in $(NATIVE_BUILD)/_native_*.so $(NATIVE_BUILD)/_processor.*.so; do \
+	  old=$$(echo .venv/lib/python3*/site-packages/amrpic)/$$(basename $$new); \
+	  ! cmp -s $$new $$old || continue; \
+	  missing=$$(ldd -r $$new 2>&1 | sed -n 's/^undefined symbol: \([^ \t]*\).*/\1/p' | grep -v '^_*Py' || true); \
+	  [ -z "$$missing" ] || { echo "$$new lacks" $$missing; exit 1; }; \
+	  set=$${new##*/_}; set=$${set#native_}; set=$${set%%.*}; \
+	  case "$$runs" in *" $$set "*) $(BIN)/python -c "import ctypes; ctypes.CDLL('$$new')";; esac; \
 	  cp $$new $$old.new; mv -f $$old.new $$old; \
-	fi
+	done
 
 # The typed stub of the native module, as its own signatures give it.
 build/_native.pyi: .venv/.built

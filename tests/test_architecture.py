@@ -24,12 +24,13 @@ NATIVE = {
     "matrixfree": {"operators", "stencil", "mesh", "base"},
     "solver": {"matrixfree", "operators", "freespace", "stencil", "mesh", "base"},
     "particle": {"mesh", "base"},
+    "processor": set(),
     "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "stencil", "mesh", "base"},
 }
 
 # What may be named in some folders only.
 CONFINED = {
-    r'#include\s*[<"](nanobind|Python)': {"bind"},
+    r'#include\s*[<"](nanobind|Python)': {"bind", "processor"},
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
     r"#include\s*<(Tpetra|Teuchos)": {"base", "matrixfree", "operators", "solver"},
     r"\bParameterList\b": {"solver"},
@@ -50,7 +51,7 @@ GROUPS = {
         "stop",
         "units",
     },
-    "native": {"_native"},
+    "native": {"_native", "_processor", "isa"},
     "values": {"clouds", "hierarchy", "field", "particles", "scene"},
     "scene parts": {
         "bunch_data",
@@ -89,7 +90,7 @@ GROUPS = {
 }
 IMPORTS = {
     "common": {"common", "native"},
-    "native": set(),
+    "native": {"native"},
     "values": {"common", "native", "values", "scene parts"},
     "scene parts": {"common", "scene parts", "scene"},
     "stages": {"common", "native", "values", "species"},

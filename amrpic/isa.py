@@ -42,12 +42,14 @@ def choose(built: Collection[str], processor: Collection[str], wanted: str = "")
     """Return the set to load; raise InstructionSetError if there is none, or not the one that is wanted."""
     usable = available(built, processor)
     if wanted and wanted not in (*X86_64, *built):
-        raise InstructionSetError(f"{VARIABLE}={wanted} is no instruction set; choose one of {', '.join(usable)}")
+        raise InstructionSetError(f"{VARIABLE}={wanted} names no instruction set; choose one of {', '.join(usable)}")
     if wanted and wanted not in built:
-        raise InstructionSetError(f"{VARIABLE}={wanted} was not built; choose one of {', '.join(usable)}")
+        raise InstructionSetError(
+            f"{VARIABLE}={wanted} names a set that was not built; choose one of {', '.join(usable)}"
+        )
     if wanted and wanted not in usable:
         raise InstructionSetError(
-            f"{VARIABLE}={wanted} is not had by this processor; choose one of {', '.join(usable)}"
+            f"{VARIABLE}={wanted} names a set that this processor lacks; choose one of {', '.join(usable)}"
         )
     if not usable:
         raise InstructionSetError(

@@ -198,6 +198,31 @@ def test_module_imports_only_what_lies_below_it(path):
     assert forbidden_imports(module_of(path), path.read_text(), depth) == set()
 
 
+def own_headers(source: Path) -> set[Path]:
+    """The headers of the native folders that a source includes, directly or not."""
+    found: set[Path] = set()
+    to_read = [source]
+    while to_read:
+        names = re.findall(r'^\s*#\s*include\s*"([^"]+)"', to_read.pop().read_text(), re.MULTILINE)
+        fresh = {ROOT / "native" / name for name in names if (ROOT / "native" / name).exists()} - found
+        found |= fresh
+        to_read += fresh
+    return found
+
+
+def common_sources() -> list[str]:
+    """The sources that CMake compiles once for all instruction sets."""
+    listed = re.search(r"set\(COMMON_SOURCES\s+([^)]*)\)", (ROOT / "CMakeLists.txt").read_text())
+    assert listed
+    return listed[1].split()
+
+
+@pytest.mark.parametrize("source", common_sources())
+def test_what_is_compiled_once_knows_nothing_of_instruction_sets(source):
+    for path in [ROOT / source, *own_headers(ROOT / source)]:
+        assert not re.search(r"vector_size|__(AVX|SSE|FMA)", path.read_text()), path
+
+
 def test_native_graph_has_no_cycle():
     assert all(folder not in NATIVE[below] for folder, belows in NATIVE.items() for below in belows)
 

@@ -20,7 +20,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub docs help setup build run test verify bench solvers lint format clean
+.PHONY: stub docs help setup build run test nehalem verify bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -31,6 +31,19 @@ run: setup  ## the main job: SCENE on RANKS ranks
 # A file more than there are cores: many tests wait for processes that end.
 test: setup  ## all tests, some files at a time; ARGS go to pytest
 	$(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile $(ARGS)
+
+# An old and a middling processor, as QEMU has them: the set that each gets, and a refined problem with a known potential.
+nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alone, emulated
+	@for kind in Nehalem:v2 Haswell:v3; do \
+	  mpiexec -n 1 qemu-x86_64 -cpu $${kind%:*} $(BIN)/python -W ignore -c "from mpi4py import MPI; from amrpic import doctor, isa; \
+	assert isa.in_use == '$${kind#*:}', isa.in_use; print('$${kind%:*},', isa.description() + ':', doctor.solve_known(MPI.COMM_WORLD))" 2> >(grep -v 'TCG doesn.t support' >&2); \
+	done
+
+.venv/.qemu: .venv/.system
+	@command -v qemu-x86_64 >/dev/null || { root=; [ "$$(id -u)" = 0 ] || root=sudo; echo "installing Debian packages: qemu-user"; \
+	  $$root apt-get update -q >/dev/null; \
+	  $$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends qemu-user >/dev/null; }
+	@touch $@
 
 verify: setup  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
@@ -69,16 +82,21 @@ setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, na
 	@$(MAKE) --no-print-directory build
 	@touch $@
 
-# The new module is loaded once before it takes the old one's place: undefined symbols show here, and a running
-# process keeps the file it has mapped.
+# A new module is checked before it takes the old one's place: all its symbols are found, and it loads where the processor
+# has its instruction set. A running process keeps the file it has mapped.
 build:  ## compile what changed; one build at a time
 	@mkdir -p build; exec 9>build/.lock; flock 9; \
 	nice ninja -C $(NATIVE_BUILD) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }; \
-	new=$$(echo $(NATIVE_BUILD)/_native.*.so); old=$$(echo .venv/lib/python3*/site-packages/amrpic)/$$(basename $$new); \
-	if ! cmp -s $$new $$old; then \
-	  $(BIN)/python -c "import ctypes; ctypes.CDLL('$$new')"; \
+	runs=" native baseline processor $$(PYTHONPATH=$(NATIVE_BUILD) $(BIN)/python -c 'import _processor; print(*_processor.sets())') "; \
+	for new in $(NATIVE_BUILD)/_native_*.so $(NATIVE_BUILD)/_processor.*.so; do \
+	  old=$$(echo .venv/lib/python3*/site-packages/amrpic)/$$(basename $$new); \
+	  ! cmp -s $$new $$old || continue; \
+	  missing=$$(ldd -r $$new 2>&1 | sed -n 's/^undefined symbol: \([^ \t]*\).*/\1/p' | grep -v '^_*Py' || true); \
+	  [ -z "$$missing" ] || { echo "$$new lacks" $$missing; exit 1; }; \
+	  set=$${new##*/_}; set=$${set#native_}; set=$${set%%.*}; \
+	  case "$$runs" in *" $$set "*) $(BIN)/python -c "import ctypes; ctypes.CDLL('$$new')";; esac; \
 	  cp $$new $$old.new; mv -f $$old.new $$old; \
-	fi
+	done
 
 # The typed stub of the native module, as its own signatures give it.
 build/_native.pyi: .venv/.built

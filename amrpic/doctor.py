@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from . import _native
+from . import _native, isa
 from .errors import AmrpicError, SolverError
 from .field import Field, Patch
 from .hierarchy import Domain, Hierarchy
@@ -59,6 +59,7 @@ def examine(comm: MPI.Comm) -> list[Finding]:
         answer("MPI", one_mpi_library, MEND_MPI),
         answer("HDF5", hdf5_works_beside_trilinos, MEND_HDF5),
         answer("Trilinos", trilinos_and_backend, MEND_TRILINOS),
+        answer("kernels", isa.description, MEND_TRILINOS),
         answer("solve", (lambda: solve_known(comm)) if under_mpiexec() else solve_on_two_ranks, MEND_SOLVE),
     ]
     return [worst(each) for each in zip(*comm.allgather(findings), strict=True)]

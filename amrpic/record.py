@@ -11,6 +11,7 @@ from types import TracebackType
 
 from mpi4py import MPI
 
+from . import isa
 from .diagnostics import Quantity, measure, moments, quantities
 from .errors import OutputError, SolverError
 from .field import Field, VectorField
@@ -84,6 +85,7 @@ class Recorder:
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._log = RunLog(comm, scene.schedule.last_step)
+        self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
             self._log.note(note)
         if comm.rank == 0 and not resumed and (sentence := left_behind(scene.directory, scene.schedule.last_step)):

@@ -24,12 +24,13 @@ NATIVE = {
     "matrixfree": {"operators", "stencil", "mesh", "base"},
     "solver": {"matrixfree", "operators", "freespace", "stencil", "mesh", "base"},
     "particle": {"mesh", "base"},
+    "processor": set(),
     "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "stencil", "mesh", "base"},
 }
 
 # What may be named in some folders only.
 CONFINED = {
-    r'#include\s*[<"](nanobind|Python)': {"bind"},
+    r'#include\s*[<"](nanobind|Python)': {"bind", "processor"},
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
     r"#include\s*<(Tpetra|Teuchos)": {"base", "matrixfree", "operators", "solver"},
     r"\bParameterList\b": {"solver"},
@@ -50,7 +51,7 @@ GROUPS = {
         "stop",
         "units",
     },
-    "native": {"_native"},
+    "native": {"_native", "_processor", "isa"},
     "values": {"clouds", "hierarchy", "field", "particles", "scene"},
     "scene parts": {
         "bunch_data",
@@ -89,7 +90,7 @@ GROUPS = {
 }
 IMPORTS = {
     "common": {"common", "native"},
-    "native": set(),
+    "native": {"native"},
     "values": {"common", "native", "values", "scene parts"},
     "scene parts": {"common", "scene parts", "scene"},
     "stages": {"common", "native", "values", "species"},
@@ -195,6 +196,31 @@ def test_native_folder_includes_only_what_lies_below_it(path):
 def test_module_imports_only_what_lies_below_it(path):
     depth = len(path.relative_to(ROOT / "amrpic").parts) - 1
     assert forbidden_imports(module_of(path), path.read_text(), depth) == set()
+
+
+def own_headers(source: Path) -> set[Path]:
+    """The headers of the native folders that a source includes, directly or not."""
+    found: set[Path] = set()
+    to_read = [source]
+    while to_read:
+        names = re.findall(r'^\s*#\s*include\s*"([^"]+)"', to_read.pop().read_text(), re.MULTILINE)
+        fresh = {ROOT / "native" / name for name in names if (ROOT / "native" / name).exists()} - found
+        found |= fresh
+        to_read += fresh
+    return found
+
+
+def common_sources() -> list[str]:
+    """The sources that CMake compiles once for all instruction sets."""
+    listed = re.search(r"set\(COMMON_SOURCES\s+([^)]*)\)", (ROOT / "CMakeLists.txt").read_text())
+    assert listed
+    return listed[1].split()
+
+
+@pytest.mark.parametrize("source", common_sources())
+def test_what_is_compiled_once_knows_nothing_of_instruction_sets(source):
+    for path in [ROOT / source, *own_headers(ROOT / source)]:
+        assert not re.search(r"vector_size|__(AVX|SSE|FMA)", path.read_text()), path
 
 
 def test_native_graph_has_no_cycle():

@@ -1,7 +1,7 @@
-// The instructions of processors with vectors of 64 bytes; nothing for others.
+// The instructions of x86 processors by name; nothing for others.
 #pragma once
 
-#ifdef __AVX512F__
+#ifdef __SSE2__
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // a false alarm of GCC 12 about its own header
 #include <immintrin.h>

@@ -1,3 +1,4 @@
+#include "base/lanes.hpp"
 #include "matrixfree/composite.hpp"
 #include "mesh/means.hpp"
 

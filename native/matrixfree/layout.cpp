@@ -4,6 +4,7 @@
 #include <limits>
 #include <map>
 
+#include "matrixfree/lanes.hpp"
 #include "mesh/box_set.hpp"
 
 namespace amrpic::matrixfree {
@@ -14,8 +15,13 @@ constexpr std::ptrdiff_t line = 16;  // floats of a cache line
 
 std::ptrdiff_t rounded_up(std::ptrdiff_t n, std::ptrdiff_t to) { return (n + to - 1) / to * to; }
 
-/// Cells per vector of a row: the wide ones, unless they would carry too much padding.
-int lanes_of(int cells) { return 8 * rounded_up(cells, 16) <= 9 * rounded_up(cells, 8) ? 16 : 8; }
+/// Cells per vector of a row: the wide ones, unless they would carry too much padding. Vectors of 4 do half the work of
+/// those of 8 at a time, so that it takes more padding for them.
+int lanes_of(int cells) {
+  constexpr int share = widest == 16 ? 8 : 4;
+  bool const wide = share * rounded_up(cells, widest) <= (share + 1) * rounded_up(cells, narrowest);
+  return wide ? widest : narrowest;
+}
 
 /// How many steps to a neighbour lead from one box to another that it does not overlap, diagonal ones allowed.
 int apart(Box const& a, Box const& b) {

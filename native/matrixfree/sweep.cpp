@@ -67,7 +67,7 @@ void with_kind(int lanes, bool isotropic, F&& f) {
   auto choose = [&](auto n) {
     isotropic ? f(n, integral_constant<bool, true>()) : f(n, integral_constant<bool, false>());
   };
-  lanes == 16 ? choose(integral_constant<int, 16>()) : choose(integral_constant<int, 8>());
+  lanes == widest ? choose(integral_constant<int, widest>()) : choose(integral_constant<int, narrowest>());
 }
 
 /// Parity of the places in a row whose cells have a colour.

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "base/fetch.hpp"
+#include "base/lanes.hpp"
 
 namespace amrpic {
 

@@ -4,7 +4,6 @@
 #include <memory>
 #include <vector>
 
-#include "base/lanes.hpp"
 #include "mesh/field.hpp"
 #include "mesh/rim.hpp"
 

@@ -64,9 +64,8 @@ struct CloudBlock {
     if constexpr (width == 3) {
       interleave(share[0], share[1], share[2], out);
     } else {
-      Lanes const second = width > 1 ? share[width - 1] : Lanes{};
-      store(out, __builtin_shufflevector(share[0], second, 0, 8, 1, 9, 2, 10, 3, 11));
-      store(out + 8, __builtin_shufflevector(share[0], second, 4, 12, 5, 13, 6, 14, 7, 15));
+      auto const pairs = interleaved(share[0], width > 1 ? share[width - 1] : Lanes{});
+      for (int n = 0; n < 2; ++n) store(out + lane_count * n, pairs[std::size_t(n)]);
     }
   }
 };
@@ -105,7 +104,7 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
       int const i = int(group.first - block.first);
       auto const s = frame.inside(particles, group, in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-      store(clouds.corner + i, convert<IndexLanes>(x.first + stride_y * y.first + stride_z * z.first));
+      store(clouds.corner + i, to_index(x.first + stride_y * y.first + stride_z * z.first));
       Lanes const weight = load(particles.weight, particles.equal_weights, group);
       for (int k = 0; k < width; ++k)
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);

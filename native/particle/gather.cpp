@@ -228,31 +228,15 @@ typedef std::array<Lanes, 3> Components;  ///< of the field at eight particles
 /// The components of eight third cells.
 inline Components last_cells(std::array<Averages, lane_count> const& of) {
   std::array<Lanes, 4> pair;
-  for (std::size_t p = 0; p < 4; ++p)
-    pair[p] = __builtin_shufflevector(of[2 * p].last, of[2 * p + 1].last, 0, 1, 2, 3, 4, 5, 6, 7);
+  for (std::size_t p = 0; p < 4; ++p) pair[p] = joined(of[2 * p].last, of[2 * p + 1].last);
   return separated(pair);
 }
 
 /// The components of eight first cells, and of the second ones.
 inline std::array<Components, 2> pairs_of_cells(std::array<Averages, lane_count> const& of) {
-  Components four[2];  // of four particles each: a component of their first cells, then of their second ones
-  for (int h = 0; h < 2; ++h) {
-    auto const* const from = &of[4 * h];
-    Lanes xz[2], y[2];
-    for (int p = 0; p < 2; ++p) {
-      xz[p] = __builtin_shufflevector(from[2 * p].pair, from[2 * p + 1].pair, 0, 8, 2, 10, 4, 12, 6, 14);
-      y[p] = __builtin_shufflevector(from[2 * p].pair, from[2 * p + 1].pair, 1, 9, 3, 11, 5, 13, 7, 15);
-    }
-    four[h] = {__builtin_shufflevector(xz[0], xz[1], 0, 1, 8, 9, 4, 5, 12, 13),
-               __builtin_shufflevector(y[0], y[1], 0, 1, 8, 9, 4, 5, 12, 13),
-               __builtin_shufflevector(xz[0], xz[1], 2, 3, 10, 11, 6, 7, 14, 15)};
-  }
-  std::array<Components, 2> out;
-  for (int d = 0; d < 3; ++d) {
-    out[0][d] = __builtin_shufflevector(four[0][d], four[1][d], 0, 1, 2, 3, 8, 9, 10, 11);
-    out[1][d] = __builtin_shufflevector(four[0][d], four[1][d], 4, 5, 6, 7, 12, 13, 14, 15);
-  }
-  return out;
+  std::array<Lanes, lane_count> pair;
+  for (std::size_t i = 0; i < lane_count; ++i) pair[i] = of[i].pair;
+  return separated_halves(pair);
 }
 
 /// The averages of eight particles, averaged in x too.
@@ -261,7 +245,10 @@ inline Components average_in_x(std::array<Averages, lane_count> const& of, std::
   Components out;
   if constexpr (width > 1) {
     auto const cells = pairs_of_cells(of);
-    for (int d = 0; d < 3; ++d) out[d] = share[0] * cells[0][d] + share[1] * cells[1][d];
+    for (int d = 0; d < 3; ++d) {
+      out[d] = share[0] * cells[0][d];  // by itself, so that compilers agree which product they add without rounding
+      out[d] += share[1] * cells[1][d];
+    }
   }
   if constexpr (width == 1) out = last_cells(of);
   if constexpr (width == 3) {
@@ -289,7 +276,7 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       int const i = int(group.first - block.first);
       auto const s = frame.inside(particles, group, in);
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
-      store(clouds.corner + i, convert<IndexLanes>(lanes * x.first + row_step * y.first + plane_step * z.first));
+      store(clouds.corner + i, to_index(lanes * x.first + row_step * y.first + plane_step * z.first));
       for (int k = 0; k < width; ++k)
         for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.share[k] * y.share[j]);
       for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.share[j]);

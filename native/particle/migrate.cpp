@@ -39,33 +39,37 @@ std::vector<std::int64_t> starts_of(std::vector<std::int64_t> const& counts) {
 }
 
 /// Copy those of the values [first, last) whose bits are set; there are `count` values, and `first` is a multiple of
-/// eight. Whole cache lines of `to` are written past the cache if they are `far`. False if a value that is to be
-/// checked is not finite.
+/// eight. Whole cache lines of `to` are written past the cache if they are `far`. False if values are to be checked and
+/// one of those passed is not finite.
+///
+/// Those whose bits are set are first put side by side in a buffer, and leave it some lines later: a processor waits
+/// where it reads what two stores wrote just before.
 bool copy_chosen(Real const* from, LocalIndex first, LocalIndex last, std::int64_t count, std::uint8_t const* bits,
                  Real* to, bool far, bool check) {
+  constexpr int buffered = 512;
+  alignas(sizeof(Lanes)) Real buffer[buffered + lane_count];
   int waiting =
       int(reinterpret_cast<std::uintptr_t>(to) / sizeof(Real) % lane_count);  // at first, what lies before `to`
   unsigned lanes = all_lanes << waiting & all_lanes;                          // of the line that is next
   to -= waiting;
-  Lanes latest{}, zero{};  // the last eight values so far, of which some wait; nan as soon as one is not finite
+  auto const write_lines = [&] {
+    int const whole = waiting / lane_count * lane_count;
+    for (int n = 0; n < whole; n += lane_count, lanes = all_lanes)
+      store(to + n, {0, lanes}, load<Lanes>(buffer + n), far);
+    store(buffer, load<Lanes>(buffer + whole));
+    to += whole;
+    waiting -= whole;
+  };
+  Lanes zero{};  // nan as soon as a value is not finite
   for (LocalIndex n = first; n < last; n += lane_count, ++bits) {
     bring_near(from + n + page<Real>);
-    auto const chosen = compressed(*bits, load_up_to<Lanes>(from + n, count - n));
-    if (check) zero += chosen - chosen;
-    int const more = __builtin_popcount(*bits);
-    if (waiting + more >= lane_count) {
-      store(to, {0, lanes}, window(latest, chosen, lane_count - waiting), far);
-      lanes = all_lanes;
-      to += lane_count;
-      waiting -= lane_count;
-    }
-    latest = window(latest, chosen, more);
-    waiting += more;
+    Lanes const values = load_up_to(from + n, count - n);
+    if (check) zero += values - values;
+    waiting += compress(*bits, values, buffer + waiting);
+    if (waiting >= buffered) write_lines();
   }
-  if (waiting > 0) {
-    lanes &= all_lanes >> (lane_count - waiting);
-    store(to, {0, lanes}, window(latest, latest, lane_count - waiting), far);
-  }
+  write_lines();
+  if (waiting > 0) store(to, {0, lanes & all_lanes >> (lane_count - waiting)}, load<Lanes>(buffer), far);
   return bits_of(zero == 0) == all_lanes;
 }
 
@@ -385,7 +389,7 @@ std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::arra
     if (!box) box.emplace(locator, home.level, home.box);
     LaneGroup const group{first, all_lanes};
     auto const bricks = box->find({load(position[0], group), load(position[1], group), load(position[2], group)});
-    return bits_of(convert<WideLanes>(bricks >= 0)) == all_lanes;
+    return bits_of(bricks >= 0) == all_lanes;
   };
   for (std::int64_t first = 0; first < count; first += lane_count) {
     if (first + lane_count <= count && all_in_last_one(first))

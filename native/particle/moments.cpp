@@ -23,7 +23,7 @@ BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool 
     std::int64_t const left = particles.count - first;
     LaneGroup const group{first, left < lane_count ? (1u << left) - 1 : all_lanes};
     Lanes weight = load(particles.weight, particles.equal_weights, group);
-    for (std::int64_t i = left; i < lane_count; ++i) weight[i] = 0;
+    if (!group.whole()) weight = select(mask_of(group.lanes), weight, Lanes{});
     Lanes const m = load(mass, same, group), per_mc = 1 / (m * c);
     std::array<Lanes, 3> x, u;
     Lanes square{};

@@ -25,7 +25,7 @@ struct BeamSums {
   /// of a core with a far halo (Chan, Golub and LeVeque, American Statistician 37 (1983) 242, eq. 1.5).
   void add(T const& more, Vector const& x, Vector const& u) {
     T const total = weight + more;
-    T const share = total > T{} ? more / total : T{}, pull = weight * share;
+    T const share = select(total > T{}, more / total, T{}), pull = weight * share;
     for (std::size_t d = 0; d < 3; ++d) {
       T const dx = x[d] - mean_x[d], du = u[d] - mean_u[d];
       xx[d] += pull * dx * dx;

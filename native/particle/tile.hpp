@@ -98,7 +98,7 @@ class TileFrame {
       in &= (s[d] >= Real(box_.lower[d])) & (s[d] < Real(box_.upper[d] + 1));
     }
     all_in &= in;
-    for (int d = 0; d < 3; ++d) s[d] = in ? s[d] - Real(box_.lower[d]) : Lanes{};
+    for (int d = 0; d < 3; ++d) s[d] = select(in, s[d] - Real(box_.lower[d]), Lanes{});
     return s;
   }
 

@@ -1,0 +1,46 @@
+// What is common to both kinds of `Lanes`; included by base/lanes.hpp.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <cstring>
+#include <type_traits>
+
+#include "base/intrinsics.hpp"
+#include "base/types.hpp"
+
+// How vectors are passed matters between object files built for different processors; here all is inlined.
+#pragma GCC diagnostic ignored "-Wpsabi"
+
+namespace amrpic {
+
+constexpr int lane_count = 8;
+constexpr unsigned all_lanes = (1u << lane_count) - 1;  ///< a bit for each
+
+typedef Real HalfLanes __attribute__((vector_size(8 * lane_count / 2)));
+typedef std::int32_t IndexLanes __attribute__((vector_size(4 * lane_count)));
+
+/// The vector at an address.
+template <class Vector>
+inline Vector load(void const* from) {
+  if constexpr (std::is_class_v<Vector>) {
+    return Vector::at(from);
+  } else {
+    Vector out;
+    std::memcpy(&out, from, sizeof out);
+    return out;
+  }
+}
+
+template <class Vector>
+inline void store(void* to, Vector const& values) {
+  if constexpr (std::is_class_v<Vector>)
+    values.write(to);
+  else
+    std::memcpy(to, &values, sizeof values);
+}
+
+/// One of two numbers, as `Lanes` are selected one by one.
+inline Real select(bool which, Real yes, Real no) { return which ? yes : no; }
+
+}  // namespace amrpic

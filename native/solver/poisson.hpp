@@ -54,9 +54,11 @@ class PoissonSolver {
 
  private:
   void set_open_walls(Field const& rho);
-  void remove_net_charge();
+  Real remove_net_charge(Field const& rho);
+  bool is_finite(Field const& phi) const;
   void fix_constant(Field& phi) const;
-  void iterate(SolveReport& report, Field& phi, bool from_zero);
+  void check_size(Real right_hand_side) const;
+  void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
   bool below_discretisation(SolveReport& report);
 
   std::shared_ptr<Hierarchy const> given_;

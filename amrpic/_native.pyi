@@ -87,6 +87,9 @@ def multipole_moments(
 def translate_moments(moments: NDArray[numpy.complex128], shift: Sequence[float]) -> NDArray[numpy.complex128]:
     """Moments about a centre that lies `shift` before the old one."""
 
+def kernel_table_bytes() -> int:
+    """Bytes of the tables of near fields that are alive in this process."""
+
 class FreeSpace:
     def __init__(
         self,

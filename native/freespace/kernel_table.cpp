@@ -44,18 +44,21 @@ std::array<double, 4> cubic_weights(double s) {
           (s + 1) * s * (s - 1) / 6};
 }
 
-KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride, bool half)
+KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride,
+                         std::array<bool, 3> const& half)
     : reach_(reach), half_(half) {
-  int const more = half ? 1 : 0;
-  auto octant = lattice_green_octant(shape, {reach[0] + more, reach[1] + more, reach[2] + more}, stride);
-  std::array<std::ptrdiff_t, 3> size{reach[0] + more + 1, reach[1] + more + 1, reach[2] + more + 1};
-  for (int d = 0; d < 3 && half; ++d) average(octant, size, d);
+  Cell last = reach;
+  for (int d = 0; d < 3; ++d) last[d] += half[d] ? 1 : 0;
+  auto octant = lattice_green_octant(shape, last, stride);
+  std::array<std::ptrdiff_t, 3> size{last[0] + 1, last[1] + 1, last[2] + 1};
+  for (int d = 0; d < 3; ++d)
+    if (half[d]) average(octant, size, d);
   std::ptrdiff_t const width = 2 * reach[0] + 1;
   pitch_ = {1, width, width * size[1]};
   values_.resize(std::size_t(width * size[1] * size[2]));
   for (std::ptrdiff_t line = 0; line < size[1] * size[2]; ++line)
     for (int i = -reach[0]; i <= reach[0]; ++i)
-      values_[std::size_t(i + reach[0] + width * line)] = octant[std::size_t(folded(i) + size[0] * line)];
+      values_[std::size_t(i + reach[0] + width * line)] = octant[std::size_t(folded(0, i) + size[0] * line)];
 }
 
 KernelTables::KernelTables(Point const& shape, Cell const& reach) : shape_(shape), reach_(reach) {
@@ -80,15 +83,17 @@ Cell KernelTables::stride(int number) const {
   return out;
 }
 
-KernelTable const& KernelTables::at(int number, bool half) {
-  using Key = std::tuple<Point, Cell, Cell, bool>;
+KernelTable const& KernelTables::at(int number, bool finer) {
+  using Key = std::tuple<Point, Cell, Cell, std::array<bool, 3>>;
   static std::mutex guard_of_all;
   static std::map<Key, std::weak_ptr<KernelTable const>> all;
 
   std::lock_guard<std::mutex> lock(guard_);
-  auto& table = tables_[2 * std::size_t(number) + (half ? 1 : 0)];
+  auto& table = tables_[2 * std::size_t(number) + (finer ? 1 : 0)];
   if (table) return *table;
   Cell const apart = stride(number);
+  std::array<bool, 3> half;
+  for (int d = 0; d < 3; ++d) half[d] = finer && apart[d] == 1;
   Cell reach;
   for (int d = 0; d < 3; ++d) reach[d] = (cells_served(number, d) + apart[d] - 1) / apart[d] + overhang;
   std::lock_guard<std::mutex> lock_all(guard_of_all);

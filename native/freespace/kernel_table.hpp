@@ -14,25 +14,25 @@ namespace amrpic::freespace {
 /// Weights of the points -1, 0, 1, 2 for a place in [0, 1] between 0 and 1.
 std::array<double, 4> cubic_weights(double place);
 
-/// The potential of a unit charge at offsets of either sign that are multiples of `stride`, or of such a charge half
-/// way between the lattice points along all axes. The latter is the mean over the eight points around it: exact to
-/// fourth order away from the charge if cells are cubes, and what a coarse cell sees of finer ones.
+/// The potential of a unit charge at offsets of either sign that are multiples of `stride`; along axes that are `half`
+/// half way between these. There it is the mean over the points around, eight of them at most: exact to fourth order
+/// away from the charge if cells are cubes, and what a coarse cell sees of finer ones.
 class KernelTable {
  public:
   /// `reach`: entries (i, j, k) have |i| <= reach, in strides.
-  KernelTable(Point const& shape, Cell const& reach, Cell const& stride, bool half);
+  KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half);
 
-  /// Entries (i, j, k), (i + 1, j, k), ... begin at `row` + `along`(1, j) + `along`(2, k). With `half` they stand for
-  /// the distances i - 1/2.
+  /// Entries (i, j, k), (i + 1, j, k), ... begin at `row` + `along`(1, j) + `along`(2, k). Along `half` axes they stand
+  /// for the distances i - 1/2.
   double const* row(int i) const { return values_.data() + (i + reach_[0]); }
   std::size_t bytes() const { return values_.capacity() * sizeof(double); }
-  std::ptrdiff_t along(int axis, int n) const { return pitch_[std::size_t(axis)] * folded(n); }
+  std::ptrdiff_t along(int axis, int n) const { return pitch_[std::size_t(axis)] * folded(axis, n); }
 
  private:
-  std::ptrdiff_t folded(int n) const { return half_ ? (n > 0 ? n - 1 : -n) : (n < 0 ? -n : n); }
+  std::ptrdiff_t folded(int axis, int n) const { return n < 0 ? -n : n > 0 && half_[std::size_t(axis)] ? n - 1 : n; }
 
   Cell reach_;
-  bool half_;
+  std::array<bool, 3> half_;
   std::array<std::ptrdiff_t, 3> pitch_;
   std::vector<double> values_;  ///< x of either sign, y and z folded: the function is even
 };
@@ -53,7 +53,8 @@ class KernelTables {
   /// The first table that serves charges up to `offset` cells away along an axis.
   int serving(int axis, int offset) const;
   Cell stride(int number) const;
-  KernelTable const& at(int number, bool half);
+  /// `finer`: for charges of finer levels than the targets, half way along axes on which the points are not apart.
+  KernelTable const& at(int number, bool finer);
 
  private:
   int cells_served(int number, int axis) const;

@@ -3,7 +3,8 @@
 // A ghost of a finer level lies between the lattice points of a coarser one, and the function there is the cubic through
 // the four points around it along each axis. That is the same as the cubic through the potentials at these points, of
 // which neighbouring ghosts share most. So one table serves ghosts of all levels. Likewise charges are dealt out to
-// the points of a table of wider spacing by the same cubic, where that serves.
+// the points of a table of wider spacing by the same cubic, where that serves; these points are chosen so that ghosts
+// which are further apart lie on them.
 #pragma once
 
 #include <algorithm>
@@ -27,12 +28,10 @@ struct Stencil {
   }
 };
 
-/// Around the place `cell` + `shift` of a lattice, 0 <= shift < 1, among every `stride`-th of its points. Half way
-/// between neighbours the mean of the two is taken, which is what an average over the finer cells of a coarse one gives.
-inline Stencil stencil_at(int cell, double shift, int stride) {
-  double const place = (cell + shift) / stride, floor = std::floor(place);
-  std::array<double, 4> weights{0, 0.5, 0.5, 0};
-  if (place - floor != 0.5 || stride > 1) weights = cubic_weights(place - floor);
+/// Around a place among the whole numbers.
+inline Stencil stencil_at(double place) {
+  double const floor = std::floor(place);
+  auto const weights = cubic_weights(place - floor);
   Stencil out;
   for (int m = 0; m < 4; ++m) out.add(int(floor) - 1 + m, weights[m]);
   return out;
@@ -53,17 +52,28 @@ struct StencilRow {
   }
 };
 
-/// The charges of a leaf on every `stride`-th point of its lattice; there are never more than eight along an axis.
+/// Points along each axis, among those of a lattice: origin + stride times a whole number; all of them if the stride is
+/// one.
+struct PointsApart {
+  Cell stride;
+  Point origin;
+
+  double place(int axis, double cell) const {
+    return stride[axis] == 1 ? cell : (cell - origin[axis]) / stride[axis];
+  }
+};
+
+/// The charges of a leaf on points apart; there are never more than eight along an axis.
 struct SpreadCharges {
   LeafCharges::Block block{};
-  Cell corner;  ///< in strides
+  Cell corner;
 
-  SpreadCharges(LeafCharges::Block const& given, Cell const& first, Cell const& stride) {
+  SpreadCharges(LeafCharges::Block const& given, Cell const& first, PointsApart const& points) {
     std::array<std::array<Stencil, block_edge>, 3> to;
     for (int d = 0; d < 3; ++d) {
-      corner[d] = stride[d] == 1 ? first[d] : int(std::floor(double(first[d]) / stride[d])) - 1;
+      corner[d] = points.stride[d] == 1 ? first[d] : int(std::floor(points.place(d, first[d]))) - 1;
       for (int i = 0; i < block_edge; ++i) {
-        to[d][i] = stencil_at(first[d] + i, 0, stride[d]);
+        to[d][i] = stencil_at(points.place(d, first[d] + i));
         for (int m = 0; m < to[d][i].count; ++m) to[d][i].at[m] -= corner[d];
       }
     }

@@ -48,6 +48,14 @@ Place place_in_level(int cell, int cell_level, int level) {
   return {int(floor), x - floor};
 }
 
+/// Where tables have their points apart: ghosts of coarser levels lie on these, as far as they are apart themselves.
+PointsApart points_for(Cell const& stride, int target_level, int level) {
+  PointsApart out{stride, {}};
+  Place const ghost = place_in_level(0, target_level, level);
+  for (int d = 0; d < 3; ++d) out.origin[d] = ghost.point + ghost.shift;
+  return out;
+}
+
 /// Distance along an axis, as far as it smooths the potential: across the first layers of long cells the lattice
 /// smooths as if they were short, since short waves fade by 1 / (k h)^2 per layer there, not by exp(-k h). `aspect`: of
 /// a cell.
@@ -106,15 +114,17 @@ void add_lanes(Lanes const& value, double* to) {
 class TreePotential::SpreadLeaves {
  public:
   explicit SpreadLeaves(KernelTables const& kernels) : kernels_(kernels) {}
-  SpreadCharges const& of(int leaf, LeafCharges::Block const& charges, Cell const& corner, int table) {
-    auto const found = spread_.find({leaf, table});
+  SpreadCharges const& of(int leaf, LeafCharges::Block const& charges, Leaf const& place, int table, int target_level) {
+    std::array<int, 3> const key{leaf, table, target_level};
+    auto const found = spread_.find(key);
     if (found != spread_.end()) return found->second;
-    return spread_.emplace(std::pair(leaf, table), SpreadCharges(charges, corner, kernels_.stride(table))).first->second;
+    PointsApart const points = points_for(kernels_.stride(table), target_level, place.key.level);
+    return spread_.emplace(key, SpreadCharges(charges, place.corner(), points)).first->second;
   }
 
  private:
   KernelTables const& kernels_;
-  std::map<std::pair<int, int>, SpreadCharges> spread_;
+  std::map<std::array<int, 3>, SpreadCharges> spread_;  ///< by leaf, table and level of the targets
 };
 
 /// The ghosts of a patch as a box, flat along the normal.
@@ -189,31 +199,26 @@ class TreePotential::NearPatch {
           if ((masks[row] >> t & 1) && std::max({across, by_column[t], by_row[row]}) == table)
             served[row] |= 1u << t, any = true;
       if (!any) continue;
-      bool const half = is_half(level, table);
-      KernelTable const& kernel = kernels_.at(table, half);
-      NearGrid& points = grid(level, table, half);
+      KernelTable const& kernel = kernels_.at(table, level > patch_.level);
+      NearGrid& points = grid(level, table);
       if (kernels_.stride(table) == Cell{1, 1, 1}) {
         points.add(charges, corner, kernel, served, scale, values);
       } else {
-        SpreadCharges const& there = spread.of(number, charges, corner, table);
+        SpreadCharges const& there = spread.of(number, charges, leaf, table, patch_.level);
         points.add(there.block, there.corner, kernel, served, scale, values);
       }
     }
   }
 
  private:
-  /// Whether all points lie half way between those of finer charges, for which there is a table.
-  bool is_half(int level, int table) const {
-    return level > patch_.level && kernels_.stride(table) == Cell{1, 1, 1};
-  }
-
-  NearGrid& grid(int level, int table, bool half) {
+  NearGrid& grid(int level, int table) {
     auto const found = grids_.find({level, table});
     if (found != grids_.end()) return found->second;
-    Cell const stride = kernels_.stride(table);
+    PointsApart const points = points_for(kernels_.stride(table), patch_.level, level);
     auto const stencil = [&](int axis, int cell) {
       Place const place = place_in_level(cell, patch_.level, level);
-      return stencil_at(place.point, half ? 0 : place.shift, stride[axis]);
+      bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
+      return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)));
     };
     std::vector<Stencil> u, v;
     for (int t = 0; t < patch_points; ++t) {

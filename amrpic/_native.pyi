@@ -119,6 +119,16 @@ class FreeSpace:
 
     def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
 
+def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
+    """
+    The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.
+    """
+
+def refusal_of_places(places: int, level: int, rank: int) -> str:
+    """
+    What is wrong with so many padded cells of a level on a rank; empty if nothing is.
+    """
+
 class CompositeLaplacian:
     def __init__(self, hierarchy: Hierarchy, stretch: Sequence[float]) -> None: ...
     def average_down(self, phi: Field) -> None: ...

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
-from amrpic._native import FreeSpace, kernel_table_bytes, lattice_green, multipole_moments, translate_moments
+from amrpic._native import FreeSpace, SolverError, kernel_table_bytes, lattice_green, multipole_moments, translate_moments
 from amrpic.verify.lattice import FreeLattice
 
 ALL_OPEN = [True] * 6
@@ -393,3 +393,12 @@ def test_tables_of_many_levels_of_long_cells_are_small_shared_and_freed(gamma):
     assert 0 < sizes[0] == sizes[1] < 16e6
     del solvers
     assert kernel_table_bytes() == before
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_charge_outside_on_one_rank_is_refused_on_all(comm):
+    space = free_space((16, 16, 16), comm=comm)
+    last = comm.rank == comm.size - 1
+    position = np.array([[20.5 if last else 3.5, 3.5, 3.5]])
+    with pytest.raises(SolverError, match="a charge lies outside the domain"):
+        space.set_charges(position, np.ones(1), np.zeros(1, dtype=np.int32))

@@ -3,10 +3,22 @@
 #include <algorithm>
 #include <cmath>
 
+#include "matrixfree/capacity.hpp"
+
 namespace amrpic {
 
+namespace {
+
+/// The problem, if its cells find place. Collective.
+Problem const& checked(Problem const& problem) {
+  matrixfree::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
+  return problem;
+}
+
+}  // namespace
+
 MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
-    : problem_(problem),
+    : problem_(checked(problem)),
       composite_(problem.hierarchy, problem.options.stretch),
       cycle_(problem.hierarchy->comm(), stack_of(*problem.hierarchy), problem.hierarchy->domain(),
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation,

@@ -14,7 +14,14 @@ from mpi4py import MPI
 from scipy.special import erf
 
 from amrpic import Domain, Field, Hierarchy, PoissonSolver
-from amrpic._native import FreeSpace, SolverError, kernel_table_bytes, lattice_green, multipole_moments, translate_moments
+from amrpic._native import (
+    FreeSpace,
+    SolverError,
+    kernel_table_bytes,
+    lattice_green,
+    multipole_moments,
+    translate_moments,
+)
 from amrpic.verify.lattice import FreeLattice
 
 ALL_OPEN = [True] * 6

@@ -120,8 +120,7 @@ std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) 
     number = cell[u] % patch_points + patch_points * (cell[v] % patch_points);
     if (mine.empty() || !(mine.back() == block)) mine.push_back(block);
   }
-  if (on_any_rank(comm_, is_no_ghost))
-    throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
+  if (on_any_rank(comm_, is_no_ghost)) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
   auto blocks = all_gather(comm_, mine).values;
   std::sort(blocks.begin(), blocks.end());
   blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());

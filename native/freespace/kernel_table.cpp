@@ -44,8 +44,7 @@ std::array<double, 4> cubic_weights(double s) {
           (s + 1) * s * (s - 1) / 6};
 }
 
-KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride,
-                         std::array<bool, 3> const& half)
+KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half)
     : reach_(reach), half_(half) {
   Cell last = reach;
   for (int d = 0; d < 3; ++d) last[d] += half[d] ? 1 : 0;

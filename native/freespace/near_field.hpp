@@ -1,10 +1,10 @@
 // Sums of charges times the lattice Green's function, for ghosts anywhere between the points of the charges' lattice.
 //
-// A ghost of a finer level lies between the lattice points of a coarser one, and the function there is the cubic through
-// the four points around it along each axis. That is the same as the cubic through the potentials at these points, of
-// which neighbouring ghosts share most. So one table serves ghosts of all levels. Likewise charges are dealt out to
-// the points of a table of wider spacing by the same cubic, where that serves; these points are chosen so that ghosts
-// which are further apart lie on them.
+// A ghost of a finer level lies between the lattice points of a coarser one, and the function there is the cubic
+// through the four points around it along each axis. That is the same as the cubic through the potentials at these
+// points, of which neighbouring ghosts share most. So one table serves ghosts of all levels. Likewise charges are dealt
+// out to the points of a table of wider spacing by the same cubic, where that serves; these points are chosen so that
+// ghosts which are further apart lie on them.
 #pragma once
 
 #include <algorithm>
@@ -58,9 +58,7 @@ struct PointsApart {
   Cell stride;
   Point origin;
 
-  double place(int axis, double cell) const {
-    return stride[axis] == 1 ? cell : (cell - origin[axis]) / stride[axis];
-  }
+  double place(int axis, double cell) const { return stride[axis] == 1 ? cell : (cell - origin[axis]) / stride[axis]; }
 };
 
 /// The charges of a leaf on points apart; there are never more than eight along an axis.
@@ -84,7 +82,8 @@ struct SpreadCharges {
       double const* const charges = given.values.data() + block_edge * row;
       std::array<double, block_edge> line{};
       for (int i = 0; i < block_edge; ++i)
-        for (int m = 0; m < to[0][i].count && charges[i] != 0; ++m) line[to[0][i].at[m]] += to[0][i].weight[m] * charges[i];
+        for (int m = 0; m < to[0][i].count && charges[i] != 0; ++m)
+          line[to[0][i].at[m]] += to[0][i].weight[m] * charges[i];
       for (int b = 0; b < z.count; ++b)
         for (int a = 0; a < y.count; ++a) {
           int const there = y.at[a] + block_edge * z.at[b];

@@ -317,8 +317,7 @@ void CompositeLaplacian::term_sizes_plane(int l, int b, int k, Source const& sou
   Real const background = std::abs(source.background.mean);
   for (std::ptrdiff_t i = 0; i < cells; ++i)
     plane_[std::size_t(i)] = Background::inverse_permittivity * std::abs(rho[i]) + background;
-  for_each_wall_term(l, b, k, source,
-                     [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
+  for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
   clear_covered(l, b, k, plane_.data());
 }
 

@@ -143,7 +143,8 @@ Pair parents_along(int cell, int ratio) {
 
 /// The truncation error in a row of n cells, from the potentials in a window around them and the means of rho.
 void see_row(int n, Real3 const& weights, Real const* __restrict potential, Box const& window,
-             Real const* __restrict charge, Background const& background, char const* __restrict usable, Real* __restrict seen) {
+             Real const* __restrict charge, Background const& background, char const* __restrict usable,
+             Real* __restrict seen) {
   Real3 const weight = weights;
   Background const taken_away = background;
   std::ptrdiff_t const y = window.extent(0), z = y * window.extent(1);
@@ -203,8 +204,8 @@ Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
       for (int k = p.lower[2]; k <= p.upper[2]; ++k)
         for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
           Index3 const first{p.lower[0], j, k};
-          see_row(p.extent(0), weight, &potential(first), potential.box(), &charge(first), source.background, &usable(first),
-                  &seen(first));
+          see_row(p.extent(0), weight, &potential(first), potential.box(), &charge(first), source.background,
+                  &usable(first), &seen(first));
         }
       prolong_truncation(l, task.box, ratio, seen, scale[std::size_t(l)],
                          truncation[std::size_t(l)][std::size_t(task.box)], largest);

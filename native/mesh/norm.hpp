@@ -97,13 +97,15 @@ class Magnitude {
   enum Range { small, ordinary, large };
   static constexpr Real up = 0x1p600, down = 0x1p-600;
   static constexpr std::array<Real, 3> scale{up, 1, down};
-  static constexpr Real least = 0x1p-400, greatest = 0x1p400;            ///< largest numbers of the ordinary range
+  static constexpr Real least = 0x1p-400, greatest = 0x1p400;          ///< largest numbers of the ordinary range
   static constexpr Real least_sum = 0x1p-800, greatest_sum = 0x1p800;  ///< what squares of those add up to
 
   Real sum_of(Real const* values, std::ptrdiff_t n, Real factor) const {
     Real lane[8] = {};
     std::ptrdiff_t i = 0;
-    auto const size = [this, factor](Real v) { return norm_ == Norm::l1 ? std::abs(factor * v) : (factor * v) * (factor * v); };
+    auto const size = [this, factor](Real v) {
+      return norm_ == Norm::l1 ? std::abs(factor * v) : (factor * v) * (factor * v);
+    };
     for (; i + 8 <= n; i += 8)
       for (int q = 0; q < 8; ++q) lane[q] += size(values[i + q]);
     for (; i < n; ++i) lane[0] += size(values[i]);

@@ -8,9 +8,9 @@
 #include "mesh/field.hpp"
 #include "operators/operators.hpp"
 #include "operators/walls.hpp"
-#include "stencil/background.hpp"
 #include "solver/options.hpp"
 #include "solver/stopwatch.hpp"
+#include "stencil/background.hpp"
 
 namespace amrpic {
 

@@ -121,9 +121,9 @@ Real CrsBackend::right_hand_side_norm() {
 
 Real CrsBackend::largest_phi_term() {
   return unit_ * norm(options_.norm, [&](int l, LocalIndex row) {
-    Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
-    return diagonal * phi_[l][row];
-  });
+           Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
+           return diagonal * phi_[l][row];
+         });
 }
 
 void CrsBackend::start(Field& phi, bool /*is_zero*/) {

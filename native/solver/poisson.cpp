@@ -77,8 +77,8 @@ void PoissonSolver::set_open_walls(Field const& rho) {
   for (std::size_t t = 0; t < values.size(); ++t) *datum[t] = values[t];
 }
 
-/// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may be
-/// by the rounding of what cancelled in it alone.
+/// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
+/// be by the rounding of what cancelled in it alone.
 Real PoissonSolver::remove_net_charge(Field const& rho) {
   constexpr Real balanced = 1e-10;  // share of all charge that sums over many cells and particles may miss
   constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
@@ -132,8 +132,7 @@ void PoissonSolver::check_size(Real largest) const {
   Real3 const& h = hierarchy_->level(hierarchy_->level_count() - 1).spacing();
   Real const finest = std::min({h[0], h[1], h[2]});
   Real widest = 0;
-  for (int d = 0; d < 3; ++d)
-    widest = std::max(widest, hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d]);
+  for (int d = 0; d < 3; ++d) widest = std::max(widest, hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d]);
   Real const in_cell = largest * std::min(Real(1), finest * finest);
   Real const in_all = largest * std::max({Real(1), widest * widest, widest / finest * (widest / finest)});
   if (largest != 0 && (in_cell < least || in_all > most))
@@ -144,11 +143,12 @@ void PoissonSolver::check_size(Real largest) const {
 
 /// The residual that rounding leaves, in the norm of the residual.
 ///
-/// With u = epsilon / 2, a potential is stored to u |phi|, and so is each of the three sums of neighbours, times 2 / h_d^2;
-/// then the sums of sums and of the diagonal term are rounded. All these are some u D |phi|, D = sum_d 2 / h_d^2 being the
-/// diagonal, and independent of each other: as uniform numbers they add up to a root mean square of 0.4 epsilon D |phi|,
-/// and to a largest of some thousand cells of 1.5 epsilon D |phi|. Fluxes through coarse-fine faces are sums of like
-/// terms. f itself is the same number in every cycle and adds nothing: what cancels in it is rounded once and for all.
+/// With u = epsilon / 2, a potential is stored to u |phi|, and so is each of the three sums of neighbours, times 2 /
+/// h_d^2; then the sums of sums and of the diagonal term are rounded. All these are some u D |phi|, D = sum_d 2 / h_d^2
+/// being the diagonal, and independent of each other: as uniform numbers they add up to a root mean square of 0.4
+/// epsilon D |phi|, and to a largest of some thousand cells of 1.5 epsilon D |phi|. Fluxes through coarse-fine faces
+/// are sums of like terms. f itself is the same number in every cycle and adds nothing: what cancels in it is rounded
+/// once and for all.
 Real PoissonSolver::rounding_floor() const {
   return std::numeric_limits<Real>::epsilon() * backend_->largest_phi_term();
 }

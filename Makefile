@@ -50,7 +50,7 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
 	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_verify.py tests/test_decomposition.py \
-	  tests/test_kill_restart.py tests/test_memory.py $(ARGS); \
+	  tests/test_kill_restart.py tests/test_memory.py tests/test_rounding_floor.py $(ARGS); \
 	exit $$failed
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice

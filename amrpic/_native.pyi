@@ -87,6 +87,9 @@ def multipole_moments(
 def translate_moments(moments: NDArray[numpy.complex128], shift: Sequence[float]) -> NDArray[numpy.complex128]:
     """Moments about a centre that lies `shift` before the old one."""
 
+def kernel_table_bytes() -> int:
+    """Bytes of the tables of near fields that are alive in this process."""
+
 class FreeSpace:
     def __init__(
         self,
@@ -115,6 +118,16 @@ class FreeSpace:
         """
 
     def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
+
+def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
+    """
+    The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.
+    """
+
+def refusal_of_places(places: int, level: int, rank: int) -> str:
+    """
+    What is wrong with so many padded cells of a level on a rank; empty if nothing is.
+    """
 
 class CompositeLaplacian:
     def __init__(self, hierarchy: Hierarchy, stretch: Sequence[float]) -> None: ...

@@ -75,7 +75,7 @@ class Plan:
         if report.floor > 0:
             self.remark(
                 f"solver.tolerance {self.scene.solver.tolerance} lies below what rounding leaves of the residual, about "
-                f"{report.floor:.0e}; solves stop there"
+                f"{report.residuals[-1]:.0e}; solves stop there"
             )
         return phi, report
 

@@ -88,8 +88,8 @@ class Problem:
         cells[faces, axis] = np.where(upper, np.array(self.shape(level))[axis] - 1, 0)
         return kind, axis, cells, upper
 
-    def right_hand_side(self, level: int) -> np.ndarray:
-        """-rho / eps0 less the mean and what the data of the walls add to the Laplacian."""
+    def right_hand_side(self, level: int, term=lambda x: x) -> np.ndarray:
+        """-rho / eps0 less the mean and what the data of the walls add to the Laplacian; `term` of each of the three."""
         h = self.spacing(level)
         rows = np.full(self.shape(level), -1)
         first = 0
@@ -97,11 +97,11 @@ class Problem:
             if patch.level == level:
                 rows[window(patch)] = first + np.arange(patch.data.size).reshape(patch.data.shape, order="F")
                 first += patch.data.size
-        out = -self.rho.native.level(level) / _native.vacuum_permittivity - self.mean
+        out = term(-self.rho.native.level(level) / _native.vacuum_permittivity) + term(-self.mean)
         kind, axis, cells, _ = self.wall_cells(level)
         for face, d in enumerate(axis):
             weight = {"dirichlet": 8 / 3, "neumann": h[d], "open": 1.0}[BOUNDARIES[kind[face]]]
-            out[rows[tuple(cells[face])]] -= weight * self.walls[level][face] / h[d] ** 2
+            out[rows[tuple(cells[face])]] += term(-weight * self.walls[level][face] / h[d] ** 2)
         return out
 
     def operator(self, level: int, name: str, columns: int, axis: int = 0) -> sparse.csr_array:
@@ -266,7 +266,8 @@ def test_norms_and_integrals_of_the_right_hand_side(comm, name):
         assert p.laplacian.diagonal_norm(p.phi.native, norm_of(norm)) == pytest.approx(p.norm(terms, norm), rel=1e-10)
     net, magnitude = p.laplacian.integrate_right_hand_side(*source)
     parts = [np.prod(p.spacing(level)) * v[p.uncovered(level)].sum() for level, v in enumerate(f)]
-    assert magnitude == pytest.approx(p.norm(f, "l1") * np.prod(p.stretch), rel=1e-10)
+    sizes = [p.right_hand_side(level, np.abs) for level in range(p.hierarchy.levels)]
+    assert magnitude == pytest.approx(p.norm(sizes, "l1") * np.prod(p.stretch), rel=1e-10)
     assert net == pytest.approx(comm.allreduce(sum(parts)), abs=1e-12 * magnitude)
 
 

@@ -13,8 +13,15 @@ import scipy.fft
 from mpi4py import MPI
 from scipy.special import erf
 
-from amrpic import Domain, Field, Hierarchy
-from amrpic._native import FreeSpace, lattice_green, multipole_moments, translate_moments
+from amrpic import Domain, Field, Hierarchy, PoissonSolver
+from amrpic._native import (
+    FreeSpace,
+    SolverError,
+    kernel_table_bytes,
+    lattice_green,
+    multipole_moments,
+    translate_moments,
+)
 from amrpic.verify.lattice import FreeLattice
 
 ALL_OPEN = [True] * 6
@@ -351,3 +358,54 @@ def test_walls_do_not_depend_on_the_ranks(comm):
         assert plane == pytest.approx(expected, rel=1e-13)
     expected = alone.potential(ghosts, fine)
     assert together.potential(ghosts[mine].copy(), fine[mine].copy()) == pytest.approx(expected[mine], rel=1e-13)
+
+
+# ---- long cells and many levels: the tables of the near field ----
+
+
+@pytest.mark.parametrize("aspect", [5, 30, 100])
+def test_walls_beside_long_cells_match_the_lattice_at_all_distances(aspect):
+    """Charge at some hundred short cells from ghosts is still near; the reference sums the lattice's function itself."""
+    cells, spacing = (144, 8, 8), (1.0, 1.0, float(aspect))
+    rng = np.random.default_rng(3)
+    charges = np.zeros(cells)
+    charges[3:40:3, 1:7, 2:6] = rng.uniform(0.5, 1.5, charges[3:40:3, 1:7, 2:6].shape)
+    kernel = lattice_green(spacing, cells).transpose(2, 1, 0)  # offsets 0 .. cells
+    found = walls(charges, spacing)
+    places = np.argwhere(charges != 0)
+    largest = max(np.abs(plane).max() for plane in found)
+    for axis, side in itertools.product(range(3), (0, 1)):
+        for _ in range(20):
+            ghost = np.array([rng.integers(n) for n in cells])
+            ghost[axis] = cells[axis] if side else -1
+            i, j, k = np.abs(places - ghost).T
+            exact = kernel[i, j, k] @ charges[tuple(places.T)]
+            here = tuple(n for d, n in enumerate(ghost) if d != axis)
+            assert found[2 * axis + side][here] == pytest.approx(exact, abs=6e-5 * largest)
+
+
+@pytest.mark.parametrize("gamma", [1, 10, 30])
+def test_tables_of_many_levels_of_long_cells_are_small_shared_and_freed(gamma):
+    before = kernel_table_bytes()
+    corner = [[((0, 0, 0), (edge - 1,) * 3)] for edge in (12, 8, 4)]
+    domain = Domain((0, 0, 0), (1, 1, 1), (16,) * 3, boundary="open")
+    hierarchy = Hierarchy(MPI.COMM_SELF, domain, corner, blocking_factor=4)
+    rho = Field(hierarchy).fill(lambda x, y, z: 1e-9 * np.exp(-20 * (x**2 + y**2 + z**2)))
+    sizes, solvers = [], []
+    for _ in range(2):
+        solvers.append(PoissonSolver(hierarchy, stretch=(1, 1, gamma)))
+        _, report = solvers[-1].solve(rho)
+        assert report.converged
+        sizes.append(kernel_table_bytes() - before)
+    assert 0 < sizes[0] == sizes[1] < 16e6
+    del solvers
+    assert kernel_table_bytes() == before
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_charge_outside_on_one_rank_is_refused_on_all(comm):
+    space = free_space((16, 16, 16), comm=comm)
+    last = comm.rank == comm.size - 1
+    position = np.array([[20.5 if last else 3.5, 3.5, 3.5]])
+    with pytest.raises(SolverError, match="a charge lies outside the domain"):
+        space.set_charges(position, np.ones(1), np.zeros(1, dtype=np.int32))

@@ -71,6 +71,9 @@ void bind_freespace(nb::module_& m) {
       },
       "moments"_a, "shift"_a, "Moments about a centre that lies `shift` before the old one.");
 
+  m.def("kernel_table_bytes", &kernel_table_bytes,
+        "Bytes of the tables of near fields that are alive in this process.");
+
   nb::class_<FreeSpace>(m, "FreeSpace")
       .def(
           "__init__",

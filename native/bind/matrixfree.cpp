@@ -1,10 +1,12 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "matrixfree/capacity.hpp"
 #include "matrixfree/composite.hpp"
 
 namespace nb = nanobind;
@@ -112,6 +114,16 @@ nb::tuple truncation(CompositeLaplacian& laplacian, Field const& rho, Real mean,
 }  // namespace
 
 void bind_matrixfree(nb::module_& m) {
+  m.def(
+      "padded_cells",
+      [](std::vector<std::array<int, 6>> const& boxes, int halo) {
+        std::vector<Box> all;
+        for (auto const& b : boxes) all.push_back({{b[0], b[1], b[2]}, {b[3], b[4], b[5]}});
+        return matrixfree::padded_cells(all, halo);
+      },
+      "boxes"_a, "halo"_a, "The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.");
+  m.def("refusal_of_places", &matrixfree::refusal_of_places, "places"_a, "level"_a, "rank"_a,
+        "What is wrong with so many padded cells of a level on a rank; empty if nothing is.");
   nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")
       .def(
           "__init__",

@@ -5,8 +5,6 @@
 #include <tuple>
 #include <utility>
 
-#include "base/error.hpp"
-
 namespace amrpic::freespace {
 
 bool BlockKey::operator<(BlockKey const& o) const {
@@ -195,9 +193,6 @@ void ChargeBlocks::assign(std::vector<PointCharge> const& charges) {
   for (PointCharge const& charge : charges) {
     if (charge.charge == 0) continue;
     Cell const cell = lattice_.cell_at(charge.position, charge.level);
-    for (int d = 0; d < 3; ++d)
-      if (cell[d] < 0 || cell[d] >= (lattice_.cells[d] << charge.level))
-        throw SolverError("open boundary: a charge lies outside the domain; remove lost particles before the solve");
     items.push_back({block_of(charge.level, cell), place_in_block(cell), charge.charge});
   }
   std::stable_sort(items.begin(), items.end(), [](Item const& a, Item const& b) { return a.key < b.key; });

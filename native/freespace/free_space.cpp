@@ -4,10 +4,18 @@
 #include <stdexcept>
 
 #include "base/all_gather.hpp"
+#include "base/error.hpp"
 
 namespace amrpic::freespace {
 
 namespace {
+
+/// Whether something holds on any rank, so that all may raise together. Collective.
+bool on_any_rank(MPI_Comm comm, bool here) {
+  int any = here;
+  MPI_Allreduce(MPI_IN_PLACE, &any, 1, MPI_INT, MPI_MAX, comm);
+  return any != 0;
+}
 
 /// The patches of this rank: an even share of the work, next to each other.
 std::array<std::size_t, 2> share_of(MPI_Comm comm, std::vector<Interactions> const& interactions) {
@@ -36,6 +44,14 @@ FreeSpace::FreeSpace(MPI_Comm comm, Lattice const& lattice, Options const& optio
       evaluate_(std::make_unique<TreePotential const>(lattice, 0, options)) {}
 
 void FreeSpace::set_charges(std::vector<PointCharge> const& local) {
+  bool outside = false;
+  for (PointCharge const& charge : local) {
+    Cell const cell = lattice_.cell_at(charge.position, charge.level);
+    for (int d = 0; d < 3; ++d)
+      outside = outside || (charge.charge != 0 && (cell[d] < 0 || cell[d] >= (lattice_.cells[d] << charge.level)));
+  }
+  if (on_any_rank(comm_, outside))
+    throw SolverError("open boundary: a charge lies outside the domain; remove lost particles before the solve");
   charges_.blocks.assign(local);
   build_tree();
 }
@@ -85,6 +101,7 @@ std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) 
   };
   std::vector<Place> places;
   std::vector<GhostBlock> mine;
+  bool is_no_ghost = false;
   for (PointTarget const& target : local) {
     places.push_back({});
     auto& [block, number] = places.back();
@@ -94,12 +111,16 @@ std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) 
     for (int d = 0; d < 3; ++d)
       for (int side : {0, 1})
         if (cell[d] == (side == 0 ? -1 : lattice_.cells[d] << target.level)) block.face = 2 * d + side;
-    if (block.face < 0) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
+    if (block.face < 0) {
+      is_no_ghost = true;
+      break;
+    }
     auto const [u, v] = plane_axes(block.face / 2);
     block.place = {cell[u] / patch_points, cell[v] / patch_points};
     number = cell[u] % patch_points + patch_points * (cell[v] % patch_points);
     if (mine.empty() || !(mine.back() == block)) mine.push_back(block);
   }
+  if (on_any_rank(comm_, is_no_ghost)) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
   auto blocks = all_gather(comm_, mine).values;
   std::sort(blocks.begin(), blocks.end());
   blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());

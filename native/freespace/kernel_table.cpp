@@ -1,6 +1,10 @@
 #include "freespace/kernel_table.hpp"
 
-#include <utility>
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <map>
+#include <tuple>
 
 #include "freespace/lattice_green.hpp"
 
@@ -8,65 +12,106 @@ namespace amrpic::freespace {
 
 namespace {
 
-/// Weights of the points -1, 0, 1, 2 for a place `s` in [0, 1] between 0 and 1.
-std::array<double, 4> weights_between(double s) {
-  if (s == 0.5) return {0, 0.5, 0.5, 0};
-  return {-s * (s - 1) * (s - 2) / 6, (s + 1) * (s - 1) * (s - 2) / 2, -(s + 1) * s * (s - 2) / 2,
-          (s + 1) * s * (s - 1) / 6};
-}
+/// Distance that the first table serves, in short cells, and the cells beyond it along each axis. From a charge that
+/// table m does not serve, a block of eight cells is more than 20 points of table m + 1 away: the cubic between these
+/// errs by 1e-6 of the potential there.
+constexpr double first_distance = 40;
+constexpr int margin = 24;
+constexpr int overhang = 8;  ///< of interpolation at targets and at charges
 
-std::vector<double> const& shared_octant(Point const& shape, Cell const& reach) {
-  static std::mutex guard;
-  static std::map<std::pair<Point, Cell>, std::vector<double>> octants;
-  std::lock_guard<std::mutex> lock(guard);
-  auto const [entry, is_new] = octants.try_emplace({shape, reach});
-  if (is_new) entry->second = lattice_green_octant(shape, reach);
-  return entry->second;
+std::atomic<std::size_t> bytes_alive{0};
+
+/// Means of neighbours along an axis of an octant, which loses its last point.
+void average(std::vector<double>& values, std::array<std::ptrdiff_t, 3>& size, int axis) {
+  std::array<std::ptrdiff_t, 3> now = size;
+  --now[axis];
+  std::vector<double> out(std::size_t(now[0] * now[1] * now[2]));
+  std::ptrdiff_t const step = axis == 0 ? 1 : axis == 1 ? size[0] : size[0] * size[1];
+  for (std::ptrdiff_t k = 0; k < now[2]; ++k)
+    for (std::ptrdiff_t j = 0; j < now[1]; ++j)
+      for (std::ptrdiff_t i = 0; i < now[0]; ++i) {
+        double const* const from = values.data() + i + size[0] * (j + size[1] * k);
+        out[std::size_t(i + now[0] * (j + now[1] * k))] = 0.5 * (from[0] + from[step]);
+      }
+  values = std::move(out);
+  size = now;
 }
 
 }  // namespace
 
-KernelTable::KernelTable(std::vector<double> const& octant, Cell const& octant_reach, Point const& shift)
-    : values_(octant) {
-  std::array<std::ptrdiff_t, 3> size;
-  for (int d = 0; d < 3; ++d) {
-    reach_[d] = octant_reach[d] - 2;
-    size[d] = octant_reach[d] + 1;
-  }
-  for (int d = 0; d < 3; ++d) interpolate(d, shift[d], size);
-  stride_y_ = size[0];
-  stride_z_ = size[0] * size[1];
+std::array<double, 4> cubic_weights(double s) {
+  return {-s * (s - 1) * (s - 2) / 6, (s + 1) * (s - 1) * (s - 2) / 2, -(s + 1) * s * (s - 2) / 2,
+          (s + 1) * s * (s - 1) / 6};
 }
 
-/// Replace the places 0, 1, ... along an axis by the distances i - shift, i = -reach .. reach; the kernel is even.
-void KernelTable::interpolate(int axis, double shift, std::array<std::ptrdiff_t, 3>& size) {
-  std::ptrdiff_t before = 1, after = 1;
-  for (int d = 0; d < axis; ++d) before *= size[d];
-  for (int d = axis + 1; d < 3; ++d) after *= size[d];
-  std::ptrdiff_t const old = size[axis], reach = reach_[axis], now = 2 * reach + 1;
-  auto const weights = weights_between(1 - shift);
-  std::vector<double> out(std::size_t(before * now * after));
-  for (std::ptrdiff_t a = 0; a < after; ++a)
-    for (std::ptrdiff_t i = -reach; i <= reach; ++i) {
-      auto const line = [&](std::ptrdiff_t n) { return values_.data() + before * (std::abs(n) + old * a); };
-      double* to = out.data() + before * (i + reach + now * a);
-      for (std::ptrdiff_t b = 0; b < before; ++b)
-        to[b] = shift == 0 ? line(i)[b]
-                           : weights[0] * line(i - 2)[b] + weights[1] * line(i - 1)[b] + weights[2] * line(i)[b] +
-                                 weights[3] * line(i + 1)[b];
-    }
-  values_ = std::move(out);
-  size[axis] = now;
+KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half)
+    : reach_(reach), half_(half) {
+  Cell last = reach;
+  for (int d = 0; d < 3; ++d) last[d] += half[d] ? 1 : 0;
+  auto octant = lattice_green_octant(shape, last, stride);
+  std::array<std::ptrdiff_t, 3> size{last[0] + 1, last[1] + 1, last[2] + 1};
+  for (int d = 0; d < 3; ++d)
+    if (half[d]) average(octant, size, d);
+  std::ptrdiff_t const width = 2 * reach[0] + 1;
+  pitch_ = {1, width, width * size[1]};
+  values_.resize(std::size_t(width * size[1] * size[2]));
+  for (std::ptrdiff_t line = 0; line < size[1] * size[2]; ++line)
+    for (int i = -reach[0]; i <= reach[0]; ++i)
+      values_[std::size_t(i + reach[0] + width * line)] = octant[std::size_t(folded(0, i) + size[0] * line)];
 }
 
-KernelTable const& KernelTables::at(Point const& shift) {
+KernelTables::KernelTables(Point const& shape, Cell const& reach) : shape_(shape), reach_(reach) {
+  for (int d = 0; d < 3; ++d)
+    while (cells_served(count_ - 1, d) < reach[d]) ++count_;
+  tables_.resize(2 * std::size_t(count_));
+}
+
+int KernelTables::cells_served(int number, int axis) const {
+  return int(std::min(double(reach_[axis]), std::ceil(std::ldexp(first_distance, number) / shape_[axis]) + margin));
+}
+
+int KernelTables::serving(int axis, int offset) const {
+  int number = 0;
+  while (number + 1 < count_ && cells_served(number, axis) < offset) ++number;
+  return number;
+}
+
+Cell KernelTables::stride(int number) const {
+  Cell out;
+  for (int d = 0; d < 3; ++d) out[d] = 1 << std::max(0, std::ilogb(std::ldexp(1.0, number) / shape_[d]));
+  return out;
+}
+
+KernelTable const& KernelTables::at(int number, bool finer) {
+  using Key = std::tuple<Point, Cell, Cell, std::array<bool, 3>>;
+  static std::mutex guard_of_all;
+  static std::map<Key, std::weak_ptr<KernelTable const>> all;
+
   std::lock_guard<std::mutex> lock(guard_);
-  auto& table = tables_[shift];
+  auto& table = tables_[2 * std::size_t(number) + (finer ? 1 : 0)];
+  if (table) return *table;
+  Cell const apart = stride(number);
+  std::array<bool, 3> half;
+  for (int d = 0; d < 3; ++d) half[d] = finer && apart[d] == 1;
+  Cell reach;
+  for (int d = 0; d < 3; ++d) reach[d] = (cells_served(number, d) + apart[d] - 1) / apart[d] + overhang;
+  std::lock_guard<std::mutex> lock_all(guard_of_all);
+  for (auto entry = all.begin(); entry != all.end();) entry = entry->second.expired() ? all.erase(entry) : ++entry;
+  auto& shared = all[{shape_, reach, apart, half}];
+  table = shared.lock();
   if (!table) {
-    Cell const wider{reach_[0] + 2, reach_[1] + 2, reach_[2] + 2};
-    table = std::make_unique<KernelTable const>(shared_octant(shape_, wider), wider, shift);
+    auto made = std::make_unique<KernelTable const>(shape_, reach, apart, half);
+    std::size_t const size = made->bytes();
+    table = std::shared_ptr<KernelTable const>(made.release(), [size](KernelTable const* old) {
+      bytes_alive -= size;
+      delete old;
+    });
+    bytes_alive += size;
+    shared = table;
   }
   return *table;
 }
+
+std::size_t kernel_table_bytes() { return bytes_alive; }
 
 }  // namespace amrpic::freespace

@@ -3,7 +3,6 @@
 
 #include <array>
 #include <cstddef>
-#include <map>
 #include <memory>
 #include <mutex>
 #include <vector>
@@ -12,45 +11,62 @@
 
 namespace amrpic::freespace {
 
-/// Offsets of either sign, perhaps between the lattice points.
-///
-/// Entry (i, j, k) is the potential of a unit charge at the lattice point (i, j, k), seen from the point `shift`, 0 <=
-/// shift < 1. Half way between points it is their mean: exact to fourth order away from the charge if cells are cubes,
-/// and what an average over the eight finer cells of a coarse one gives. Elsewhere it is the cubic Lagrange
-/// interpolant.
+/// Weights of the points -1, 0, 1, 2 for a place in [0, 1] between 0 and 1.
+std::array<double, 4> cubic_weights(double place);
+
+/// The potential of a unit charge at offsets of either sign that are multiples of `stride`; along axes that are `half`
+/// half way between these. There it is the mean over the points around, eight of them at most: exact to fourth order
+/// away from the charge if cells are cubes, and what a coarse cell sees of finer ones.
 class KernelTable {
  public:
-  /// From an octant as `lattice_green_octant` gives it. The table reaches two points less far than the octant.
-  KernelTable(std::vector<double> const& octant, Cell const& octant_reach, Point const& shift);
+  /// `reach`: entries (i, j, k) have |i| <= reach, in strides.
+  KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half);
 
-  Cell const& reach() const { return reach_; }
-  /// Entries (i, j, k), (i + 1, j, k), ...; |i| <= reach.
-  double const* row(int i, int j, int k) const {
-    return values_.data() + (i + reach_[0] + stride_y_ * (j + reach_[1]) + stride_z_ * (k + reach_[2]));
-  }
-  /// From row (i, j, k) to (i, j + 1, k), or to (i, j, k + 1).
-  std::ptrdiff_t stride(int axis) const { return axis == 1 ? stride_y_ : stride_z_; }
+  /// Entries (i, j, k), (i + 1, j, k), ... begin at `row` + `along`(1, j) + `along`(2, k). Along `half` axes they stand
+  /// for the distances i - 1/2.
+  double const* row(int i) const { return values_.data() + (i + reach_[0]); }
+  std::size_t bytes() const { return values_.capacity() * sizeof(double); }
+  std::ptrdiff_t along(int axis, int n) const { return pitch_[std::size_t(axis)] * folded(axis, n); }
 
  private:
-  void interpolate(int axis, double shift, std::array<std::ptrdiff_t, 3>& size);
+  std::ptrdiff_t folded(int axis, int n) const { return n < 0 ? -n : n > 0 && half_[std::size_t(axis)] ? n - 1 : n; }
 
   Cell reach_;
-  std::ptrdiff_t stride_y_, stride_z_;
-  std::vector<double> values_;
+  std::array<bool, 3> half_;
+  std::array<std::ptrdiff_t, 3> pitch_;
+  std::vector<double> values_;  ///< x of either sign, y and z folded: the function is even
 };
 
-/// Tables of one lattice shape, made when first asked for. The Green's function itself is kept for the life of the
-/// process.
+/// The tables of one lattice shape, made when first asked for and shared with all others of the process that reach as
+/// far; the last one frees them.
+///
+/// Beside long cells the lattice counts as far as ten of them reach, which is hundreds of short ones. But at a distance
+/// the function is smooth. So table number m serves distances of up to about 40 * 2^m short cells, and its points are
+/// 2^m of these apart, as far as cells do not become longer than the longest. Each has some hundred points along an
+/// axis at most, and their number grows with the logarithm of the distance.
 class KernelTables {
  public:
-  KernelTables(Point const& shape, Cell const& reach) : shape_(shape), reach_(reach) {}
-  KernelTable const& at(Point const& shift);
+  /// `reach`: of all tables together, in cells.
+  KernelTables(Point const& shape, Cell const& reach);
+
+  int count() const { return count_; }
+  /// The first table that serves charges up to `offset` cells away along an axis.
+  int serving(int axis, int offset) const;
+  Cell stride(int number) const;
+  /// `finer`: for charges of finer levels than the targets, half way along axes on which the points are not apart.
+  KernelTable const& at(int number, bool finer);
 
  private:
+  int cells_served(int number, int axis) const;
+
   Point shape_;
   Cell reach_;
+  int count_ = 1;
   std::mutex guard_;
-  std::map<Point, std::unique_ptr<KernelTable const>> tables_;
+  std::vector<std::shared_ptr<KernelTable const>> tables_;
 };
+
+/// Bytes of all tables that are alive in this process.
+std::size_t kernel_table_bytes();
 
 }  // namespace amrpic::freespace

@@ -38,6 +38,7 @@ std::array<Node, panel_nodes> gauss_legendre() {
 /// Nodes in t for the integral from 0 to infinity of a product of three heat kernels.
 /// Panels double in length up to a time when the kernels have spread far beyond the reach; the tail is smooth in 1 /
 /// sqrt(t).
+/// `reach`: in cells.
 std::vector<Node> time_nodes(std::array<double, 3> const& spacing, std::array<int, 3> const& reach) {
   double smallest = spacing[0], largest = spacing[0], extent = 0;
   for (int d = 0; d < 3; ++d) {
@@ -97,13 +98,17 @@ std::vector<double> scaled_bessel(double x, int last) {
   return out;
 }
 
-std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach) {
+std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach,
+                                         std::array<int, 3> const& stride) {
   std::ptrdiff_t const nx = reach[0] + 1, ny = reach[1] + 1, nz = reach[2] + 1;
   std::vector<double> out(std::size_t(nx * ny * nz), 0.0);
   double const volume = spacing[0] * spacing[1] * spacing[2];
-  for (Node const& node : time_nodes(spacing, reach)) {
+  for (Node const& node : time_nodes(spacing, {reach[0] * stride[0], reach[1] * stride[1], reach[2] * stride[2]})) {
     std::array<std::vector<double>, 3> kernel;
-    for (int d = 0; d < 3; ++d) kernel[d] = scaled_bessel(2 * node.place / (spacing[d] * spacing[d]), reach[d]);
+    for (int d = 0; d < 3; ++d) {
+      kernel[d] = scaled_bessel(2 * node.place / (spacing[d] * spacing[d]), reach[d] * stride[d]);
+      for (int n = 0; n <= reach[d]; ++n) kernel[d][n] = kernel[d][n * stride[d]];
+    }
     for (std::ptrdiff_t k = 0; k < nz; ++k)
       for (std::ptrdiff_t j = 0; j < ny; ++j) {
         double const factor = node.weight / volume * kernel[1][j] * kernel[2][k];

@@ -16,8 +16,10 @@ namespace amrpic::freespace {
 /// exp(-x) I_n(x) for n = 0 .. last; x > 0.
 std::vector<double> scaled_bessel(double x, int last);
 
-/// G / volume for 0 <= i, j, k <= reach, i fastest. Accurate to rounding; lengths of about one are expected.
-std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach);
+/// G / volume at every `stride`-th point, 0 <= i, j, k <= reach, i fastest. Accurate to rounding; lengths of about one
+/// are expected.
+std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach,
+                                         std::array<int, 3> const& stride = {1, 1, 1});
 
 /// Charges as the first lattice correction sees them: their sum and first moments, each charge times the square of its
 /// level's spacing over that of the base.

@@ -1,5 +1,6 @@
 #include "freespace/solid_harmonics.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace amrpic::freespace {
@@ -60,14 +61,21 @@ struct HarmonicPolynomials {
 
 double degree_strength(Harmonics<double> const& moments, int l) {
   // Schwarz' inequality: sum over m = -l .. l of |S(l, m)|^2 / ((l - m)! (l + m)!) is r^(-2 l - 2).
+  double largest = 0;  // moments may be so small or large that their squares are no doubles
+  for (int m = 0; m <= l; ++m) {
+    Complex<double> const& value = moments[harmonic_index(l, m)];
+    largest = std::max({largest, std::abs(value.re), std::abs(value.im)});
+  }
+  if (largest == 0) return 0;
   double sum = 0, factor = 1;  // (l - m)! (l + m)!
   for (int n = 2; n <= l; ++n) factor *= n * n;
   for (int m = 0; m <= l; ++m) {
     if (m > 0) factor *= double(l + m) / (l - m + 1);
     Complex<double> const& value = moments[harmonic_index(l, m)];
-    sum += (m > 0 ? 2 : 1) * factor * (value.re * value.re + value.im * value.im);
+    double const re = value.re / largest, im = value.im / largest;
+    sum += (m > 0 ? 2 : 1) * factor * (re * re + im * im);
   }
-  return std::sqrt(sum);
+  return largest * std::sqrt(sum);
 }
 
 Expansion to_expansion(Harmonics<double> const& moments) {

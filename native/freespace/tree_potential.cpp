@@ -3,10 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <string>
 
-#include "base/error.hpp"
 #include "freespace/lattice_green.hpp"
+#include "freespace/near_field.hpp"
 
 namespace amrpic::freespace {
 
@@ -17,9 +16,8 @@ constexpr double lattice_negligible = 64;  ///< cells from a charge where its la
 constexpr unsigned all_points = (1u << lane_count) - 1;
 constexpr int lowest_order = 2;
 constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
-constexpr double table_limit = 1 << 26;   ///< entries of a kernel table; only very long cells come near
 
-/// Points that a kernel table must reach for charges at most `distance` away, and along long cells for the rest of a
+/// Cells that the kernel tables must reach for charges at most `distance` away, and along long cells for the rest of a
 /// block of ghosts that is partly as near.
 Cell table_reach(Lattice const& lattice, int finest, double distance) {
   Point const shape = lattice.shape();
@@ -32,25 +30,11 @@ Cell table_reach(Lattice const& lattice, int finest, double distance) {
   return out;
 }
 
-double table_entries(Cell const& reach) { return (2.0 * reach[0] + 1) * (2.0 * reach[1] + 1) * (2.0 * reach[2] + 1); }
-
 /// Up to where the charges of a leaf of level 0 are summed one by one, in units of the smallest spacing.
 double near_distance(Point const& shape, Options const& options) {
   double const leaf_radius = 0.5 * (block_edge - 1) * std::hypot(shape[0], shape[1], shape[2]);
   double const longest = std::max({shape[0], shape[1], shape[2]});
   return std::max(options.lattice_limit * longest, leaf_radius / options.acceptance);
-}
-
-/// The reach of the kernel tables.
-Cell checked_reach(Lattice const& lattice, int finest, Options const& options) {
-  Point const shape = lattice.shape();
-  Cell const out = table_reach(lattice, finest, near_distance(shape, options));
-  if (table_entries(out) > table_limit)
-    throw SolverError(
-        "open boundary: cells are " + std::to_string(int(std::max({shape[0], shape[1], shape[2]}))) +
-        " times longer than wide, too much for the table of the lattice Green's function; use cells closer "
-        "to cubes");
-  return out;
 }
 
 /// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
@@ -64,24 +48,11 @@ Place place_in_level(int cell, int cell_level, int level) {
   return {int(floor), x - floor};
 }
 
-/// Sums of the charges of a leaf times the kernel, for some targets. `kernels`: at the first charge.
-template <std::size_t count>
-std::array<double, count> direct_sums(LeafCharges::Block const& charges,
-                                      std::array<double const*, count> const& kernels, KernelTable const& table) {
-  Lanes sum[count] = {};
-  for (int n = 0; n < charges.row_count; ++n) {
-    int const row = charges.rows[n];
-    std::ptrdiff_t const offset = row % block_edge * table.stride(1) + row / block_edge * table.stride(2);
-    Lanes charge;
-    __builtin_memcpy(&charge, charges.values.data() + block_edge * row, sizeof(Lanes));
-    for (std::size_t t = 0; t < count; ++t) {
-      Lanes value;
-      __builtin_memcpy(&value, kernels[t] + offset, sizeof(Lanes));
-      sum[t] += charge * value;
-    }
-  }
-  std::array<double, count> out;
-  for (std::size_t t = 0; t < count; ++t) out[t] = sum_of(sum[t]);
+/// Where tables have their points apart: ghosts of coarser levels lie on these, as far as they are apart themselves.
+PointsApart points_for(Cell const& stride, int target_level, int level) {
+  PointsApart out{stride, {}};
+  Place const ghost = place_in_level(0, target_level, level);
+  for (int d = 0; d < 3; ++d) out.origin[d] = ghost.point + ghost.shift;
   return out;
 }
 
@@ -139,6 +110,23 @@ void add_lanes(Lanes const& value, double* to) {
 
 }  // namespace
 
+/// Charges on the points of tables of wider spacing, made when first asked for.
+class TreePotential::SpreadLeaves {
+ public:
+  explicit SpreadLeaves(KernelTables const& kernels) : kernels_(kernels) {}
+  SpreadCharges const& of(int leaf, LeafCharges::Block const& charges, Leaf const& place, int table, int target_level) {
+    std::array<int, 3> const key{leaf, table, target_level};
+    auto const found = spread_.find(key);
+    if (found != spread_.end()) return found->second;
+    PointsApart const points = points_for(kernels_.stride(table), target_level, place.key.level);
+    return spread_.emplace(key, SpreadCharges(charges, place.corner(), points)).first->second;
+  }
+
+ private:
+  KernelTables const& kernels_;
+  std::map<std::array<int, 3>, SpreadCharges> spread_;  ///< by leaf, table and level of the targets
+};
+
 /// The ghosts of a patch as a box, flat along the normal.
 struct TreePotential::Rectangle {
   Point centre, half;
@@ -179,36 +167,74 @@ struct TreePotential::Rectangle {
   }
 };
 
-/// The points of a patch among the lattice points of a level with charge.
-struct TreePotential::NearPoints {
-  struct Ghost {
-    KernelTable const* kernel;
-    Cell point;
-  };
-  std::array<Ghost, patch_values> at;
+/// What the charges nearby make at the points of one patch.
+class TreePotential::NearPatch {
+ public:
+  NearPatch(Lattice const& lattice, GhostPatch const& patch, KernelTables& kernels)
+      : patch_(patch), kernels_(kernels), normal_(patch.face / 2), axes_(plane_axes(normal_)) {
+    columns_ = point_cells(patch.extent[0]), rows_ = point_cells(patch.extent[1]);
+    for (int t = 0; t < patch_points; ++t) columns_[t] += patch.first[0], rows_[t] += patch.first[1];
+    behind_ = patch.face % 2 == 0 ? -1 : lattice.cells[normal_] << patch.level;
+  }
 
-  NearPoints() = default;
-  NearPoints(Lattice const& lattice, GhostPatch const& patch, int level, KernelTables& kernels) {
-    int const normal = patch.face / 2;
-    auto const axes = plane_axes(normal);
-    Ghost ghost{};
-    Point shift{}, made_for{};
-    auto const put = [&](int d, int cell) {
-      Place const place = place_in_level(cell, patch.level, level);
-      ghost.point[d] = place.point;
-      shift[d] = place.shift;
+  /// Add the charges of a leaf at the points that `masks` has.
+  void add(int number, Leaf const& leaf, LeafCharges::Block const& charges,
+           std::array<unsigned, patch_points> const& masks, SpreadLeaves& spread, double* values) {
+    int const level = leaf.key.level;
+    Cell const corner = leaf.corner();
+    double const scale = four_pi * std::ldexp(1.0, level);  // lengths are 2^level times smaller there
+    auto const serving = [&](int axis, int cell) {
+      int const point = place_in_level(cell, patch_.level, level).point;
+      return kernels_.serving(axis, std::max(corner[axis] + block_edge - point, point + 1 - corner[axis]));
     };
-    auto const columns = point_cells(patch.extent[0]), rows = point_cells(patch.extent[1]);
-    put(normal, patch.face % 2 == 0 ? -1 : lattice.cells[normal] << patch.level);
-    for (int row = 0; row < patch_points; ++row) {
-      put(axes[1], patch.first[1] + rows[row]);
-      for (int t = 0; t < patch_points; ++t) {
-        put(axes[0], patch.first[0] + columns[t]);
-        if (!ghost.kernel || shift != made_for) ghost.kernel = &kernels.at(shift), made_for = shift;
-        at[row * patch_points + t] = ghost;
+    std::array<int, patch_points> by_column, by_row;
+    int const across = serving(normal_, behind_);
+    for (int t = 0; t < patch_points; ++t)
+      by_column[t] = serving(axes_[0], columns_[t]), by_row[t] = serving(axes_[1], rows_[t]);
+    for (int table = across; table < kernels_.count(); ++table) {
+      std::array<unsigned, patch_points> served{};
+      bool any = false;
+      for (int row = 0; row < patch_points; ++row)
+        for (int t = 0; t < patch_points; ++t)
+          if ((masks[row] >> t & 1) && std::max({across, by_column[t], by_row[row]}) == table)
+            served[row] |= 1u << t, any = true;
+      if (!any) continue;
+      KernelTable const& kernel = kernels_.at(table, level > patch_.level);
+      NearGrid& points = grid(level, table);
+      if (kernels_.stride(table) == Cell{1, 1, 1}) {
+        points.add(charges, corner, kernel, served, scale, values);
+      } else {
+        SpreadCharges const& there = spread.of(number, charges, leaf, table, patch_.level);
+        points.add(there.block, there.corner, kernel, served, scale, values);
       }
     }
   }
+
+ private:
+  NearGrid& grid(int level, int table) {
+    auto const found = grids_.find({level, table});
+    if (found != grids_.end()) return found->second;
+    PointsApart const points = points_for(kernels_.stride(table), patch_.level, level);
+    auto const stencil = [&](int axis, int cell) {
+      Place const place = place_in_level(cell, patch_.level, level);
+      bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
+      return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)));
+    };
+    std::vector<Stencil> u, v;
+    for (int t = 0; t < patch_points; ++t) {
+      u.push_back(stencil(axes_[0], columns_[t]));
+      v.push_back(stencil(axes_[1], rows_[t]));
+    }
+    NearGrid made(normal_, StencilRow(u), StencilRow(v), StencilRow({stencil(normal_, behind_)}));
+    return grids_.emplace(std::pair(level, table), std::move(made)).first->second;
+  }
+
+  GhostPatch const& patch_;
+  KernelTables& kernels_;
+  int normal_, behind_;
+  std::array<int, 2> axes_;
+  std::array<int, patch_points> columns_, rows_;
+  std::map<std::pair<int, int>, NearGrid> grids_;  ///< by level of the charges and table
 };
 
 Cell near_cells(Lattice const& lattice, Options const& options) {
@@ -224,7 +250,7 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       options_(options),
       shape_(lattice.shape()),
       longest_spacing_(std::max({shape_[0], shape_[1], shape_[2]})),
-      reach_(checked_reach(lattice, finest, options)),
+      reach_(table_reach(lattice, finest, near_distance(shape_, options))),
       kernels_(shape_, reach_) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
@@ -368,31 +394,6 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   }
 }
 
-/// The charges of a leaf one by one, at the points of a row that it is near to.
-void TreePotential::add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearPoints const& points,
-                             NearRow const& row, double* values) const {
-  constexpr std::size_t at_once = 4;
-  std::array<double const*, at_once> kernels;
-  std::array<int, at_once> numbers;
-  Cell const corner = leaf.corner();
-  double const scale = four_pi * std::ldexp(1.0, leaf.key.level);  // lengths are 2^level times smaller there
-  unsigned left = row.points;
-  while (left) {
-    std::size_t count = 0;
-    KernelTable const* table = nullptr;
-    for (; left && count < at_once; left &= left - 1) {
-      int const number = row.row * patch_points + __builtin_ctz(left);
-      auto const& [kernel, point] = points.at[number];
-      table = kernel;
-      kernels[count] = kernel->row(corner[0] - point[0], corner[1] - point[1], corner[2] - point[2]);
-      numbers[count++] = number;
-    }
-    for (std::size_t t = count; t < at_once; ++t) kernels[t] = kernels[0];
-    auto const sums = direct_sums(charges, kernels, *table);
-    for (std::size_t t = 0; t < count; ++t) values[numbers[t]] += scale * sums[t];
-  }
-}
-
 std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
                                       std::vector<Interactions> const& interactions, std::size_t first,
                                       std::size_t last) const {
@@ -410,14 +411,15 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
   for (NearRow const& row : near) wanted[row.leaf] = 1;
   MPI_Allreduce(MPI_IN_PLACE, wanted.data(), int(wanted.size()), MPI_SIGNED_CHAR, MPI_MAX, comm);
   LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted);
-  std::map<int, NearPoints> points;  // of one patch, by the level of the charge
-  for (std::size_t n = 0; n < near.size(); ++n) {
-    NearRow const& row = near[n];
-    if (n > 0 && near[n - 1].patch != row.patch) points.clear();
-    Leaf const& leaf = charges.leaves[row.leaf].leaf;
-    auto const [entry, is_new] = points.try_emplace(leaf.key.level);
-    if (is_new) entry->second = NearPoints(lattice_, patches[row.patch], leaf.key.level, kernels_);
-    add_near(leaf, fetched.of(row.leaf), entry->second, row, out.data() + (row.patch - first) * patch_values);
+  SpreadLeaves spread(kernels_);
+  for (std::size_t n = 0; n < near.size();) {
+    std::size_t const p = near[n].patch;
+    std::map<int, std::array<unsigned, patch_points>> masks;  // by leaf
+    for (; n < near.size() && near[n].patch == p; ++n) masks[near[n].leaf][std::size_t(near[n].row)] |= near[n].points;
+    NearPatch patch(lattice_, patches[p], kernels_);
+    for (auto const& [leaf, points] : masks)
+      patch.add(leaf, charges.leaves[std::size_t(leaf)].leaf, fetched.of(leaf), points, spread,
+                out.data() + (p - first) * patch_values);
   }
   return out;
 }

@@ -67,7 +67,8 @@ class TreePotential {
     unsigned points;  ///< bit t: number t of the row
     int leaf;
   };
-  struct NearPoints;
+  class NearPatch;
+  class SpreadLeaves;
   struct Rectangle;
   double far_limit(TreeNode const& node) const;
   bool is_summed(TreeNode const& node, Rectangle const& rectangle, double separation) const;
@@ -76,8 +77,6 @@ class TreePotential {
                double* values) const;
   void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, std::size_t patch,
                  double* values, std::vector<NearRow>& near) const;
-  void add_near(Leaf const& leaf, LeafCharges::Block const& charges, NearPoints const& points, NearRow const& row,
-                double* values) const;
 
   Lattice lattice_;
   int finest_;

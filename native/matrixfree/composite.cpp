@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/constants.hpp"
 #include "matrixfree/composite_kernels.hpp"
 #include "mesh/means.hpp"
 #include "stencil/boundary.hpp"
@@ -11,8 +10,6 @@
 namespace amrpic {
 
 namespace {
-
-constexpr Real inverse_permittivity = 1 / vacuum_permittivity;
 
 /// Call f(place in the plane, u, v, extent along u) for the cells of plane k of a box that lie at one of its faces.
 template <class F>
@@ -252,7 +249,7 @@ void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& sourc
   auto const& values = phi.level(l);
   Real const* const cells = values.data() + offset(l, b);
   Real const* const rho = source.rho.level(l).data() + offset(l, b) + k * plane;
-  kernels::Residual const formula(level(l).spacing(), inverse_permittivity, source.mean);
+  kernels::Residual const formula(level(l).spacing(), source.background);
   Real const* const c = cells + k * plane;
   Real const* const below = k > 0 ? c - plane : beyond_[4].data();
   Real const* const above = k + 1 < nz ? c + plane : beyond_[5].data();
@@ -288,24 +285,39 @@ void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& sourc
 
 /// f less what wall data add to the Laplacian, of a plane of cells; zero in covered ones.
 void CompositeLaplacian::right_hand_side_plane(int l, int b, int k, Source const& source) {
-  Box const& own = box(l, b);
-  Index3 const pitch = pitches(own);
-  std::ptrdiff_t const first = std::ptrdiff_t(k) * pitch[2];
-  Real3 const& h = level(l).spacing();
-  kernels::Residual const formula(h, inverse_permittivity, source.mean);
-  Real const* const rho = source.rho.level(l).data() + offset(l, b) + first;
-  kernels::for_each_part(0, pitch[2], [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+  std::ptrdiff_t const cells = pitches(box(l, b))[2];
+  Background const background = source.background;
+  Real const* const rho = source.rho.level(l).data() + offset(l, b) + k * cells;
+  kernels::for_each_part(0, cells, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
     fetch<Use::read>(rho + begin + page<Real>, end - begin);
-    for (std::ptrdiff_t i = begin; i < end; ++i) plane_[std::size_t(i)] = formula.right_hand_side(rho[i]);
+    for (std::ptrdiff_t i = begin; i < end; ++i) plane_[std::size_t(i)] = background.right_hand_side(rho[i]);
   });
-  for (int f = 0; f < 6; ++f) {
-    int const wall = plan(l, b).faces[f].wall, axis = f / 2;
+  for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] -= term; });
+  clear_covered(l, b, k, plane_.data());
+}
+
+/// Call f(place in the plane, term) for what wall data add to the Laplacian in plane k of a box.
+template <class F>
+void CompositeLaplacian::for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const {
+  Real3 const& h = level(l).spacing();
+  for (int face = 0; face < 6; ++face) {
+    int const wall = plan(l, b).faces[face].wall, axis = face / 2;
     if (wall < 0) continue;
-    Real const weight = wall_ghost(hierarchy_->domain().boundary[axis][f % 2], h[axis]).datum / h[axis] / h[axis];
-    for_each_on_face(own, f, k, [&](std::ptrdiff_t at, int u, int v, int nu) {
-      plane_[std::size_t(at)] -= weight * source.walls[l].datum[std::size_t(wall + u + std::ptrdiff_t(v) * nu)];
+    Real const weight = wall_ghost(hierarchy_->domain().boundary[axis][face % 2], h[axis]).datum / h[axis] / h[axis];
+    for_each_on_face(box(l, b), face, k, [&](std::ptrdiff_t at, int u, int v, int nu) {
+      f(at, weight * source.walls[l].datum[std::size_t(wall + u + std::ptrdiff_t(v) * nu)]);
     });
   }
+}
+
+/// The magnitudes of all terms of that, added up; zero in covered cells.
+void CompositeLaplacian::term_sizes_plane(int l, int b, int k, Source const& source) {
+  std::ptrdiff_t const cells = pitches(box(l, b))[2];
+  Real const* const rho = source.rho.level(l).data() + offset(l, b) + k * cells;
+  Real const background = std::abs(source.background.mean);
+  for (std::ptrdiff_t i = 0; i < cells; ++i)
+    plane_[std::size_t(i)] = Background::inverse_permittivity * std::abs(rho[i]) + background;
+  for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
   clear_covered(l, b, k, plane_.data());
 }
 
@@ -314,7 +326,7 @@ void CompositeLaplacian::diagonal_plane(int l, int b, int k, Field const& phi) {
   Box const& own = box(l, b);
   Index3 const pitch = pitches(own);
   Real3 const& h = level(l).spacing();
-  kernels::Residual const formula(h, inverse_permittivity, 0);
+  kernels::Residual const formula(h, {});
   Real const* const cells = phi.level(l).data() + offset(l, b) + std::ptrdiff_t(k) * pitch[2];
   for (int i = 0; i < pitch[2]; ++i) plane_[std::size_t(i)] = -formula.diagonal * cells[i];
   for (int f = 0; f < 6; ++f) {
@@ -343,7 +355,7 @@ void CompositeLaplacian::diagonal_plane(int l, int b, int k, Field const& phi) {
 template <class T>
 Real CompositeLaplacian::residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
                                   Blocks<T> const& residual) {
-  kernels::Magnitude magnitude(norm);
+  Magnitude magnitude(norm);
   visit(phi, source.walls, Hidden::skip, [&](int l, int b) {
     std::ptrdiff_t const cells = std::ptrdiff_t(box(l, b).extent(0)) * box(l, b).extent(1);
     for (int k = 0; k < box(l, b).extent(2); ++k) {
@@ -353,7 +365,7 @@ Real CompositeLaplacian::residual(Source const& source, Field const& phi, Norm n
     }
   });
   clear_hidden(residual);
-  return global_norm(hierarchy_->comm(), norm, magnitude.part());
+  return magnitude.over(hierarchy_->comm());
 }
 template Real CompositeLaplacian::residual(Source const&, Field const&, Norm, std::vector<Real> const&,
                                            Blocks<float> const&);
@@ -384,45 +396,44 @@ void CompositeLaplacian::for_each_plane(Fill&& fill, Use&& use) {
 template <class T>
 Real CompositeLaplacian::residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale,
                                           Blocks<T> const& residual) {
-  kernels::Magnitude magnitude(norm);
+  Magnitude magnitude(norm);
   for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
                  [&](int l, int b, int k, std::ptrdiff_t n) {
                    magnitude.add(plane_.data(), n, volume(l));
                    write_plane(l, b, k, scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)]);
                  });
   clear_hidden(residual);
-  return global_norm(hierarchy_->comm(), norm, magnitude.part());
+  return magnitude.over(hierarchy_->comm());
 }
 template Real CompositeLaplacian::residual_of_zero(Source const&, Norm, std::vector<Real> const&, Blocks<float> const&);
 
 Real CompositeLaplacian::right_hand_side_norm(Source const& source, Norm norm) {
-  kernels::Magnitude magnitude(norm);
+  Magnitude magnitude(norm);
   for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
                  [&](int l, int, int, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, volume(l)); });
-  return global_norm(hierarchy_->comm(), norm, magnitude.part());
+  return magnitude.over(hierarchy_->comm());
 }
 
 CompositeLaplacian::Integrals CompositeLaplacian::integrate_right_hand_side(Source const& source) {
   Real sums[2] = {0, 0};
-  for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
-                 [&](int l, int, int, std::ptrdiff_t n) {
-                   Real net = 0, size = 0;
-                   for (std::ptrdiff_t i = 0; i < n; ++i) {
-                     net += plane_[std::size_t(i)];
-                     size += std::abs(plane_[std::size_t(i)]);
-                   }
-                   sums[0] += level(l).cell_volume() * net;
-                   sums[1] += level(l).cell_volume() * size;
-                 });
+  auto const add_to = [&](Real& total) {
+    return [&](int l, int, int, std::ptrdiff_t n) {
+      Real sum = 0;
+      for (std::ptrdiff_t i = 0; i < n; ++i) sum += plane_[std::size_t(i)];
+      total += level(l).cell_volume() * sum;
+    };
+  };
+  for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); }, add_to(sums[0]));
+  for_each_plane([&](int l, int b, int k) { term_sizes_plane(l, b, k, source); }, add_to(sums[1]));
   MPI_Allreduce(MPI_IN_PLACE, sums, 2, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
   return {sums[0], sums[1]};
 }
 
 Real CompositeLaplacian::diagonal_norm(Field const& phi, Norm norm) {
-  kernels::Magnitude magnitude(norm);
+  Magnitude magnitude(norm);
   for_each_plane([&](int l, int b, int k) { diagonal_plane(l, b, k, phi); },
                  [&](int l, int, int, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, volume(l)); });
-  return global_norm(hierarchy_->comm(), norm, magnitude.part());
+  return magnitude.over(hierarchy_->comm());
 }
 
 // ---- corrections and means ----
@@ -443,7 +454,7 @@ void CompositeLaplacian::set_uncovered(int l, int b, int k, Real* plane, Set&& s
 /// phi += scale * correction in the uncovered cells of a plane.
 template <class T>
 void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi,
-                                   kernels::Largest<T>& largest) {
+                                   Largest<T>& largest) {
   int const nx = box(l, b).extent(0), ny = box(l, b).extent(1);
   set_uncovered(l, b, k, phi, [&] {
     for (int j = 0; j < ny; ++j) {
@@ -451,7 +462,7 @@ void CompositeLaplacian::add_plane(int l, int b, int k, Block<T> const& correcti
       Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
       fetch<Use::read>(from + correction.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
       fetch<Use::write>(to + page<Real>, nx);
-      for (int i = 0; i < nx; ++i) to[i] = kernels::fused(scale, Real(from[i]), to[i]);
+      for (int i = 0; i < nx; ++i) to[i] = fused(scale, Real(from[i]), to[i]);
       largest.add(from, nx);
     }
   });
@@ -505,7 +516,7 @@ void CompositeLaplacian::average_down(Field& phi) {
 
 template <class T>
 Real CompositeLaplacian::add(Blocks<T> const& correction, Real scale, Field& phi) {
-  kernels::Largest<T> largest;
+  Largest<T> largest;
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     for (int b = 0; b < boxes(l); ++b) {
       Real* const cells = phi.level(l).data() + offset(l, b);

@@ -31,11 +31,11 @@ using Blocks = std::vector<std::vector<Block<T>>>;
 /// Distances in memory of the neighbours of a cell of a box.
 inline Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
 
-/// What the right-hand side f = -rho / eps0 - mean is made of, in V/m^2, with the data of the walls of each level.
+/// What the right-hand side f = -rho / eps0 - background is made of, with the data of the walls of each level.
 struct Source {
   Field const& rho;  ///< C/m^3; values in covered cells are not used
   std::vector<Walls> const& walls;
-  Real mean = 0;
+  Background background{};
 };
 
 /// The Laplacian over all levels of a hierarchy at once, in double precision and without matrices: the same formulas as
@@ -72,8 +72,8 @@ class CompositeLaplacian {
   /// Norm of f less what the wall data add to the Laplacian. Collective.
   Real right_hand_side_norm(Source const& source, Norm norm);
 
-  /// Integral over uncovered cells of f less what the wall data add to the Laplacian, and of its magnitude, in the
-  /// stretched space. Collective.
+  /// Integral over uncovered cells of f less what the wall data add to the Laplacian, and of the magnitudes of all
+  /// terms of that, in the stretched space. Collective.
   struct Integrals {
     Real net, magnitude;
   };
@@ -116,10 +116,13 @@ class CompositeLaplacian {
 
   void residual_plane(int l, int b, int k, Source const& source, Field const& phi);
   void right_hand_side_plane(int l, int b, int k, Source const& source);
+  void term_sizes_plane(int l, int b, int k, Source const& source);
+  template <class F>
+  void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
   void diagonal_plane(int l, int b, int k, Field const& phi);
   template <class T>
   void prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale, Block<T> const& out,
-                          kernels::Magnitude& largest);
+                          Magnitude& largest);
   /// Round scale times `plane_` into plane k of a block; zeros if the scale is zero.
   template <class T>
   void write_plane(int l, int b, int k, Real scale, Block<T> const& out) const {
@@ -151,7 +154,7 @@ class CompositeLaplacian {
   void set_uncovered(int l, int b, int k, Real* plane, Set&& set);
   void field_plane(int l, int b, int k, Where where, Field const& phi, std::array<Real*, 3> const& e);
   template <class T>
-  void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, kernels::Largest<T>& largest);
+  void add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi, Largest<T>& largest);
   void average_pair(int l, int b, int k, Field& phi) const;
   void average_across_ranks(int l, Field& phi);
   void average_field(int l, int b, int k, Real* means);

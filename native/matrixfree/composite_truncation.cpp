@@ -1,6 +1,5 @@
 #include <algorithm>
 
-#include "base/constants.hpp"
 #include "matrixfree/composite.hpp"
 #include "mesh/window.hpp"
 
@@ -179,14 +178,16 @@ Pair parents_along(int cell, int ratio) {
 
 /// The truncation error in a row of n cells, from the potentials in a window around them and the means of rho.
 void see_row(int n, Real3 const& weights, Real const* __restrict potential, Box const& window,
-             Real const* __restrict charge, Real mean, char const* __restrict usable, Real* __restrict seen) {
+             Real const* __restrict charge, Background const& background, char const* __restrict usable,
+             Real* __restrict seen) {
   Real3 const weight = weights;
+  Background const taken_away = background;
   std::ptrdiff_t const y = window.extent(0), z = y * window.extent(1);
   for (int i = 0; i < n; ++i) {
     Real const* const phi = potential + i;
     Real const laplacian = weight[0] * (phi[-1] + phi[1] - 2 * phi[0]) + weight[1] * (phi[-y] + phi[y] - 2 * phi[0]) +
                            weight[2] * (phi[-z] + phi[z] - 2 * phi[0]);
-    Real const f = -charge[i] / vacuum_permittivity - mean;
+    Real const f = taken_away.right_hand_side(charge[i]);
     seen[i] = usable[i] ? (laplacian - f) / seen_over_error : 0;
   }
 }
@@ -196,7 +197,7 @@ void see_row(int n, Real3 const& weights, Real const* __restrict potential, Box 
 template <class T>
 Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Index3 const& base_ratio,
                                     std::vector<Real> const& scale, Blocks<T> const& truncation) {
-  kernels::Magnitude largest(Norm::max);
+  Magnitude largest(Norm::max);
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     Index3 const ratio = l > 0 ? refinement_ratio : base_ratio;
     if (ratio == Index3{1, 1, 1}) {
@@ -240,14 +241,14 @@ Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
       for (int k = p.lower[2]; k <= p.upper[2]; ++k)
         for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
           Index3 const first{p.lower[0], j, k};
-          see_row(p.extent(0), weight, &potential(first), potential.box(), &charge(first), source.mean, &usable(first),
-                  &seen(first));
+          see_row(p.extent(0), weight, &potential(first), potential.box(), &charge(first), source.background,
+                  &usable(first), &seen(first));
         }
       prolong_truncation(l, task.box, ratio, seen, scale[std::size_t(l)],
                          truncation[std::size_t(l)][std::size_t(task.box)], largest);
     }
   }
-  return global_norm(hierarchy_->comm(), Norm::max, largest.part());
+  return largest.over(hierarchy_->comm());
 }
 template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
                                              Blocks<float> const&);
@@ -257,7 +258,7 @@ template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3
 /// What is known in the parents, in the uncovered cells of a box.
 template <class T>
 void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale,
-                                            Block<T> const& out, kernels::Magnitude& largest) {
+                                            Block<T> const& out, Magnitude& largest) {
   Box const& own = box(l, b);
   int const width = seen.box().extent(0), first = seen.box().lower[0];
   int const before = floor_divide(own.lower[0], ratio[0]) - first;  // parents in front of the first cell's

@@ -2,8 +2,14 @@
 
 #include <mpi.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
 #include <limits>
+#include <type_traits>
 
 #include "base/types.hpp"
 
@@ -12,15 +18,106 @@ namespace amrpic {
 /// Norms over cells; l1 and l2 are weighted by volume.
 enum class Norm { l1, l2, max };
 
-/// The norm over all ranks from each one's part: its largest magnitude, or its sum of volumes times magnitudes or their
-/// squares. nan if a part is not finite. Collective.
-inline Real global_norm(MPI_Comm comm, Norm norm, Real part) {
-  // MPI_MAX may drop a nan
-  int bad = !std::isfinite(part);
-  MPI_Allreduce(MPI_IN_PLACE, &bad, 1, MPI_INT, MPI_MAX, comm);
-  if (bad) return std::numeric_limits<Real>::quiet_NaN();
-  MPI_Allreduce(MPI_IN_PLACE, &part, 1, MPI_DOUBLE, norm == Norm::max ? MPI_MAX : MPI_SUM, comm);
-  return norm == Norm::l2 ? std::sqrt(part) : part;
-}
+/// A running maximum of magnitudes. The bits of magnitudes order as whole numbers, infinity and nan above all others.
+template <class T>
+class Largest {
+ public:
+  static constexpr int lanes = 16;  // side by side, so that none waits for another
+
+  void add(T const* values, std::ptrdiff_t n) {
+    Bits largest[lanes] = {};
+    std::ptrdiff_t i = 0;
+    for (; i + lanes <= n; i += lanes)
+      for (int q = 0; q < lanes; ++q) largest[q] = std::max(largest[q], bits(values[i + q]));
+    for (; i < n; ++i) largest[0] = std::max(largest[0], bits(values[i]));
+    for (Bits part : largest) largest_ = std::max(largest_, part);
+  }
+  T value() const {
+    T out;
+    std::memcpy(&out, &largest_, sizeof out);
+    return out;
+  }
+
+ private:
+  using Bits = std::conditional_t<sizeof(T) == 4, std::int32_t, std::int64_t>;
+  static Bits bits(T value) {
+    Bits out;
+    std::memcpy(&out, &value, sizeof out);
+    return out & std::numeric_limits<Bits>::max();
+  }
+
+  Bits largest_ = 0;
+};
+
+/// One rank's part of a norm over cells, for numbers of any size.
+///
+/// Squares of numbers below 1e-154 or above 1e154 are no doubles. So sums are kept in three ranges: of numbers as they
+/// are, and of small and large ones times 2^600 or 2^-600 (J. L. Blue, ACM Trans. Math. Softw. 4, 1978). Numbers of
+/// ordinary size are summed as if the other two were not there.
+class Magnitude {
+ public:
+  explicit Magnitude(Norm norm) : norm_(norm) {}
+
+  /// Take in values of cells of equal volume.
+  void add(Real const* values, std::ptrdiff_t n, Real volume) {
+    if (norm_ == Norm::max) return largest_.add(values, n);
+    Real const sum = sum_of(values, n, 1);
+    if (sum > least_sum && sum < greatest_sum) {
+      sums_[ordinary] += volume * sum;
+      return;
+    }
+    Largest<Real> largest;
+    largest.add(values, n);
+    int const range = largest.value() < least ? small : largest.value() > greatest ? large : ordinary;
+    sums_[range] += volume * sum_of(values, n, scale[range]);
+  }
+
+  /// The norm over all ranks; nan if a value is not finite. Collective.
+  Real over(MPI_Comm comm) const {
+    // MPI_MAX may drop a nan
+    int bad = norm_ == Norm::max ? !std::isfinite(largest_.value()) : 0;
+    for (Real sum : sums_) bad = bad || !std::isfinite(sum);
+    MPI_Allreduce(MPI_IN_PLACE, &bad, 1, MPI_INT, MPI_MAX, comm);
+    if (bad) return std::numeric_limits<Real>::quiet_NaN();
+    std::array<Real, 3> sums = sums_;
+    Real largest = largest_.value();
+    if (norm_ == Norm::max)
+      MPI_Allreduce(MPI_IN_PLACE, &largest, 1, MPI_DOUBLE, MPI_MAX, comm);
+    else
+      MPI_Allreduce(MPI_IN_PLACE, sums.data(), 3, MPI_DOUBLE, MPI_SUM, comm);
+    if (norm_ == Norm::max) return largest;
+    // what a range adds to the next larger one
+    Real const step = norm_ == Norm::l1 ? down : down * down;
+    if (sums[large] > 0) return root(sums[large] + step * sums[ordinary]) * up;
+    if (sums[ordinary] > 0) return root(sums[ordinary] + step * sums[small]);
+    return root(sums[small]) * down;
+  }
+
+ private:
+  enum Range { small, ordinary, large };
+  static constexpr Real up = 0x1p600, down = 0x1p-600;
+  static constexpr std::array<Real, 3> scale{up, 1, down};
+  static constexpr Real least = 0x1p-400, greatest = 0x1p400;          ///< largest numbers of the ordinary range
+  static constexpr Real least_sum = 0x1p-800, greatest_sum = 0x1p800;  ///< what squares of those add up to
+
+  Real sum_of(Real const* values, std::ptrdiff_t n, Real factor) const {
+    Real lane[8] = {};
+    std::ptrdiff_t i = 0;
+    auto const size = [this, factor](Real v) {
+      return norm_ == Norm::l1 ? std::abs(factor * v) : (factor * v) * (factor * v);
+    };
+    for (; i + 8 <= n; i += 8)
+      for (int q = 0; q < 8; ++q) lane[q] += size(values[i + q]);
+    for (; i < n; ++i) lane[0] += size(values[i]);
+    Real out = 0;
+    for (Real part : lane) out += part;
+    return out;
+  }
+  Real root(Real sum) const { return norm_ == Norm::l2 ? std::sqrt(sum) : sum; }
+
+  Norm norm_;
+  Largest<Real> largest_;
+  std::array<Real, 3> sums_{};
+};
 
 }  // namespace amrpic

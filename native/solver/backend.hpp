@@ -10,10 +10,11 @@
 #include "operators/walls.hpp"
 #include "solver/options.hpp"
 #include "solver/stopwatch.hpp"
+#include "stencil/background.hpp"
 
 namespace amrpic {
 
-/// An integral over all uncovered cells, and that of the magnitude.
+/// An integral over all uncovered cells, and that of the magnitudes of its terms, before they cancel.
 struct Integral {
   Real net, magnitude;
 };
@@ -27,7 +28,9 @@ class Backend {
   /// Make f of a charge density (C/m^3), which is kept as long as the solve lasts, and of the walls' data.
   virtual void set_right_hand_side(Field const& rho) = 0;
   virtual Integral integrate_right_hand_side() = 0;
-  virtual void subtract_from_right_hand_side(Real mean) = 0;
+  virtual void take_away(Background const& background) = 0;  ///< from f, in place of what was taken away before
+  /// Largest magnitude of f, which is to be known before its norm, and before `start`.
+  virtual Real largest_right_hand_side() = 0;
   virtual Real right_hand_side_norm() = 0;
 
   /// Take phi, which holds the first guess (V), to be improved until `finish`; `is_zero`: nothing but zeros.

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "base/constants.hpp"
 #include "base/rows.hpp"
 #include "operators/multigrid_levels.hpp"
 
@@ -56,74 +55,90 @@ Composite CrsBackend::zero() const {
   return out;
 }
 
-/// The chosen norm over uncovered cells of the whole hierarchy of value(level, row); nan if one is.
+/// A norm over uncovered cells of the whole hierarchy of value(level, row); nan if one is not finite.
 template <class Value>
-Real CrsBackend::norm(Value&& value) const {
-  bool const largest = options_.norm == Norm::max;
-  Real result = 0;
+Real CrsBackend::norm(Norm norm, Value&& value) const {
+  Magnitude magnitude(norm);
+  std::vector<Real> values;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    values.clear();
+    for_each_uncovered(l, [&](LocalIndex row) { values.push_back(value(l, row)); });
     Real const volume = problem_.given->level(l).cell_volume();  // as it is, for the absolute tolerance
-    for_each_uncovered(l, [&](LocalIndex row) {
-      Real const v = std::abs(value(l, row));
-      if (largest)
-        result = v <= result || std::isnan(result) ? result : v;  // a nan stays
-      else
-        result += volume * (options_.norm == Norm::l1 ? v : v * v);
-    });
+    magnitude.add(values.data(), std::ptrdiff_t(values.size()), volume);
   }
-  return global_norm(hierarchy_->comm(), options_.norm, result);
+  return magnitude.over(hierarchy_->comm());
 }
 
 Integral CrsBackend::integrate_right_hand_side() {
-  Integral sum{0, 0};
+  Real sums[2] = {0, 0};
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    Real const volume = hierarchy_->level(l).cell_volume();
-    for_each_uncovered(l, [&](LocalIndex row) {
-      Real const f = right_hand_side_[l][row];
-      sum.net += volume * f;
-      sum.magnitude += volume * std::abs(f);
+    auto const& rho = rho_->level(l);
+    std::vector<Real> sizes(rho.size());
+    for_rows(operators(l).rows(), [&](LocalIndex row) {
+      sizes[row] = Background::inverse_permittivity * std::abs(rho[row]) + std::abs(background_.mean);
     });
+    Walls const& walls = problem_.walls[l];
+    std::vector<Real> of_walls(rho.size());
+    subtract_from_laplacian(walls, operators(l).walls, hierarchy_->level(l).spacing(), of_walls);
+    Real net = 0, size = 0;
+    for_each_uncovered(l, [&](LocalIndex row) {
+      net += right_hand_side_[l][row];
+      size += sizes[row] + std::abs(of_walls[row]);
+    });
+    sums[0] += hierarchy_->level(l).cell_volume() * net;
+    sums[1] += hierarchy_->level(l).cell_volume() * size;
   }
-  MPI_Allreduce(MPI_IN_PLACE, &sum, 2, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
-  return sum;
-}
-
-void CrsBackend::subtract_from_right_hand_side(Real mean) {
-  for (auto& level : right_hand_side_)
-    for (Real& f : level) f -= mean;
-}
-
-Real CrsBackend::right_hand_side_norm() {
-  return norm([&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
-}
-
-Real CrsBackend::largest_phi_term() {
-  return norm([&](int l, LocalIndex row) {
-    Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
-    return diagonal * phi_[l][row];
-  });
+  MPI_Allreduce(MPI_IN_PLACE, sums, 2, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
+  return {sums[0], sums[1]};
 }
 
 void CrsBackend::set_right_hand_side(Field const& rho) {
+  rho_ = &rho;
+  take_away({});
+}
+
+void CrsBackend::take_away(Background const& background) {
+  background_ = background;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     auto& f = right_hand_side_[l];
-    auto const& density = rho.level(l);
-    for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = -density[row] / vacuum_permittivity; });
+    auto const& density = rho_->level(l);
+    for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = background.right_hand_side(density[row]); });
     subtract_from_laplacian(problem_.walls[l], operators(l).walls, hierarchy_->level(l).spacing(), f);
   }
+}
+
+/// From here on the vectors are of the order of one, whose squares a Krylov method may sum up.
+Real CrsBackend::largest_right_hand_side() {
+  Real const largest = norm(Norm::max, [&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
+  unit_ = std::isnormal(largest) ? std::ldexp(1.0, std::ilogb(largest)) : 1;
+  for (auto& level : right_hand_side_)
+    for (Real& f : level) f /= unit_;
+  return largest;
+}
+
+Real CrsBackend::right_hand_side_norm() {
+  return unit_ * norm(options_.norm, [&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
+}
+
+Real CrsBackend::largest_phi_term() {
+  return unit_ * norm(options_.norm, [&](int l, LocalIndex row) {
+           Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
+           return diagonal * phi_[l][row];
+         });
 }
 
 void CrsBackend::start(Field& phi, bool /*is_zero*/) {
   result_ = &phi;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
+    std::transform(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin(), [&](Real v) { return v / unit_; });
   krylov_ = make_krylov(options_.krylov, equations());
 }
 
 void CrsBackend::finish() {
   average_down(phi_);
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    std::copy(phi_[l].begin(), phi_[l].begin() + operators(l).rows(), result_->level(l).begin());
+    std::transform(phi_[l].begin(), phi_[l].begin() + operators(l).rows(), result_->level(l).begin(),
+                   [&](Real v) { return unit_ * v; });
 }
 
 /// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
@@ -161,7 +176,7 @@ void CrsBackend::compute_residual() {
 
 Real CrsBackend::residual() {
   stopwatch_.time("residual", [&] { compute_residual(); });
-  return norm([&](int l, LocalIndex row) { return cycle_level(l).right_hand_side()[row]; });
+  return unit_ * norm(options_.norm, [&](int l, LocalIndex row) { return cycle_level(l).right_hand_side()[row]; });
 }
 
 CompositeEquations CrsBackend::equations() {

@@ -18,7 +18,8 @@ class CrsBackend : public Backend {
 
   void set_right_hand_side(Field const& rho) override;
   Integral integrate_right_hand_side() override;
-  void subtract_from_right_hand_side(Real mean) override;
+  void take_away(Background const& background) override;
+  Real largest_right_hand_side() override;
   Real right_hand_side_norm() override;
 
   void start(Field& phi, bool is_zero) override;
@@ -51,7 +52,8 @@ class CrsBackend : public Backend {
       if (o.uncovered[row]) f(row);
   }
   template <class Value>
-  Real norm(Value&& value) const;
+  Real norm(Norm norm, Value&& value) const;
+  void fill_right_hand_side();
   StackOperators assembled(Reusable& reusable);
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
   std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
@@ -77,7 +79,10 @@ class CrsBackend : public Backend {
   std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
   std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
   Composite phi_;                                ///< own cells and ghosts
-  Composite right_hand_side_;                    ///< f = -rho / eps0 minus what walls add
+  Composite right_hand_side_;                    ///< f = -rho / eps0 - background minus what walls add
+  Field const* rho_ = nullptr;
+  Background background_;
+  Real unit_ = 1;  ///< what 1 stands for in all vectors of a solve, V and V/m^2; a power of two, so exact
   Field* result_ = nullptr;
   bool has_gradient_ = false;
   std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for

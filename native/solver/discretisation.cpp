@@ -42,7 +42,8 @@ Real CrsBackend::largest_uncovered(std::vector<Real> const& (*values)(MultigridL
 }
 
 Real CrsBackend::largest_correction() {
-  return largest_uncovered([](MultigridLevel& level) -> std::vector<Real> const& { return level.correction(); });
+  return unit_ *
+         largest_uncovered([](MultigridLevel& level) -> std::vector<Real> const& { return level.correction(); });
 }
 
 /// The truncation error of the composite Laplacian, into the right-hand sides of the cycle: for each cell what the

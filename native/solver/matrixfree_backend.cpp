@@ -3,10 +3,22 @@
 #include <algorithm>
 #include <cmath>
 
+#include "matrixfree/capacity.hpp"
+
 namespace amrpic {
 
+namespace {
+
+/// The problem, if its cells find place. Collective.
+Problem const& checked(Problem const& problem) {
+  matrixfree::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
+  return problem;
+}
+
+}  // namespace
+
 MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
-    : problem_(problem),
+    : problem_(checked(problem)),
       composite_(problem.hierarchy, problem.options.stretch),
       cycle_(problem.hierarchy->comm(), *problem.hierarchy,
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation,
@@ -37,14 +49,19 @@ Integral MatrixFreeBackend::integrate_right_hand_side() {
   return {net, magnitude};
 }
 
-void MatrixFreeBackend::subtract_from_right_hand_side(Real mean) { source_->mean += mean; }
+void MatrixFreeBackend::take_away(Background const& background) { source_->background = background; }
+
+Real MatrixFreeBackend::largest_right_hand_side() {
+  largest_source_ = composite_.right_hand_side_norm(*source_, Norm::max);
+  Real const base = cycle_.level(0).scale();  // so that corrections and residuals are of the order of one in any units
+  Real const source = std::isnormal(largest_source_) ? largest_source_ : 1;
+  unit_ = base * source;
+  for (int l = 0; l < levels(); ++l) scale_[std::size_t(l)] = cycle_.level(std::size_t(l)).scale() / base / source;
+  return largest_source_;
+}
 
 Real MatrixFreeBackend::right_hand_side_norm() {
-  Real const largest = composite_.right_hand_side_norm(*source_, Norm::max);
-  Real const base = cycle_.level(0).scale();  // so that corrections and residuals are of the order of one in any units
-  unit_ = base * (std::isnormal(largest) ? largest : 1);
-  for (int l = 0; l < levels(); ++l) scale_[std::size_t(l)] = cycle_.level(std::size_t(l)).scale() / unit_;
-  return problem_.options.norm == Norm::max ? largest
+  return problem_.options.norm == Norm::max ? largest_source_
                                             : composite_.right_hand_side_norm(*source_, problem_.options.norm);
 }
 
@@ -80,7 +97,7 @@ Real MatrixFreeBackend::largest_correction() {
 Real MatrixFreeBackend::largest(Blocks<float> const& blocks, std::vector<Real> const& scale) {
   Real out = 0;
   for (int l = 0; l < levels(); ++l) {
-    kernels::Largest<float> of_level;
+    Largest<float> of_level;
     Level const& level = problem_.hierarchy->level(l);
     for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
       Block<float> const& block = blocks[std::size_t(l)][std::size_t(b - level.first_local_box())];

@@ -16,7 +16,8 @@ class MatrixFreeBackend : public Backend {
 
   void set_right_hand_side(Field const& rho) override;
   Integral integrate_right_hand_side() override;
-  void subtract_from_right_hand_side(Real mean) override;
+  void take_away(Background const& background) override;
+  Real largest_right_hand_side() override;
   Real right_hand_side_norm() override;
 
   void start(Field& phi, bool is_zero) override;
@@ -47,6 +48,7 @@ class MatrixFreeBackend : public Backend {
   Blocks<float> residual_, correction_;
   std::vector<matrixfree::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
   std::optional<Source> source_;
+  Real largest_source_ = 0;  ///< magnitude of f, V/m^2
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
   Field* phi_ = nullptr;

@@ -10,6 +10,7 @@
 #include "freespace/density.hpp"
 #include "solver/crs_backend.hpp"
 #include "solver/matrixfree_backend.hpp"
+#include "solver/net_charge.hpp"
 
 namespace amrpic {
 
@@ -76,21 +77,40 @@ void PoissonSolver::set_open_walls(Field const& rho) {
   for (std::size_t t = 0; t < values.size(); ++t) *datum[t] = values[t];
 }
 
-/// Where constants are in the null space, only a right-hand side without mean has a solution.
-void PoissonSolver::remove_net_charge() {
+/// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
+/// be by the rounding of what cancelled in it alone.
+Real PoissonSolver::remove_net_charge(Field const& rho) {
+  constexpr Real balanced = 1e-10;  // share of all charge that sums over many cells and particles may miss
+  constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
   Real volume = 1;
   for (int d = 0; d < 3; ++d) volume *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];
   auto const [net, magnitude] = backend_->integrate_right_hand_side();
-  Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
-  if (!options_.neutralize && std::abs(net) > 1e-10 * magnitude)
-    throw SolverError("all faces are periodic or Neumann, but the net charge (with the flux through the walls) is " +
-                      scientific(-net / stretched_volume * vacuum_permittivity) +
-                      " C, which no potential can balance; make it zero, ask for background = \"neutralizing\", or "
-                      "give one face a potential");
+  Real const mean = net / volume;
+  Real rounding = last_digits * magnitude / volume;
+  if (!options_.neutralize && std::abs(net) > balanced * magnitude) {
+    rounding = std::max(rounding, rounding_of_subtraction(rho) / vacuum_permittivity);
+    if (std::abs(mean) > rounding) {
+      Real const stretched_volume = options_.stretch[0] * options_.stretch[1] * options_.stretch[2];
+      throw SolverError("all faces are periodic or Neumann, but the net charge (with the flux through the walls) is " +
+                        scientific(-net / stretched_volume * vacuum_permittivity) +
+                        " C, which no potential can balance; make it zero, ask for background = \"neutralizing\", or "
+                        "give one face a potential");
+    }
+  }
   // Twice: what rounding leaves of a large uniform background is a mean that no potential can balance, and it would
   // stop the residual where little else remains, as between two swings of a plasma.
-  for (int pass = 0; pass < 2; ++pass)
-    backend_->subtract_from_right_hand_side(backend_->integrate_right_hand_side().net / volume);
+  backend_->take_away({mean, 0});
+  backend_->take_away({mean, backend_->integrate_right_hand_side().net / volume});
+  return rounding;
+}
+
+/// Whether all values on all ranks are finite. Collective.
+bool PoissonSolver::is_finite(Field const& phi) const {
+  int bad = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    for (Real v : phi.level(l)) bad = bad || !std::isfinite(v);
+  MPI_Allreduce(MPI_IN_PLACE, &bad, 1, MPI_INT, MPI_MAX, hierarchy_->comm());
+  return bad == 0;
 }
 
 /// Take the mean over the domain away from phi, where the boundary leaves it free.
@@ -102,30 +122,70 @@ void PoissonSolver::fix_constant(Field& phi) const {
     for (Real& v : phi.level(l)) v -= mean;
 }
 
-void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero) {
-  Real const size = backend_->right_hand_side_norm();
-  if (!std::isfinite(size))
+/// Refuse a right-hand side so small or large that the potential and its differences would leave the range of double
+/// precision.
+void PoissonSolver::check_size(Real largest) const {
+  if (!std::isfinite(largest))
     throw SolverError(
         "the charge density or the boundary data hold values that are not finite; look for the step that made them");
+  constexpr Real least = 1e-290, most = 1e290;
+  Real3 const& h = hierarchy_->level(hierarchy_->level_count() - 1).spacing();
+  Real const finest = std::min({h[0], h[1], h[2]});
+  Real widest = 0;
+  for (int d = 0; d < 3; ++d) widest = std::max(widest, hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d]);
+  Real const in_cell = largest * std::min(Real(1), finest * finest);
+  Real const in_all = largest * std::max({Real(1), widest * widest, widest / finest * (widest / finest)});
+  if (largest != 0 && (in_cell < least || in_all > most))
+    throw SolverError("the right-hand side is of the order of " + scientific(largest) + " V/m^2, which is too " +
+                      (in_cell < least ? "small" : "large") +
+                      " for double precision to hold the potential; scale the charge and the boundary data");
+}
+
+/// The residual that rounding leaves, in the norm of the residual.
+///
+/// With u = epsilon / 2, a potential is stored to u |phi|, and so is each of the three sums of neighbours, times 2 /
+/// h_d^2; then the sums of sums and of the diagonal term are rounded. All these are some u D |phi|, D = sum_d 2 / h_d^2
+/// being the diagonal, and independent of each other: as uniform numbers they add up to a root mean square of 0.4
+/// epsilon D |phi|, and to a largest of some thousand cells of 1.5 epsilon D |phi|. Fluxes through coarse-fine faces
+/// are sums of like terms. f itself is the same number in every cycle and adds nothing: what cancels in it is rounded
+/// once and for all.
+Real PoissonSolver::rounding_floor() const {
+  return std::numeric_limits<Real>::epsilon() * backend_->largest_phi_term();
+}
+
+void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding) {
   auto finish = [&](bool converged, std::string reason) {
     report.converged = converged;
     report.reason = std::move(reason);
   };
-  if (size == 0) {
+  auto start_from_zero = [&] {
     for (int l = 0; l < hierarchy_->level_count(); ++l) std::fill(phi.level(l).begin(), phi.level(l).end(), 0.0);
     backend_->start(phi, true);
+  };
+  Real const largest = backend_->largest_right_hand_side();
+  if (largest <= rounding) {
+    start_from_zero();
     report.residuals.push_back(0);
-    return finish(true, "the right-hand side is zero");
+    return finish(true, largest == 0 ? "the right-hand side is zero"
+                                     : "the charge is uniform to rounding, so the potential is zero");
   }
+  check_size(largest);
+  Real const size = backend_->right_hand_side_norm();
   backend_->start(phi, from_zero);
-  int slow = 0, stuck = 0;  // cycles in a row that halved the residual not even once, or hardly moved it
+  constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
+  // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
+  int stuck = 0, since_lowest = 0;
+  Real lowest = std::numeric_limits<Real>::infinity();
   for (;; ++report.cycles) {
-    Real const residual = backend_->residual() / size;
+    Real residual = backend_->residual() / size;
+    if (report.cycles == 0 && !from_zero && !(residual <= hopeless)) {
+      if (!is_finite(phi)) throw SolverError("the guess holds values that are not finite; solve without one");
+      start_from_zero();  // which is the better guess
+      residual = backend_->residual() / size;
+    }
     report.residuals.push_back(residual);
     if (residual <= options_.tolerance) return finish(true, "tolerance reached");
     if (residual * size <= options_.absolute_tolerance) return finish(true, "absolute tolerance reached");
-    if (!std::isfinite(residual) && report.cycles == 0)
-      throw SolverError("the guess holds values that are not finite; solve without one");
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
     if (residual > 1e6 * std::max(report.residuals.front(), Real(1))) return finish(false, "the cycles diverge");
     if (options_.to_discretisation && report.cycles > 1 && below_discretisation(report))
@@ -133,14 +193,17 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero) {
                               " V of the mesh");
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
-      slow = factor > 0.5 ? slow + 1 : 0;
       stuck = factor > 0.98 ? stuck + 1 : 0;
     }
-    if (slow >= 2) {
-      report.floor = std::numeric_limits<Real>::epsilon() * backend_->largest_phi_term() / size;
-      if (residual <= 10 * report.floor)
-        return finish(options_.tolerance <= 10 * report.floor,
-                      "rounding floor of about " + scientific(report.floor) + " reached");
+    since_lowest = residual < 0.8 * lowest ? 0 : since_lowest + 1;
+    if (since_lowest == 0) lowest = residual;
+    // A residual that still falls, however slowly, may reach a tolerance near the floor.
+    if (since_lowest >= 2) {
+      Real const floor = rounding_floor() / size;
+      if (residual <= 10 * floor) {
+        report.floor = floor;
+        return finish(true, "rounding floor of about " + scientific(floor) + " reached");
+      }
     }
     if (stuck >= 5) return finish(false, "the residual no longer falls");
     if (report.cycles == options_.max_cycles)
@@ -171,8 +234,8 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero) {
   if (reusable_.free_space) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
   bool const singular = hierarchy_->domain().singular();
-  if (singular) remove_net_charge();
-  iterate(report, phi, from_zero);
+  Real const rounding = singular ? remove_net_charge(rho) : 0;
+  iterate(report, phi, from_zero, rounding);
   backend_->finish();
   if (singular) fix_constant(phi);
   report.seconds = stopwatch_.seconds();

@@ -16,7 +16,7 @@ struct SolveReport {
   int cycles = 0;
   std::vector<Real> residuals;    ///< before the first cycle and after each, relative to the right-hand side
   Real discretisation_error = 0;  ///< estimate of the largest error of phi that the mesh makes, V; 0: not asked for
-  Real floor = 0;                 ///< estimate of the relative residual that rounding alone leaves
+  Real floor = 0;                 ///< estimate of the relative residual that rounding alone leaves; 0 if not reached
   std::string reason;
   std::map<std::string, Real> seconds;
 };
@@ -54,9 +54,12 @@ class PoissonSolver {
 
  private:
   void set_open_walls(Field const& rho);
-  void remove_net_charge();
+  Real remove_net_charge(Field const& rho);
+  bool is_finite(Field const& phi) const;
   void fix_constant(Field& phi) const;
-  void iterate(SolveReport& report, Field& phi, bool from_zero);
+  Real rounding_floor() const;
+  void check_size(Real right_hand_side) const;
+  void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
   bool below_discretisation(SolveReport& report);
 
   std::shared_ptr<Hierarchy const> given_;

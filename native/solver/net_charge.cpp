@@ -1,0 +1,47 @@
+#include "solver/net_charge.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+
+#include "mesh/window.hpp"
+
+namespace amrpic {
+
+namespace {
+
+constexpr int digits = std::numeric_limits<Real>::digits;
+constexpr int largest_unit = -30;    ///< exponent: the last digit of numbers of about 1e7
+constexpr Real units_missed = 1024;  ///< by a mean, at most
+
+/// The exponent of the last binary digit of a number that is not zero.
+int last_digit(Real value) {
+  int exponent = 0;
+  auto const mantissa = std::int64_t(std::ldexp(std::frexp(std::abs(value), &exponent), digits));
+  return exponent - digits + __builtin_ctzll(static_cast<unsigned long long>(mantissa));
+}
+
+}  // namespace
+
+Real rounding_of_subtraction(Field const& rho) {
+  Hierarchy const& hierarchy = *rho.share_hierarchy();
+  int unit = std::numeric_limits<int>::max();
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    Level const& level = hierarchy.level(l);
+    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
+      Box const& box = level.box(b);
+      Window<char> const covered =
+          hierarchy.has_finer(l) ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box) : Window<char>(box, 0);
+      Real const* value = rho.level(l).data() + level.local_offset(b);
+      for_each_cell(box, [&](Index3 const& cell) {
+        if (!covered(cell) && *value != 0) unit = std::min(unit, last_digit(*value));
+        ++value;
+      });
+    }
+  }
+  MPI_Allreduce(MPI_IN_PLACE, &unit, 1, MPI_INT, MPI_MIN, hierarchy.comm());
+  return unit > largest_unit ? 0 : std::ldexp(units_missed, unit);
+}
+
+}  // namespace amrpic

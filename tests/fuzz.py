@@ -111,7 +111,7 @@ def largest_source(case: Case) -> float:
 
 def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], float]:
     """What fails, the gravest first, and the relative difference of the potentials."""
-    failures = []
+    failures: list[Failure] = []
 
     def fail(kind: str, text: str) -> None:
         if kind not in [failure.kind for failure in failures]:
@@ -156,20 +156,21 @@ class Fuzzer:
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout
         self.isa: str | None = None
-        self.plain = Pool(1)
+        self.plain: Pool | None = None
         self.several: Pool | None = None
 
     def __enter__(self) -> Fuzzer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.plain.close()
-        if self.several:
-            self.several.close()
+        self.renew()
 
     def renew(self) -> None:
         """End the processes, so that new ones run the next case."""
-        self.__exit__()
+        for pool in (self.plain, self.several):
+            if pool:
+                pool.close()
+        self.plain = self.several = None
 
     def pool(self, isa: str) -> Pool:
         """Four ranks that run with an instruction set."""
@@ -178,10 +179,14 @@ class Fuzzer:
                 self.several.close()
             self.several = Pool(4, {"AMRPIC_ISA": isa} if isa else {})
             self.isa = isa
+            warm_up(self.several)
         return self.several
 
     def run(self, number: int, case: Case) -> Result:
         """Solve a case and its reference at the same time and compare."""
+        if self.plain is None:
+            self.plain = Pool(1)
+            warm_up(self.plain)
         pools = {"": self.pool(case.isa), "reference: ": self.plain}
         for name, pool in pools.items():
             part = case.plain() if name else case
@@ -215,6 +220,16 @@ class Fuzzer:
                     result, again = tried, True
                     break
         return result
+
+
+def warm_up(pool: Pool) -> None:
+    """Let the processes load what solves need, so that no case is charged with it."""
+    faces = ("open", "dirichlet")
+    box = (((4, 4, 4), (11, 11, 11)),)
+    for backend in ("crs", "matrix-free"):
+        case = Case((8, 8, 8), boundary=(faces,) * 3, levels=(box,), blocking_factor=4, backend=backend)
+        for ranks in {1, pool.ranks}:
+            pool.call("fuzz_case:solve", ranks, case)
 
 
 def instruction_sets() -> list[str]:
@@ -255,7 +270,7 @@ def run_all(
             if time.monotonic() - start > seconds:
                 print(f"{done} of {len(numbers)} cases in {seconds:.0f} s; the rest was left out", flush=True)
                 break
-            if done % PER_POOL == PER_POOL - 1:
+            if done and done % PER_POOL == 0:
                 fuzzer.renew()
             result = fuzzer.run(number, case)
             results.append(result)
@@ -287,8 +302,8 @@ def line(seed: int, result: Result) -> str:
 
 def explained(seed: int, result: Result, small: Result) -> str:
     """A failure as lines to paste."""
-    failures = "\n".join(f"# {f.kind}: {f.text}" for f in small.failures).replace("\n", "\n# ")
-    return f"\n# seed {seed}, case {result.number}, shrunk:\n{failures}\n{small.case.snippet()}"
+    failures = "\n".join(f"{f.kind}: {f.text}" for f in small.failures).replace("\n", "\n# ")
+    return f"\n# seed {seed}, case {result.number}, shrunk:\n# {failures}\n{small.case.snippet()}"
 
 
 def summary(seed: int, results: Sequence[Result]) -> str:

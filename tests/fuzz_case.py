@@ -1,6 +1,7 @@
 """One Poisson problem as plain data, the Python text that solves it, and what is measured of a solve.
 
-The text of `Case.program` is what the ranks run and, with a few lines that call it, what anyone can paste to see a failure again.
+The text of `Case.program` is what the ranks run and, with a few lines that call it, what anyone can paste to see a failure
+again.
 """
 
 from __future__ import annotations
@@ -195,7 +196,7 @@ def _in_order(comm: Any, phi: Any) -> list[np.ndarray] | None:
     for level, lower, data in (patch for part in parts for patch in part):
         index = np.indices(data.shape, dtype=np.int64)
         values[level].append(data.ravel())
-        places[level].append(sum((index[d] + lower[d] << 21 * d for d in range(3))).ravel())  # type: ignore[union-attr]
+        places[level].append(np.ravel(sum((index[d] + lower[d]) << 21 * d for d in range(3))))
     return [np.concatenate(v)[np.argsort(np.concatenate(p))] for v, p in zip(values, places, strict=True)]
 
 

@@ -42,13 +42,16 @@ ANY_EXTENT = False
 class Size:
     """How large cases may be."""
 
-    cells: int  # on all levels
-    rows: int  # the same for compressed rows, which are slow
+    fewest: (
+        int  # cells on all levels that a case may have are drawn between these two, small ones as often as large ones
+    )
+    most: int
+    rows: int  # the most for compressed rows, which are slow
     open_aspect: float  # the longest cells with open walls, whose tables take long
 
 
-SMALL = Size(cells=40_000, rows=8_000, open_aspect=3)
-LARGE = Size(cells=300_000, rows=40_000, open_aspect=100)
+SMALL = Size(fewest=500, most=40_000, rows=8_000, open_aspect=3)
+LARGE = Size(fewest=2_000, most=300_000, rows=30_000, open_aspect=100)
 
 
 def draw(seed: int, number: int, size: Size, any_extent: bool = ANY_EXTENT) -> Case:
@@ -56,7 +59,8 @@ def draw(seed: int, number: int, size: Size, any_extent: bool = ANY_EXTENT) -> C
     rng = np.random.default_rng([seed, number])
     boundary = draw_boundary(rng)
     backend = "crs" if rng.random() < 0.2 else "matrix-free"
-    most = size.rows if backend == "crs" else size.cells
+    most = round(math.exp(rng.uniform(math.log(size.fewest), math.log(size.most))))
+    most = min(most, size.rows) if backend == "crs" else most
     blocking = int(rng.choice([2, 2, 4, 8, 8]))
     cells = draw_extents(rng, most, blocking, any_extent)
     has_open = any("open" in pair for pair in boundary)
@@ -79,7 +83,7 @@ def draw_extents(rng: np.random.Generator, most: int, blocking: int, any_extent:
         if rng.random() < 0.35:
             n[:] = n.max()
         cells = [max(2, step * max(1, round(float(extent) / step))) for extent in n]
-        if 100 <= math.prod(cells) <= most and max(cells) <= 80:
+        if math.prod(cells) <= most and max(cells) <= 80:
             return cells[0], cells[1], cells[2]
 
 
@@ -157,7 +161,7 @@ def draw_levels(
     left = most - math.prod(cells)
     levels: list[tuple[Box, ...]] = []
     for _ in range(int(rng.choice([0, 1, 2, 3], p=[0.3, 0.3, 0.25, 0.15]))):
-        if math.prod(mask.shape) * 8 > 20_000_000:
+        if math.prod(mask.shape) * 8 > 8_000_000:
             break  # masks of whole levels would take too much memory
         fine = doubled(eroded(mask, periodic))
         allowed = blocks_within(fine, blocking)
@@ -171,7 +175,7 @@ def draw_levels(
         extent = fine.shape
         boxes = boxes_of(blocks, blocking)
         levels.append(
-            tuple((lower, tuple(min(u, n - 1) for u, n in zip(upper, extent, strict=True))) for lower, upper in boxes)  # type: ignore[misc]
+            tuple((lower, tuple(min(u, n - 1) for u, n in zip(upper, extent, strict=True))) for lower, upper in boxes)
         )
         mask = grown
     return tuple(levels)
@@ -274,13 +278,11 @@ def plainer_shape(case: Case) -> Iterator[Case]:
         x, y, z = (float(f"{edge:.4g}") for edge in case.edges)
         yield replace(case, spacing=(x, y, z), stretch=ones)
     edges = case.edges / case.edges.min()
-    for whole in (10.0 ** np.round(np.log10(edges)), np.round(edges), np.where(edges < edges.max(), 1, edges)):
-        x, y, z = (float(edge) for edge in whole)
-        if (x, y, z) != case.spacing:
-            if np.sum(whole != np.round(whole)) < np.sum(case.edges != np.round(case.edges)) or np.sum(
-                whole == 1
-            ) > np.sum(case.edges == 1):
-                yield replace(case, spacing=(x, y, z), stretch=ones)
+    for plain in (10.0 ** np.round(np.log10(edges)), np.round(edges), np.where(edges < edges.max(), 1, edges)):
+        x, y, z = (float(edge) for edge in plain)
+        rounder = np.sum(plain != np.round(plain)) < np.sum(case.edges != np.round(case.edges))
+        if (x, y, z) != case.spacing and (rounder or np.sum(plain == 1) > np.sum(case.edges == 1)):
+            yield replace(case, spacing=(x, y, z), stretch=ones)
 
 
 def fewer_boxes(case: Case, number: int, boxes: tuple[Box, ...]) -> Iterator[Case]:

@@ -84,7 +84,7 @@ class Pool:
         self.start()
         self.end = time.monotonic() + timeout
         with contextlib.suppress(OSError):  # `result` tells what happened
-            self.connection.send((function, ranks, arguments, timeout))
+            self._connected().send((function, ranks, arguments, timeout))
 
     def result(self) -> Any:
         """What the call returned. Raises Broken."""
@@ -100,9 +100,14 @@ class Pool:
         raise Broken(kind, f"{text}\n{said}")
 
     def _answer(self, timeout: float) -> Any:
-        if not self.connection.poll(timeout):
+        connection = self._connected()
+        if not connection.poll(timeout):
             raise TimeoutError
-        return self.connection.recv()
+        return connection.recv()
+
+    def _connected(self) -> Connection:
+        assert self.connection is not None, "the pool was not started"
+        return self.connection
 
     def output(self) -> str:
         """What the processes printed since the last time."""
@@ -117,11 +122,9 @@ class Pool:
         if self.process is None:
             return
         with contextlib.suppress(OSError):
-            self.connection.send(None)
-        try:
+            self._connected().send(None)
+        with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(10)
-        except subprocess.TimeoutExpired:
-            pass
         self.kill()
 
     def kill(self) -> None:

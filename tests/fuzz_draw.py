@@ -54,7 +54,7 @@ SMALL = Size(fewest=500, most=40_000, rows=8_000, open_aspect=3)
 LARGE = Size(fewest=2_000, most=300_000, rows=30_000, open_aspect=100)
 
 
-def draw(seed: int, number: int, size: Size, any_extent: bool = ANY_EXTENT) -> Case:
+def draw(seed: int, number: int, size: Size) -> Case:
     """Case `number` of a seed."""
     rng = np.random.default_rng([seed, number])
     boundary = draw_boundary(rng)
@@ -62,7 +62,7 @@ def draw(seed: int, number: int, size: Size, any_extent: bool = ANY_EXTENT) -> C
     most = round(math.exp(rng.uniform(math.log(size.fewest), math.log(size.most))))
     most = min(most, size.rows) if backend == "crs" else most
     blocking = int(rng.choice([2, 2, 4, 8, 8]))
-    cells = draw_extents(rng, most, blocking, any_extent)
+    cells = draw_extents(rng, most, blocking)
     has_open = any("open" in pair for pair in boundary)
     edges = draw_edges(rng, size.open_aspect if has_open else 100.0)
     stretch = draw_stretch(rng, edges)
@@ -75,9 +75,9 @@ def draw(seed: int, number: int, size: Size, any_extent: bool = ANY_EXTENT) -> C
     return Case(cells, spacing, boundary, levels, blocking, stretch, source, guess, boxes, ranks, backend)  # type: ignore[arg-type]
 
 
-def draw_extents(rng: np.random.Generator, most: int, blocking: int, any_extent: bool) -> tuple[int, int, int]:
+def draw_extents(rng: np.random.Generator, most: int, blocking: int) -> tuple[int, int, int]:
     """2 to 80 cells per axis, short ones as often as long ones; or a cube."""
-    step = 1 if any_extent else blocking
+    step = 1 if ANY_EXTENT else blocking
     while True:
         n = np.exp(rng.uniform(np.log(2), np.log(81), 3))
         if rng.random() < 0.35:
@@ -310,7 +310,8 @@ def fewer_cells(case: Case, axes: tuple[int, ...]) -> Iterator[Case]:
     half = tuple(max(2, step * round(n / 2 / step)) if d in axes else n for d, n in enumerate(case.cells))
     if half != case.cells and min(half) >= step:
         levels = tuple(
-            tuple(dict.fromkeys(halved(box, axes, case.blocking_factor) for box in boxes)) for boxes in case.levels
+            tuple(dict.fromkeys(halved(box, axes, case.blocking_factor, half, 2**level) for box in boxes))
+            for level, boxes in enumerate(case.levels, start=1)
         )
         yield replace(case, cells=half, levels=levels)  # type: ignore[arg-type]
     less = tuple(n - step if d in axes else n for d, n in enumerate(case.cells))
@@ -318,9 +319,11 @@ def fewer_cells(case: Case, axes: tuple[int, ...]) -> Iterator[Case]:
         yield replace(case, cells=less)  # type: ignore[arg-type]
 
 
-def halved(box: Box, axes: tuple[int, ...], blocking: int) -> Box:
+def halved(box: Box, axes: tuple[int, ...], blocking: int, cells: tuple[int, ...], refinement: int) -> Box:
+    """A box of half the size in a domain of half the size, at least a block; the last one may be shorter."""
     lower, upper = list(box[0]), list(box[1])
     for d in axes:
         lower[d] = lower[d] // 2 // blocking * blocking
-        upper[d] = max(lower[d], (upper[d] + 1) // 2 // blocking * blocking - 1, lower[d] + blocking - 1)
+        end = max((upper[d] + 1) // 2 // blocking * blocking, lower[d] + blocking)
+        upper[d] = min(end, cells[d] * refinement) - 1
     return (lower[0], lower[1], lower[2]), (upper[0], upper[1], upper[2])

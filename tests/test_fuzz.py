@@ -12,6 +12,7 @@ import secrets
 import pytest
 
 import fuzz
+import fuzz_draw
 from fuzz_case import Case
 from fuzz_draw import LARGE, SMALL, plainer
 from fuzz_pool import Broken, Pool
@@ -82,6 +83,18 @@ def test_a_pool_survives_what_hangs_and_crashes(function, kind, said):
 def test_a_case_is_drawn_from_its_seed_and_number_alone():
     assert [fuzz.draw(3, n, SMALL) for n in range(20)] == [fuzz.draw(3, n, SMALL) for n in range(20)]
     assert len({fuzz.draw(3, n, SMALL) for n in range(20)}) == 20
+
+
+def test_extents_may_be_any_and_the_last_block_then_shorter(monkeypatch):
+    monkeypatch.setattr(fuzz_draw, "ANY_EXTENT", True)
+    drawn = [fuzz.draw(3, n, SMALL) for n in range(100)]
+    assert any(n % 2 for case in drawn for n in case.cells)
+    for case in drawn:
+        for level, boxes in enumerate(case.levels, start=1):
+            for lower, upper in boxes:
+                for a, b, n in zip(lower, upper, case.cells, strict=True):
+                    assert a % case.blocking_factor == 0 and a <= b < n * 2**level
+                    assert (b + 1) % case.blocking_factor == 0 or b + 1 == n * 2**level
 
 
 def test_shrinking_ends_at_the_plainest_case_that_still_fails():

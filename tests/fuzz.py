@@ -29,6 +29,7 @@ from fuzz_pool import SANITIZED, Broken, Pool
 # Goals: aspect ratio of the cells up to which so many cycles to 1e-10 are allowed.
 CYCLE_LIMITS = ((1.0, 9), (10.0, 12), (math.inf, 16))
 VARIATION = 1  # cycles that a case may differ from its reference
+CRS_CYCLES = 7  # that compressed rows may take at least, whatever the reference: it solves the smallest bases at once
 BYTES_PER_CELL, BYTES_FREE = 100, 100e6  # memory of a matrix-free solve: potential, charge, solver, what Python holds
 
 # Refusals that are documented: of cells for which there is no method or no memory.
@@ -139,7 +140,8 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         most = BYTES_PER_CELL * outcome.cells + BYTES_FREE
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
-    if abs(found.cycles - plain.cycles) > VARIATION:
+    few = case.backend == "crs" and plain.cycles <= found.cycles <= CRS_CYCLES
+    if abs(found.cycles - plain.cycles) > VARIATION and not few:
         fail("cycles differ", f"{found.cycles}, reference {plain.cycles}")
     for name, outcome in (("", found), ("reference: ", plain)):
         if outcome.cycles > (most_cycles := allowed_cycles(case, outcome)):

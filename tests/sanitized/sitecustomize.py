@@ -13,4 +13,4 @@ class Beside:
         return PathFinder.find_spec(name, [str(Path(__file__).parent)]) if name == "amrpic" else None
 
 
-sys.meta_path[:] = [Beside, *(f for f in sys.meta_path if not type(f).__name__.startswith("ScikitBuild"))]  # type: ignore[list-item]
+sys.meta_path[:] = [Beside, *(f for f in sys.meta_path if not type(f).__name__.startswith("ScikitBuild"))]

@@ -20,7 +20,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub docs help setup build run test nehalem verify bench solvers lint format clean
+.PHONY: stub docs help setup build run test nehalem verify sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -50,7 +50,8 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
 	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_verify.py tests/test_decomposition.py \
-	  tests/test_kill_restart.py tests/test_memory.py tests/test_rounding_floor.py $(ARGS); \
+	  tests/test_kill_restart.py tests/test_memory.py tests/test_rounding_floor.py tests/test_invariance.py \
+	  tests/test_every_base.py tests/test_fuzz.py $(ARGS); \
 	exit $$failed
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
@@ -122,6 +123,30 @@ bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; AR
 	  print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["bench"])'); do \
 	  $(BIN)/python -m pip install -q --disable-pip-version-check $$peer || echo "without $$peer"; done
 	@touch $@
+
+# A module with sanitizers and without the pool of memory, beside the ordinary one; sitecustomize.py lets Python find it first.
+SANITIZE := build/sanitize
+SANITIZERS := -fsanitize=address,undefined -fno-sanitize=vptr -fno-omit-frame-pointer -O1 -g1 -DAMRPIC_NO_POOL
+SANITIZED = env PYTHONPATH=$(CURDIR)/$(SANITIZE)/python \
+  LD_PRELOAD="$$(gcc -print-file-name=libasan.so) $$(gcc -print-file-name=libstdc++.so)" \
+  ASAN_OPTIONS=detect_leaks=0:detect_stack_use_after_return=0:quarantine_size_mb=64:allocator_may_return_null=1 \
+  UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
+# The history of residuals is that of the ordinary build, which fuses products and sums.
+ONE_RANK := not 2r and not 3r and not 4r and not static_64_takes_seven_cycles
+NATIVE_TESTS := $(patsubst %,tests/test_%.py,solver_oracle poisson matrixfree composite deposit particles clouds free_space)
+
+sanitize: setup  ## tests of the native side under the address and undefined behaviour sanitizers
+	@mkdir -p $(SANITIZE)/python
+	@[ -f $(SANITIZE)/build.ninja ] || cmake -G Ninja -S . -B $(SANITIZE) -DCMAKE_BUILD_TYPE=None \
+	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_CXX_FLAGS="$(SANITIZERS)" >/dev/null
+	@nice ninja -C $(SANITIZE) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }
+	@rm -rf $(SANITIZE)/python/amrpic && cp -r amrpic $(SANITIZE)/python/ && cp $(SANITIZE)/_native.*.so $(SANITIZE)/python/amrpic/
+	@cp tests/sanitized/sitecustomize.py $(SANITIZE)/python/
+	@$(SANITIZED) $(BIN)/python -c 'import amrpic._native as n; assert "$(SANITIZE)" in n.__file__, n.__file__'
+	@failed=0; \
+	$(SANITIZED) $(BIN)/python -m pytest -p no:cacheprovider -k "$(ONE_RANK)" $(NATIVE_TESTS) $(ARGS) || failed=1; \
+	$(SANITIZED) $(BIN)/python tests/fuzz.py --cases 60 --seed 1 --only-crashes || failed=1; \
+	exit $$failed
 
 solvers: setup  ## measure the solver's menu on 1 and 2 ranks and write docs/solvers.md
 	$(BIN)/python benchmarks/solvers.py

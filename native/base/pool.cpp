@@ -17,13 +17,13 @@ constexpr std::size_t small_page = 4096, large_page = std::size_t(1) << 21;
 
 /// Sizes in steps of a sixteenth, so that arrays that grow or shrink a little find their old place. Pages that are
 /// never touched cost nothing, and the last large one less than there is to it.
-std::size_t rounded(std::size_t bytes) {
+[[maybe_unused]] std::size_t rounded(std::size_t bytes) {
   std::size_t step = small_page;
   while (step * 32 <= bytes) step *= 2;
   return std::max(step, (bytes + step - 1) / step * step);
 }
 
-void* new_block(std::size_t bytes) {
+[[maybe_unused]] void* new_block(std::size_t bytes) {
   bool const large = bytes >= 2 * large_page;
   std::size_t const page = large ? large_page : small_page;
   void* block = std::aligned_alloc(page, (bytes + page - 1) / page * page);
@@ -37,6 +37,16 @@ void* new_block(std::size_t bytes) {
 
 }  // namespace
 
+#ifdef AMRPIC_NO_POOL
+// For sanitizers (`make sanitize`): each block by itself, its last byte the last that may be read.
+void* Pool::take(std::size_t bytes) {
+  void* memory = nullptr;
+  if (posix_memalign(&memory, small_page, bytes) != 0) throw std::bad_alloc();
+  return memory;
+}
+
+void Pool::give(void* memory) noexcept { std::free(memory); }
+#else
 void* Pool::take(std::size_t bytes) {
   std::lock_guard const lock(mutex_);
   bytes = rounded(bytes);
@@ -66,6 +76,7 @@ void Pool::give(void* memory) noexcept {
   sizes_.erase(held);
   while (double(idle_total_) > most_idle_ * double(used_total_)) free_oldest();
 }
+#endif
 
 void Pool::free_oldest() {
   std::free(idle_.front().memory);

@@ -1,0 +1,73 @@
+"""Every base n³ is solved to 1e-10 in as few cycles as a power of two, on any ranks and for any boxes.
+
+One level, Gaussian charge off the centre, its mean taken away where walls fix no potential. Up to n = 64 all of 1 to 4 ranks
+are combined with boxes of 24, 32 and 64; up to 127 six of these twelve, each number of ranks and size at least once; beyond,
+three for Dirichlet walls and two for the others, since a solve takes seconds there. Bases that are no multiple of a block wait
+for `fuzz_draw.ANY_EXTENT`. `make verify` runs this (AMRPIC_TEST_LONG=1).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+
+import pytest
+
+import fuzz_draw
+from fuzz_case import Case
+from fuzz_pool import Broken, Pool
+
+LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
+BASES = (*range(16, 65), 72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251, 256)
+
+pytestmark = pytest.mark.skipif(not LONG, reason="20 minutes; make verify runs it")
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[Pool]:
+    with Pool(4) as several:
+        yield several
+
+
+def blocking_factor(n: int) -> int:
+    """8, or as long as extents must be multiples of it, the largest power of two in n up to that."""
+    return 8 if fuzz_draw.ANY_EXTENT else min(8, n & -n)
+
+
+def limit(kind: str, n: int) -> int:
+    """Cycles that walls of a kind allow."""
+    return {"dirichlet": 7, "open": 7, "neumann": 8, "periodic": 9 if n % 2 else 7}[kind]
+
+
+def decompositions(kind: str, n: int) -> list[tuple[int, int]]:
+    """Ranks and size of boxes."""
+    if n <= 64:
+        return list(product((1, 2, 3, 4), (24, 32, 64)))
+    if n <= 127:
+        return [(1, 24), (2, 24), (3, 24), (4, 24), (3, 32), (2, 64)]
+    return [(1, 24), (3, 32), (4, 64)] if kind == "dirichlet" else [(1, 24), (4, 32)]
+
+
+@pytest.mark.parametrize("n", BASES)
+def test_a_base_takes_few_cycles_on_any_ranks_and_boxes(pool, n):
+    if blocking_factor(n) < 2:
+        pytest.skip("odd extents are not legal yet")
+    complaints = []
+    for kind in ("dirichlet", "open", "neumann", "periodic"):
+        plain = Case((n,) * 3, boundary=((kind, kind),) * 3, blocking_factor=blocking_factor(n))
+        found = {}
+        for ranks, size in decompositions(kind, n):
+            try:
+                outcome = pool.call("fuzz_case:solve", ranks, replace(plain, ranks=ranks, max_grid_size=size), False)
+            except Broken as broken:
+                complaints.append(f"{kind}, {ranks} ranks, boxes of {size}: {broken.kind}\n{broken}")
+                continue
+            if outcome.error or not outcome.converged:
+                complaints.append(f"{kind}, {ranks} ranks, boxes of {size}: {outcome.error or outcome.reason}")
+            found[ranks, size] = outcome.cycles
+        cycles = found.values()
+        if cycles and (max(cycles) > limit(kind, n) or max(cycles) > min(cycles) + 1):
+            complaints.append(f"{kind}: {found}, at most {limit(kind, n)} and alike within one")
+    assert not complaints, "\n".join(complaints)

@@ -1,0 +1,101 @@
+"""Named cases in which the cycles depended on ranks, boxes or shapes; each is a law of its own now.
+
+The ordinary run takes the smaller bases; with AMRPIC_TEST_LONG=1 (`make verify`) all of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+
+from fuzz_case import GAUSSIAN, Box, Case, Outcome, noise
+from fuzz_pool import Pool
+
+LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[Pool]:
+    with Pool(4) as several:
+        yield several
+
+
+def outcome(pool: Pool, case: Case) -> Outcome:
+    found = pool.call("fuzz_case:solve", case.ranks, case, False, timeout=600 if LONG else 60)
+    assert not found.error, found.error
+    assert found.converged, found.reason
+    return found
+
+
+def cycles(pool: Pool, case: Case) -> int:
+    return outcome(pool, case).cycles
+
+
+def cube(lower: int, upper: int) -> tuple[tuple[Box, ...], ...]:
+    """One refined level of one cubic box."""
+    return ((((lower,) * 3, (upper,) * 3),),)
+
+
+@pytest.mark.parametrize(
+    ("n", "blocking_factor"),
+    [(44, 2), (88, 4)] + [pytest.param(n, 8, marks=pytest.mark.skipif(not LONG, reason="make verify")) for n in
+                          (96, 176, 192, 256)],
+)  # fmt: skip
+def test_cycles_on_one_level_do_not_depend_on_ranks(pool, n, blocking_factor):
+    """Boxes that are coarsened to odd extents made 9 to 14 of them: a family was cut by the border of a box."""
+    case = Case((n,) * 3, blocking_factor=blocking_factor)
+    found = [cycles(pool, replace(case, ranks=ranks)) for ranks in (1, 2, 3, 4)]
+    assert max(found) <= 7 and max(found) - min(found) <= 1, found
+
+
+@pytest.mark.parametrize("height", [10, 20])
+@pytest.mark.parametrize("cells", [(16, 16, 8), (32, 32, 8)])
+def test_odd_corners_do_not_end_coarsening_of_long_cells(pool, cells, height):
+    """The corners of level 1 are odd once coarsened; that took 44 to 100 cycles."""
+    nx, ny, nz = (2 * n for n in cells)
+    box = (2, 2, 6), (nx - 3, ny - 3, nz - 7)
+    case = Case(cells, (1.0, 1.0, float(height)), levels=((box,),), blocking_factor=2)
+    found = cycles(pool, case)
+    assert found <= 10, found
+
+
+@pytest.mark.skipif(not LONG, reason="3 million cells; make verify runs it")
+@pytest.mark.parametrize("gamma", [10, 20, 50, 100])
+def test_a_stretched_bunch_takes_few_cycles_however_far_the_refined_box_reaches(pool, gamma):
+    case = Case((64,) * 3, levels=cube(8, 119), stretch=(1.0, 1.0, float(gamma)), ranks=2)
+    found = cycles(pool, case)
+    assert found <= 10, found
+
+
+def test_cycles_on_long_cells_do_not_depend_on_boxes(pool):
+    """Where a level may be coarsened follows from the cells that it has, not from how they are cut into boxes."""
+    case = Case((32,) * 3, (1.0, 1.0, 10.0), levels=cube(16, 47), blocking_factor=2)
+    found = {size: cycles(pool, replace(case, max_grid_size=size)) for size in (6, 8, 12, 14, 16, 24)}
+    assert max(found.values()) <= 10 and max(found.values()) - min(found.values()) <= 1, found
+
+
+@pytest.mark.skipif(not LONG, reason="half a million cells; make verify runs it")
+def test_cycles_of_a_stretched_bunch_do_not_depend_on_boxes(pool):
+    case = Case((64,) * 3, levels=cube(32, 95), stretch=(1.0, 1.0, 50.0), ranks=2)
+    found = {size: cycles(pool, replace(case, max_grid_size=size)) for size in (16, 24, 32)}
+    assert max(found.values()) <= 10 and max(found.values()) - min(found.values()) <= 1, found
+
+
+def test_cycles_on_unequal_widths_do_not_depend_on_ranks(pool):
+    case = Case((72,) * 3, (1.75, 1.25, 1.0), blocking_factor=4, max_grid_size=64)
+    found = [cycles(pool, replace(case, ranks=ranks)) for ranks in (1, 2, 3, 4)]
+    assert max(found) - min(found) <= 1, found
+
+
+@pytest.mark.parametrize("source", [GAUSSIAN, noise(3)], ids=["gaussian", "noise"])
+@pytest.mark.parametrize(("height", "limit"), [(1, 9), (10, 16)])
+def test_columns_that_touch_along_edges_alone_take_few_cycles(pool, height, limit, source):
+    """A checkerboard of refined columns along z: blocks meet at edges only, of which long cells made 18 cycles and more."""
+    columns = itertools.product(range(0, 64, 8), range(0, 64, 8))
+    boxes = tuple(((i, j, 0), (i + 7, j + 7, 63)) for i, j in columns if (i + j) // 8 % 2 == 0)
+    found = cycles(pool, Case((32,) * 3, (1.0, 1.0, float(height)), levels=(boxes,), source=source))
+    assert found <= limit, found

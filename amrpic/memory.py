@@ -24,6 +24,7 @@ DRAWING = 55 * MIB  # measured: matplotlib and a picture, on rank 0
 ROW, ENTRY, NUMBER = 8, 12, 8  # bytes: start of a row, its column and value, a number of a field
 IDLE = 0.25  # of the fields, measured: what the solver and a regrid hold for a while, and ends of large pages
 NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
+BOTTOM = 64  # cells of a multigrid level that is not coarsened further
 LAPLACIAN = ROW + NEIGHBOURS * ENTRY
 PARTICLE = 7 * NUMBER  # position, momentum, id
 
@@ -58,11 +59,11 @@ def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
     covered = [n // CHILDREN for n in cells[1:]] + [0]
     at_edges = INTERFACE * ENTRY * _faces(scene, boxes)
     total, uncovered = sum(cells), sum(cells) - sum(covered)
-    copied, copies = _all_copies(scene, boxes)
+    copied, weights, copies = _all_copies(scene, boxes)
     operators = sum(_operators(scene, *level) for level in _cycle(scene, cells)) + copies * LAPLACIAN
     of_axis = 3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)
     vectors = (total + sum(_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER
-    of_copies = copies * (2 * NUMBER + _smoother(scene)) + copied * 4
+    of_copies = copies * (3 * NUMBER + _smoother(scene)) + copied * (NUMBER + ENTRY + ROW) + weights * ENTRY
     return {
         "operators": operators + at_edges,
         "operators of E": AXES * of_axis + at_edges,
@@ -72,7 +73,7 @@ def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
 
 def _matrix_free(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
     """Return the bytes of the matrix-free backend."""
-    swept = sum(int(cells_of(level).sum()) for level in boxes) + sum(_below(scene)) + _all_copies(scene, boxes)[1]
+    swept = sum(int(cells_of(level).sum()) for level in boxes) + sum(_below(scene)) + _all_copies(scene, boxes)[2]
     return {"solver": int(SWEPT * swept + FACE_LISTS * _faces(scene, boxes))}
 
 
@@ -81,10 +82,10 @@ def _faces(scene: Scene, boxes: Sequence[Array]) -> int:
     return sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
 
 
-def _all_copies(scene: Scene, boxes: Sequence[Array]) -> tuple[int, int]:
-    """Return the sums over all levels of what `_copies` tells of one."""
-    copied, copies = zip(*(_copies(scene, n, level) for n, level in enumerate(boxes)), strict=True)
-    return sum(copied), sum(copies)
+def _all_copies(scene: Scene, boxes: Sequence[Array]) -> tuple[int, int, int]:
+    """Return the sums over all levels of what `_copies` returns of one."""
+    copied, weights, copies = zip(*(_copies(scene, n, level) for n, level in enumerate(boxes)), strict=True)
+    return sum(copied), sum(weights), sum(copies)
 
 
 def _cycle(scene: Scene, cells: Sequence[int]) -> Iterator[tuple[int, int, int, int]]:
@@ -121,34 +122,30 @@ def _below(scene: Scene) -> list[int]:
     cells, h = np.array(scene.domain.cells), _widths(scene, 0)
     most = np.inf if scene.solver.coarse_levels is None else scene.solver.coarse_levels
     out: list[int] = []
-    while len(out) < most:
-        short = h <= 1.5 * h.min()
-        if np.any(short & ((cells % 2 != 0) | (cells <= 2))):
-            break
-        cells, h = np.where(short, cells // 2, cells), np.where(short, 2 * h, h)
+    while len(out) < most and cells.prod() > BOTTOM:
+        short = (cells > 2) & (h <= 1.5 * h[cells > 2].min())
+        cells, h = np.where(short, (cells + 1) // 2, cells), np.where(short, 2 * h, h)
         out.append(int(cells.prod()))
     return out
 
 
-def _copies(scene: Scene, level: int, boxes: Array) -> tuple[int, int]:
-    """Return the cells of a level that is coarsened by itself, and of all its copies; zeros where cells are near cubes."""
-    copied = copies = 0
+def _copies(scene: Scene, level: int, boxes: Array) -> tuple[int, int, int]:
+    """Return the cells of a level that is coarsened by itself and of its copies but the last, the weights with which they
+    take the corrections of the next, and the cells of all copies; zeros where cells are near cubes.
+    """
+    copied = weights = copies = 0
     h, period = _widths(scene, level), np.array(scene.domain.cells) * 2**level
-    periodic = np.array(scene.domain.value.periodic)
     while level > 0 and h.max() > 2.01 * h.min():
-        ratio = np.where(h <= 1.5 * h.min(), 2, 1)
-        sizes = boxes[:, 3:] - boxes[:, :3] + 1
-        if (
-            (period % np.where(periodic, 2 * ratio, ratio)).any()
-            or (boxes[:, :3] % ratio).any()
-            or (sizes % ratio).any()
-        ):
+        ratio = np.where((h <= 1.5 * h.min()) & (period > 2), 2, 1)
+        if ratio.max() == 1:
             break
-        copied += int(cells_of(boxes).sum())
+        here = int(cells_of(boxes).sum())
+        copied += here
+        weights += here * int(ratio.prod())
         boxes = boxes // np.tile(ratio, 2)
         copies += int(cells_of(boxes).sum())
-        h, period = h * ratio, period // ratio
-    return copied, copies
+        h, period = h * ratio, (period + ratio - 1) // ratio
+    return copied, weights, copies
 
 
 def _of_covered(scene: Scene, cells: Sequence[int], covered: Sequence[int]) -> int:

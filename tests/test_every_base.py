@@ -47,7 +47,7 @@ def decompositions(kind: str, n: int) -> list[tuple[int, int]]:
         return list(product((1, 2, 3, 4), (24, 32, 64)))
     if n <= 127:
         return [(1, 24), (2, 24), (3, 24), (4, 24), (3, 32), (2, 64)]
-    return [(1, 24), (3, 32), (4, 64)] if kind == "dirichlet" else [(1, 24), (4, 32)]
+    return [(1, 24), (3, 24), (4, 64)] if kind == "dirichlet" else [(1, 32), (4, 24)]
 
 
 @pytest.mark.parametrize("n", BASES)
@@ -60,9 +60,10 @@ def test_a_base_takes_few_cycles_on_any_ranks_and_boxes(pool, n):
         found = {}
         for ranks, size in decompositions(kind, n):
             try:
-                outcome = pool.call("fuzz_case:solve", ranks, replace(plain, ranks=ranks, max_grid_size=size), False)
-            except Broken as broken:
-                complaints.append(f"{kind}, {ranks} ranks, boxes of {size}: {broken.kind}\n{broken}")
+                case = replace(plain, ranks=ranks, max_grid_size=size)
+                outcome = pool.call("fuzz_case:solve", ranks, case, False, timeout=60)
+            except Broken as broken:  # such as a bottom that takes minutes
+                complaints.append(f"{kind}, {ranks} ranks, boxes of {size}: {broken.kind}")
                 continue
             if outcome.error or not outcome.converged:
                 complaints.append(f"{kind}, {ranks} ranks, boxes of {size}: {outcome.error or outcome.reason}")

@@ -57,7 +57,7 @@ void check_places(Hierarchy const& hierarchy, int halo) {
     struct {
       double places;
       int rank;
-    } own{double(Layout(level, halo).size()), level.rank()}, all{};
+    } own{double(Layout(level, halo, {}).size()), level.rank()}, all{};
     MPI_Allreduce(&own, &all, 1, MPI_DOUBLE_INT, MPI_MAXLOC, hierarchy.comm());
     std::string const refusal = refusal_of_places(std::int64_t(all.places), l, all.rank);
     if (!refusal.empty()) throw SolverError(refusal);

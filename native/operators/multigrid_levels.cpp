@@ -54,8 +54,21 @@ std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Bo
                                        std::move(shared.first), finer.rank());
 }
 
+/// How far behind upper open walls corrections vanish at the least: half a cell of the finest level there.
+Real3 behind_open_walls(LevelStack const& stack) {
+  Real3 out{0, 0, 0};
+  for (auto const& level : stack.levels)
+    for (int d = 0; d < 3; ++d) {
+      bool const touches = std::any_of(level->boxes().begin(), level->boxes().end(),
+                                       [&](Box const& b) { return b.upper[d] == level->domain().upper[d]; });
+      if (touches && stack.boundary[d][1] == Boundary::open) out[d] = 0.5 * level->spacing()[d];
+    }
+  return out;
+}
+
 /// Put a level below the lowest one.
-void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, CoarseBoxes const& policy) {
+void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, Real3 const& behind,
+               CoarseBoxes const& policy) {
   Level const& finer = *stack.levels.front();
   Box region = finer.domain();
   std::array<UpperEnd, 3> upper = stack.upper.front();
@@ -63,7 +76,8 @@ void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, Coa
   for (int d = 0; d < 3; ++d) {
     // Along an axis that keeps its cells, errors which oscillate meet the finer level's wall on every level below.
     if (ratio[d] == 1) continue;
-    CoarseAxis const axis = coarsened(region.extent(d), upper[d], domain.boundary[d][1]);
+    CoarseAxis const axis = coarsened(region.extent(d), upper[d], domain.boundary[d][1],
+                                       behind[d] / finer.spacing()[d]);
     region.upper[d] = axis.cells - 1;
     upper[d] = axis.end;
     walls[d] = {coarse_wall_ghost(domain.boundary[d][0], axis.cells, {}),
@@ -106,10 +120,11 @@ std::vector<int> share_along_curve(std::vector<Box>& boxes, int ranks, int activ
 }
 
 LevelStack coarsen_below(LevelStack stack, Domain const& domain, CoarseBoxes const& boxes, int most) {
+  Real3 const behind = behind_open_walls(stack);
   while (int(stack.base) < most) {
     Index3 const ratio = coarsening_of(*stack.levels.front());
     if (ratio == Index3{1, 1, 1}) break;
-    put_below(stack, domain, ratio, boxes);
+    put_below(stack, domain, ratio, behind, boxes);
   }
   return stack;
 }

@@ -142,7 +142,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
   for (int d = 0; d < 3; ++d) {
     if (ratio[d] == 1) continue;
     int const cells = domain.extent(d);
-    CoarseAxis const axis = coarsened(cells, above.upper[d], boundary[d][1]);
+    CoarseAxis const axis = coarsened(cells, above.upper[d], boundary[d][1], 0);
     out.children[d] = last_children(cells, above.upper[d], boundary[d][1]);
     domain.upper[d] = axis.cells - 1;
     out.upper[d] = axis.end;

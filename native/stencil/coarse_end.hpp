@@ -26,13 +26,14 @@ struct CoarseAxis {
 
 /// The coarser level's cells along an axis with `cells` cells, and where it ends.
 ///
-/// Before a wall where the correction vanishes half a pair is kept as a whole cell if that leaves the wall at least a
-/// quarter of a spacing behind its centre, else it is dropped. Elsewhere it is kept as a finite volume of its own width.
-inline CoarseAxis coarsened(int cells, UpperEnd const& end, Boundary upper) {
+/// Where the correction vanishes at a wall, or `behind` spacings behind an open one, half a pair is kept as a whole cell if
+/// that place is at least a quarter of a spacing from its centre, else it is dropped. Elsewhere it is kept as a finite
+/// volume of its own width.
+inline CoarseAxis coarsened(int cells, UpperEnd const& end, Boundary upper, Real behind) {
   if (cells % 2 == 0) return {cells / 2, {(end.wall + 0.5) / 2, (end.width + 1) / 2}};
   if (upper == Boundary::neumann || upper == Boundary::periodic) return {(cells + 1) / 2, {0.5, end.width / 2}};
   Real const kept = (end.wall - 0.5) / 2;
-  return kept >= 0.25 ? CoarseAxis{(cells + 1) / 2, {kept, 1}} : CoarseAxis{(cells - 1) / 2, {(end.wall + 1.5) / 2, 1}};
+  return kept + behind / 2 >= 0.25 ? CoarseAxis{(cells + 1) / 2, {kept, 1}} : CoarseAxis{(cells - 1) / 2, {(end.wall + 1.5) / 2, 1}};
 }
 
 /// Factor of the last cell in the ghost of a correction that vanishes `distance` spacings behind its centre.

@@ -18,6 +18,7 @@ set(CMAKE_CXX_FLAGS_INIT "${CMAKE_C_FLAGS_INIT}")
 set(CMAKE_MODULE_LINKER_FLAGS_INIT "-Wl,-rpath-link,${LIBRARIES} -Wl,--allow-shlib-undefined")
 
 set(Python_INCLUDE_DIR "${ROOT}/usr/include/python3.11")
+set(PKG_CONFIG_EXECUTABLE FALSE)  # it knows this machine alone
 set(MPI_SKIP_COMPILER_WRAPPER ON)
 set(MPI_C_LIB_NAMES mpi)
 set(MPI_C_HEADER_DIR "${LIBRARIES}/openmpi/include")

@@ -51,10 +51,10 @@ ARM_PACKAGES := trilinos-all-dev,libopenmpi-dev,openmpi-bin,python3.11,libpython
 ARM_TESTS ?= tests/test_poisson.py tests/test_matrixfree.py tests/test_composite.py tests/test_solver_oracle.py
 aarch64: setup .venv/.qemu $(ARM)/.packages  ## cross-compile for 64-bit ARM and run the solver's tests there on one rank
 	@export AMRPIC_ARM64_ROOT=$(CURDIR)/$(ARM)/root; \
-	cmake -S . -B $(ARM)/native -G Ninja -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null; \
+	[ -e $(ARM)/native/build.ninja ] || cmake -S . -B $(ARM)/native -G Ninja -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null; \
 	nice ninja -C $(ARM)/native -j $(JOBS) --quiet
 	@ln -sfn $(CURDIR)/amrpic/* -t $(ARM)/packages/amrpic; cp tests/aarch64_python $(ARM)/python
-	@for module in _native_baseline _processor; do cp $(ARM)/native/$$module.*.so $(ARM)/packages/amrpic/$$module.so; done
+	@for module in _native_baseline _processor; do cp $(ARM)/native/$$module*.so $(ARM)/packages/amrpic/$$module.so; done
 	$(ARM)/python -m pytest -p no:cacheprovider -k "not 2r and not 3r and not 4r" $(ARM_TESTS) $(ARGS)
 
 $(ARM)/.packages: .venv/.packages .venv/.qemu

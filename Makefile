@@ -20,10 +20,10 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub docs help setup build run test nehalem verify sanitize bench solvers lint format clean
+.PHONY: stub docs help setup build run test nehalem aarch64 verify sanitize bench solvers lint format clean
 
 help:  ## list the targets
-	@sed -nE 's/^([a-z]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
+	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
 
 run: setup  ## the main job: SCENE on RANKS ranks
 	mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
@@ -43,6 +43,31 @@ nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alo
 	@command -v qemu-x86_64 >/dev/null || { root=; [ "$$(id -u)" = 0 ] || root=sudo; echo "installing Debian packages: qemu-user"; \
 	  $$root apt-get update -q >/dev/null; \
 	  $$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends qemu-user >/dev/null; }
+	@touch $@
+
+# Another kind of processor: Debian's packages for it in a folder, the module cross-compiled, its Python under QEMU.
+ARM := build/aarch64
+ARM_PACKAGES := trilinos-all-dev,libopenmpi-dev,openmpi-bin,python3.11,libpython3.11-dev,libopenblas0-pthread
+ARM_TESTS ?= tests/test_poisson.py tests/test_matrixfree.py tests/test_composite.py tests/test_solver_oracle.py
+aarch64: setup .venv/.qemu $(ARM)/.packages  ## cross-compile for 64-bit ARM and run the solver's tests there on one rank
+	@export AMRPIC_ARM64_ROOT=$(CURDIR)/$(ARM)/root; \
+	[ -e $(ARM)/native/build.ninja ] || cmake -S . -B $(ARM)/native -G Ninja -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null; \
+	nice ninja -C $(ARM)/native -j $(JOBS) --quiet
+	@ln -sfn $(CURDIR)/amrpic/* -t $(ARM)/packages/amrpic; cp tests/aarch64_python $(ARM)/python
+	@for module in _native_baseline _processor; do cp $(ARM)/native/$$module*.so $(ARM)/packages/amrpic/$$module.so; done
+	$(ARM)/python -m pytest -p no:cacheprovider -k "not 2r and not 3r and not 4r" $(ARM_TESTS) $(ARGS)
+
+$(ARM)/.packages: .venv/.packages .venv/.qemu
+	@missing=; for tool in mmdebstrap aarch64-linux-gnu-g++; do command -v $$tool >/dev/null || missing=yes; done; \
+	root=; [ "$$(id -u)" = 0 ] || root=sudo; \
+	if [ -n "$$missing" ]; then echo "installing Debian packages: mmdebstrap g++-aarch64-linux-gnu"; \
+	  $$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends mmdebstrap g++-aarch64-linux-gnu >/dev/null; fi; \
+	echo "unpacking Debian packages for arm64 into $(ARM)"; rm -rf $(ARM); mkdir -p $(ARM)/packages/amrpic; \
+	$$root mmdebstrap --quiet --variant=extract --arch=arm64 --mode=root --include=$(ARM_PACKAGES) bookworm $(ARM)/root
+	@$(BIN)/python -m pip install -q --disable-pip-version-check --target $(ARM)/packages --only-binary=:all: --implementation cp \
+	  --python-version 3.11 $$(printf -- '--platform manylinux_2_%s_aarch64 ' 17 27 28) --platform manylinux2014_aarch64 \
+	  $$($(BIN)/python -c 'import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+	  print(*(p.replace(" ", "") for p in project["dependencies"]), "pytest", "pytest-xdist")')
 	@touch $@
 
 verify: setup  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests

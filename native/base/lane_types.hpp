@@ -40,6 +40,12 @@ inline void store(void* to, Vector const& values) {
     std::memcpy(to, &values, sizeof values);
 }
 
+/// Call f(n) for each bit that is set.
+template <class Bits, class F>
+void for_each_bit(Bits bits, F&& f) {
+  for (; bits != 0; bits &= bits - 1) f(__builtin_ctzll(bits));
+}
+
 /// One of two numbers, as `Lanes` are selected one by one.
 inline Real select(bool which, Real yes, Real no) { return which ? yes : no; }
 

@@ -1,15 +1,15 @@
-// Eight numbers at a time: in one vector where the processor has such, else in two halves. The same operations in the
-// same order give the same bits in both.
+// Eight numbers at a time: in one vector, or with AVX2 in two halves. The same operations in the same order give the
+// same bits in both.
 //
 // Compilers split longer vectors than the processor has by themselves, but take comparisons, choices and permutations
 // of such vectors apart number by number.
 #pragma once
 
 #include "base/lane_types.hpp"
-#if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
-#include "base/lanes_avx512.hpp"
+#if defined(__AVX2__) && !defined(AMRPIC_AVX512)
+#include "base/lanes_avx2.hpp"
 #else
-#include "base/lanes_in_halves.hpp"
+#include "base/lanes_in_one.hpp"
 #endif
 
 namespace amrpic {

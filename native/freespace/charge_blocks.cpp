@@ -130,9 +130,7 @@ Leaf describe(BlockKey const& key, BlockCharges const& charges) {
   Lanes columns{}, by_y[block_edge] = {}, by_z[block_edge] = {};
   for (int k = 0; k < block_edge; ++k)
     for (int j = 0; j < block_edge; ++j) {
-      Lanes row;
-      __builtin_memcpy(&row, charges.data() + block_edge * (j + block_edge * k), sizeof(Lanes));
-      row = absolute(row);
+      auto const row = absolute(load<Lanes>(charges.data() + block_edge * (j + block_edge * k)));
       columns += row;
       by_y[j] += row;
       by_z[k] += row;

@@ -32,18 +32,20 @@ Weights interpolation_weights(int parent_extent, int extent, int offset) {
 /// Add U values V^T.
 void add_interpolant(Weights const& u, Weights const& v, double const* values, double* to) {
   Lanes columns[patch_points];  // of U^T
-  for (int n = 0; n < patch_points; ++n)
-    for (int i = 0; i < patch_points; ++i) columns[n][i] = u[i][n];
+  for (int n = 0; n < patch_points; ++n) {
+    double column[patch_points];
+    for (int i = 0; i < patch_points; ++i) column[i] = u[i][n];
+    columns[n] = load<Lanes>(column);
+  }
   Lanes rows[patch_points];
   for (int m = 0; m < patch_points; ++m) {
     rows[m] = Lanes{};
     for (int n = 0; n < patch_points; ++n) rows[m] += columns[n] * values[n + patch_points * m];
   }
   for (int j = 0; j < patch_points; ++j) {
-    Lanes sum;
-    __builtin_memcpy(&sum, to + patch_points * j, sizeof(Lanes));
+    auto sum = load<Lanes>(to + patch_points * j);
     for (int m = 0; m < patch_points; ++m) sum += rows[m] * v[j][m];
-    __builtin_memcpy(to + patch_points * j, &sum, sizeof(Lanes));
+    store(to + patch_points * j, sum);
   }
 }
 

@@ -113,11 +113,9 @@ std::array<double, count> direct_sums(LeafCharges::Block const& charges, Cell co
   Lanes sum[count] = {};
   for (int n = 0; n < charges.row_count; ++n) {
     int const row = charges.rows[n];
-    Lanes charge;
-    __builtin_memcpy(&charge, charges.values.data() + block_edge * row, sizeof(Lanes));
+    auto const charge = load<Lanes>(charges.values.data() + block_edge * row);
     for (std::size_t t = 0; t < count; ++t) {
-      Lanes value;
-      __builtin_memcpy(&value, first[t] + along_y[t][row % block_edge] + along_z[t][row / block_edge], sizeof(Lanes));
+      auto const value = load<Lanes>(first[t] + along_y[t][row % block_edge] + along_z[t][row / block_edge]);
       sum[t] += charge * value;
     }
   }

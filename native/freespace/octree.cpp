@@ -70,16 +70,14 @@ Harmonics<double> join_moments(TreeNode const& parent, Member const* first, Memb
   Harmonics<double> out{};
   for (; first < last; first += lane_count) {
     int const count = int(std::min<std::ptrdiff_t>(lane_count, last - first));
-    Harmonics<Lanes> moments{};
-    Lanes shift[3] = {};
+    double shift[3][lane_count] = {}, re[harmonic_count][lane_count] = {}, im[harmonic_count][lane_count] = {};
     for (int t = 0; t < count; ++t) {
       for (int d = 0; d < 3; ++d) shift[d][t] = first[t].node.centre[d] - parent.centre[d];
-      for (int n = 0; n < harmonic_count; ++n) {
-        moments[n].re[t] = first[t].moments[n].re;
-        moments[n].im[t] = first[t].moments[n].im;
-      }
+      for (int n = 0; n < harmonic_count; ++n) re[n][t] = first[t].moments[n].re, im[n][t] = first[t].moments[n].im;
     }
-    auto const moved = translate_moments(moments, shift[0], shift[1], shift[2]);
+    Harmonics<Lanes> moments;
+    for (int n = 0; n < harmonic_count; ++n) moments[n] = {load<Lanes>(re[n]), load<Lanes>(im[n])};
+    auto const moved = translate_moments(moments, load<Lanes>(shift[0]), load<Lanes>(shift[1]), load<Lanes>(shift[2]));
     for (int n = 0; n < harmonic_count; ++n) {
       out[n].re += sum_of(moved[n].re);
       out[n].im += sum_of(moved[n].im);

@@ -100,16 +100,14 @@ std::array<double, monomial_count> block_monomials(double const* charges, BlockP
     Lanes along_z[8] = {};
     for (int k = 0; k < 8; ++k)
       for (int j = 0; j < 8; ++j) {
-        Lanes row;
-        __builtin_memcpy(&row, charges + 8 * (8 * k + j), sizeof(Lanes));
+        auto const row = load<Lanes>(charges + 8 * (8 * k + j));
         along_z[j] += row * powers[2][c][k];
       }
     for (int b = 0; b + c <= order; ++b) {
       Lanes along_y{};
       for (int j = 0; j < 8; ++j) along_y += along_z[j] * powers[1][b][j];
       for (int a = 0; a + b + c <= order; ++a) {
-        Lanes power;
-        __builtin_memcpy(&power, powers[0][a].data(), sizeof(Lanes));
+        auto const power = load<Lanes>(powers[0][a].data());
         out[monomial_index(a, b, c)] = sum_of(along_y * power);
       }
     }
@@ -121,7 +119,7 @@ namespace {
 
 /// What each monomial adds to the moments R(l, m) of its degree l, m = 0 .. l in the lanes.
 struct MonomialColumns {
-  std::array<Lanes, monomial_count> re{}, im{};
+  std::array<std::array<double, lane_count>, monomial_count> re{}, im{};
 
   MonomialColumns() {
     HarmonicPolynomials const polynomials;
@@ -144,8 +142,8 @@ Harmonics<double> moments_of(std::array<double, monomial_count> const& monomials
   for (int l = 0; l <= order; ++l) {
     Lanes re{}, im{};
     for (int n = monomial_index(l, 0, 0); n <= monomial_index(0, 0, l); ++n) {
-      re += columns.re[n] * monomials[n];
-      im += columns.im[n] * monomials[n];
+      re += load<Lanes>(columns.re[n].data()) * monomials[n];
+      im += load<Lanes>(columns.im[n].data()) * monomials[n];
     }
     for (int m = 0; m <= l; ++m) out[harmonic_index(l, m)] = {re[m], im[m]};
   }

@@ -62,7 +62,7 @@ template <class T>
 Complex<T> with_sign(Harmonics<T> const& values, int l, int m) {
   if (m >= 0) return values[harmonic_index(l, m)];
   Complex<T> const& v = values[harmonic_index(l, -m)];
-  return m % 2 == 0 ? Complex<T>{v.re, -v.im} : Complex<T>{-v.re, v.im};
+  return m % 2 == 0 ? Complex<T>{v.re, -1.0 * v.im} : Complex<T>{-1.0 * v.re, v.im};
 }
 
 /// Moments about a new centre, of charges whose moments about the old one are given; (x, y, z) points from new to old.

@@ -13,7 +13,7 @@ namespace {
 
 constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
-constexpr unsigned all_points = (1u << lane_count) - 1;
+constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
 constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
 
@@ -73,9 +73,9 @@ struct Rows {
   explicit Rows(PatchPoints const& points) {
     auto const axes = plane_axes(points.normal);
     for (int row = 0; row < patch_points; ++row) {
-      at[row][points.normal] = broadcast(points.place);
-      __builtin_memcpy(&at[row][axes[0]], points.along[0].data(), sizeof(Lanes));
-      at[row][axes[1]] = broadcast(points.along[1][row]);
+      at[row][points.normal] = Lanes{} + points.place;
+      at[row][axes[0]] = load<Lanes>(points.along[0].data());
+      at[row][axes[1]] = Lanes{} + points.along[1][row];
     }
   }
 };
@@ -382,7 +382,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
           Lanes const inverse_r = inverse_root(r2);
           Lanes const value = multipole_potential<order>(tree.expansions[n], x, y, z, inverse_r) +
                               lattice_correction(node.lattice, x, y, z, inverse_r, h2);
-          sum += far == all_points ? value : (mask_of(far) ? value : Lanes{});
+          sum += far == all_points ? value : select(mask_of(far), value, Lanes{});
         }
         unsigned const rest = active & ~far;
         if (!rest) continue;

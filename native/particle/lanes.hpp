@@ -31,12 +31,6 @@ inline Lanes pick(Real const* from, LocalIndex const* n) {
   return Lanes{from[n[0]], from[n[1]], from[n[2]], from[n[3]], from[n[4]], from[n[5]], from[n[6]], from[n[7]]};
 }
 
-/// Call f(n) for each bit that is set.
-template <class Bits, class F>
-void for_each_bit(Bits bits, F&& f) {
-  for (; bits != 0; bits &= bits - 1) f(__builtin_ctzll(bits));
-}
-
 /// Those of eight consecutive places, starting at a multiple of eight, that are meant: a bit for each.
 struct LaneGroup {
   std::int64_t first;
@@ -58,9 +52,9 @@ struct LaneBlock {
   bool whole() const { return chosen == ~std::uint64_t(0); }
 };
 
-/// Call f(group) for the groups of a block of which any place is meant.
+/// Call f(group) for the groups of a block of which any place is meant. All of `f` is compiled into both loops.
 template <class F>
-inline void for_each_group(LaneBlock const& block, F&& f) {
+[[gnu::flatten]] inline void for_each_group(LaneBlock const& block, F&& f) {
   if (block.whole())  // the compiler makes a loop of its own for this
     for (int i = 0; i < block_size; i += lane_count) f(LaneGroup{block.first + i, all_lanes});
   else

@@ -1,8 +1,6 @@
-// Eight numbers in two vectors of four, for processors without AVX-512; included by base/lanes.hpp, and each function
-// is described in base/lanes_avx512.hpp. The compiler splits the halves once more where vectors have but 16 bytes.
+// Eight numbers in two vectors of four, for processors with AVX2 but without AVX-512; included by base/lanes.hpp. Each
+// function is described in base/lanes_in_one.hpp.
 #pragma once
-
-#include <cmath>
 
 #include "base/lane_types.hpp"
 
@@ -55,14 +53,10 @@ inline Lanes joined(HalfLanes const& a, HalfLanes const& b) { return {a, b}; }
 // ---- one by one ----
 
 inline Lanes select(WideLanes const& which, Lanes const& yes, Lanes const& no) {
-#ifdef __AVX__  // where the compiler compares `which` with zero first
   auto const half = [](auto const& which, HalfLanes const& yes, HalfLanes const& no) {
     return (HalfLanes)_mm256_blendv_pd((__m256d)no, (__m256d)yes, (__m256d)which);
   };
   return {half(which.low, yes.low, no.low), half(which.high, yes.high, no.high)};
-#else
-  return {which.low ? yes.low : no.low, which.high ? yes.high : no.high};
-#endif
 }
 
 inline WideLanes mask_of(unsigned bits) {
@@ -71,38 +65,16 @@ inline WideLanes mask_of(unsigned bits) {
 }
 
 inline unsigned bits_of(WideLanes const& mask) {
-#ifdef __AVX__
   return unsigned(_mm256_movemask_pd((__m256d)mask.low) | _mm256_movemask_pd((__m256d)mask.high) << 4);
-#else
-  unsigned out = 0;
-  for (int i = 0; i < lane_count; ++i) out |= unsigned(mask[i] & 1) << i;
-  return out;
-#endif
 }
-inline unsigned bits_of(IndexLanes const& mask) {
-  unsigned out = 0;
-  for (int i = 0; i < lane_count; ++i) out |= unsigned(mask[i] & 1) << i;
-  return out;
-}
+inline unsigned bits_of(IndexLanes const& mask) { return unsigned(_mm256_movemask_ps((__m256)mask)); }
 
 inline Lanes square_root(Lanes const& x) {
-#ifdef __AVX__
   return {(HalfLanes)_mm256_sqrt_pd((__m256d)x.low), (HalfLanes)_mm256_sqrt_pd((__m256d)x.high)};
-#else
-  Real out[lane_count];
-  for (int i = 0; i < lane_count; ++i) out[i] = std::sqrt(x[i]);
-  return load<Lanes>(out);
-#endif
 }
 
 inline Lanes round_down(Lanes const& x) {
-#ifdef __AVX__
   return {(HalfLanes)_mm256_floor_pd((__m256d)x.low), (HalfLanes)_mm256_floor_pd((__m256d)x.high)};
-#else
-  constexpr Real shift = 0x1.8p52;  // sums with it are rounded to whole numbers
-  Lanes const nearest = (x + shift) - shift;
-  return nearest - select(nearest > x, Lanes(1), Lanes(0));
-#endif
 }
 
 inline IndexLanes to_index(Lanes const& values) {
@@ -114,42 +86,23 @@ inline IndexLanes to_index(Lanes const& values) {
 // ---- memory ----
 
 inline void stream(Real* to, Lanes const& values) {
-#ifdef __AVX__
   _mm256_stream_pd(to, (__m256d)values.low);
   _mm256_stream_pd(to + 4, (__m256d)values.high);
-#else
-  store(to, values);
-#endif
 }
-inline void stream_end() {
-#ifdef __AVX__
-  _mm_sfence();
-#endif
-}
+inline void stream_end() { _mm_sfence(); }
 
 inline Lanes load_some(Real const* from, unsigned bits) {
-#ifdef __AVX__
   WideLanes const mask = mask_of(bits);
   return {(HalfLanes)_mm256_maskload_pd(from, (__m256i)mask.low),
           (HalfLanes)_mm256_maskload_pd(from + 4, (__m256i)mask.high)};
-#else
-  Real out[lane_count] = {};
-  for (; bits != 0; bits &= bits - 1) out[__builtin_ctz(bits)] = from[__builtin_ctz(bits)];
-  return load<Lanes>(out);
-#endif
 }
 
 inline void store_some(Real* to, unsigned bits, Lanes const& values) {
-#ifdef __AVX__
   WideLanes const mask = mask_of(bits);
   _mm256_maskstore_pd(to, (__m256i)mask.low, (__m256d)values.low);
   _mm256_maskstore_pd(to + 4, (__m256i)mask.high, (__m256d)values.high);
-#else
-  for (; bits != 0; bits &= bits - 1) to[__builtin_ctz(bits)] = values[__builtin_ctz(bits)];
-#endif
 }
 
-#ifdef __AVX2__
 /// For each four bits, 32-bit parts of those of four numbers whose bits are set, side by side.
 struct CompressTable {
   alignas(32) std::int32_t part[16][8] = {};
@@ -163,10 +116,8 @@ struct CompressTable {
   }
 };
 inline constexpr CompressTable compress_table;
-#endif
 
 inline int compress(unsigned bits, Lanes const& from, Real* to) {
-#ifdef __AVX2__
   auto const side_by_side = [](HalfLanes const& half, unsigned of) {
     auto const order = load<IndexLanes>(compress_table.part[of]);
     return (HalfLanes)_mm256_permutevar8x32_epi32((__m256i)half, (__m256i)order);
@@ -174,15 +125,10 @@ inline int compress(unsigned bits, Lanes const& from, Real* to) {
   store(to, side_by_side(from.low, bits & 15));
   store(to + __builtin_popcount(bits & 15), side_by_side(from.high, bits >> 4));
   return __builtin_popcount(bits);
-#else
-  int n = 0;
-  for (; bits != 0; bits &= bits - 1) to[n++] = from[__builtin_ctz(bits)];
-  return n;
-#endif
 }
 inline int compress(unsigned bits, IndexLanes const& from, LocalIndex* to) {
   int n = 0;
-  for (; bits != 0; bits &= bits - 1) to[n++] = from[__builtin_ctz(bits)];
+  for_each_bit(bits, [&](int i) { to[n++] = from[i]; });
   return n;
 }
 

@@ -1,5 +1,8 @@
-// Eight numbers in one vector of AVX-512; included by base/lanes.hpp.
+// Eight numbers in one vector: of AVX-512 if the processor has that, else of the compiler, which splits it into what
+// the processor has; included by base/lanes.hpp.
 #pragma once
+
+#include <cmath>
 
 #include "base/lane_types.hpp"
 
@@ -18,37 +21,79 @@ inline Lanes joined(HalfLanes const& a, HalfLanes const& b) {
 /// The lanes of `yes` where a comparison holds, else those of `no`.
 inline Lanes select(WideLanes const& which, Lanes const& yes, Lanes const& no) { return which ? yes : no; }
 
-/// The comparison that holds in those lanes whose bits are set.
-inline WideLanes mask_of(unsigned bits) { return (WideLanes)_mm512_movm_epi64(__mmask8(bits)); }
-
-/// One bit per lane, set where a comparison holds.
-inline unsigned bits_of(WideLanes const& mask) { return _mm512_movepi64_mask((__m512i)mask); }
-inline unsigned bits_of(IndexLanes const& mask) { return _mm256_movepi32_mask((__m256i)mask); }
-
-inline Lanes square_root(Lanes const& x) { return (Lanes)_mm512_sqrt_pd((__m512d)x); }
-
 /// The largest whole number that is not above `x`, whose magnitude is below 2^51.
-inline Lanes round_down(Lanes const& x) { return (Lanes)_mm512_floor_pd((__m512d)x); }
+inline Lanes round_down(Lanes const& x) {
+#ifdef AMRPIC_AVX512
+  return (Lanes)_mm512_floor_pd((__m512d)x);
+#else
+  constexpr Real shift = 0x1.8p52;  // sums with it are rounded to whole numbers
+  Lanes const nearest = (x + shift) - shift;
+  return nearest - (nearest > x ? Lanes{} + 1 : Lanes{});
+#endif
+}
 
 /// Whole numbers as such.
 inline IndexLanes to_index(Lanes const& values) { return __builtin_convertvector(values, IndexLanes); }
 
-// ---- memory ----
+inline Lanes square_root(Lanes const& x) {
+#ifdef AMRPIC_AVX512
+  return (Lanes)_mm512_sqrt_pd((__m512d)x);
+#else
+  Lanes out;
+  for (int i = 0; i < lane_count; ++i) out[i] = std::sqrt(x[i]);
+  return out;
+#endif
+}
 
-/// Write eight numbers to the start of a cache line that will not be read soon, past the cache where that can be done:
-/// the line is not read from memory first, and nothing else is displaced. `stream_end` must follow before others read.
-inline void stream(Real* to, Lanes const& values) { _mm512_stream_pd(to, (__m512d)values); }
-inline void stream_end() { _mm_sfence(); }
+// ---- some of them: a bit for each ----
+
+/// The comparison that holds in those lanes whose bits are set.
+inline WideLanes mask_of(unsigned bits) {
+#ifdef AMRPIC_AVX512
+  return (WideLanes)_mm512_movm_epi64(__mmask8(bits));
+#else
+  constexpr WideLanes bit = {1, 2, 4, 8, 16, 32, 64, 128};
+  return ((WideLanes{} + std::int64_t(bits)) & bit) == bit;
+#endif
+}
+
+/// One bit per lane, set where a comparison holds.
+#ifdef AMRPIC_AVX512
+inline unsigned bits_of(WideLanes const& mask) { return _mm512_movepi64_mask((__m512i)mask); }
+inline unsigned bits_of(IndexLanes const& mask) { return _mm256_movepi32_mask((__m256i)mask); }
+#else
+inline unsigned bits_of(IndexLanes const& mask) {
+  typedef std::int8_t ByteLanes __attribute__((vector_size(lane_count)));
+  constexpr std::uint64_t one_each = 0x0101010101010101, to_top = 0x0102040810204080;
+  auto const bytes = __builtin_convertvector(mask, ByteLanes);
+  return unsigned(((load<std::uint64_t>(&bytes) & one_each) * to_top) >> 56);
+}
+inline unsigned bits_of(WideLanes const& mask) { return bits_of(__builtin_convertvector(mask, IndexLanes)); }
+#endif
 
 /// Read those numbers whose bits are set; zeros for the others.
-inline Lanes load_some(Real const* from, unsigned bits) { return (Lanes)_mm512_maskz_loadu_pd(__mmask8(bits), from); }
+inline Lanes load_some(Real const* from, unsigned bits) {
+#ifdef AMRPIC_AVX512
+  return (Lanes)_mm512_maskz_loadu_pd(__mmask8(bits), from);
+#else
+  Lanes out{};
+  for_each_bit(bits, [&](int i) { out[i] = from[i]; });
+  return out;
+#endif
+}
 
 /// Write those lanes whose bits are set.
 inline void store_some(Real* to, unsigned bits, Lanes const& values) {
+#ifdef AMRPIC_AVX512
   _mm512_mask_storeu_pd(to, __mmask8(bits), (__m512d)values);
+#else
+  for_each_bit(bits, [&](int i) { to[i] = values[i]; });
+#endif
 }
 
-/// Write those lanes side by side whose bits are set, and whatever behind them: eight values in all. Return how many.
+/// Write those lanes side by side whose bits are set, and whatever behind them: up to eight values in all. Return how
+/// many bits are set.
+#ifdef AMRPIC_AVX512
 inline int compress(unsigned bits, Lanes const& from, Real* to) {
   store(to, (Lanes)_mm512_maskz_compress_pd(__mmask8(bits), (__m512d)from));
   return __builtin_popcount(bits);
@@ -56,6 +101,31 @@ inline int compress(unsigned bits, Lanes const& from, Real* to) {
 inline int compress(unsigned bits, IndexLanes const& from, LocalIndex* to) {
   store(to, (IndexLanes)_mm256_maskz_compress_epi32(__mmask8(bits), (__m256i)from));
   return __builtin_popcount(bits);
+}
+#else
+template <class Vector, class T>
+inline int compress(unsigned bits, Vector const& from, T* to) {
+  int n = 0;
+  for_each_bit(bits, [&](int i) { to[n++] = from[i]; });
+  return n;
+}
+#endif
+
+// ---- past the cache ----
+
+/// Write eight numbers to the start of a cache line that will not be read soon, past the cache where that can be done:
+/// the line is not read from memory first, and nothing else is displaced. `stream_end` must follow before others read.
+inline void stream(Real* to, Lanes const& values) {
+#ifdef AMRPIC_AVX512
+  _mm512_stream_pd(to, (__m512d)values);
+#else
+  store(to, values);
+#endif
+}
+inline void stream_end() {
+#ifdef AMRPIC_AVX512
+  _mm_sfence();
+#endif
 }
 
 // ---- to other places ----

@@ -35,7 +35,7 @@ from hierarchies import (
 )
 
 # Whether base extents need no factor: the last box along an axis is then shorter. One switch, to be turned when they may.
-ANY_EXTENT = False
+ANY_EXTENT = True
 
 
 @dataclass(frozen=True)
@@ -172,11 +172,7 @@ def draw_levels(
         if not blocks.any():
             break
         left -= int(grown.sum())
-        extent = fine.shape
-        boxes = boxes_of(blocks, blocking)
-        levels.append(
-            tuple((lower, tuple(min(u, n - 1) for u, n in zip(upper, extent, strict=True))) for lower, upper in boxes)
-        )
+        levels.append(boxes_of(blocks, blocking, fine.shape))
         mask = grown
     return tuple(levels)
 

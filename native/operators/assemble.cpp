@@ -277,7 +277,7 @@ class LevelAssembly {
     Box inside = box;
     for (int d = 0; d < 3; ++d) {
       if (stack_.ratio[l_][d] == 1) continue;
-      if (level_.periodic()[d]) {
+      if (coarser_->periodic()[d]) {
         if (stack_.upper[l_ - 1][d].width == 1) continue;
         // children of the last cell and of its neighbours
         inside.lower[d] = std::max(inside.lower[d], level_.domain().lower[d] + 2);
@@ -306,7 +306,7 @@ class LevelAssembly {
           for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
             terms_.clear();
             prolong(
-                cell, ratio, kind_, *coarse, coarser_->domain(), level_.periodic(), coarse_seam,
+                cell, ratio, kind_, *coarse, coarser_->domain(), coarser_->periodic(), coarse_seam,
                 [&](Index3 const& parent, int axis, int side) {
                   return prolonged_end(stack_, open_walls_, l_ - 1, parent, axis, side);
                 },

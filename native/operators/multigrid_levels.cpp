@@ -12,8 +12,8 @@ constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level whose boxes are ma
 constexpr int alignment = 8;                  ///< of such boxes, so that they can be halved three times
 
 /// By how much to coarsen each axis of a level; all ones if it must stay.
-Index3 coarsening_of(Level const& level) {
-  auto shortens = [&](int d) { return level.domain().extent(d) > 2; };
+Index3 coarsening_of(Level const& level, Domain const& domain) {
+  auto shortens = [&](int d) { return can_be_coarsened(level.domain().extent(d), domain.boundary[d]); };
   Real finest = std::numeric_limits<Real>::infinity();
   for (int d = 0; d < 3; ++d)
     if (shortens(d)) finest = std::min(finest, level.spacing()[d]);
@@ -41,16 +41,18 @@ Shared cut_anew(Box const& domain, int max_grid_size, int ranks, int active) {
 
 std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Box const& domain,
                                      CoarseBoxes const& policy) {
+  std::array<bool, 3> periodic;
+  for (int d = 0; d < 3; ++d) periodic[d] = finer.periodic()[d] && (ratio[d] == 1 || domain.extent(d) > 1);
   Real3 spacing = finer.spacing();
   for (int d = 0; d < 3; ++d) spacing[d] *= ratio[d];
   if (domain.cells() <= policy.whole || (policy.whole > 0 && finer.ranks() == 1))
-    return std::make_shared<Level const>(domain, finer.periodic(), spacing, std::vector<Box>{domain},
+    return std::make_shared<Level const>(domain, periodic, spacing, std::vector<Box>{domain},
                                          std::vector<int>{0, 1}, 0);
   int const worth = int(std::clamp<GlobalIndex>(domain.cells() / cells_per_rank, 1, finer.ranks()));
   Shared shared = halved(finer, ratio, domain);
   if (shared.boxes.empty() || ranks_in_use(finer) > worth)
     shared = cut_anew(domain, policy.max_grid_size, finer.ranks(), worth);
-  return std::make_shared<Level const>(domain, finer.periodic(), spacing, std::move(shared.boxes),
+  return std::make_shared<Level const>(domain, periodic, spacing, std::move(shared.boxes),
                                        std::move(shared.first), finer.rank());
 }
 
@@ -122,7 +124,7 @@ std::vector<int> share_along_curve(std::vector<Box>& boxes, int ranks, int activ
 LevelStack coarsen_below(LevelStack stack, Domain const& domain, CoarseBoxes const& boxes, int most) {
   Real3 const behind = behind_open_walls(stack);
   while (int(stack.base) < most) {
-    Index3 const ratio = coarsening_of(*stack.levels.front());
+    Index3 const ratio = coarsening_of(*stack.levels.front(), domain);
     if (ratio == Index3{1, 1, 1}) break;
     put_below(stack, domain, ratio, behind, boxes);
   }

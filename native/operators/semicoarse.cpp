@@ -12,13 +12,17 @@ namespace {
 
 using Faces = std::array<std::array<Boundary, 2>, 3>;
 
+
 /// Cells of a refinement level as a copy with `size` of them per cell along each axis sees them. Corrections vanish at the
 /// centres of the coarser level's cells around the level, one of its own cells beyond its faces, and at walls.
 class Cells {
  public:
   Cells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
       : level_(std::move(level)), boundary_(boundary), size_(size), domain_(domain) {
-    for (int d = 0; d < 3; ++d) reach_[d] = size[d] > 1;
+    for (int d = 0; d < 3; ++d) {
+      whole_[d] = size[d] > 1 && domain.extent(d) == 1 && is_closed(boundary[d]);
+      reach_[d] = size[d] > 1 && !whole_[d];
+    }
   }
 
   /// The cells to keep, as disjoint boxes.
@@ -60,10 +64,15 @@ class Cells {
   bool is_wall(int axis, int side) const { return boundary_[axis][side] != Boundary::periodic; }
 
   /// The level's cells within a quarter of a spacing of a cell's centre; inside the domain where half a cell is kept
-  /// anyway.
+  /// anyway. All cells along a closed axis where there is one for all of them: it stands for what is constant there.
   Box core(Index3 const& cell) const {
     Box out;
     for (int d = 0; d < 3; ++d) {
+      if (whole_[d]) {
+        out.lower[d] = level_->domain().lower[d];
+        out.upper[d] = level_->domain().upper[d];
+        continue;
+      }
       out.lower[d] = size_[d] * cell[d] + size_[d] / 4;
       out.upper[d] = size_[d] * (cell[d] + 1) - 1 - size_[d] / 4;
       Boundary const upper = boundary_[d][1];
@@ -110,17 +119,18 @@ class Cells {
   Index3 size_;
   Box domain_;  ///< of the copy
   Index3 reach_;
+  std::array<bool, 3> whole_;
 };
 
 /// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing while another spacing is more than
 /// twice that, else all ones.
-Index3 semicoarsening_of(Level const& level) {
+Index3 semicoarsening_of(Level const& level, Faces const& boundary) {
   Real3 const& h = level.spacing();
   Real const finest = *std::min_element(h.begin(), h.end());
   Index3 ratio{1, 1, 1};
   if (!has_long_cells(level)) return ratio;
   for (int d = 0; d < 3; ++d)
-    if (h[d] <= 1.5 * finest && level.domain().extent(d) > 2) ratio[d] = 2;
+    if (h[d] <= 1.5 * finest && can_be_coarsened(level.domain().extent(d), boundary[d])) ratio[d] = 2;
   return ratio;
 }
 
@@ -138,6 +148,8 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
   Box domain = above.level->domain();
   Real3 spacing = above.level->spacing();
   Index3 size = above.size;
+  std::array<bool, 3> periodic = above.level->periodic();
+  bool one_for_all = false;  // along a closed axis
   std::array<std::array<Real, 2>, 3> wall_factor{};  // for prolongation
   for (int d = 0; d < 3; ++d) {
     if (ratio[d] == 1) continue;
@@ -157,18 +169,20 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
           kind == Boundary::open ? WallGhost{open, 0, 0} : coarse_wall_ghost(kind, axis.cells, end);
       wall_factor[d][side] = kind == Boundary::open ? open : prolonged_wall_ghost(kind, end);
     }
+    one_for_all = one_for_all || (axis.cells == 1 && is_closed(boundary[d]));
+    periodic[d] = periodic[d] && axis.cells > 1;
   }
   auto const cells = std::make_shared<Cells const>(level, boundary, size, domain);
   out.beyond = [cells, size](Index3 const& cell, int axis, int side) -> WallGhost {
     if (size[axis] == 1) return {interface_ghost::first, interface_ghost::second, 0};
     return {ghost_that_vanishes(cells->distance(cell, axis, side)), 0, 0};
   };
-  std::array<bool, 3> const periodic = above.level->periodic();
   out.prolonged = [beyond = out.beyond, wall_factor, domain, periodic](Index3 const& cell, int axis, int side) {
     bool const at_wall = !periodic[axis] && cell[axis] == (side == 0 ? domain.lower[axis] : domain.upper[axis]);
     return at_wall ? wall_factor[axis][side] : beyond(cell, axis, side).first;
   };
-  Shared shared = halved(*above.level, ratio, domain);
+  Shared shared;
+  if (!one_for_all) shared = halved(*above.level, ratio, domain);
   if (shared.boxes.empty()) {
     for (Box const& box : cells->kept())
       for (Box const& piece : cut(box, max_grid_size, 1)) shared.boxes.push_back(piece);
@@ -190,7 +204,7 @@ std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& lev
                                          Faces const& boundary, int max_grid_size) {
   std::vector<LevelCopy> out;
   Above above{level, {1, 1, 1}, walls, {}};
-  for (Index3 ratio; (ratio = semicoarsening_of(*above.level)) != Index3{1, 1, 1};) {
+  for (Index3 ratio; (ratio = semicoarsening_of(*above.level, boundary)) != Index3{1, 1, 1};) {
     LevelCopy copy = copy_of(above, ratio, level, boundary, max_grid_size);
     if (copy.level->box_count() == 0) break;
     for (int d = 0; d < 3; ++d) above.size[d] *= ratio[d];

@@ -36,12 +36,24 @@ inline CoarseAxis coarsened(int cells, UpperEnd const& end, Boundary upper, Real
   return kept + behind / 2 >= 0.25 ? CoarseAxis{(cells + 1) / 2, {kept, 1}} : CoarseAxis{(cells - 1) / 2, {(end.wall + 1.5) / 2, 1}};
 }
 
+/// Whether no wall along an axis keeps corrections from being constant there. Such axes are coarsened down to one cell,
+/// since relaxing does not reduce what is constant along them.
+inline bool is_closed(std::array<Boundary, 2> const& ends) {
+  return ends[0] == Boundary::periodic || (ends[0] == Boundary::neumann && ends[1] == Boundary::neumann);
+}
+
+/// Whether an axis with so many cells is coarsened further.
+inline bool can_be_coarsened(int cells, std::array<Boundary, 2> const& ends) {
+  return cells > (is_closed(ends) ? 1 : 2);
+}
+
 /// Factor of the last cell in the ghost of a correction that vanishes `distance` spacings behind its centre.
 inline Real ghost_that_vanishes(Real distance) { return 1 - 1 / distance; }
 
 /// Wall ghosts of corrections on multigrid levels along the axes that these coarsen: the correction vanishes on a
 /// Dirichlet face; no flux passes a Neumann face, whose last cell has a width of its own. Behind an open face it vanishes
-/// at a distance of its own (see OpenWalls).
+/// at a distance of its own (see OpenWalls). A single cell around a periodic axis is its own neighbour and exchanges
+/// nothing; its level is not periodic any more.
 inline WallGhost coarse_wall_ghost(Boundary kind, int cells, UpperEnd const& end) {
   switch (kind) {
     case Boundary::dirichlet:
@@ -49,8 +61,9 @@ inline WallGhost coarse_wall_ghost(Boundary kind, int cells, UpperEnd const& end
     case Boundary::neumann:
       // (inner - last) / width, as inner - 2 last + ghost
       return cells == 1 ? WallGhost{1.0, 0.0, 0.0} : WallGhost{2 - 1 / end.width, 1 / end.width - 1, 0.0};
-    case Boundary::open:
     case Boundary::periodic:
+      return {1.0, 0.0, 0.0};
+    case Boundary::open:
       break;
   }
   return {0.0, 0.0, 0.0};
@@ -58,7 +71,7 @@ inline WallGhost coarse_wall_ghost(Boundary kind, int cells, UpperEnd const& end
 
 /// The same for prolongation, which is linear up to the wall, or constant where no flux passes.
 inline Real prolonged_wall_ghost(Boundary kind, UpperEnd const& end) {
-  return kind == Boundary::dirichlet ? ghost_that_vanishes(end.wall) : kind == Boundary::neumann ? 1 : 0;
+  return kind == Boundary::dirichlet ? ghost_that_vanishes(end.wall) : kind == Boundary::open ? 0 : 1;
 }
 
 /// Factor of the difference to the neighbour of cell i on a side, along a periodic axis whose last of n cells has a width

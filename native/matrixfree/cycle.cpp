@@ -46,12 +46,6 @@ Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l
 
 constexpr GlobalIndex held_by_all = 10000;  ///< cells of a level that every rank relaxes faster than it hears of others
 
-/// Where cells are long or flat, errors couple along fewer axes, and the best over-relaxation lies closer to one.
-Relaxation relaxation_of(Relaxation relaxation, Level const& level) {
-  if (has_long_cells(level)) relaxation.factor = 1 + 0.6 * (relaxation.factor - 1);
-  return relaxation;
-}
-
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
 WallGhosts walls_of_coarsest(LevelStack const& stack, OpenWalls const& open_walls) {
   WallGhosts out = stack.walls.front();
@@ -77,7 +71,8 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
   for (std::size_t l = 0; l < stack_.levels.size(); ++l) {
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
-    Relaxation const own = relaxation_of(relaxation, *stack_.levels[l]);
+    Relaxation own = relaxation;
+    own.factor = relaxation_on(*stack_.levels[l], relaxation.factor);
     std::vector<LevelCopy> copies;
     if (stack_.refines(l))
       copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());

@@ -6,6 +6,7 @@
 
 #include "base/rows.hpp"
 #include "base/runtime.hpp"
+#include "operators/semicoarse.hpp"
 #include "operators/tpetra.hpp"
 
 namespace amrpic {
@@ -40,7 +41,7 @@ class RedBlack : public Smoother {
       : operators_(operators),
         pre_sweeps_(options.pre_sweeps),
         post_sweeps_(options.post_sweeps),
-        relaxation_(options.relaxation),
+        relaxation_(relaxation_on(*operators.level, options.relaxation)),
         colour_(colours(*operators.level)) {}
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {

@@ -7,6 +7,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+from amrpic import isa
 from amrpic.errors import SolverError
 from amrpic.poisson import PoissonSolver
 from exact import EPS0, STATIC, errors, observed_order, solve_static, static_hierarchy
@@ -42,8 +43,10 @@ def test_static_64_takes_seven_cycles_on_any_decomposition(comm, max_grid_size):
     assert report.converged
     assert report.cycles == 7
     assert max(np.divide(report.residuals[2:], report.residuals[1:-1])) < 0.05
-    # the history of the cycle is the same on any decomposition, but for the rounding of single precision
-    assert report.residuals[1] == pytest.approx(HISTORY["matrix-free"][0], rel=1e-6)
+    # the history of the cycle is the same on any decomposition, but for the rounding of single precision, which is another
+    # one on processors without fused multiply-adds
+    rounding = 1e-3 if isa.in_use == "v2" else 1e-6
+    assert report.residuals[1] == pytest.approx(HISTORY["matrix-free"][0], rel=rounding)
     assert report.residuals[2:4] == pytest.approx(HISTORY["matrix-free"][1:], rel=3e-3)
 
 

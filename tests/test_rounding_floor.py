@@ -38,7 +38,8 @@ MESHES = [
 ]
 
 
-def solver_and_charge(walls, refined, aspect, source, norm, backend, tolerance):
+def solver_and_charge(mesh, backend, tolerance):
+    walls, refined, aspect, source, norm = mesh
     cells = 32 if aspect < 30 and LONG else 16
     middle = [[((cells // 2,) * 3, (3 * cells // 2 - 1,) * 3)]] if refined else ()
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary=walls)
@@ -52,13 +53,13 @@ def solver_and_charge(walls, refined, aspect, source, norm, backend, tolerance):
 @pytest.mark.parametrize("backend", ["matrix-free", "crs"] if LONG else ["matrix-free"])
 @pytest.mark.parametrize("number", range(0, 50, 1 if LONG else 6))
 def test_floor_is_what_a_solve_without_tolerance_reaches(number, backend):
-    solver, rho = solver_and_charge(*MESHES[number], backend, 0.0)
+    solver, rho = solver_and_charge(MESHES[number], backend, 0.0)
     _, report = solver.solve(rho)
     assert report.converged and "rounding floor" in report.reason
     reached = min(report.residuals)
     assert report.floor / 10 < reached < 10 * report.floor
 
-    solver, rho = solver_and_charge(*MESHES[number], backend, 1.5 * reached)
+    solver, rho = solver_and_charge(MESHES[number], backend, 1.5 * reached)
     _, report = solver.solve(rho)
     assert report.reason == "tolerance reached" and report.floor == 0
 

@@ -33,8 +33,7 @@ FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::arr
   // A wall's second cell, or a volume of its own, makes the matrix unsymmetric; in other units of each cell it is
   // symmetric.
   std::vector<Real> unit(size, 1.0);
-  for (int i = 1; i < n; ++i)
-    unit[std::size_t(i)] = unit[std::size_t(i - 1)] * std::sqrt(at(i, i - 1) / at(i - 1, i));
+  for (int i = 1; i < n; ++i) unit[std::size_t(i)] = unit[std::size_t(i - 1)] * std::sqrt(at(i, i - 1) / at(i - 1, i));
   for (int j = 0; j < n; ++j)
     for (int i = 0; i < n; ++i) at(i, j) *= unit[std::size_t(j)] / unit[std::size_t(i)];
 

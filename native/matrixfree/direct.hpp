@@ -10,8 +10,8 @@ namespace amrpic::matrixfree {
 /// the product of their eigenvectors it is diagonal (Lynch, Rice and Thomas, Numer. Math. 6, 185, 1964).
 class FastDiagonalisation {
  public:
-  /// sum over axes of weight_d (lower neighbour - 2 + upper neighbour), with ghosts behind walls, and with finite volumes
-  /// where the last cell of a periodic axis has a width of its own.
+  /// sum over axes of weight_d (lower neighbour - 2 + upper neighbour), with ghosts behind walls, and with finite
+  /// volumes where the last cell of a periodic axis has a width of its own.
   FastDiagonalisation(Index3 const& cells, Real3 const& weight, WallGhosts const& walls,
                       std::array<bool, 3> const& periodic, Real3 const& seam_width);
 

@@ -41,8 +41,8 @@ struct Halo {
 /// that the size of boxes hardly matters, then the halo.
 class Layout {
  public:
-  /// `halo`: how many cells deep the copies of other ranks' cells are. Along axes with a `seam` the last plane of cells is
-  /// a block of its own, since what it exchanges with its neighbours is not what others do.
+  /// `halo`: how many cells deep the copies of other ranks' cells are. Along axes with a `seam` the last plane of cells
+  /// is a block of its own, since what it exchanges with its neighbours is not what others do.
   Layout(Level const& level, int halo, std::array<bool, 3> const& seam);
 
   std::vector<Block> const& blocks() const { return blocks_; }  ///< own ones first
@@ -70,8 +70,8 @@ class Layout {
   /// Place of a cell, also where its image is read in place; -1 if it is not in memory.
   std::ptrdiff_t find(Index3 const& cell) const;
 
-  /// Call f(block, part, shift) where a region meets blocks, images that are read in place first: `part` in the region's
-  /// indices, `part` minus `shift` inside the block.
+  /// Call f(block, part, shift) where a region meets blocks, images that are read in place first: `part` in the
+  /// region's indices, `part` minus `shift` inside the block.
   template <class F>
   void for_each_overlap(Box const& region, F&& f) const {
     for (auto const& shift : images(region))

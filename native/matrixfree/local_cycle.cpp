@@ -26,7 +26,7 @@ LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, R
     : fine_(fine),
       relaxation_(of_copies(relaxation)),
       swept_(comm, copy.level, ends_of(copy), relaxation_, relaxation_.halo()),
-      coarsening_(comm, fine, swept_, copy.ratio, false, 
+      coarsening_(comm, fine, swept_, copy.ratio, false,
                   CoarseEnds{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
 
 std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stages) {

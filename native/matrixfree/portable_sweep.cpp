@@ -121,9 +121,7 @@ void add_shares(Plane const& p, Parents const& parents, float share, float* coar
 }
 
 /// Whether a row is the `offset`-th child of its parents.
-bool has_offset(Parents const& parents, int j, int offset) {
-  return (j + parents.odd[1]) % parents.ratio[1] == offset;
-}
+bool has_offset(Parents const& parents, int j, int offset) { return (j + parents.odd[1]) % parents.ratio[1] == offset; }
 
 }  // namespace
 
@@ -159,7 +157,8 @@ void prolong(Plane const& p, Parents const& parents, float const* coarse, bool s
     float* const row = e + p.block.cells.place(0, j, k);
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)), [&](int i) {
       int const cell[3] = {i, j, k};
-      float const* const parent = coarse + parents.cells.place(parents.parent(0, i), parents.parent(1, j), parents.parent(2, k));
+      float const* const parent =
+          coarse + parents.cells.place(parents.parent(0, i), parents.parent(1, j), parents.parent(2, k));
       float sum = 0;
       for (int corner = 0; corner < 8; ++corner) {
         float share = 1;

@@ -10,9 +10,9 @@ namespace amrpic::matrixfree {
 struct Parents {
   Rectangle cells;  ///< the parent of the block's lower corner, and the pitches
   Index3 ratio;
-  Index3 odd{0, 0, 0};  ///< 1 along axes where the block's lower corner is the second child of its parent
-  Index3 extent;        ///< parents that take residuals
-  Index3 last{-1, -1, -1};             ///< place in the block of the level's last cell, where children weigh otherwise
+  Index3 odd{0, 0, 0};      ///< 1 along axes where the block's lower corner is the second child of its parent
+  Index3 extent;            ///< parents that take residuals
+  Index3 last{-1, -1, -1};  ///< place in the block of the level's last cell, where children weigh otherwise
   std::array<LastChildren, 3> weight;  ///< that and the one before it
   Index3 first{0, 0, 0};               ///< index of the parent of the lower corner
   Index3 seam{0, 0, 0};                ///< parents around a periodic axis whose last one has a width of its own, else 0
@@ -20,7 +20,8 @@ struct Parents {
 
   int parent(int axis, int i) const { return (i + odd[axis]) / ratio[axis]; }
   bool is_first_child(int axis, int i) const { return i == 0 || (i + odd[axis]) % ratio[axis] == 0; }
-  /// Where between parents a cell lies: its other parent along an axis is the next lower or higher one, or there is none.
+  /// Where between parents a cell lies: its other parent along an axis is the next lower or higher one, or there is
+  /// none.
   int toward(int axis, int i) const { return ratio[axis] == 1 ? 0 : (i + odd[axis]) % 2 == 0 ? -1 : 1; }
   /// What it takes of that one.
   float far(int axis, int i) const {

@@ -12,9 +12,7 @@ namespace amrpic {
 struct Seam {
   int first = 0, period = 0;  ///< period 0: nowhere
 
-  bool lies_before(int i) const {
-    return period > 0 && ((i - first) % period == 0 || (i - first - 1) % period == 0);
-  }
+  bool lies_before(int i) const { return period > 0 && ((i - first) % period == 0 || (i - first - 1) % period == 0); }
 };
 
 /// Fewer, larger boxes that hold the same cells: neighbours with a common face of equal extent are joined.

@@ -248,8 +248,7 @@ class LevelAssembly {
     else if (special(0, first[0] + run.count - 1))
       --regular.count;
     if (regular.count > 0) restriction_->put_run(regular, std::size_t(ratio[0] * ratio[1] * ratio[2]));
-    for (LocalIndex n = regular.count; n < run.count; ++n)
-      put({first[0] + int(n), first[1], first[2]}, run.row + n);
+    for (LocalIndex n = regular.count; n < run.count; ++n) put({first[0] + int(n), first[1], first[2]}, run.row + n);
   }
 
   void fill_laplacians(int b, Exchange const& halo) {
@@ -271,8 +270,8 @@ class LevelAssembly {
       }
   }
 
-  /// Prolongation reads beyond the parents' domain in cells at walls, along axes that it interpolates; where half a pair
-  /// was dropped, in two.
+  /// Prolongation reads beyond the parents' domain in cells at walls, along axes that it interpolates; where half a
+  /// pair was dropped, in two.
   RowKinds prolongation_kinds(Box const& box) const {
     Box inside = box;
     for (int d = 0; d < 3; ++d) {
@@ -299,21 +298,21 @@ class LevelAssembly {
     Index3 const ratio = stack_.ratio[l_];
     Real3 const coarse_seam = seam_widths(coarser_->periodic(), stack_.upper[l_ - 1]);
     std::optional<Window<GlobalIndex>> coarse;
-    for_each_run(
-        prolongation_kinds(box), level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
-          if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
-          if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
-          for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-            terms_.clear();
-            prolong(
-                cell, ratio, kind_, *coarse, coarser_->domain(), coarser_->periodic(), coarse_seam,
-                [&](Index3 const& parent, int axis, int side) {
-                  return prolonged_end(stack_, open_walls_, l_ - 1, parent, axis, side);
-                },
-                [&](GlobalIndex c, Real w) { terms_.coarse_row.append(c, w); });
-            prolongation_->put(row, terms_.coarse_row);
-          });
-        });
+    for_each_run(prolongation_kinds(box), level_.local_offset(b),
+                 [&](RowKind kind, Index3 const& first, Run const& run) {
+                   if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
+                   if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
+                   for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+                     terms_.clear();
+                     prolong(
+                         cell, ratio, kind_, *coarse, coarser_->domain(), coarser_->periodic(), coarse_seam,
+                         [&](Index3 const& parent, int axis, int side) {
+                           return prolonged_end(stack_, open_walls_, l_ - 1, parent, axis, side);
+                         },
+                         [&](GlobalIndex c, Real w) { terms_.coarse_row.append(c, w); });
+                     prolongation_->put(row, terms_.coarse_row);
+                   });
+                 });
   }
 
   void fill_prolongation(int b, Exchange const& halo) {

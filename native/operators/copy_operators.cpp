@@ -61,8 +61,8 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy) {
   return out;
 }
 
-/// A value of a copy, or beyond its end what corrections are there: emit(cell number, weight). Ends are passed axis after
-/// axis; `passes` of the six sides may be.
+/// A value of a copy, or beyond its end what corrections are there: emit(cell number, weight). Ends are passed axis
+/// after axis; `passes` of the six sides may be.
 template <class Emit>
 bool emit_value(LevelCopy const& copy, Window<GlobalIndex> const& number, Index3 const& cell, Real weight, int passes,
                 Emit& emit) {

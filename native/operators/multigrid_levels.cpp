@@ -46,14 +46,14 @@ std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Bo
   Real3 spacing = finer.spacing();
   for (int d = 0; d < 3; ++d) spacing[d] *= ratio[d];
   if (domain.cells() <= policy.whole || (policy.whole > 0 && finer.ranks() == 1))
-    return std::make_shared<Level const>(domain, periodic, spacing, std::vector<Box>{domain},
-                                         std::vector<int>{0, 1}, 0);
+    return std::make_shared<Level const>(domain, periodic, spacing, std::vector<Box>{domain}, std::vector<int>{0, 1},
+                                         0);
   int const worth = int(std::clamp<GlobalIndex>(domain.cells() / cells_per_rank, 1, finer.ranks()));
   Shared shared = halved(finer, ratio, domain);
   if (shared.boxes.empty() || ranks_in_use(finer) > worth)
     shared = cut_anew(domain, policy.max_grid_size, finer.ranks(), worth);
-  return std::make_shared<Level const>(domain, periodic, spacing, std::move(shared.boxes),
-                                       std::move(shared.first), finer.rank());
+  return std::make_shared<Level const>(domain, periodic, spacing, std::move(shared.boxes), std::move(shared.first),
+                                       finer.rank());
 }
 
 /// How far behind upper open walls corrections vanish at the least: half a cell of the finest level there.
@@ -78,8 +78,8 @@ void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, Rea
   for (int d = 0; d < 3; ++d) {
     // Along an axis that keeps its cells, errors which oscillate meet the finer level's wall on every level below.
     if (ratio[d] == 1) continue;
-    CoarseAxis const axis = coarsened(region.extent(d), upper[d], domain.boundary[d][1],
-                                       behind[d] / finer.spacing()[d]);
+    CoarseAxis const axis =
+        coarsened(region.extent(d), upper[d], domain.boundary[d][1], behind[d] / finer.spacing()[d]);
     region.upper[d] = axis.cells - 1;
     upper[d] = axis.end;
     walls[d] = {coarse_wall_ghost(domain.boundary[d][0], axis.cells, {}),

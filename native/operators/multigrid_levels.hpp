@@ -11,8 +11,9 @@ struct CoarseBoxes {
   GlobalIndex whole = 0;  ///< levels of at most so many cells are held whole by every rank: Levels of one rank
 };
 
-/// The stack with multigrid levels put below its base, at most so many in all: each the one above with cells paired along
-/// the axes of smallest spacing, whatever their number; the last one has at most 64 cells unless `most` is reached.
+/// The stack with multigrid levels put below its base, at most so many in all: each the one above with cells paired
+/// along the axes of smallest spacing, whatever their number; the last one has at most 64 cells unless `most` is
+/// reached.
 ///
 /// Boxes stay on their ranks while they can be halved with all children of a cell in one box, and while there is enough
 /// to do on each rank; else larger ones are made, on fewer ranks as levels shrink.
@@ -24,8 +25,8 @@ struct Shared {
   std::vector<int> first;
 };
 
-/// A level's boxes halved along some axes, on the same ranks; none if a cell's children would not fill a box, except at the
-/// domain's upper end, or would be in two boxes on the next coarser level. `domain`: the coarser one.
+/// A level's boxes halved along some axes, on the same ranks; none if a cell's children would not fill a box, except at
+/// the domain's upper end, or would be in two boxes on the next coarser level. `domain`: the coarser one.
 Shared halved(Level const& finer, Index3 const& ratio, Box const& domain);
 
 /// Sort boxes along the curve, and share them by cells among the first `active` ranks: where each rank's run starts.

@@ -36,8 +36,8 @@ struct LevelOperators {
   std::shared_ptr<Level const> level;
   WallGhosts walls;
   Real3 last_width{1, 1, 1};  ///< of last cells, see `UpperEnd`
-  Exchange halo;          ///< all cells of this level that any operator reads: numbering of its vectors
-  Exchange stencil_halo;  ///< the part of it that `no_fine` reads
+  Exchange halo;              ///< all cells of this level that any operator reads: numbering of its vectors
+  Exchange stencil_halo;      ///< the part of it that `no_fine` reads
 
   Crs no_fine;
   std::optional<Crs> own_composite;      ///< kept apart only where a finer level exists

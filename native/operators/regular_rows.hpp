@@ -15,8 +15,8 @@ enum class RowKind : char {
 
 using RowKinds = Window<RowKind>;
 
-/// Kinds of the rows of a box as if nothing finer existed; `numbers` reaches at least one cell beyond it. `seam_width`: of
-/// last cells along periodic axes.
+/// Kinds of the rows of a box as if nothing finer existed; `numbers` reaches at least one cell beyond it. `seam_width`:
+/// of last cells along periodic axes.
 RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers,
                              Real3 const& seam_width = {1, 1, 1});
 

@@ -12,9 +12,8 @@ namespace {
 
 using Faces = std::array<std::array<Boundary, 2>, 3>;
 
-
-/// Cells of a refinement level as a copy with `size` of them per cell along each axis sees them. Corrections vanish at the
-/// centres of the coarser level's cells around the level, one of its own cells beyond its faces, and at walls.
+/// Cells of a refinement level as a copy with `size` of them per cell along each axis sees them. Corrections vanish at
+/// the centres of the coarser level's cells around the level, one of its own cells beyond its faces, and at walls.
 class Cells {
  public:
   Cells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
@@ -149,7 +148,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
   Real3 spacing = above.level->spacing();
   Index3 size = above.size;
   std::array<bool, 3> periodic = above.level->periodic();
-  bool one_for_all = false;  // along a closed axis
+  bool one_for_all = false;                          // along a closed axis
   std::array<std::array<Real, 2>, 3> wall_factor{};  // for prolongation
   for (int d = 0; d < 3; ++d) {
     if (ratio[d] == 1) continue;
@@ -165,8 +164,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
       Boundary const kind = boundary[d][side];
       // an open wall's potential is given half a cell of the refinement level behind it
       Real const open = ghost_that_vanishes(end.wall + 0.5 / size[d]);
-      out.walls[d][side] =
-          kind == Boundary::open ? WallGhost{open, 0, 0} : coarse_wall_ghost(kind, axis.cells, end);
+      out.walls[d][side] = kind == Boundary::open ? WallGhost{open, 0, 0} : coarse_wall_ghost(kind, axis.cells, end);
       wall_factor[d][side] = kind == Boundary::open ? open : prolonged_wall_ghost(kind, end);
     }
     one_for_all = one_for_all || (axis.cells == 1 && is_closed(boundary[d]));

@@ -11,8 +11,8 @@ namespace amrpic {
 /// Whether the cells of a level are so long or flat, more than 2 to 1, that relaxing points is not enough to smooth it.
 bool has_long_cells(Level const& level);
 
-/// The over-relaxation on a level, of that for cubes: where cells are long or flat, errors couple along fewer axes, and the
-/// best one lies closer to one.
+/// The over-relaxation on a level, of that for cubes: where cells are long or flat, errors couple along fewer axes, and
+/// the best one lies closer to one.
 inline Real relaxation_on(Level const& level, Real relaxation) {
   return has_long_cells(level) ? 1 + 0.6 * (relaxation - 1) : relaxation;
 }
@@ -32,10 +32,11 @@ struct LevelCopy {
   std::function<Real(Index3 const&, int, int)> prolonged;
 };
 
-/// The copies of a refinement level, finer ones first, until their cells are no longer long; none for cells that are not.
+/// The copies of a refinement level, finer ones first, until their cells are no longer long; none for cells that are
+/// not.
 ///
-/// The cells of a copy follow from those of the level alone, not from its boxes: one is kept where corrections vanish no
-/// nearer to its centre than a quarter of its spacing. `walls` are those of the level.
+/// The cells of a copy follow from those of the level alone, not from its boxes: one is kept where corrections vanish
+/// no nearer to its centre than a quarter of its spacing. `walls` are those of the level.
 std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,
                                          std::array<std::array<Boundary, 2>, 3> const& boundary, int max_grid_size);
 

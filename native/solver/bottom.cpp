@@ -85,8 +85,9 @@ std::vector<Real> volumes_of(LevelOperators const& operators) {
 }
 
 /// The matrix times the volumes of its cells, which makes it symmetric where the ghosts do not prevent it, and over its
-/// first diagonal entry, which is negative as all are: positive definite, of order one in any units. A singular one gets
-/// its first diagonal entry doubled: for a right-hand side without net charge this picks the solution that vanishes there.
+/// first diagonal entry, which is negative as all are: positive definite, of order one in any units. A singular one
+/// gets its first diagonal entry doubled: for a right-hand side without net charge this picks the solution that
+/// vanishes there.
 Real normalise(Crs& matrix, std::vector<Real> const& volume, bool singular) {
   for (LocalIndex row = 0; row < matrix.rows(); ++row)
     for (std::size_t k = matrix.row_start[row]; k < matrix.row_start[row + 1]; ++k)

@@ -17,8 +17,7 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
                            options_.coarse_levels)),
       operators_(assembled(reusable)),
       transfer_(hierarchy_),
-      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), hierarchy_->max_grid_size(),
-                 options_),
+      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), hierarchy_->max_grid_size(), options_),
       messages_before_(halo_sum(&Exchange::messages)),
       bytes_before_(halo_sum(&Exchange::bytes)),
       krylov_(make_krylov(options_.krylov, equations())) {

@@ -49,8 +49,7 @@ std::vector<LevelOperators const*> LocalCycle::own_levels() const {
 /// Add what the coarser copies find for the residual.
 void LocalCycle::correct(std::vector<Real> const& f, std::vector<Real>& x) {
   operators_.stencil_halo.update(x.data());
-  for_rows(operators_.rows(),
-           [&](LocalIndex row) { residual_[row] = f[row] - operators_.no_fine.dot(row, x.data()); });
+  for_rows(operators_.rows(), [&](LocalIndex row) { residual_[row] = f[row] - operators_.no_fine.dot(row, x.data()); });
   copy_.above.update(residual_.data());
   multiply(copy_.restriction, residual_.data(), coarse_f_.data());
   coarse_->smooth_from_zero(coarse_f_, coarse_x_);

@@ -30,8 +30,8 @@ class LocalCycle : public Smoother {
   std::vector<Real> residual_, coarse_f_, coarse_x_, values_;
 };
 
-/// The smoother of a refinement level: the one that the options name, in a V-cycle of its own where the level has copies.
-/// Collective.
+/// The smoother of a refinement level: the one that the options name, in a V-cycle of its own where the level has
+/// copies. Collective.
 std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies,
                                                 std::size_t count, SolverOptions const& options);
 

@@ -52,8 +52,7 @@ Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators cons
       auto const copies = semicoarse_copies(o.level, o.walls, stack.boundary, max_grid_size);
       smoother = make_refined_smoother(comm, o, copies.data(), copies.size(), options);
     }
-    if (l > 0 && !smoother)
-      smoother = make_smoother(comm, o, options);
+    if (l > 0 && !smoother) smoother = make_smoother(comm, o, options);
     levels_.emplace_back(o, std::move(smoother));
   }
 }

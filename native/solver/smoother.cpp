@@ -13,8 +13,8 @@ namespace amrpic {
 
 namespace {
 
-/// Rows of a level by the parity of i + j + k in the level's global indices, which no decomposition changes; around an odd
-/// number of cells two of one parity meet, so the last ones are colours of their own.
+/// Rows of a level by the parity of i + j + k in the level's global indices, which no decomposition changes; around an
+/// odd number of cells two of one parity meet, so the last ones are colours of their own.
 std::vector<std::vector<LocalIndex>> colours(Level const& level) {
   std::array<int, 3> odd_last;
   int rings = 0;

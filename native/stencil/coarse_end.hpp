@@ -26,14 +26,15 @@ struct CoarseAxis {
 
 /// The coarser level's cells along an axis with `cells` cells, and where it ends.
 ///
-/// Where the correction vanishes at a wall, or `behind` spacings behind an open one, half a pair is kept as a whole cell if
-/// that place is at least a quarter of a spacing from its centre, else it is dropped. Elsewhere it is kept as a finite
-/// volume of its own width.
+/// Where the correction vanishes at a wall, or `behind` spacings behind an open one, half a pair is kept as a whole
+/// cell if that place is at least a quarter of a spacing from its centre, else it is dropped. Elsewhere it is kept as a
+/// finite volume of its own width.
 inline CoarseAxis coarsened(int cells, UpperEnd const& end, Boundary upper, Real behind) {
   if (cells % 2 == 0) return {cells / 2, {(end.wall + 0.5) / 2, (end.width + 1) / 2}};
   if (upper == Boundary::neumann || upper == Boundary::periodic) return {(cells + 1) / 2, {0.5, end.width / 2}};
   Real const kept = (end.wall - 0.5) / 2;
-  return kept + behind / 2 >= 0.25 ? CoarseAxis{(cells + 1) / 2, {kept, 1}} : CoarseAxis{(cells - 1) / 2, {(end.wall + 1.5) / 2, 1}};
+  return kept + behind / 2 >= 0.25 ? CoarseAxis{(cells + 1) / 2, {kept, 1}}
+                                   : CoarseAxis{(cells - 1) / 2, {(end.wall + 1.5) / 2, 1}};
 }
 
 /// Whether no wall along an axis keeps corrections from being constant there. Such axes are coarsened down to one cell,
@@ -51,9 +52,9 @@ inline bool can_be_coarsened(int cells, std::array<Boundary, 2> const& ends) {
 inline Real ghost_that_vanishes(Real distance) { return 1 - 1 / distance; }
 
 /// Wall ghosts of corrections on multigrid levels along the axes that these coarsen: the correction vanishes on a
-/// Dirichlet face; no flux passes a Neumann face, whose last cell has a width of its own. Behind an open face it vanishes
-/// at a distance of its own (see OpenWalls). A single cell around a periodic axis is its own neighbour and exchanges
-/// nothing; its level is not periodic any more.
+/// Dirichlet face; no flux passes a Neumann face, whose last cell has a width of its own. Behind an open face it
+/// vanishes at a distance of its own (see OpenWalls). A single cell around a periodic axis is its own neighbour and
+/// exchanges nothing; its level is not periodic any more.
 inline WallGhost coarse_wall_ghost(Boundary kind, int cells, UpperEnd const& end) {
   switch (kind) {
     case Boundary::dirichlet:
@@ -74,8 +75,8 @@ inline Real prolonged_wall_ghost(Boundary kind, UpperEnd const& end) {
   return kind == Boundary::dirichlet ? ghost_that_vanishes(end.wall) : kind == Boundary::open ? 0 : 1;
 }
 
-/// Factor of the difference to the neighbour of cell i on a side, along a periodic axis whose last of n cells has a width
-/// of its own: finite volumes, over that of ordinary cells. Indices beyond the axis are those of images.
+/// Factor of the difference to the neighbour of cell i on a side, along a periodic axis whose last of n cells has a
+/// width of its own: finite volumes, over that of ordinary cells. Indices beyond the axis are those of images.
 inline Real seam_factor(int i, int side, int n, Real width) {
   auto const is_last = [n](int c) { return ((c + 1) % n + n) % n == 0; };
   Real const distance = (1 + width) / 2;
@@ -83,8 +84,8 @@ inline Real seam_factor(int i, int side, int n, Real width) {
   return is_last(side == 0 ? i - 1 : i + 1) ? 1 / distance : 1;
 }
 
-/// What a child of cell i takes of the neighbour on its side, over what it does elsewhere, when prolongation meets a last
-/// cell with a width of its own: linear towards that cell, constant in it.
+/// What a child of cell i takes of the neighbour on its side, over what it does elsewhere, when prolongation meets a
+/// last cell with a width of its own: linear towards that cell, constant in it.
 inline Real prolonged_seam(int i, int side, int n, Real width) {
   return width != 1 && ((i + 1) % n + n) % n == 0 ? 0 : seam_factor(i, side, n, width);
 }

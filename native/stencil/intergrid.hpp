@@ -8,9 +8,9 @@ namespace amrpic {
 enum class Prolongation { constant, trilinear };
 
 /// A fine cell's value from the coarser level, as emit(coarse cell number, weight): its parent's, or trilinear with 3/4
-/// for the parent and 1/4 for the neighbour on the cell's side along each refined axis. A cell behind a wall, neighbour or
-/// parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last cells along periodic
-/// axes.
+/// for the parent and 1/4 for the neighbour on the cell's side along each refined axis. A cell behind a wall, neighbour
+/// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
+/// cells along periodic axes.
 template <class Wall, class Emit>
 void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Window<GlobalIndex> const& coarse,
              Box const& coarse_domain, std::array<bool, 3> const& periodic, Real3 const& seam_width, Wall&& wall,

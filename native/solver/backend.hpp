@@ -38,6 +38,8 @@ class Backend {
   /// The norm of the residual, which the next cycle will reduce.
   virtual Real residual() = 0;
   virtual void improve() = 0;
+  /// From now on, until `start`, let corrections be combined for the least residual: cycles by themselves are slow.
+  virtual void accelerate() = 0;
   virtual Real largest_correction() = 0;  ///< change of phi by the latest cycle, V
   /// Norm of the largest single term in the residual: what rounding is relative to.
   virtual Real largest_phi_term() = 0;

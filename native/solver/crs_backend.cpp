@@ -219,6 +219,10 @@ void CrsBackend::improve() {
   }
 }
 
+void CrsBackend::accelerate() {
+  if (!krylov_) krylov_ = make_krylov(KrylovKind::fgmres, equations());
+}
+
 LevelOperators const& CrsBackend::operators_with_gradient(int level) {
   if (!has_gradient_) {
     assemble_gradient(stack_, operators_);

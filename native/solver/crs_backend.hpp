@@ -25,6 +25,7 @@ class CrsBackend : public Backend {
   void start(Field& phi, bool is_zero) override;
   Real residual() override;
   void improve() override;
+  void accelerate() override;
   Real largest_correction() override;
   Real largest_phi_term() override;
   Real discretisation_error() override;

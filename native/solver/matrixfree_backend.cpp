@@ -69,6 +69,8 @@ void MatrixFreeBackend::start(Field& phi, bool is_zero) {
   phi_ = &phi;
   phi_is_zero_ = is_zero;
   is_first_cycle_ = true;
+  accelerated_ = false;
+  corrections_.clear();
   if (!is_zero) composite_.average_down(phi);
 }
 
@@ -82,9 +84,50 @@ Real MatrixFreeBackend::residual() {
 }
 
 void MatrixFreeBackend::improve() {
+  MinimalResidual::Vectors before;
+  for (int l = 0; l < levels() && accelerated_; ++l)
+    before.push_back(cycle_.level(std::size_t(l)).right_hand_side());
   stopwatch_.time("cycle", [&] { is_first_cycle_ ? cycle_.start() : cycle_.run(); });
   stopwatch_.time("correction", [&] { latest_correction_ = composite_.add(correction_, unit_, *phi_); });
   phi_is_zero_ = is_first_cycle_ = false;
+  if (accelerated_) combine_corrections(before);
+}
+
+/// Change what the latest correction added to phi so that the residual becomes least.
+void MatrixFreeBackend::combine_corrections(MinimalResidual::Vectors const& before) {
+  residual();
+  stopwatch_.time("acceleration", [&] {
+    MinimalResidual::Vectors correction, after;
+    for (int l = 0; l < levels(); ++l) {
+      correction.push_back(cycle_.level(std::size_t(l)).correction());
+      after.push_back(cycle_.level(std::size_t(l)).right_hand_side());
+    }
+    corrections_.improve(correction, before, after, [this](auto const& a, auto const& b) { return dot(a, b); });
+    for (int l = 0; l < levels(); ++l) cycle_.level(std::size_t(l)).correction().swap(correction[std::size_t(l)]);
+    correction_ = blocks(&matrixfree::SweptLevel::correction);
+    composite_.add(correction_, unit_, *phi_);
+  });
+}
+
+/// The product over own cells of all ranks of residuals, which are zero in covered cells.
+Real MatrixFreeBackend::dot(MinimalResidual::Vectors const& a, MinimalResidual::Vectors const& b) {
+  Real sum = 0;
+  for (int l = 0; l < levels(); ++l) {
+    auto const& swept = cycle_.level(std::size_t(l));
+    Level const& level = problem_.hierarchy->level(l);
+    for (int n = level.first_local_box(); n < level.last_local_box(); ++n) {
+      auto const cells = swept.layout().box(n);
+      Box const& box = level.box(n);
+      for (int k = 0; k < box.extent(2); ++k)
+        for (int j = 0; j < box.extent(1); ++j) {
+          std::size_t const row = std::size_t(cells.place(0, j, k));
+          for (std::size_t i = row; i < row + std::size_t(box.extent(0)); ++i)
+            sum += Real(a[std::size_t(l)][i]) * b[std::size_t(l)][i];
+        }
+    }
+  }
+  MPI_Allreduce(MPI_IN_PLACE, &sum, 1, MPI_DOUBLE, MPI_SUM, problem_.hierarchy->comm());
+  return sum;
 }
 
 Real MatrixFreeBackend::largest_correction() {

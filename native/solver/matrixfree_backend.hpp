@@ -5,6 +5,7 @@
 #include "matrixfree/composite.hpp"
 #include "matrixfree/cycle.hpp"
 #include "solver/backend.hpp"
+#include "solver/minimal_residual.hpp"
 
 namespace amrpic {
 
@@ -23,6 +24,7 @@ class MatrixFreeBackend : public Backend {
   void start(Field& phi, bool is_zero) override;
   Real residual() override;
   void improve() override;
+  void accelerate() override { accelerated_ = true; }
   Real largest_correction() override;
   Real largest_phi_term() override;
   Real discretisation_error() override;
@@ -38,6 +40,8 @@ class MatrixFreeBackend : public Backend {
   std::size_t bytes() const override;
 
  private:
+  void combine_corrections(MinimalResidual::Vectors const& before);
+  Real dot(MinimalResidual::Vectors const& a, MinimalResidual::Vectors const& b);
   Blocks<float> blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)());
   Real largest(Blocks<float> const& blocks, std::vector<Real> const& scale);
   int levels() const { return problem_.hierarchy->level_count(); }
@@ -51,6 +55,8 @@ class MatrixFreeBackend : public Backend {
   Real largest_source_ = 0;  ///< magnitude of f, V/m^2
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
+  bool accelerated_ = false;
+  MinimalResidual corrections_;
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2
   Real latest_correction_ = 0;  ///< the largest on this rank, V

@@ -74,7 +74,8 @@ class Case:
         if self.singular:
             options += ', background="neutralizing"'
         pairs = [lower if lower == upper else (lower, upper) for lower, upper in self.boundary]
-        boundary: Any = pairs[0] if len(set(pairs)) == 1 else dict(zip("xyz", pairs, strict=True))
+        one = len(set(pairs)) == 1 and isinstance(pairs[0], str)
+        boundary: Any = pairs[0] if one else dict(zip("xyz", pairs, strict=True))
         lines = [
             "import amrpic",
             "import numpy as np",

@@ -17,11 +17,12 @@ void special_row(LevelCopy const& copy, Neighbourhood const& n, Index3 const& ce
       outer[axis] += side == 0 ? -1 : 1;
       inner[axis] -= side == 0 ? -1 : 1;
       Real const weight = 1 / n.spacing[axis];
-      if (n.behind_wall(outer, axis) || n.own(outer) != no_cell) {
+      bool const at_wall = n.behind_wall(outer, axis);
+      if (!at_wall && n.own(outer) != no_cell) {
         outward_gradient(n, cell, axis, side, Execution::without_finer, weight, terms);
         continue;
       }
-      WallGhost const ghost = copy.beyond(cell, axis, side);
+      WallGhost const ghost = at_wall ? copy.walls[axis][side] : copy.beyond(cell, axis, side);
       terms.own(n.own(cell), weight * weight * (ghost.first - 1));
       if (ghost.second != 0 && n.own(inner) != no_cell) terms.own(n.own(inner), weight * weight * ghost.second);
     }

@@ -85,8 +85,7 @@ Real MatrixFreeBackend::residual() {
 
 void MatrixFreeBackend::improve() {
   MinimalResidual::Vectors before;
-  for (int l = 0; l < levels() && accelerated_; ++l)
-    before.push_back(cycle_.level(std::size_t(l)).right_hand_side());
+  for (int l = 0; l < levels() && accelerated_; ++l) before.push_back(cycle_.level(std::size_t(l)).right_hand_side());
   stopwatch_.time("cycle", [&] { is_first_cycle_ ? cycle_.start() : cycle_.run(); });
   stopwatch_.time("correction", [&] { latest_correction_ = composite_.add(correction_, unit_, *phi_); });
   phi_is_zero_ = is_first_cycle_ = false;

@@ -9,10 +9,10 @@
 
 namespace amrpic {
 
-/// Corrections of cycles that converge slowly, combined for the least residual in the 2-norm: generalised conjugate residuals
-/// (Eisenstat, Elman and Schultz, SIAM J. Numer. Anal. 20, 345, 1983) with a cycle as flexible preconditioner and the
-/// latest few directions. Few outlying errors cost cycles their rate, such as those that a coarser level overshoots in
-/// beside a refined one; they are gone after as many steps.
+/// Corrections of cycles that converge slowly, combined for the least residual in the 2-norm: generalised conjugate
+/// residuals (Eisenstat, Elman and Schultz, SIAM J. Numer. Anal. 20, 345, 1983) with a cycle as flexible preconditioner
+/// and the latest few directions. Few outlying errors cost cycles their rate, such as those that a coarser level
+/// overshoots in beside a refined one; they are gone after as many steps.
 class MinimalResidual {
  public:
   using Vectors = std::vector<matrixfree::Vector>;  ///< [level]
@@ -20,8 +20,8 @@ class MinimalResidual {
 
   void clear() { kept_.clear(); }
 
-  /// Of a correction, the residual before it and the residual after it: make of the correction what is still to be added
-  /// for the least residual. `dot` is that over own uncovered cells of all ranks. Collective.
+  /// Of a correction, the residual before it and the residual after it: make of the correction what is still to be
+  /// added for the least residual. `dot` is that over own uncovered cells of all ranks. Collective.
   void improve(Vectors& correction, Vectors const& before, Vectors const& after, Dot const& dot) {
     Vectors direction = correction, image = before;
     add(-1, after, image);
@@ -40,7 +40,7 @@ class MinimalResidual {
   }
 
  private:
-  static constexpr std::size_t most_directions = 3;
+  static constexpr std::size_t most_directions = 4;
   struct Direction {
     Vectors direction, image;  ///< of the potential, and what it takes from the residual
     Real size;                 ///< of the image, squared

@@ -173,7 +173,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   Real const size = backend_->right_hand_side_norm();
   backend_->start(phi, from_zero);
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
-  constexpr Real slow = 0.15;      // cycles by themselves leave less of the residual where nothing overshoots
+  constexpr Real slow = 0.2;       // cycles by themselves leave less of the residual where nothing overshoots
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
   Real lowest = std::numeric_limits<Real>::infinity();
@@ -195,7 +195,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
       stuck = factor > 0.98 ? stuck + 1 : 0;
-      if (factor > slow && report.cycles > 1 && !options_.to_discretisation) backend_->accelerate();
+      if (factor > slow && report.cycles > 2 && !options_.to_discretisation) backend_->accelerate();
     }
     since_lowest = residual < 0.8 * lowest ? 0 : since_lowest + 1;
     if (since_lowest == 0) lowest = residual;

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from cases import problem
-from measuring import CPU_TIME, Record, launch_or_skip, timed, write
+from measuring import Record, in_turns, launch_or_skip, timed, write
 from mpi4py import MPI
 from solving import FULL
 
@@ -45,10 +45,7 @@ def measure(n: int, turns: int, seconds: float) -> Iterator[Record]:
         taken, (_, report) = timed(MPI.COMM_SELF, 1, works[-1])
         first += taken[0]
         reports.append(report)
-    times: tuple[list[float], list[float]] = ([], [])
-    for _ in range(max(1, min(turns, int(seconds / first)))):
-        for work, mine in zip(works, times, strict=True):
-            mine += timed(MPI.COMM_SELF, 1, work, CPU_TIME)[0]
+    times = in_turns(works, min(turns, int(seconds / first)))
     for label, size, taken, report in zip((base_name(n), beside_name(n)), sizes, times, reports, strict=True):
         yield Record(label, taken, cells=size**3, facts={"cycles": report.cycles, "base": size})
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from measuring import CPU_TIME, Record, launch_or_skip, reset_peak, resident, timed, write
+from measuring import Record, in_turns, launch_or_skip, reset_peak, resident, timed, write
 from mpi4py import MPI
 from solving import FULL
 
@@ -63,10 +63,7 @@ def measure(gamma: float, mesh: str, walls: str, boxes: int, turns: int, seconds
         del phi
         first += taken[0]
         reports.append(report)
-    times: tuple[list[float], list[float]] = ([], [])
-    for _ in range(max(1, min(turns, int(seconds / first)))):
-        for work, mine in zip(works, times, strict=True):
-            mine += timed(MPI.COMM_SELF, 1, work, CPU_TIME)[0]
+    times = in_turns(works, min(turns, int(seconds / first)))
     label = gamma_name(gamma, mesh, walls, boxes)
     for one, taken, report in zip((label, label + CUBES), times, reports, strict=True):
         facts: dict[str, Any] = {"cycles": report.cycles, "converged": report.converged}

@@ -108,6 +108,15 @@ class Record:
 CPU_TIME = time.process_time
 
 
+def in_turns(works: Sequence[Callable[[], Any]], turns: int) -> list[list[float]]:
+    """Return the CPU seconds of each of some works of this process, which take turns."""
+    times: list[list[float]] = [[] for _ in works]
+    for _ in range(max(1, turns)):
+        for work, mine in zip(works, times, strict=True):
+            mine += timed(MPI.COMM_SELF, 1, work, CPU_TIME)[0]
+    return times
+
+
 def timed(
     comm: MPI.Comm, runs: int, work: Callable[[], Any], clock: Callable[[], float] = time.perf_counter
 ) -> tuple[list[float], Any]:

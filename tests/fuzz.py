@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 
-import fuzz_draw
 from fuzz_case import TOLERANCE, Case, Outcome
 from fuzz_draw import LARGE, SMALL, Size, draw, plainer
 from fuzz_pool import SANITIZED, Broken, Pool
@@ -350,13 +349,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, help="default: a fresh one")
     parser.add_argument("--only", type=int, nargs="*", help="numbers of cases")
     parser.add_argument("--large", action="store_true", help="up to 300,000 cells instead of 40,000")
-    parser.add_argument("--any-extent", action="store_true", help="base extents that are no multiples of a block")
     parser.add_argument("--shrink", type=int, default=2, help="failures to shrink of a kind and class of aspect ratio")
     parser.add_argument("--seconds", type=float, default=math.inf, help="stop after so long")
     parser.add_argument("--verbose", action="store_true", help="a line for every case")
     parser.add_argument("--only-crashes", action="store_true", help="whatever the cycles, potential and memory are")
     chosen = parser.parse_args()
-    fuzz_draw.ANY_EXTENT |= chosen.any_extent
     seed = secrets.randbelow(10**6) if chosen.seed is None else chosen.seed
     print(f"seed {seed}", flush=True)
     numbers = chosen.only or range(chosen.cases)

@@ -34,9 +34,6 @@ from hierarchies import (
     within,
 )
 
-# Whether base extents need no factor: the last box along an axis is then shorter. One switch, to be turned when they may.
-ANY_EXTENT = True
-
 
 @dataclass(frozen=True)
 class Size:
@@ -62,7 +59,7 @@ def draw(seed: int, number: int, size: Size) -> Case:
     most = round(math.exp(rng.uniform(math.log(size.fewest), math.log(size.most))))
     most = min(most, size.rows) if backend == "crs" else most
     blocking = int(rng.choice([2, 2, 4, 8, 8]))
-    cells = draw_extents(rng, most, blocking)
+    cells = draw_extents(rng, most)
     has_open = any("open" in pair for pair in boundary)
     edges = draw_edges(rng, size.open_aspect if has_open else 100.0)
     stretch = draw_stretch(rng, edges)
@@ -75,14 +72,13 @@ def draw(seed: int, number: int, size: Size) -> Case:
     return Case(cells, spacing, boundary, levels, blocking, stretch, source, guess, boxes, ranks, backend)  # type: ignore[arg-type]
 
 
-def draw_extents(rng: np.random.Generator, most: int, blocking: int) -> tuple[int, int, int]:
+def draw_extents(rng: np.random.Generator, most: int) -> tuple[int, int, int]:
     """2 to 80 cells per axis, short ones as often as long ones; or a cube."""
-    step = 1 if ANY_EXTENT else blocking
     while True:
         n = np.exp(rng.uniform(np.log(2), np.log(81), 3))
         if rng.random() < 0.35:
             n[:] = n.max()
-        cells = [max(2, step * max(1, round(float(extent) / step))) for extent in n]
+        cells = [max(2, round(float(extent))) for extent in n]
         if math.prod(cells) <= most and max(cells) <= 80:
             return cells[0], cells[1], cells[2]
 
@@ -302,16 +298,15 @@ def fewer_boxes(case: Case, number: int, boxes: tuple[Box, ...]) -> Iterator[Cas
 
 def fewer_cells(case: Case, axes: tuple[int, ...]) -> Iterator[Case]:
     """Half the cells along some axes, with the boxes of all levels, or a little fewer, where the boxes leave room."""
-    step = 1 if ANY_EXTENT else case.blocking_factor
-    half = tuple(max(2, step * round(n / 2 / step)) if d in axes else n for d, n in enumerate(case.cells))
-    if half != case.cells and min(half) >= step:
+    half = tuple(max(2, round(n / 2)) if d in axes else n for d, n in enumerate(case.cells))
+    if half != case.cells:
         levels = tuple(
             tuple(dict.fromkeys(halved(box, axes, case.blocking_factor, half, 2**level) for box in boxes))
             for level, boxes in enumerate(case.levels, start=1)
         )
         yield replace(case, cells=half, levels=levels)  # type: ignore[arg-type]
-    less = tuple(n - step if d in axes else n for d, n in enumerate(case.cells))
-    if min(less) >= max(2, step):
+    less = tuple(n - 1 if d in axes else n for d, n in enumerate(case.cells))
+    if min(less) >= 2:
         yield replace(case, cells=less)  # type: ignore[arg-type]
 
 

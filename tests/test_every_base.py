@@ -2,8 +2,8 @@
 
 One level, Gaussian charge off the centre, its mean taken away where walls fix no potential. Up to n = 64 all of 1 to 4 ranks
 are combined with boxes of 24, 32 and 64; up to 127 six of these twelve, each number of ranks and size at least once; beyond,
-three for Dirichlet walls and two for the others, since a solve takes seconds there. Bases that are no multiple of a block wait
-for `fuzz_draw.ANY_EXTENT`. `make verify` runs this (AMRPIC_TEST_LONG=1).
+three for Dirichlet walls and two for the others, since a solve takes seconds there. `make verify` runs this
+(AMRPIC_TEST_LONG=1).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from itertools import product
 
 import pytest
 
-import fuzz_draw
 from fuzz_case import Case
 from fuzz_pool import Broken, Pool
 
@@ -29,11 +28,6 @@ pytestmark = pytest.mark.skipif(not LONG, reason="20 minutes; make verify runs i
 def pool() -> Iterator[Pool]:
     with Pool(4) as several:
         yield several
-
-
-def blocking_factor(n: int) -> int:
-    """8, or as long as extents must be multiples of it, the largest power of two in n up to that."""
-    return 8 if fuzz_draw.ANY_EXTENT else min(8, n & -n)
 
 
 def limit(kind: str, n: int) -> int:
@@ -52,11 +46,9 @@ def decompositions(kind: str, n: int) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize("n", BASES)
 def test_a_base_takes_few_cycles_on_any_ranks_and_boxes(pool, n):
-    if blocking_factor(n) < 2:
-        pytest.skip("odd extents are not legal yet")
     complaints = []
     for kind in ("dirichlet", "open", "neumann", "periodic"):
-        plain = Case((n,) * 3, boundary=((kind, kind),) * 3, blocking_factor=blocking_factor(n))
+        plain = Case((n,) * 3, boundary=((kind, kind),) * 3)
         found = {}
         for ranks, size in decompositions(kind, n):
             try:
@@ -70,5 +62,5 @@ def test_a_base_takes_few_cycles_on_any_ranks_and_boxes(pool, n):
             found[ranks, size] = outcome.cycles
         cycles = found.values()
         if cycles and (max(cycles) > limit(kind, n) or max(cycles) > min(cycles) + 1):
-            complaints.append(f"{kind}: {found}, at most {limit(kind, n)} and alike within one")
+            complaints.append(f"{kind}: {found}, at most {limit(kind, n)} and equal within one")
     assert not complaints, "\n".join(complaints)

@@ -12,7 +12,6 @@ import secrets
 import pytest
 
 import fuzz
-import fuzz_draw
 from fuzz_case import Case
 from fuzz_draw import LARGE, SMALL, plainer
 from fuzz_pool import Broken, Pool
@@ -85,8 +84,7 @@ def test_a_case_is_drawn_from_its_seed_and_number_alone():
     assert len({fuzz.draw(3, n, SMALL) for n in range(20)}) == 20
 
 
-def test_extents_may_be_any_and_the_last_block_then_shorter(monkeypatch):
-    monkeypatch.setattr(fuzz_draw, "ANY_EXTENT", True)
+def test_extents_may_be_any_and_the_last_block_then_shorter():
     drawn = [fuzz.draw(3, n, SMALL) for n in range(100)]
     assert any(n % 2 for case in drawn for n in case.cells)
     for case in drawn:

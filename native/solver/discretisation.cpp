@@ -12,7 +12,7 @@ namespace {
 /// A second-order stencil of twice the width errs four times as much; seen is what it errs more.
 constexpr Real seen_over_error = 3;
 
-/// Rows of which the coarser Laplacian tells nothing: those at walls, and where half a pair of finer cells is beside.
+/// Rows in which the coarser Laplacian is no estimate: those at walls, and those beside half a pair of finer cells.
 std::vector<char> rows_at_ends(Domain const& domain, Level const& level, Level const& finer, Index3 const& ratio) {
   std::vector<char> out(std::size_t(level.local_cells()));
   for (auto const& face : find_walls(domain, level).faces) out[face.row] = 1;

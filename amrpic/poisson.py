@@ -44,12 +44,12 @@ class PoissonSolver:
     With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
     that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
 
-    The cycle is a V-cycle with `sweeps` (before, after) of a smoother over the levels of the hierarchy and multigrid levels
-    below its base, of which the coarsest is solved exactly. Backend "matrix-free" loops over the rows of boxes, by `kernels`
-    "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs" holds
-    the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
-    `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.Solver` tells what each choice does. `reuse` is
-    the `base_setup` of the solver of an earlier hierarchy on the same domain.
+    A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
+    coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of
+    boxes, by `kernels` "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs"
+    holds the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
+    `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.Solver` tells what each choice does. `reuse`
+    is the `base_setup` of the solver of an earlier hierarchy on the same domain.
 
     Raises SolverError for an option out of range, or one that does not go with the others or the hierarchy.
     """

@@ -30,7 +30,7 @@ CYCLE_LIMITS = ((1.0, 9), (10.0, 12), (math.inf, 16))
 VARIATION = 1  # cycles that a case may differ from its reference
 # Allowed beyond them where refined levels of long cells meet axes along which no wall holds the potential: there the
 # coarser level overshoots, and a few cycles pass before that shows and corrections are combined.
-CLOSED_CYCLES = 4
+CLOSED_CYCLES = 0
 CRS_CYCLES = 7  # that compressed rows may take at least, whatever the reference: it solves the smallest bases at once
 BYTES_PER_CELL, BYTES_FREE = 100, 100e6  # memory of a matrix-free solve: potential, charge, solver, what Python holds
 

@@ -31,17 +31,17 @@ def middle(cells: int) -> list:
 
 # residuals of static 64 after the first cycles
 HISTORY = {
-    "crs": [3.855878e-2, 7.694093e-4, 1.699895e-5],
-    "matrix-free": [3.854069e-2, 7.696e-4, 1.700e-5],
+    "crs": [2.8652514e-2, 2.7391766e-4, 4.1240661e-6],
+    "matrix-free": [2.8630109e-2, 2.737e-4, 4.131e-6],
 }
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=120)
 @pytest.mark.parametrize("max_grid_size", [16, 24, 32, 64])
-def test_static_64_takes_seven_cycles_on_any_decomposition(comm, max_grid_size):
+def test_static_64_takes_six_cycles_on_any_decomposition(comm, max_grid_size):
     _, phi, report = solve_static(comm, 64, max_grid_size)
     assert report.converged
-    assert report.cycles == 7
+    assert report.cycles == 6
     assert max(np.divide(report.residuals[2:], report.residuals[1:-1])) < 0.05
     # the history of the cycle is the same on any decomposition, but for the rounding of single precision, which is another
     # one on processors without fused multiply-adds
@@ -54,7 +54,7 @@ def test_static_64_takes_seven_cycles_on_any_decomposition(comm, max_grid_size):
 @pytest.mark.parametrize("max_grid_size", [16, 64])
 def test_compressed_rows_take_as_many_cycles_on_any_decomposition(comm, max_grid_size):
     _, phi, report = solve_static(comm, 64, max_grid_size, backend="crs")
-    assert report.converged and report.cycles == 7
+    assert report.converged and report.cycles == 6
     assert report.residuals[1:4] == pytest.approx(HISTORY["crs"], rel=1e-5)
 
 

@@ -60,10 +60,10 @@ def test_every_smoother_and_acceleration_finds_the_same_potential(boundary, comm
         phi, report = solved(hierarchy, smoother=smoother)
         assert difference(phi, wanted) < 1e-9, smoother
         assert report.cycles <= 25, smoother
-    for krylov in ("fgmres", "bicgstab"):
+    for krylov, more in (("fgmres", 0), ("bicgstab", 2)):  # an iteration of the latter takes two cycles
         phi, report = solved(hierarchy, krylov=krylov)
         assert difference(phi, wanted) < 1e-9, krylov
-        assert report.cycles <= plain.cycles, krylov
+        assert report.cycles <= plain.cycles + more, krylov
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -72,12 +72,12 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
     Relaxation own = relaxation;
-    own.factor = relaxation_on(*stack_.levels[l], relaxation.factor);
+    own.factor = relaxation_on(*stack_.levels[l], stack_.refines(l), relaxation.factor);
     std::vector<LevelCopy> copies;
     if (stack_.refines(l))
       copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const halo = own.halo() + (!copies.empty() || one_level() ? 1 : 0);
+    int const halo = own.halo() + (!copies.empty() || !stack_.refines(l) ? 1 : 0);
     level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
@@ -100,21 +100,22 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
 
 void Cycle::run() {
   NoDenormals const guard;
-  cycle(levels_.size() - 1, Guess::zero);
+  correct(levels_.size() - 1);
 }
 
-void Cycle::start() {
-  if (!one_level()) return run();
-  NoDenormals const guard;
-  for (std::size_t l = levels_.size() - 1; l > 0; --l) levels_[l].coarsening->restrict_right_hand_side();
+/// The correction of a refinement level from zero. That of the base by an F-cycle: the coarsest level is solved first,
+/// and each level above starts from what is interpolated from below.
+void Cycle::correct(std::size_t l) {
+  if (stack_.refines(l)) return v_cycle(l, Guess::zero);
+  for (std::size_t m = l; m > 0; --m) levels_[m].coarsening->restrict_right_hand_side();
   solve_coarsest();
-  for (std::size_t l = 1; l < levels_.size(); ++l) cycle(l, Guess::coarser);
+  for (std::size_t m = 1; m <= l; ++m) v_cycle(m, Guess::coarser);
 }
 
-void Cycle::cycle(std::size_t l, Guess guess) {
+void Cycle::v_cycle(std::size_t l, Guess guess) {
   if (l == 0) return solve_coarsest();
   pre_smooth_and_restrict(levels_[l], guess);
-  cycle(l - 1, Guess::zero);
+  stack_.refines(l) ? correct(l - 1) : v_cycle(l - 1, Guess::zero);
   prolong_and_post_smooth(levels_[l]);
 }
 

@@ -105,19 +105,29 @@ void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector&
   });
 }
 
-/// The share of a row of fine values, which lies at `line_of`.
+/// Whether the rows of a block are whole pairs of children of equal weight.
+static bool are_pairs(Block const& b, Parents const& parents) {
+  return parents.last[0] < 0 && parents.odd[0] == 0 && b.box.extent(0) % parents.ratio[0] == 0;
+}
+
+/// Make whole pairs of a row of values, which lies at `line_of`; returns where they begin.
+float const* Sweep::in_pairs(Block const& b, Parents const& parents, float* line) const {
+  int const nx = b.box.extent(0);
+  if (int const last = parents.last[0]; last >= 0) {
+    line[last] *= float(parents.weight[0].last);
+    if (last > 0) line[last - 1] *= float(parents.weight[0].before);
+  }
+  if ((nx + parents.odd[0]) % parents.ratio[0] != 0) line[nx] = 0;  // half a pair lacks its second child
+  if (parents.odd[0]) *--line = 0;
+  return line;
+}
+
+/// The share of a row of fine values in pairs.
 template <int lanes>
-void Sweep::restrict_row(Block const& b, int j, int k, float* fine, Parents const& parents, float share,
+void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
                          Vector& coarse) const {
   int const plane = k - b.box.lower[2], y = parents.parent(1, j), z = parents.parent(2, plane);
   if (y >= parents.extent[1] || z >= parents.extent[2]) return;
-  int const nx = b.box.extent(0);
-  if (int const last = parents.last[0]; last >= 0) {
-    fine[last] *= float(parents.weight[0].last);
-    if (last > 0) fine[last - 1] *= float(parents.weight[0].before);
-  }
-  if ((nx + parents.odd[0]) % parents.ratio[0] != 0) fine[nx] = 0;  // half a pair lacks its second child
-  if (parents.odd[0]) *--fine = 0;
   bool const set = parents.is_first_child(1, j) && parents.is_first_child(2, plane);
   matrixfree::restrict_row<lanes>(fine, parents.extent[0], parents.ratio[0],
                                   share * parents.weight_of(1, j) * parents.weight_of(2, plane), set,
@@ -136,7 +146,7 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
     for_each_row(block, k, values, [&](Row const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
-      restrict_row<n()>(b, j, k, left, parents, share, coarse);
+      restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, share, coarse);
     });
   });
 }
@@ -150,8 +160,12 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
   with_kind(b.lanes, true, [&](auto n, auto) {
     float* const line = line_of(parents);
     for (int j = 0; j < b.box.extent(1); ++j) {
-      std::copy_n(r.data() + b.cells.place(0, j, k - b.box.lower[2]), b.box.extent(0), line);
-      restrict_row<n()>(b, j, k, line, parents, share, coarse);
+      float const* row = r.data() + b.cells.place(0, j, k - b.box.lower[2]);
+      if (!are_pairs(b, parents)) {
+        std::copy_n(row, b.box.extent(0), line);
+        row = in_pairs(b, parents, line);
+      }
+      restrict_row<n()>(b, j, k, row, parents, share, coarse);
     }
   });
 }

@@ -73,8 +73,9 @@ class Sweep {
 
  private:
   template <int lanes>
-  void restrict_row(Block const& block, int j, int k, float* fine, Parents const& parents, float share,
+  void restrict_row(Block const& block, int j, int k, float const* fine, Parents const& parents, float share,
                     Vector& coarse) const;
+  float const* in_pairs(Block const& block, Parents const& parents, float* line) const;
   float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }
   template <class F>
   void for_each_row(std::size_t block, int k, float* e, F&& f) const;

@@ -195,7 +195,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
 
 bool has_long_cells(Level const& level) {
   auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
-  return *most > 2.01 * *least;
+  return *most > 1.8 * *least;
 }
 
 std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,

@@ -8,13 +8,15 @@
 
 namespace amrpic {
 
-/// Whether the cells of a level are so long or flat, more than 2 to 1, that relaxing points is not enough to smooth it.
+/// Whether the cells of a level are so long or flat, more than 1.8 to 1, that relaxing points is not enough to smooth
+/// it.
 bool has_long_cells(Level const& level);
 
-/// The over-relaxation on a level, of that for cubes: where cells are long or flat, errors couple along fewer axes, and
-/// the best one lies closer to one.
-inline Real relaxation_on(Level const& level, Real relaxation) {
-  return has_long_cells(level) ? 1 + 0.6 * (relaxation - 1) : relaxation;
+/// The over-relaxation on a level, of that for cubes on refinement levels. The best one lies closer to one where cells
+/// are long or flat, since errors couple along fewer axes, and from the base down, where an F-cycle leaves less of
+/// those errors that over-relaxing makes up for.
+inline Real relaxation_on(Level const& level, bool refines, Real relaxation) {
+  return 1 + (refines ? 1 : 0.7) * (has_long_cells(level) ? 0.55 : 1) * (relaxation - 1);
 }
 
 /// A copy of a refinement level with fewer cells along the axes of small spacing, on which corrections that are smooth

@@ -20,7 +20,7 @@ SolverOptions on_either_side(SolverOptions options) {
 LocalCycle::LocalCycle(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies, std::size_t count,
                        SolverOptions const& options)
     : operators_(operators),
-      points_(make_smoother(comm, operators, on_either_side(options))),
+      points_(make_smoother(comm, operators, true, on_either_side(options))),
       copy_(copy_operators(comm, *operators.level, *copies)),
       coarse_(make_refined_smoother(comm, copy_.level, copies + 1, count - 1, on_either_side(options))),
       residual_(std::size_t(operators.rows()) + std::size_t(copy_.above.ghosts())),
@@ -31,13 +31,13 @@ LocalCycle::LocalCycle(MPI_Comm comm, LevelOperators const& operators, LevelCopy
 void LocalCycle::smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) {
   points_->smooth_from_zero(f, x);
   correct(f, x);
-  points_->smooth(f, x);
+  points_->smooth(Sweeps::after, f, x);
 }
 
-void LocalCycle::smooth(std::vector<Real> const& f, std::vector<Real>& x) {
-  points_->smooth(f, x);
+void LocalCycle::smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) {
+  points_->smooth(sweeps, f, x);
   correct(f, x);
-  points_->smooth(f, x);
+  points_->smooth(Sweeps::after, f, x);
 }
 
 std::vector<LevelOperators const*> LocalCycle::own_levels() const {
@@ -60,7 +60,7 @@ void LocalCycle::correct(std::vector<Real> const& f, std::vector<Real>& x) {
 
 std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies,
                                                 std::size_t count, SolverOptions const& options) {
-  if (count == 0) return make_smoother(comm, operators, options);
+  if (count == 0) return make_smoother(comm, operators, true, options);
   return std::make_unique<LocalCycle>(comm, operators, copies, count, options);
 }
 

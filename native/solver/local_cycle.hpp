@@ -17,7 +17,7 @@ class LocalCycle : public Smoother {
              SolverOptions const& options);
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override;
-  void smooth(std::vector<Real> const& f, std::vector<Real>& x) override;
+  void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) override;
   std::vector<LevelOperators const*> own_levels() const override;
 
  private:

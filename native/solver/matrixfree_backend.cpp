@@ -68,7 +68,6 @@ Real MatrixFreeBackend::right_hand_side_norm() {
 void MatrixFreeBackend::start(Field& phi, bool is_zero) {
   phi_ = &phi;
   phi_is_zero_ = is_zero;
-  is_first_cycle_ = true;
   accelerated_ = false;
   corrections_.clear();
   if (!is_zero) composite_.average_down(phi);
@@ -86,9 +85,9 @@ Real MatrixFreeBackend::residual() {
 void MatrixFreeBackend::improve() {
   MinimalResidual::Vectors before;
   for (int l = 0; l < levels() && accelerated_; ++l) before.push_back(cycle_.level(std::size_t(l)).right_hand_side());
-  stopwatch_.time("cycle", [&] { is_first_cycle_ ? cycle_.start() : cycle_.run(); });
+  stopwatch_.time("cycle", [&] { cycle_.run(); });
   stopwatch_.time("correction", [&] { latest_correction_ = composite_.add(correction_, unit_, *phi_); });
-  phi_is_zero_ = is_first_cycle_ = false;
+  phi_is_zero_ = false;
   if (accelerated_) combine_corrections(before);
 }
 

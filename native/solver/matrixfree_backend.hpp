@@ -60,7 +60,7 @@ class MatrixFreeBackend : public Backend {
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2
   Real latest_correction_ = 0;  ///< the largest on this rank, V
-  bool phi_is_zero_ = false, is_first_cycle_ = false;
+  bool phi_is_zero_ = false;
   Assembled shown_;  ///< empty until asked for
 };
 

@@ -19,8 +19,22 @@ std::vector<LevelOperators const*> MultigridLevel::all_operators() const {
   return out;
 }
 
-void MultigridLevel::pre_smooth_and_restrict(MultigridLevel& coarser) {
-  smoother_->smooth_from_zero(right_hand_side_, correction_);
+void MultigridLevel::restrict_right_hand_side(MultigridLevel& coarser) {
+  std::copy(right_hand_side_.begin(), right_hand_side_.end(), residual_.begin());
+  operators_.halo.update(residual_.data());
+  Crs const& restriction = coarser.operators_.restriction;
+  restriction.for_each_row(
+      [&](LocalIndex row) { coarser.right_hand_side_[row] = restriction.dot(row, residual_.data()); });
+}
+
+void MultigridLevel::pre_smooth_and_restrict(Guess guess, MultigridLevel& coarser) {
+  if (guess == Guess::zero) {
+    smoother_->smooth_from_zero(right_hand_side_, correction_);
+  } else {
+    std::fill(correction_.begin(), correction_.end(), 0.0);
+    add_multiply(1.0, operators_.prolongation, coarser.correction_.data(), correction_.data());
+    smoother_->smooth(Sweeps::before, right_hand_side_, correction_);
+  }
   operators_.halo.update(correction_.data());
   for_rows(operators_.rows(), [&](LocalIndex row) {
     residual_[row] = right_hand_side_[row] - operators_.no_fine.dot(row, correction_.data());
@@ -38,12 +52,12 @@ void MultigridLevel::pre_smooth_and_restrict(MultigridLevel& coarser) {
 void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
   add_multiply(1.0, operators_.prolongation, coarser.correction_.data(), correction_.data());
   add_multiply(-1.0, operators_.coarse_boundary, coarser.correction_.data(), right_hand_side_.data());
-  smoother_->smooth(right_hand_side_, correction_);
+  smoother_->smooth(Sweeps::after, right_hand_side_, correction_);
 }
 
 Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators,
                      std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
-    : bottom_(std::move(bottom)) {
+    : base_(stack.base), bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());
   for (std::size_t l = 0; l < operators.size(); ++l) {
     LevelOperators const& o = *operators[l];
@@ -52,17 +66,28 @@ Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators cons
       auto const copies = semicoarse_copies(o.level, o.walls, stack.boundary, max_grid_size);
       smoother = make_refined_smoother(comm, o, copies.data(), copies.size(), options);
     }
-    if (l > 0 && !smoother) smoother = make_smoother(comm, o, options);
+    if (l > 0 && !smoother) smoother = make_smoother(comm, o, false, options);
     levels_.emplace_back(o, std::move(smoother));
   }
 }
 
-void Multigrid::cycle(std::size_t l, Stopwatch& stopwatch) {
+/// The correction of a refinement level from zero. That of the base by an F-cycle: the coarsest level is solved first,
+/// and each level above starts from what is interpolated from below.
+void Multigrid::correct(std::size_t l, Stopwatch& stopwatch) {
+  if (l > base_) return v_cycle(l, Guess::zero, stopwatch);
+  stopwatch.time("pre_smooth_and_restrict", [&] {
+    for (std::size_t m = l; m > 0; --m) levels_[m].restrict_right_hand_side(levels_[m - 1]);
+  });
+  v_cycle(0, Guess::zero, stopwatch);
+  for (std::size_t m = 1; m <= l; ++m) v_cycle(m, Guess::coarser, stopwatch);
+}
+
+void Multigrid::v_cycle(std::size_t l, Guess guess, Stopwatch& stopwatch) {
   if (l == 0) {
     stopwatch.time("bottom", [&] { bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction()); });
   } else {
-    stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].pre_smooth_and_restrict(levels_[l - 1]); });
-    cycle(l - 1, stopwatch);
+    stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].pre_smooth_and_restrict(guess, levels_[l - 1]); });
+    l > base_ ? correct(l - 1, stopwatch) : v_cycle(l - 1, Guess::zero, stopwatch);
     stopwatch.time("prolong_and_post_smooth", [&] { levels_[l].prolong_and_post_smooth(levels_[l - 1]); });
   }
   levels_[l].operators().halo.update(levels_[l].correction().data());

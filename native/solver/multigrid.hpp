@@ -11,17 +11,22 @@
 
 namespace amrpic {
 
+enum class Guess { zero, coarser };  ///< what a level's sweeps start from: nothing, or the coarser level's correction
+
 /// One level of the cycle: its operators, and vectors that are allocated once.
 class MultigridLevel {
  public:
   /// The coarsest level needs no smoother.
   MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother);
 
-  /// From a zero correction: smooth, then leave the right-hand side of the coarser level. Collective.
+  /// Leave the mean of the right-hand side on the coarser level, of which nothing is uncovered. Collective.
+  void restrict_right_hand_side(MultigridLevel& coarser);
+
+  /// Smooth the guess, then leave the right-hand side of the coarser level. Collective.
   ///
   /// Covered coarse cells receive the mean of the remaining residual; uncovered ones beside this level lose what the
   /// correction sends through the common faces.
-  void pre_smooth_and_restrict(MultigridLevel& coarser);
+  void pre_smooth_and_restrict(Guess guess, MultigridLevel& coarser);
 
   /// Add the coarser level's correction, take its part of the ghosts into account, smooth. Collective.
   void prolong_and_post_smooth(MultigridLevel const& coarser);
@@ -39,7 +44,8 @@ class MultigridLevel {
   std::vector<Real> right_hand_side_, correction_, residual_;
 };
 
-/// The V-cycle over refinement levels and multigrid levels alike, for corrections in residual form.
+/// The cycle over refinement levels and multigrid levels alike, for corrections in residual form: a V-cycle over the
+/// refinement levels, and an F-cycle from the base down, see matrixfree::Cycle.
 class Multigrid {
  public:
   /// Collective.
@@ -50,14 +56,15 @@ class Multigrid {
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
   std::size_t finest() const { return levels_.size() - 1; }
 
-  /// One V-cycle for the corrections from the finest level down; reads every refinement level's right-hand side.
-  /// Collective.
-  void cycle(Stopwatch& stopwatch) { cycle(finest(), stopwatch); }
+  /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
+  void cycle(Stopwatch& stopwatch) { correct(finest(), stopwatch); }
 
  private:
-  void cycle(std::size_t l, Stopwatch& stopwatch);
+  void correct(std::size_t l, Stopwatch& stopwatch);
+  void v_cycle(std::size_t l, Guess guess, Stopwatch& stopwatch);
 
   std::vector<MultigridLevel> levels_;
+  std::size_t base_;
   std::shared_ptr<Bottom> bottom_;
 };
 

@@ -52,7 +52,7 @@ struct SolverOptions {
   int max_cycles = 100;
   SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and alike on any decomposition
   int pre_sweeps = 2, post_sweeps = 2;
-  Real relaxation = 1.25;  ///< of red-black Gauss-Seidel; within a cycle of the best for all cases measured
+  Real relaxation = 1.28;  ///< of red-black Gauss-Seidel on refined levels of cubes, see relaxation_on
   Prolongation prolongation = Prolongation::trilinear;
   Real3 stretch{1, 1, 1};  ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
   int coarse_levels = as_many_as_possible;  ///< multigrid levels below the base

@@ -37,11 +37,11 @@ std::vector<std::vector<LocalIndex>> colours(Level const& level) {
 /// Over-relaxed Gauss-Seidel, one colour after the other: rows of a colour do not couple with each other.
 class RedBlack : public Smoother {
  public:
-  RedBlack(LevelOperators const& operators, SolverOptions const& options)
+  RedBlack(LevelOperators const& operators, bool refines, SolverOptions const& options)
       : operators_(operators),
         pre_sweeps_(options.pre_sweeps),
         post_sweeps_(options.post_sweeps),
-        relaxation_(relaxation_on(*operators.level, options.relaxation)),
+        relaxation_(relaxation_on(*operators.level, refines, options.relaxation)),
         colour_(colours(*operators.level)) {}
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {
@@ -54,7 +54,9 @@ class RedBlack : public Smoother {
     }
     sweep(pre_sweeps_ - 1, f, x);
   }
-  void smooth(std::vector<Real> const& f, std::vector<Real>& x) override { sweep(post_sweeps_, f, x); }
+  void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) override {
+    sweep(sweeps == Sweeps::before ? pre_sweeps_ : post_sweeps_, f, x);
+  }
 
  private:
   void sweep(int sweeps, std::vector<Real> const& f, std::vector<Real>& x) {
@@ -96,8 +98,7 @@ Real oscillating(Real3 const& spacing) {
 /// A smoother of Ifpack2, on a copy of the matrix; over several ranks each relaxes its own rows at a time.
 class LibrarySmoother : public Smoother {
  public:
-  LibrarySmoother(MPI_Comm comm, LevelOperators const& operators, SolverOptions const& options)
-      : pre_sweeps_(options.pre_sweeps), post_sweeps_(options.post_sweeps) {
+  LibrarySmoother(MPI_Comm comm, LevelOperators const& operators, SolverOptions const& options) {
     Real3 const& h = operators.level->spacing();
     scale_ = 0;
     for (Real spacing : h) scale_ -= 2 / spacing / spacing;
@@ -107,16 +108,19 @@ class LibrarySmoother : public Smoother {
     matrix_ = tpetra_matrix(comm, scaled, operators, operators);
     x_ = Teuchos::rcp(new MultiVector(matrix_->getDomainMap(), 1));
     f_ = Teuchos::rcp(new MultiVector(matrix_->getRangeMap(), 1));
-    if (pre_sweeps_ > 0) before_ = made(options, pre_sweeps_, true, oscillating(h));
-    if (post_sweeps_ > 0) after_ = made(options, post_sweeps_, false, oscillating(h));
+    if (options.pre_sweeps > 0) {
+      from_zero_ = made(options, options.pre_sweeps, true, oscillating(h));
+      before_ = made(options, options.pre_sweeps, false, oscillating(h));
+    }
+    if (options.post_sweeps > 0) after_ = made(options, options.post_sweeps, false, oscillating(h));
   }
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {
     std::fill(x.begin(), x.end(), 0.0);
-    if (pre_sweeps_ > 0) apply(*before_, f, x);
+    apply(from_zero_, f, x);
   }
-  void smooth(std::vector<Real> const& f, std::vector<Real>& x) override {
-    if (post_sweeps_ > 0) apply(*after_, f, x);
+  void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) override {
+    apply(sweeps == Sweeps::before ? before_ : after_, f, x);
   }
 
  private:
@@ -130,28 +134,28 @@ class LibrarySmoother : public Smoother {
     out->compute();
     return out;
   }
-  void apply(Preconditioner const& method, std::vector<Real> const& f, std::vector<Real>& x) {
+  void apply(Teuchos::RCP<Preconditioner> const& method, std::vector<Real> const& f, std::vector<Real>& x) {
+    if (method.is_null()) return;  // no sweeps
     copy_in(f, *f_);
     f_->scale(scale_);
     copy_in(x, *x_);
-    method.apply(*f_, *x_);
+    method->apply(*f_, *x_);
     copy_out(*x_, x);
   }
 
-  int pre_sweeps_, post_sweeps_;
   Real scale_;  ///< one over the diagonal of a plain row, so that no threshold of the library meets the units
   Teuchos::RCP<TpetraTypes::Matrix> matrix_;
   Teuchos::RCP<MultiVector> x_, f_;
-  Teuchos::RCP<Preconditioner> before_, after_;
-  AtFinalize release_{[this] {
-    before_ = Teuchos::null, after_ = Teuchos::null, x_ = Teuchos::null, f_ = Teuchos::null, matrix_ = Teuchos::null;
-  }};
+  Teuchos::RCP<Preconditioner> from_zero_, before_, after_;
+  AtFinalize release_{
+      [this] { from_zero_ = before_ = after_ = Teuchos::null, x_ = f_ = Teuchos::null, matrix_ = Teuchos::null; }};
 };
 
 }  // namespace
 
-std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, SolverOptions const& options) {
-  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, options);
+std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool refines,
+                                        SolverOptions const& options) {
+  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, refines, options);
   return std::make_unique<LibrarySmoother>(comm, operators, options);
 }
 

@@ -10,6 +10,8 @@
 
 namespace amrpic {
 
+enum class Sweeps { before, after };  ///< the coarse correction
+
 /// Damps those errors of a level that the next coarser one cannot see, in no_fine x = f. Vectors x hold own cells and
 /// ghosts; only own cells of the result are valid.
 class Smoother {
@@ -19,14 +21,16 @@ class Smoother {
   /// x from zero, by the sweeps before the coarse correction. Collective.
   virtual void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) = 0;
 
-  /// x from what it holds, by the sweeps after the coarse correction. Collective.
-  virtual void smooth(std::vector<Real> const& f, std::vector<Real>& x) = 0;
+  /// x from what it holds, by the sweeps before or after the coarse correction. Collective.
+  virtual void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) = 0;
 
   /// Operators of levels that it has for itself.
   virtual std::vector<LevelOperators const*> own_levels() const { return {}; }
 };
 
-/// The smoother that the options name, for a level whose operators outlive it. Collective.
-std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, SolverOptions const& options);
+/// The smoother that the options name, for a level whose operators outlive it; `refines`: a refinement level, not the
+/// base or one below. Collective.
+std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool refines,
+                                        SolverOptions const& options);
 
 }  // namespace amrpic

@@ -312,6 +312,26 @@ def test_fine_ghosts_beside_coarse_charge_continue_the_coarse_potential():
     assert space.potential(ghosts, np.ones(3, np.int32)) == pytest.approx(1 / (4 * np.pi * distance), rel=2e-2)
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 20), (20, 1, 1), (1, 20, 20), (1, 3, 50)])
+def test_interpolation_across_long_cells_adds_nothing_that_is_seen(shape):
+    """Over patches of ghosts, over the charges of wide blocks, and between the points of tables: on two levels."""
+    n = 48
+    fine = np.random.default_rng(8).normal(size=(2 * n,) * 3) ** 3
+    positions, charges, levels = split_by_patch(fine, (0, 8, 8), (31, 39, 31))
+    spacing = np.array(shape) / n
+    v, w = np.meshgrid(*(np.arange(16, 64) + 0.5,) * 2, indexing="ij")
+    ghosts = np.stack([np.full(v.shape, -0.5), v, w], -1).reshape(-1, 3) * spacing / 2
+    found = []
+    for separation in (1.25, 1e9):  # 1e9: charges are summed where they are, at each ghost
+        space = FreeSpace(MPI.COMM_SELF.py2f(), (0, 0, 0), tuple(spacing), (n,) * 3, separation=separation)
+        space.set_charges(positions * shape, charges, levels)
+        walls = space.wall_planes(ALL_OPEN)
+        found.append([*walls, space.potential(ghosts, np.ones(len(ghosts), np.int32))])
+    space.set_charges(positions * shape, np.abs(charges), levels)
+    scale = max(np.abs(plane).max() for plane in space.wall_planes(ALL_OPEN))
+    assert greatest_difference(*found) < 5e-6 * scale
+
+
 @pytest.mark.parametrize(("boxes", "blocking"), [(8, 8), (12, 4), (20, 4), (48, 8)])
 def test_charges_of_a_density_are_those_of_its_uncovered_cells(boxes, blocking):
     n, low, high = 24, (0, 8, 8), (23, 31, 39)  # blocks that several boxes share, and that the patch covers in part
@@ -336,8 +356,10 @@ def test_charges_of_a_density_are_those_of_its_uncovered_cells(boxes, blocking):
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3, 4))
-def test_walls_do_not_depend_on_the_ranks(comm):
+@pytest.mark.parametrize("gamma", [1, 20])
+def test_walls_do_not_depend_on_the_ranks(comm, gamma):
     n = 32
+    shape = np.array([1, 1, gamma])
     positions, charges, levels = split_by_patch(
         gaussian(2 * n, (-0.45, 0.1, 0.2), 0.06, half_width=0.5)
         + gaussian(2 * n, (0.3, -0.3, 0), 0.05, half_width=0.5),
@@ -345,12 +367,13 @@ def test_walls_do_not_depend_on_the_ranks(comm):
         (9, 25, 25),
     )
     ghosts = np.stack(np.meshgrid([-0.5], np.arange(30, 50) + 0.5, np.arange(30, 50) + 0.5, indexing="ij"), -1)
-    ghosts = ghosts.reshape(-1, 3) / (2 * n)
+    ghosts = ghosts.reshape(-1, 3) / (2 * n) * shape
+    positions *= shape
     fine = np.ones(len(ghosts), np.int32)
 
-    alone = free_space((n, n, n), (1 / n,) * 3)
+    alone = free_space((n, n, n), shape / n)
     alone.set_charges(positions, charges, levels)
-    together = free_space((n, n, n), (1 / n,) * 3, comm=comm)
+    together = free_space((n, n, n), shape / n, comm=comm)
     mine = slice(comm.rank, None, comm.size)  # cells of one block on all ranks
     together.set_charges(positions[mine].copy(), charges[mine].copy(), levels[mine].copy())
 

@@ -10,22 +10,14 @@ namespace amrpic::freespace {
 
 namespace {
 
-constexpr double pi = 3.14159265358979323846;
-
 /// Row i: weights of the points of the parent for point i of the child.
 using Weights = std::array<std::array<double, patch_points>, patch_points>;
 
 /// Lagrange's weights along an axis, for a child whose first ghost is `offset` behind that of its parent.
 Weights interpolation_weights(int parent_extent, int extent, int offset) {
   Weights out;
-  auto const nodes = point_cells(parent_extent), points = point_cells(extent);
-  for (int i = 0; i < patch_points; ++i)
-    for (int n = 0; n < patch_points; ++n) {
-      double weight = 1;
-      for (int m = 0; m < patch_points; ++m)
-        if (m != n) weight *= double(offset + points[i] - nodes[m]) / (nodes[n] - nodes[m]);
-      out[i][n] = weight;
-    }
+  auto const nodes = chebyshev_points(parent_extent), points = chebyshev_points(extent);
+  for (int i = 0; i < patch_points; ++i) out[i] = lagrange_weights(nodes, offset + points[i]);
   return out;
 }
 
@@ -91,16 +83,6 @@ void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point cons
 
 }  // namespace
 
-std::array<int, patch_points> point_cells(int extent) {
-  std::array<int, patch_points> out;
-  for (int i = 0; i < patch_points / 2; ++i) {
-    double const node = 0.5 * (1 - std::cos(pi * (i + 0.5) / patch_points));
-    out[i] = extent == patch_points ? i : int(std::lround((extent - 1) * node));
-    out[patch_points - 1 - i] = extent - 1 - out[i];
-  }
-  return out;
-}
-
 bool GhostBlock::operator==(GhostBlock const& o) const {
   return face == o.face && level == o.level && place == o.place;
 }
@@ -129,7 +111,7 @@ PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch) : norm
   place = patch.face % 2 == 0 ? -ghost : lattice.cells[normal] * shape[normal] + ghost;
   for (int t = 0; t < 2; ++t) {
     double const spacing = std::ldexp(shape[axes[t]], -patch.level);
-    auto const cells = point_cells(patch.extent[t]);
+    auto const cells = chebyshev_points(patch.extent[t]);
     for (int i = 0; i < patch_points; ++i) along[t][i] = (patch.first[t] + cells[i] + 0.5) * spacing;
     centre[t] = (patch.first[t] + 0.5 * patch.extent[t]) * spacing;
     half[t] = 0.5 * (patch.extent[t] - 1) * spacing;

@@ -8,12 +8,12 @@
 #include <array>
 #include <vector>
 
-#include "freespace/lanes.hpp"
+#include "freespace/interpolation.hpp"
 #include "freespace/lattice.hpp"
 
 namespace amrpic::freespace {
 
-constexpr int patch_points = lane_count;                   ///< along an axis
+constexpr int patch_points = node_count;                   ///< along an axis
 constexpr int patch_values = patch_points * patch_points;  ///< lower axis fastest
 
 /// Axes of the plane, in ascending order.
@@ -40,9 +40,6 @@ struct GhostPatch {
 /// The blocks and all that is around them, children before parents: first the blocks, in their order. `blocks` are
 /// sorted.
 std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks);
-
-/// The points of a patch along an axis, counted from its first ghost: all of them, or those next to Chebyshev's nodes.
-std::array<int, patch_points> point_cells(int extent);
 
 /// Where the points of a patch are, smallest base spacing = 1.
 struct PatchPoints {

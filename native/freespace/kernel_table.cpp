@@ -13,8 +13,8 @@ namespace amrpic::freespace {
 namespace {
 
 /// Distance that the first table serves, in short cells, and the cells beyond it along each axis. From a charge that
-/// table m does not serve, a block of eight cells is more than 20 points of table m + 1 away: the cubic between these
-/// errs by 1e-6 of the potential there.
+/// table m does not serve, a block of eight cells is more than 20 points of table m + 1 away, five times what the
+/// interpolation between eight of these asks for.
 constexpr double first_distance = 40;
 constexpr int margin = 24;
 constexpr int overhang = 8;  ///< of interpolation at targets and at charges
@@ -39,25 +39,29 @@ void average(std::vector<double>& values, std::array<std::ptrdiff_t, 3>& size, i
 
 }  // namespace
 
-std::array<double, 4> cubic_weights(double s) {
-  return {-s * (s - 1) * (s - 2) / 6, (s + 1) * (s - 1) * (s - 2) / 2, -(s + 1) * s * (s - 2) / 2,
-          (s + 1) * s * (s - 1) / 6};
+std::array<int, 3> axes_of_rows(Point const& shape) {
+  int const longest = int(std::max_element(shape.begin(), shape.end()) - shape.begin());
+  return {longest, longest == 0 ? 1 : 0, longest == 2 ? 1 : 2};
 }
 
 KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half)
-    : reach_(reach), half_(half) {
+    : reach_(reach), across_(axes_of_rows(shape)), half_(half) {
   Cell last = reach;
   for (int d = 0; d < 3; ++d) last[d] += half[d] ? 1 : 0;
   auto octant = lattice_green_octant(shape, last, stride);
   std::array<std::ptrdiff_t, 3> size{last[0] + 1, last[1] + 1, last[2] + 1};
   for (int d = 0; d < 3; ++d)
     if (half[d]) average(octant, size, d);
-  std::ptrdiff_t const width = 2 * reach[0] + 1;
-  pitch_ = {1, width, width * size[1]};
-  values_.resize(std::size_t(width * size[1] * size[2]));
-  for (std::ptrdiff_t line = 0; line < size[1] * size[2]; ++line)
-    for (int i = -reach[0]; i <= reach[0]; ++i)
-      values_[std::size_t(i + reach[0] + width * line)] = octant[std::size_t(folded(0, i) + size[0] * line)];
+  auto const [u, v, w] = across_;
+  std::array<std::ptrdiff_t, 3> const step{1, size[0], size[0] * size[1]};
+  std::ptrdiff_t const width = 2 * reach[u] + 1;
+  pitch_[u] = 1, pitch_[v] = width, pitch_[w] = width * size[v];
+  values_.resize(std::size_t(width * size[v] * size[w]));
+  double* to = values_.data();
+  for (std::ptrdiff_t k = 0; k < size[w]; ++k)
+    for (std::ptrdiff_t j = 0; j < size[v]; ++j)
+      for (int i = -reach[u]; i <= reach[u]; ++i)
+        *to++ = octant[std::size_t(step[u] * folded(u, i) + step[v] * j + step[w] * k)];
 }
 
 KernelTables::KernelTables(Point const& shape, Cell const& reach) : shape_(shape), reach_(reach) {

@@ -11,8 +11,8 @@
 
 namespace amrpic::freespace {
 
-/// Weights of the points -1, 0, 1, 2 for a place in [0, 1] between 0 and 1.
-std::array<double, 4> cubic_weights(double place);
+/// The axes, the one of the longest cells first: along it charges are never merged, so it is that of the lanes.
+std::array<int, 3> axes_of_rows(Point const& shape);
 
 /// The potential of a unit charge at offsets of either sign that are multiples of `stride`; along axes that are `half`
 /// half way between these. There it is the mean over the points around, eight of them at most: exact to fourth order
@@ -22,9 +22,9 @@ class KernelTable {
   /// `reach`: entries (i, j, k) have |i| <= reach, in strides.
   KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half);
 
-  /// Entries (i, j, k), (i + 1, j, k), ... begin at `row` + `along`(1, j) + `along`(2, k). Along `half` axes they stand
-  /// for the distances i - 1/2.
-  double const* row(int i) const { return values_.data() + (i + reach_[0]); }
+  /// Rows lie along the axis `across[0]`: the entries i, i + 1, ... begin at `row`(i) + `along`(across[1], j) +
+  /// `along`(across[2], k). Along `half` axes they stand for the distances i - 1/2.
+  double const* row(int i) const { return values_.data() + (i + reach_[across_[0]]); }
   std::size_t bytes() const { return values_.capacity() * sizeof(double); }
   std::ptrdiff_t along(int axis, int n) const { return pitch_[std::size_t(axis)] * folded(axis, n); }
 
@@ -32,6 +32,7 @@ class KernelTable {
   std::ptrdiff_t folded(int axis, int n) const { return n < 0 ? -n : n > 0 && half_[std::size_t(axis)] ? n - 1 : n; }
 
   Cell reach_;
+  std::array<int, 3> across_;
   std::array<bool, 3> half_;
   std::array<std::ptrdiff_t, 3> pitch_;
   std::vector<double> values_;  ///< x of either sign, y and z folded: the function is even

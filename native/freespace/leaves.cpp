@@ -82,7 +82,7 @@ std::vector<LeafMoments> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& bloc
 }
 
 LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<LeafMoments> const& leaves,
-                         std::vector<char> const& wanted)
+                         std::vector<char> const& wanted, std::array<int, 3> const& across)
     : place_(leaves.size(), -1) {
   int count = 0;
   for (std::size_t n = 0; n < leaves.size(); ++n)
@@ -108,23 +108,20 @@ LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<
   auto const given = all_gather(comm, mine).values;
   auto const all = all_gather(comm, charges).values;
 
-  blocks_.assign(std::size_t(count), Block{});
+  std::array<int, 3> step;
+  for (int t = 0, width = 1; t < 3; ++t, width *= block_edge) step[across[t]] = width;
+  blocks_.assign(std::size_t(count), BlockCharges{});
   double const* from = all.data();
   for (int n : given) {
-    double* const to = blocks_[std::size_t(place_[n])].values.data();
+    double* const to = blocks_[std::size_t(place_[n])].data();
     Leaf const& leaf = leaves[n].leaf;
     for (int k = 0; k < leaf.extent[2]; ++k)
       for (int j = 0; j < leaf.extent[1]; ++j)
-        for (int i = 0; i < leaf.extent[0]; ++i) to[i + block_edge * (j + block_edge * k)] += *from++;
+        for (int i = 0; i < leaf.extent[0]; ++i) to[step[0] * i + step[1] * j + step[2] * k] += *from++;
   }
-  for (Block& block : blocks_) {
-    for (int row = 0; row < block_edge * block_edge; ++row) {
-      double const* const values = block.values.data() + block_edge * row;
-      if (std::any_of(values, values + block_edge, [](double q) { return q != 0; }))
-        block.rows[block.row_count++] = static_cast<unsigned char>(row);
-    }
-    if (block.row_count == 0) throw std::logic_error("LeafCharges: no rank kept the charges of a leaf near a wall");
-  }
+  for (BlockCharges const& block : blocks_)
+    if (std::all_of(block.begin(), block.end(), [](double q) { return q == 0; }))
+      throw std::logic_error("LeafCharges: no rank kept the charges of a leaf near a wall");
 }
 
 }  // namespace amrpic::freespace

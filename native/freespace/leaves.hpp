@@ -19,21 +19,16 @@ std::vector<LeafMoments> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& bloc
 /// The charges of some leaves.
 class LeafCharges {
  public:
-  struct Block {
-    BlockCharges values;                                      ///< from the first cell of the leaf's bounding box on
-    std::array<unsigned char, block_edge * block_edge> rows;  ///< those with charge: y + 8 z
-    int row_count;
-  };
-
-  /// Fetch those `wanted`, alike on all ranks. Collective.
+  /// Fetch those `wanted`, alike on all ranks. `across`: the axes, that of consecutive charges first. Collective.
   LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<LeafMoments> const& leaves,
-              std::vector<char> const& wanted);
+              std::vector<char> const& wanted, std::array<int, 3> const& across);
 
-  Block const& of(int leaf) const { return blocks_[std::size_t(place_[leaf])]; }
+  /// From the first cell of the leaf's bounding box on.
+  BlockCharges const& of(int leaf) const { return blocks_[std::size_t(place_[leaf])]; }
 
  private:
   std::vector<int> place_;
-  std::vector<Block> blocks_;
+  std::vector<BlockCharges> blocks_;
 };
 
 }  // namespace amrpic::freespace

@@ -35,8 +35,27 @@ Member leaf_member(LeafMoments const& part, int number, Point const& shape) {
   auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
   node.lattice.charge = moments[0].re * scale * scale;
   node.lattice.dipole = {2 * second.re * scale * scale, 2 * second.im * scale * scale, first.re * scale * scale};
+  node.level = leaf.key.level;
+  node.first = leaf.corner();
+  node.extent = leaf.extent;
   node.leaf = number;
   return {node, moments};
+}
+
+/// The cells of a node, if its children have charge of one level alone.
+void set_cells(TreeNode& node, Member const* first, Member const* last) {
+  TreeNode const& one = first->node;
+  node.level = one.level;
+  node.first = one.first;
+  Cell end{};
+  for (Member const* child = first; child != last; ++child) {
+    if (child->node.level != one.level) node.level = -1;
+    for (int d = 0; d < 3; ++d) {
+      node.first[d] = std::min(node.first[d], child->node.first[d]);
+      end[d] = std::max(end[d], child->node.first[d] + child->node.extent[d]);
+    }
+  }
+  for (int d = 0; d < 3; ++d) node.extent[d] = end[d] - node.first[d];
 }
 
 /// The node around some children.
@@ -62,6 +81,7 @@ TreeNode enclose(Member const* first, Member const* last) {
   }
   out.leaf = -1;
   out.children = int(last - first);
+  set_cells(out, first, last);
   return out;
 }
 
@@ -93,6 +113,12 @@ class Builder {
   void add(Cell const& place, Member const& member) {
     orphans.push_back({place, int(made_.size())});
     made_.push_back(member);
+  }
+
+  /// Make the blocks twice as wide along some axes.
+  void widen(std::array<bool, 3> const& doubled) {
+    for (Orphan& orphan : orphans)
+      for (int d = 0; d < 3; ++d) orphan.place[d] >>= doubled[d] ? 1 : 0;
   }
 
   /// Give a common parent to those of one place. An only child stays an orphan.
@@ -138,35 +164,64 @@ class Builder {
   Octree tree_;
 };
 
+using Axes = std::array<bool, 3>;
+
 /// Which axes to double next, so that blocks stay about as long as wide also where cells are not cubes.
-std::array<bool, 3> axes_to_double(Point const& width) {
+Axes axes_to_double(Point const& width) {
   double const shortest = std::min({width[0], width[1], width[2]});
   return {width[0] < 1.5 * shortest, width[1] < 1.5 * shortest, width[2] < 1.5 * shortest};
 }
 
+/// The axes to double, one time after the other, until blocks of cells become as wide as they are long.
+std::vector<Axes> steps_to_widest(Point const& shape) {
+  double const longest = std::max({shape[0], shape[1], shape[2]});
+  std::vector<Axes> out;
+  for (Point width = shape;;) {
+    Axes doubled = axes_to_double(width);
+    for (int d = 0; d < 3; ++d) doubled[d] = doubled[d] && 2 * width[d] <= longest;
+    if (doubled == Axes{}) return out;
+    for (int d = 0; d < 3; ++d) width[d] *= doubled[d] ? 2 : 1;
+    out.push_back(doubled);
+  }
+}
+
 }  // namespace
+
+Cell widest_blocks(Point const& shape) {
+  Cell out{block_edge, block_edge, block_edge};
+  for (Axes const& doubled : steps_to_widest(shape))
+    for (int d = 0; d < 3; ++d) out[d] *= doubled[d] ? 2 : 1;
+  return out;
+}
 
 Octree build_octree(std::vector<LeafMoments> const& leaves, Point const& shape) {
   Builder builder;
   int const finest = leaves.empty() ? 0 : leaves.back().leaf.key.level;
   auto last = int(leaves.size());
+  auto const steps = steps_to_widest(shape);
   for (int level = finest; level >= 0; --level) {
-    for (Orphan& orphan : builder.orphans)
-      for (int& i : orphan.place) i >>= 1;
+    std::vector<Orphan> finer;
+    finer.swap(builder.orphans);
     int first = last;
     while (first > 0 && leaves[first - 1].leaf.key.level == level) --first;
     for (int n = first; n < last; ++n) builder.add(leaves[n].leaf.key.place, leaf_member(leaves[n], n, shape));
     last = first;
-    builder.adopt();
-  }
-  Point width = shape;
-  while (builder.orphans.size() > 1) {
-    auto const doubled = axes_to_double(width);
-    for (int d = 0; d < 3; ++d) {
-      if (!doubled[d]) continue;
-      width[d] *= 2;
-      for (Orphan& orphan : builder.orphans) orphan.place[d] >>= 1;
+    for (Axes const& doubled : steps) {
+      builder.widen(doubled);
+      builder.adopt();
     }
+    finer.insert(finer.end(), builder.orphans.begin(), builder.orphans.end());
+    builder.orphans = std::move(finer);
+    builder.adopt();
+    if (level > 0) builder.widen({true, true, true});
+  }
+  Cell const widest = widest_blocks(shape);
+  Point width;
+  for (int d = 0; d < 3; ++d) width[d] = shape[d] * widest[d];
+  while (builder.orphans.size() > 1) {
+    Axes const doubled = axes_to_double(width);
+    for (int d = 0; d < 3; ++d) width[d] *= doubled[d] ? 2 : 1;
+    builder.widen(doubled);
     builder.adopt();
   }
   return builder.finish();

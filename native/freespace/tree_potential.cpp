@@ -17,24 +17,33 @@ constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
 constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
 
-/// Cells that the kernel tables must reach for charges at most `distance` away, and along long cells for the rest of a
-/// block of ghosts that is partly as near.
-Cell table_reach(Lattice const& lattice, int finest, double distance) {
+/// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
+/// centre.
+double near_distance(Point const& shape, Options const& options) {
+  Cell const widest = widest_blocks(shape);
+  Point half;
+  for (int d = 0; d < 3; ++d) half[d] = 0.5 * (widest[d] - 1) * shape[d];
+  double const longest = std::max({shape[0], shape[1], shape[2]});
+  return std::max(options.lattice_limit * longest, std::hypot(half[0], half[1], half[2]) / options.acceptance);
+}
+
+/// Cells that the kernel tables must reach: from a node's charges to the ghosts that it is near to, and along long
+/// cells to the rest of a block of ghosts that is partly as near. Across them to the rest of a patch, which is
+/// interpolated where it is far enough for its width, and may stand out beyond its wall.
+Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
   Point const shape = lattice.shape();
+  Cell const near = near_cells(lattice, options), widest = widest_blocks(shape);
+  double wall = 0;
+  for (int d = 0; d < 3; ++d) wall = std::max(wall, std::ldexp(lattice.cells[d] * shape[d], finest));
+  double const patch = std::min(2 * wall, 2 / options.separation * near_distance(shape, options));
   Cell out;
   for (int d = 0; d < 3; ++d) {
     double const inside_domain = std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
-    int const beyond = shape[d] > 2 ? 2 * block_edge : block_edge;
-    out[d] = int(std::min(std::ceil(distance / shape[d]), inside_domain)) + beyond + 1;
+    double const block = shape[d] > 2 ? 2 * block_edge : block_edge;
+    double const beyond = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
+    out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + beyond)) + 1;
   }
   return out;
-}
-
-/// Up to where the charges of a leaf of level 0 are summed one by one, in units of the smallest spacing.
-double near_distance(Point const& shape, Options const& options) {
-  double const leaf_radius = 0.5 * (block_edge - 1) * std::hypot(shape[0], shape[1], shape[2]);
-  double const longest = std::max({shape[0], shape[1], shape[2]});
-  return std::max(options.lattice_limit * longest, leaf_radius / options.acceptance);
 }
 
 /// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
@@ -46,14 +55,6 @@ struct Place {
 Place place_in_level(int cell, int cell_level, int level) {
   double const x = std::ldexp(cell + 0.5, level - cell_level) - 0.5, floor = std::floor(x);
   return {int(floor), x - floor};
-}
-
-/// Where tables have their points apart: ghosts of coarser levels lie on these, as far as they are apart themselves.
-PointsApart points_for(Cell const& stride, int target_level, int level) {
-  PointsApart out{stride, {}};
-  Place const ghost = place_in_level(0, target_level, level);
-  for (int d = 0; d < 3; ++d) out.origin[d] = ghost.point + ghost.shift;
-  return out;
 }
 
 /// Distance along an axis, as far as it smooths the potential: across the first layers of long cells the lattice
@@ -104,28 +105,25 @@ void add_lattice(TreeNode const& node, Rows const& rows, Point const& h2, std::a
   });
 }
 
+/// The leaves below some nodes.
+void mark_leaves(Octree const& tree, std::vector<int> nodes, std::vector<char>& marks) {
+  std::vector<char> is_seen(tree.nodes.size(), 0);
+  while (!nodes.empty()) {
+    int const n = nodes.back();
+    nodes.pop_back();
+    if (is_seen[std::size_t(n)]) continue;
+    is_seen[std::size_t(n)] = 1;
+    TreeNode const& node = tree.nodes[std::size_t(n)];
+    if (node.leaf >= 0) marks[std::size_t(node.leaf)] = 1;
+    for (int c = 0; c < node.children; ++c) nodes.push_back(node.first_child + c);
+  }
+}
+
 void add_lanes(Lanes const& value, double* to) {
   for (int t = 0; t < lane_count; ++t) to[t] += value[t];
 }
 
 }  // namespace
-
-/// Charges on the points of tables of wider spacing, made when first asked for.
-class TreePotential::SpreadLeaves {
- public:
-  explicit SpreadLeaves(KernelTables const& kernels) : kernels_(kernels) {}
-  SpreadCharges const& of(int leaf, LeafCharges::Block const& charges, Leaf const& place, int table, int target_level) {
-    std::array<int, 3> const key{leaf, table, target_level};
-    auto const found = spread_.find(key);
-    if (found != spread_.end()) return found->second;
-    PointsApart const points = points_for(kernels_.stride(table), target_level, place.key.level);
-    return spread_.emplace(key, SpreadCharges(charges, place.corner(), points)).first->second;
-  }
-
- private:
-  KernelTables const& kernels_;
-  std::map<std::array<int, 3>, SpreadCharges> spread_;  ///< by leaf, table and level of the targets
-};
 
 /// The ghosts of a patch as a box, flat along the normal.
 struct TreePotential::Rectangle {
@@ -170,27 +168,25 @@ struct TreePotential::Rectangle {
 /// What the charges nearby make at the points of one patch.
 class TreePotential::NearPatch {
  public:
-  NearPatch(Lattice const& lattice, GhostPatch const& patch, KernelTables& kernels)
-      : patch_(patch), kernels_(kernels), normal_(patch.face / 2), axes_(plane_axes(normal_)) {
-    columns_ = point_cells(patch.extent[0]), rows_ = point_cells(patch.extent[1]);
-    for (int t = 0; t < patch_points; ++t) columns_[t] += patch.first[0], rows_[t] += patch.first[1];
-    behind_ = patch.face % 2 == 0 ? -1 : lattice.cells[normal_] << patch.level;
+  NearPatch(TreePotential const& potential, GhostPatch const& patch)
+      : potential_(potential),
+        patch_(patch),
+        kernels_(potential.kernels_),
+        normal_(patch.face / 2),
+        axes_(plane_axes(normal_)) {
+    for (int t : {0, 1}) {
+      cells_[t] = chebyshev_points(patch.extent[t]);
+      for (int& cell : cells_[t]) cell += patch.first[t];
+    }
+    behind_ = patch.face % 2 == 0 ? -1 : potential.lattice_.cells[normal_] << patch.level;
   }
 
-  /// Add the charges of a leaf at the points that `masks` has.
-  void add(int number, Leaf const& leaf, LeafCharges::Block const& charges,
-           std::array<unsigned, patch_points> const& masks, SpreadLeaves& spread, double* values) {
-    int const level = leaf.key.level;
-    Cell const corner = leaf.corner();
-    double const scale = four_pi * std::ldexp(1.0, level);  // lengths are 2^level times smaller there
-    auto const serving = [&](int axis, int cell) {
-      int const point = place_in_level(cell, patch_.level, level).point;
-      return kernels_.serving(axis, std::max(corner[axis] + block_edge - point, point + 1 - corner[axis]));
-    };
-    std::array<int, patch_points> by_column, by_row;
-    int const across = serving(normal_, behind_);
-    for (int t = 0; t < patch_points; ++t)
-      by_column[t] = serving(axes_[0], columns_[t]), by_row[t] = serving(axes_[1], rows_[t]);
+  /// Add the charges of a node at the points that `masks` has.
+  void add(int number, TreeNode const& node, std::array<unsigned, patch_points> const& masks, ChargesOfNodes& charges,
+           double* values) {
+    double const scale = four_pi * std::ldexp(1.0, node.level);  // lengths are 2^level times smaller there
+    auto const by_column = tables_along(0, node), by_row = tables_along(1, node);
+    int const across = table_serving(node, normal_, behind_);
     for (int table = across; table < kernels_.count(); ++table) {
       std::array<unsigned, patch_points> served{};
       bool any = false;
@@ -199,48 +195,92 @@ class TreePotential::NearPatch {
           if ((masks[row] >> t & 1) && std::max({across, by_column[t], by_row[row]}) == table)
             served[row] |= 1u << t, any = true;
       if (!any) continue;
-      KernelTable const& kernel = kernels_.at(table, level > patch_.level);
-      NearGrid& points = grid(level, table);
-      if (kernels_.stride(table) == Cell{1, 1, 1}) {
-        points.add(charges, corner, kernel, served, scale, values);
-      } else {
-        SpreadCharges const& there = spread.of(number, charges, leaf, table, patch_.level);
-        points.add(there.block, there.corner, kernel, served, scale, values);
-      }
+      bool const all = kernels_.stride(table) == Cell{1, 1, 1};
+      NodeCharges const& there = all ? charges.of(number)
+                                     : charges.of({number, table, patch_.face, patch_.level},
+                                                  points_apart(kernels_.stride(table), node.level));
+      grid(node.level, table).add(there, kernels_.at(table, node.level > patch_.level), served, scale, values);
     }
   }
 
  private:
+  int table_serving(TreeNode const& node, int axis, int cell) const {
+    int const point = place_in_level(cell, patch_.level, node.level).point;
+    int const end = node.first[axis] + std::max(node.extent[axis], block_edge);
+    return kernels_.serving(axis, std::max(end - point, point + 1 - node.first[axis]));
+  }
+
+  /// For each point along an axis of the plane; all alike where the patch is interpolated from points of a table.
+  std::array<int, patch_points> tables_along(int t, TreeNode const& node) const {
+    std::array<int, patch_points> out;
+    for (int i = 0; i < patch_points; ++i) out[i] = table_serving(node, axes_[t], cells_[t][i]);
+    if (patch_.extent[t] > patch_points && potential_.widest_[axes_[t]] > block_edge)
+      out.fill(*std::max_element(out.begin(), out.end()));
+    return out;
+  }
+
+  /// The points of a table of that stride, so that the wall's ghosts lie on them, and along it all that are as far
+  /// apart themselves.
+  PointsApart points_apart(Cell const& stride, int level) const {
+    PointsApart out{stride, {}};
+    for (int d = 0; d < 3; ++d) {
+      Place const ghost = place_in_level(d == normal_ ? behind_ : 0, patch_.level, level);
+      if (stride[d] > 1) out.origin[d] = ghost.point + ghost.shift;
+    }
+    return out;
+  }
+
   NearGrid& grid(int level, int table) {
     auto const found = grids_.find({level, table});
     if (found != grids_.end()) return found->second;
-    PointsApart const points = points_for(kernels_.stride(table), patch_.level, level);
-    auto const stencil = [&](int axis, int cell) {
-      Place const place = place_in_level(cell, patch_.level, level);
-      bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
-      return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)));
-    };
-    std::vector<Stencil> u, v;
-    for (int t = 0; t < patch_points; ++t) {
-      u.push_back(stencil(axes_[0], columns_[t]));
-      v.push_back(stencil(axes_[1], rows_[t]));
-    }
-    NearGrid made(normal_, StencilRow(u), StencilRow(v), StencilRow({stencil(normal_, behind_)}));
+    PointsApart const points = points_apart(kernels_.stride(table), level);
+    std::array<StencilRow, 3> places;
+    for (int t : {0, 1}) places[axes_[t]] = StencilRow(stencils(t, level, points));
+    places[normal_] = StencilRow({stencil(normal_, behind_, level, points)});
+    NearGrid made(normal_, std::move(places), axes_of_rows(potential_.shape_));
     return grids_.emplace(std::pair(level, table), std::move(made)).first->second;
   }
 
+  Stencil stencil(int axis, int cell, int level, PointsApart const& points) const {
+    Place const place = place_in_level(cell, patch_.level, level);
+    bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
+    return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)));
+  }
+
+  /// Of the points along an axis of the plane.
+  std::vector<Stencil> stencils(int t, int level, PointsApart const& points) const {
+    int const axis = axes_[t];
+    std::vector<Stencil> out;
+    if (points.stride[axis] == 1 || std::ldexp(1.0, level - patch_.level) >= points.stride[axis]) {
+      for (int cell : cells_[t]) out.push_back(stencil(axis, cell, level, points));
+      return out;
+    }
+    auto const place = [&](int cell) {
+      Place const ghost = place_in_level(cell, patch_.level, level);
+      return points.place(axis, ghost.point + ghost.shift);
+    };
+    Nodes const nodes = nodes_between(place(patch_.first[t]), place(patch_.first[t] + patch_.extent[t] - 1));
+    for (int cell : cells_[t]) out.push_back(stencil_of(nodes, place(cell)));
+    return out;
+  }
+
+  TreePotential const& potential_;
   GhostPatch const& patch_;
   KernelTables& kernels_;
   int normal_, behind_;
   std::array<int, 2> axes_;
-  std::array<int, patch_points> columns_, rows_;
+  std::array<Nodes, 2> cells_;
   std::map<std::pair<int, int>, NearGrid> grids_;  ///< by level of the charges and table
 };
 
 Cell near_cells(Lattice const& lattice, Options const& options) {
   Point const shape = lattice.shape();
   Cell out;
-  for (int d = 0; d < 3; ++d) out[d] = int(std::ceil(near_distance(shape, options) / shape[d]));
+  Cell const widest = widest_blocks(shape);
+  for (int d = 0; d < 3; ++d) {
+    int const beside_centre = widest[d] > block_edge ? widest[d] / 2 : 0;
+    out[d] = int(std::ceil(near_distance(shape, options) / shape[d])) + beside_centre;
+  }
   return out;
 }
 
@@ -250,8 +290,8 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       options_(options),
       shape_(lattice.shape()),
       longest_spacing_(std::max({shape_[0], shape_[1], shape_[2]})),
-      reach_(table_reach(lattice, finest, near_distance(shape_, options))),
-      kernels_(shape_, reach_) {}
+      widest_(widest_blocks(shape_)),
+      kernels_(shape_, table_reach(lattice, finest, options)) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
   return std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
@@ -278,17 +318,19 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
       int const n = stack.back();
       stack.pop_back();
       TreeNode const& node = tree.nodes[n];
+      auto const width = summed_width(node);
       double const distance2 = rectangle.to_centre2(node);
       bool const is_far = distance2 > limits[n] * limits[n];
       bool const is_mostly_near = !is_far && rectangle.between_centres2(node) < 0.5 * limits[n] * limits[n];
       if (is_far && rectangle.to_charges2(node) >= separation * separation)
         out[p].far.push_back(multipole(tree, n, distance2));
-      else if (!is_far && node.leaf < 0 && (node.radius > rectangle.radius || is_mostly_near))
+      else if (!is_far && is_summed(node, rectangle, points.width))
+        out[p].mixed.push_back(n);
+      else if (!is_far && node.leaf < 0 &&
+               (width ? *width > points.width : node.radius > rectangle.radius || is_mostly_near))
         for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
       else if (patch.is_block())
         out[p].mixed.push_back(n);
-      else if (!is_far && is_summed(node, rectangle, separation))
-        out[p].near.push_back(n);
       else
         left[p].push_back(n);
     }
@@ -296,18 +338,32 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
   return out;
 }
 
-/// Whether the charges of a leaf are to be summed at the points of a patch, and interpolated: where it is far enough
-/// for that, but too near for multipoles to most parts of the patch. It comes to that where cells are long.
-bool TreePotential::is_summed(TreeNode const& node, Rectangle const& rectangle, double separation) const {
-  if (node.leaf < 0) return false;
+/// Half the width over which the charges of a node are interpolated where they are summed one by one; nothing for nodes
+/// with too many for that.
+std::optional<double> TreePotential::summed_width(TreeNode const& node) const {
+  if (node.level < 0) return {};
+  double out = 0;
+  for (int d = 0; d < 3; ++d) {
+    if (node.extent[d] > widest_[d]) return {};
+    if (node.extent[d] > block_edge) out = std::max(out, node.half[d]);
+  }
+  return out;
+}
+
+/// Whether the charges of a node are summed one by one at the points of a patch: where both are as far from each other
+/// as the interpolation over their half widths asks for, also where the lattice counts.
+bool TreePotential::is_summed(TreeNode const& node, Rectangle const& rectangle, double patch_width) const {
+  auto const width = summed_width(node);
+  if (!width) return false;
+  double const apart = options_.separation * std::max(*width, patch_width);
   double distance2 = 0;
   for (int d = 0; d < 3; ++d) {
-    double const apart = rectangle.centre[d] - node.centre[d], spacing = shape_[d] * node.coarsest;
-    if ((std::abs(apart) + rectangle.half[d]) / spacing + block_edge > reach_[d]) return false;
-    double const distance = smoothing_distance(gap(apart, rectangle.half[d] + node.half[d]), spacing, shape_[d]);
+    double const spacing = shape_[d] * node.coarsest;
+    double const between = gap(rectangle.centre[d] - node.centre[d], rectangle.half[d] + node.half[d]);
+    double const distance = smoothing_distance(between, spacing, shape_[d]);
     distance2 += distance * distance;
   }
-  return distance2 >= separation * separation;
+  return distance2 >= apart * apart;
 }
 
 /// How a node counts at points no nearer than this.
@@ -355,7 +411,7 @@ void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> c
   for (int row = 0; row < patch_points; ++row) add_lanes(sums[row], values + row * patch_points);
 }
 
-/// The multipoles of nodes, or of parts of them, at the ghosts that they are far from; the rest goes to `near`.
+/// The multipoles of nodes, or of parts of them, at the points that they are far from; the rest goes to `near`.
 void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points,
                               std::size_t patch, double* values, std::vector<NearRow>& near) const {
   struct Visit {
@@ -365,6 +421,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   std::vector<Visit> stack;
   Rows const rows(points);
+  Rectangle const rectangle(points);
   for (int row = 0; row < patch_points; ++row) {
     auto const& at = rows.at[row];
     Lanes sum{};
@@ -386,8 +443,10 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         }
         unsigned const rest = active & ~far;
         if (!rest) continue;
-        if (node.leaf >= 0) near.push_back({patch, row, rest, node.leaf});
-        for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
+        if (node.leaf >= 0 || is_summed(node, rectangle, points.width))
+          near.push_back({patch, row, rest, n});
+        else
+          for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
       }
     }
     add_lanes(sum, values + row * patch_points);
@@ -404,22 +463,22 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
     double* const values = out.data() + (p - first) * patch_values;
     add_far(charges.tree, interactions[p].far, points, values);
     add_mixed(charges.tree, interactions[p].mixed, points, p, values, near);
-    for (int n : interactions[p].near)
-      for (int row = 0; row < patch_points; ++row) near.push_back({p, row, all_points, charges.tree.nodes[n].leaf});
   }
   std::vector<char> wanted(charges.leaves.size(), 0);
-  for (NearRow const& row : near) wanted[row.leaf] = 1;
+  std::vector<int> nodes;
+  for (NearRow const& row : near) nodes.push_back(row.node);
+  mark_leaves(charges.tree, std::move(nodes), wanted);
   MPI_Allreduce(MPI_IN_PLACE, wanted.data(), int(wanted.size()), MPI_SIGNED_CHAR, MPI_MAX, comm);
-  LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted);
-  SpreadLeaves spread(kernels_);
+  auto const across = axes_of_rows(shape_);
+  LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted, across);
+  ChargesOfNodes of_nodes(charges.tree, fetched, across);
   for (std::size_t n = 0; n < near.size();) {
     std::size_t const p = near[n].patch;
-    std::map<int, std::array<unsigned, patch_points>> masks;  // by leaf
-    for (; n < near.size() && near[n].patch == p; ++n) masks[near[n].leaf][std::size_t(near[n].row)] |= near[n].points;
-    NearPatch patch(lattice_, patches[p], kernels_);
-    for (auto const& [leaf, points] : masks)
-      patch.add(leaf, charges.leaves[std::size_t(leaf)].leaf, fetched.of(leaf), points, spread,
-                out.data() + (p - first) * patch_values);
+    std::map<int, std::array<unsigned, patch_points>> masks;  // by node
+    for (; n < near.size() && near[n].patch == p; ++n) masks[near[n].node][std::size_t(near[n].row)] |= near[n].points;
+    NearPatch patch(*this, patches[p]);
+    for (auto const& [node, points] : masks)
+      patch.add(node, charges.tree.nodes[std::size_t(node)], points, of_nodes, out.data() + (p - first) * patch_values);
   }
   return out;
 }

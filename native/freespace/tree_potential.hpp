@@ -4,6 +4,7 @@
 
 #include <mpi.h>
 
+#include <optional>
 #include <vector>
 
 #include "freespace/ghost_patches.hpp"
@@ -39,10 +40,9 @@ struct Interactions {
     bool on_lattice;  ///< whether the lattice counts at this distance
   };
   std::vector<Far> far;    ///< as multipoles at all points
-  std::vector<int> near;   ///< leaves, charge by charge at all points
-  std::vector<int> mixed;  ///< of blocks: nodes too near to some of the ghosts for that
+  std::vector<int> mixed;  ///< too near to some of the points for that: charge by charge there
 
-  double cost() const { return double(far.size()) + 4.0 * double(near.size() + mixed.size()); }
+  double cost() const { return double(far.size()) + 4.0 * double(mixed.size()); }
 };
 
 class TreePotential {
@@ -60,18 +60,18 @@ class TreePotential {
                          std::vector<Interactions> const& interactions, std::size_t first, std::size_t last) const;
 
  private:
-  /// A leaf that is near to some of one row of points.
+  /// A node that is near to some of one row of points.
   struct NearRow {
     std::size_t patch;
     int row;
     unsigned points;  ///< bit t: number t of the row
-    int leaf;
+    int node;
   };
   class NearPatch;
-  class SpreadLeaves;
   struct Rectangle;
   double far_limit(TreeNode const& node) const;
-  bool is_summed(TreeNode const& node, Rectangle const& rectangle, double separation) const;
+  std::optional<double> summed_width(TreeNode const& node) const;
+  bool is_summed(TreeNode const& node, Rectangle const& rectangle, double patch_width) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                double* values) const;
@@ -83,7 +83,7 @@ class TreePotential {
   Options options_;
   Point shape_;
   double longest_spacing_;
-  Cell reach_;                    ///< of the kernel tables
+  Cell widest_;                   ///< blocks of cells of one level
   mutable KernelTables kernels_;  ///< guarded by itself
 };
 

@@ -4,11 +4,10 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// The copies need sweeps on either side of their corrections, whatever the cycle around them does, and one more before
-/// them for those that the level itself is spared, see `beside_local_cycle`.
 Relaxation of_copies(Relaxation relaxation) {
-  relaxation.pre_sweeps = relaxation.pre_sweeps + 1;
-  relaxation.post_sweeps = std::max(1, relaxation.post_sweeps);
+  Sweeps const sweeps = sweeps_of_copies({relaxation.pre_sweeps, relaxation.post_sweeps});
+  relaxation.pre_sweeps = sweeps.before;
+  relaxation.post_sweeps = sweeps.after;
   return relaxation;
 }
 

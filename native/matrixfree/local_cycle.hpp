@@ -37,11 +37,6 @@ class LocalCycle {
   std::unique_ptr<LocalCycle> next_;
 };
 
-/// Sweeps on a level that has a local cycle, before that one and before the next coarser level's correction, of so many
-/// where there is none: the local cycle has sweeps of its own. On 43 meshes of long and flat cells half of them, and
-/// one more on the copies, took as many cycles and three quarters of the time.
-inline int beside_local_cycle(int sweeps) { return (sweeps + 1) / 2; }
-
 /// The local cycle of a refinement level over its copies; null without any. Collective.
 std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
                                              Relaxation const& relaxation);

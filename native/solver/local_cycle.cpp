@@ -1,67 +1,81 @@
 #include "solver/local_cycle.hpp"
 
-#include <algorithm>
-
 #include "base/rows.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// The copies need sweeps on either side of their corrections, whatever the cycle around them does.
-SolverOptions on_either_side(SolverOptions options) {
-  options.pre_sweeps = std::max(1, options.pre_sweeps);
-  options.post_sweeps = std::max(1, options.post_sweeps);
+SolverOptions with_sweeps(SolverOptions options, Sweeps const& sweeps) {
+  options.pre_sweeps = sweeps.before;
+  options.post_sweeps = sweeps.after;
   return options;
 }
 
+/// Relaxes points, and lets the copies correct what the next coarser level left or brought in.
+class WithCopies : public Smoother {
+ public:
+  WithCopies(MPI_Comm comm, LevelOperators const& operators, std::vector<LevelCopy> const& copies,
+             SolverOptions const& options, Sweeps const& on_copies)
+      : beside_(make_smoother(
+            comm, operators, true,
+            with_sweeps(options, {beside_local_cycle(options.pre_sweeps), beside_local_cycle(options.post_sweeps)}))),
+        last_(make_smoother(comm, operators, true, with_sweeps(options, {0, on_copies.after}))),
+        copies_(comm, operators, copies.data(), copies.size(), with_sweeps(options, on_copies)) {}
+
+  void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override { beside_->smooth_from_zero(f, x); }
+  void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) override {
+    beside_->smooth(side, f, x);
+    copies_.correct(f, x);
+    last_->smooth(Side::after, f, x);
+  }
+  std::vector<LevelOperators const*> own_levels() const override { return copies_.levels(); }
+
+ private:
+  std::unique_ptr<Smoother> beside_, last_;
+  CopyCycle copies_;
+};
+
 }  // namespace
 
-LocalCycle::LocalCycle(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies, std::size_t count,
-                       SolverOptions const& options)
-    : operators_(operators),
-      points_(make_smoother(comm, operators, true, on_either_side(options))),
-      copy_(copy_operators(comm, *operators.level, *copies)),
-      coarse_(make_refined_smoother(comm, copy_.level, copies + 1, count - 1, on_either_side(options))),
-      residual_(std::size_t(operators.rows()) + std::size_t(copy_.above.ghosts())),
-      coarse_f_(std::size_t(copy_.level.rows())),
-      coarse_x_(coarse_f_.size() + std::size_t(copy_.level.halo.ghosts())),
-      values_(coarse_f_.size() + std::size_t(copy_.own.ghosts())) {}
-
-void LocalCycle::smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) {
-  points_->smooth_from_zero(f, x);
-  correct(f, x);
-  points_->smooth(Sweeps::after, f, x);
+CopyCycle::CopyCycle(MPI_Comm comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
+                     SolverOptions const& options)
+    : above_(above),
+      copy_(copy_operators(comm, *above.level, *copies)),
+      smoother_(make_smoother(comm, copy_.level, true, options)),
+      residual_(std::size_t(above.rows()) + std::size_t(copy_.above.ghosts())),
+      f_(std::size_t(copy_.level.rows())),
+      x_(f_.size() + std::size_t(copy_.level.halo.ghosts())),
+      values_(f_.size() + std::size_t(copy_.own.ghosts())) {
+  if (count > 1) next_ = std::make_unique<CopyCycle>(comm, copy_.level, copies + 1, count - 1, options);
 }
 
-void LocalCycle::smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) {
-  points_->smooth(sweeps, f, x);
-  correct(f, x);
-  points_->smooth(Sweeps::after, f, x);
-}
-
-std::vector<LevelOperators const*> LocalCycle::own_levels() const {
-  auto out = coarse_->own_levels();
-  out.push_back(&copy_.level);
-  return out;
-}
-
-/// Add what the coarser copies find for the residual.
-void LocalCycle::correct(std::vector<Real> const& f, std::vector<Real>& x) {
-  operators_.stencil_halo.update(x.data());
-  for_rows(operators_.rows(), [&](LocalIndex row) { residual_[row] = f[row] - operators_.no_fine.dot(row, x.data()); });
+void CopyCycle::correct(std::vector<Real> const& f, std::vector<Real>& x) {
+  above_.stencil_halo.update(x.data());
+  for_rows(above_.rows(), [&](LocalIndex row) { residual_[row] = f[row] - above_.no_fine.dot(row, x.data()); });
   copy_.above.update(residual_.data());
-  multiply(copy_.restriction, residual_.data(), coarse_f_.data());
-  coarse_->smooth_from_zero(coarse_f_, coarse_x_);
-  std::copy_n(coarse_x_.begin(), coarse_f_.size(), values_.begin());
+  multiply(copy_.restriction, residual_.data(), f_.data());
+  smoother_->smooth_from_zero(f_, x_);
+  if (next_) {
+    next_->correct(f_, x_);
+    smoother_->smooth(Side::after, f_, x_);
+  }
+  std::copy_n(x_.begin(), f_.size(), values_.begin());
   copy_.own.update(values_.data());
   add_multiply(1.0, copy_.prolongation, values_.data(), x.data());
 }
 
-std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies,
-                                                std::size_t count, SolverOptions const& options) {
-  if (count == 0) return make_smoother(comm, operators, true, options);
-  return std::make_unique<LocalCycle>(comm, operators, copies, count, options);
+std::vector<LevelOperators const*> CopyCycle::levels() const {
+  auto out = next_ ? next_->levels() : std::vector<LevelOperators const*>{};
+  out.push_back(&copy_.level);
+  return out;
+}
+
+std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators,
+                                                std::vector<LevelCopy> const& copies, SolverOptions const& options) {
+  if (copies.empty()) return make_smoother(comm, operators, true, options);
+  return std::make_unique<WithCopies>(comm, operators, copies, options,
+                                      sweeps_of_copies({options.pre_sweeps, options.post_sweeps}));
 }
 
 }  // namespace amrpic

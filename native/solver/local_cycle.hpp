@@ -5,34 +5,34 @@
 
 namespace amrpic {
 
-/// Smooths a refinement level of long or flat cells by a V-cycle of its own, over the level and copies of it with fewer
-/// cells along the axes of small spacing.
+/// What the copies of a refinement level of long or flat cells find for its residual: a V-cycle over them.
 ///
-/// A point smoother reduces no error that is smooth along those axes, and the next coarser level, with half the cells
-/// along all axes, does not see it where it oscillates along the others: cells of 1:1:10 took 100 cycles.
-class LocalCycle : public Smoother {
+/// A point smoother reduces no error that is smooth along the axes of small spacing, and the next coarser level, with
+/// half the cells along all axes, does not see it where it oscillates along the others: cells of 1:1:10 took 100
+/// cycles.
+class CopyCycle {
  public:
-  /// `copies`: from the one below this level on; not empty. Collective.
-  LocalCycle(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies, std::size_t count,
-             SolverOptions const& options);
+  /// `above`: the operators of the level above the first of the `copies`, which are not empty. Collective.
+  CopyCycle(MPI_Comm comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
+            SolverOptions const& options);
 
-  void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override;
-  void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) override;
-  std::vector<LevelOperators const*> own_levels() const override;
-
- private:
+  /// Add to x what is found for f - no_fine x. Collective.
   void correct(std::vector<Real> const& f, std::vector<Real>& x);
 
-  LevelOperators const& operators_;
-  std::unique_ptr<Smoother> points_;
+  /// Operators of the copies, coarsest first.
+  std::vector<LevelOperators const*> levels() const;
+
+ private:
+  LevelOperators const& above_;
   CopyOperators copy_;
-  std::unique_ptr<Smoother> coarse_;
-  std::vector<Real> residual_, coarse_f_, coarse_x_, values_;
+  std::unique_ptr<Smoother> smoother_;
+  std::unique_ptr<CopyCycle> next_;
+  std::vector<Real> residual_, f_, x_, values_;
 };
 
-/// The smoother of a refinement level: the one that the options name, in a V-cycle of its own where the level has
-/// copies. Collective.
-std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators, LevelCopy const* copies,
-                                                std::size_t count, SolverOptions const& options);
+/// The smoother of a refinement level: the one that the options name, and a cycle over the level's copies where it has
+/// any. Collective.
+std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators,
+                                                std::vector<LevelCopy> const& copies, SolverOptions const& options);
 
 }  // namespace amrpic

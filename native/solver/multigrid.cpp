@@ -33,7 +33,7 @@ void MultigridLevel::pre_smooth_and_restrict(Guess guess, MultigridLevel& coarse
   } else {
     std::fill(correction_.begin(), correction_.end(), 0.0);
     add_multiply(1.0, operators_.prolongation, coarser.correction_.data(), correction_.data());
-    smoother_->smooth(Sweeps::before, right_hand_side_, correction_);
+    smoother_->smooth(Side::before, right_hand_side_, correction_);
   }
   operators_.halo.update(correction_.data());
   for_rows(operators_.rows(), [&](LocalIndex row) {
@@ -52,7 +52,7 @@ void MultigridLevel::pre_smooth_and_restrict(Guess guess, MultigridLevel& coarse
 void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
   add_multiply(1.0, operators_.prolongation, coarser.correction_.data(), correction_.data());
   add_multiply(-1.0, operators_.coarse_boundary, coarser.correction_.data(), right_hand_side_.data());
-  smoother_->smooth(Sweeps::after, right_hand_side_, correction_);
+  smoother_->smooth(Side::after, right_hand_side_, correction_);
 }
 
 Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators,
@@ -64,7 +64,7 @@ Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators cons
     std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
     if (stack.refines(l)) {
       auto const copies = semicoarse_copies(o.level, o.walls, stack.boundary, max_grid_size);
-      smoother = make_refined_smoother(comm, o, copies.data(), copies.size(), options);
+      smoother = make_refined_smoother(comm, o, copies, options);
     }
     if (l > 0 && !smoother) smoother = make_smoother(comm, o, false, options);
     levels_.emplace_back(o, std::move(smoother));

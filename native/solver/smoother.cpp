@@ -54,8 +54,8 @@ class RedBlack : public Smoother {
     }
     sweep(pre_sweeps_ - 1, f, x);
   }
-  void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) override {
-    sweep(sweeps == Sweeps::before ? pre_sweeps_ : post_sweeps_, f, x);
+  void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) override {
+    sweep(side == Side::before ? pre_sweeps_ : post_sweeps_, f, x);
   }
 
  private:
@@ -119,8 +119,8 @@ class LibrarySmoother : public Smoother {
     std::fill(x.begin(), x.end(), 0.0);
     apply(from_zero_, f, x);
   }
-  void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) override {
-    apply(sweeps == Sweeps::before ? before_ : after_, f, x);
+  void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) override {
+    apply(side == Side::before ? before_ : after_, f, x);
   }
 
  private:

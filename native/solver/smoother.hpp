@@ -10,7 +10,7 @@
 
 namespace amrpic {
 
-enum class Sweeps { before, after };  ///< the coarse correction
+enum class Side { before, after };  ///< of the coarse correction
 
 /// Damps those errors of a level that the next coarser one cannot see, in no_fine x = f. Vectors x hold own cells and
 /// ghosts; only own cells of the result are valid.
@@ -22,7 +22,7 @@ class Smoother {
   virtual void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) = 0;
 
   /// x from what it holds, by the sweeps before or after the coarse correction. Collective.
-  virtual void smooth(Sweeps sweeps, std::vector<Real> const& f, std::vector<Real>& x) = 0;
+  virtual void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) = 0;
 
   /// Operators of levels that it has for itself.
   virtual std::vector<LevelOperators const*> own_levels() const { return {}; }

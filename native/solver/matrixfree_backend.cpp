@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 #include "matrixfree/capacity.hpp"
 
@@ -13,6 +14,17 @@ namespace {
 Problem const& checked(Problem const& problem) {
   matrixfree::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
   return problem;
+}
+
+/// Sum of the products of two rows in double precision, several sums at a time, which the processor adds at once.
+Real product(float const* a, float const* b, int n) {
+  constexpr int lanes = 8;
+  Real sums[lanes] = {};
+  int i = 0;
+  for (; i + lanes <= n; i += lanes)
+    for (int lane = 0; lane < lanes; ++lane) sums[lane] += Real(a[i + lane]) * b[i + lane];
+  for (; i < n; ++i) sums[0] += Real(a[i]) * b[i];
+  return std::accumulate(sums, sums + lanes, Real(0));
 }
 
 }  // namespace
@@ -100,31 +112,35 @@ void MatrixFreeBackend::combine_corrections(MinimalResidual::Vectors const& befo
       correction.push_back(cycle_.level(std::size_t(l)).correction());
       after.push_back(cycle_.level(std::size_t(l)).right_hand_side());
     }
-    corrections_.improve(correction, before, after, [this](auto const& a, auto const& b) { return dot(a, b); });
+    corrections_.improve(
+        correction, before, after, [this](auto const& a, auto const& b) { return dot(a, b); },
+        problem_.hierarchy->comm());
     for (int l = 0; l < levels(); ++l) cycle_.level(std::size_t(l)).correction().swap(correction[std::size_t(l)]);
     correction_ = blocks(&matrixfree::SweptLevel::correction);
     composite_.add(correction_, unit_, *phi_);
   });
 }
 
-/// The product over own cells of all ranks of residuals, which are zero in covered cells.
+/// The product over own cells of residuals, which are zero in covered ones: but for a common factor that of what they
+/// stand for, not of what the cycle makes of them on each level.
 Real MatrixFreeBackend::dot(MinimalResidual::Vectors const& a, MinimalResidual::Vectors const& b) {
   Real sum = 0;
   for (int l = 0; l < levels(); ++l) {
     auto const& swept = cycle_.level(std::size_t(l));
     Level const& level = problem_.hierarchy->level(l);
+    Real of_level = 0;
     for (int n = level.first_local_box(); n < level.last_local_box(); ++n) {
       auto const cells = swept.layout().box(n);
       Box const& box = level.box(n);
       for (int k = 0; k < box.extent(2); ++k)
         for (int j = 0; j < box.extent(1); ++j) {
           std::size_t const row = std::size_t(cells.place(0, j, k));
-          for (std::size_t i = row; i < row + std::size_t(box.extent(0)); ++i)
-            sum += Real(a[std::size_t(l)][i]) * b[std::size_t(l)][i];
+          of_level += product(&a[std::size_t(l)][row], &b[std::size_t(l)][row], box.extent(0));
         }
     }
+    Real const unscaled = scale_[0] / scale_[std::size_t(l)];
+    sum += unscaled * unscaled * of_level;
   }
-  MPI_Allreduce(MPI_IN_PLACE, &sum, 1, MPI_DOUBLE, MPI_SUM, problem_.hierarchy->comm());
   return sum;
 }
 

@@ -8,6 +8,7 @@
 #include "base/constants.hpp"
 #include "base/error.hpp"
 #include "freespace/density.hpp"
+#include "operators/semicoarse.hpp"
 #include "solver/crs_backend.hpp"
 #include "solver/matrixfree_backend.hpp"
 #include "solver/net_charge.hpp"
@@ -173,7 +174,6 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   Real const size = backend_->right_hand_side_norm();
   backend_->start(phi, from_zero);
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
-  constexpr Real slow = 0.2;       // cycles by themselves leave less of the residual where nothing overshoots
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
   int stuck = 0, since_lowest = 0;
   Real lowest = std::numeric_limits<Real>::infinity();
@@ -195,7 +195,8 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
       stuck = factor > 0.98 ? stuck + 1 : 0;
-      if (factor > slow && report.cycles > 2 && !options_.to_discretisation) backend_->accelerate();
+      if (report.cycles > 2 && !options_.to_discretisation && is_slow(residual, factor, report.cycles))
+        backend_->accelerate();
     }
     since_lowest = residual < 0.8 * lowest ? 0 : since_lowest + 1;
     if (since_lowest == 0) lowest = residual;
@@ -216,6 +217,15 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
       latest_correction_ = backend_->largest_correction();
     }
   }
+}
+
+/// Whether so many cycles, and those to come at the pace of the latest one, are more than nine for ten digits, or
+/// twelve where cells are long.
+bool PoissonSolver::is_slow(Real residual, Real factor, int cycles) const {
+  if (factor >= 1) return true;
+  Real const tolerance = std::clamp(options_.tolerance, 1e-10, 0.1);
+  Real const most = has_long_cells(hierarchy_->level(0)) ? 12 : 9;
+  return cycles + std::log(tolerance / residual) / std::log(factor) > most * std::log10(1 / tolerance) / 10;
 }
 
 /// Whether what the cycles to come would still change is a tenth of the error of the mesh: the latest correction times

@@ -60,6 +60,7 @@ class PoissonSolver {
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;
   void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
+  bool is_slow(Real residual, Real factor, int cycles) const;
   bool below_discretisation(SolveReport& report);
 
   std::shared_ptr<Hierarchy const> given_;

@@ -28,9 +28,10 @@ from fuzz_pool import SANITIZED, Broken, Pool
 # Goals: aspect ratio of the cells up to which so many cycles to 1e-10 are allowed.
 CYCLE_LIMITS = ((1.0, 9), (10.0, 12), (math.inf, 16))
 VARIATION = 1  # cycles that a case may differ from its reference
-# Allowed beyond them where refined levels of long cells meet axes along which no wall holds the potential: there the
-# coarser level overshoots, and a few cycles pass before that shows and corrections are combined.
-CLOSED_CYCLES = ((10.0, 1), (math.inf, 4))
+# More of both where refined levels of cells longer than 1:10 meet axes along which no wall holds the potential: there the rows of
+# all levels at once are up to 7/4 as stiff, per level, as the next coarser level believes (docs/theory.md, "Slow cycles").
+# Of 2,000 cases nine took more than 16 cycles, one 34.
+LOOSE_CYCLES, LOOSE_VARIATION = 20, 3
 BYTES_PER_CELL, BYTES_FREE = 100, 100e6  # memory of a matrix-free solve: potential, charge, solver, what Python holds
 
 # Refusals that are documented: of cells for which there is no method or no memory.
@@ -73,14 +74,20 @@ class Result:
 
 def limit(case: Case) -> int:
     """Cycles that the aspect ratio allows."""
-    closed = any(not {"dirichlet", "open"} & set(pair) for pair in case.boundary)
-    more = allowed(case, CLOSED_CYCLES) if closed and case.levels and case.aspect_ratio > 1.01 else 0
-    return more + allowed(case, CYCLE_LIMITS)
+    cycles = next(cycles for aspect, cycles in CYCLE_LIMITS if case.aspect_ratio <= aspect * (1 + 1e-9))
+    return cycles + (LOOSE_CYCLES if case.levels and is_loose(case) else 0)
 
 
-def allowed(case: Case, table: Sequence[tuple[float, int]]) -> int:
-    """The cycles of the first aspect ratio in a table that is not exceeded."""
-    return next(cycles for aspect, cycles in table if case.aspect_ratio <= aspect * (1 + 1e-9))
+def is_loose(case: Case) -> bool:
+    """Whether nothing holds the potential along some axis of a mesh of long cells."""
+    return case.aspect_ratio > 10 and any(not {"dirichlet", "open"} & set(pair) for pair in case.boundary)
+
+
+def cycles_taken(case: Case, outcome: Outcome) -> int:
+    """Cycles to the tolerance, or to within ten times of what rounding leaves, where the residual may fall in steps."""
+    spacing = case.edges / 2 ** len(case.levels)
+    floor = np.finfo(float).eps * np.sum(2 / spacing**2) * outcome.largest_phi / largest_source(case)
+    return next((n for n, r in enumerate(outcome.residuals) if r <= max(TOLERANCE, 10 * floor)), outcome.cycles)
 
 
 def allowed_cycles(case: Case, outcome: Outcome) -> int:
@@ -148,14 +155,16 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         most = BYTES_PER_CELL * outcome.cells + BYTES_FREE
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
-    # Around an odd number of cells compressed rows relax the last ones as colours of their own, which takes fewer cycles.
-    rings = [n for n, pair in zip(case.cells, case.boundary, strict=True) if "periodic" in pair and n % 2]
-    few = case.backend == "crs" and bool(rings) and found.cycles < plain.cycles
-    if abs(found.cycles - plain.cycles) > VARIATION and not few:
-        fail("cycles differ", f"{found.cycles}, reference {plain.cycles}")
-    for name, outcome in (("", found), ("reference: ", plain)):
-        if outcome.cycles > (most_cycles := allowed_cycles(case, outcome)):
-            fail("cycles", f"{name}{outcome.cycles} cycles, at most {most_cycles}: {shown(outcome.residuals)}")
+    # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; and what
+    # is constant along axes of short cells that nothing holds loses digits in the single precision of the other cycle.
+    odd_ring = any("periodic" in pair and n % 2 for n, pair in zip(case.cells, case.boundary, strict=True))
+    taken, reference = cycles_taken(case, found), cycles_taken(case, plain)
+    fewer = case.backend == "crs" and (odd_ring or is_loose(case)) and taken < reference
+    if abs(taken - reference) > (LOOSE_VARIATION if case.levels and is_loose(case) else VARIATION) and not fewer:
+        fail("cycles differ", f"{taken}, reference {reference}")
+    for name, outcome, cycles in (("", found, taken), ("reference: ", plain, reference)):
+        if cycles > (most_cycles := allowed_cycles(case, outcome)):
+            fail("cycles", f"{name}{cycles} cycles, at most {most_cycles}: {shown(outcome.residuals)}")
     return failures, difference
 
 

@@ -16,6 +16,8 @@ constexpr double lattice_negligible = 64;  ///< cells from a charge where its la
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
 constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
+/// A factor of limits: places on a lattice often lie at a limit exactly, and rounding must not choose.
+constexpr double past_ties = 1 + 1e-9;
 
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
@@ -294,7 +296,8 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       kernels_(shape_, table_reach(lattice, finest, options)) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
-  return std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
+  return past_ties *
+         std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
 }
 
 std::vector<Interactions> TreePotential::interactions(Octree const& tree,

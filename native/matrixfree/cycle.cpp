@@ -47,15 +47,15 @@ Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l
 constexpr GlobalIndex held_by_all = 10000;  ///< cells of a level that every rank relaxes faster than it hears of others
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
-WallGhosts walls_of_coarsest(LevelStack const& stack, OpenWalls const& open_walls) {
-  WallGhosts out = stack.walls.front();
+WallGhosts walls_of_coarsest(LevelStack const& stack, Ends const& ends) {
+  WallGhosts out = ends.walls;
   Box const& domain = stack.levels.front()->domain();
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side)
-      if (stack.boundary[axis][side] == Boundary::open && stack.base > 0) {
+      if (stack.boundary[axis][side] == Boundary::open) {
         Index3 cell{domain.extent(0) / 2, domain.extent(1) / 2, domain.extent(2) / 2};
         cell[axis] = side == 0 ? domain.lower[axis] : domain.upper[axis];
-        out[axis][side].first += open_walls.first(0, cell, axis, side);
+        out[axis][side].first += ends.more(cell, axis, side);
       }
   return out;
 }
@@ -93,9 +93,10 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
   Box const& box = coarsest.domain();
   Real3 weight;
   for (int d = 0; d < 3; ++d) weight[d] = levels_[0].swept->scale() / coarsest.spacing()[d] / coarsest.spacing()[d];
-  direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, weight,
-                                                  walls_of_coarsest(stack_, open_walls), coarsest.periodic(),
-                                                  ends_of(stack_, open_walls, 0).seam_width);
+  Ends const ends = ends_of(stack_, open_walls, 0);
+  direct_ =
+      std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, weight,
+                                            walls_of_coarsest(stack_, ends), coarsest.periodic(), ends.seam_width);
 }
 
 void Cycle::run() {

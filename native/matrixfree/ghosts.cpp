@@ -11,13 +11,21 @@ namespace {
 
 constexpr std::int32_t nothing = -1;  ///< the source of a ghost of which nothing is known yet
 
+/// Whether a level has a single cell along an axis, on either side of which lies the value of itself.
+bool is_its_own_neighbour(Level const& level, Ends const& ends, int axis) {
+  auto is_copy = [](WallGhost const& ghost) { return ghost.first == 1 && ghost.second == 0; };
+  return level.domain().extent(axis) == 1 &&
+         (level.periodic()[axis] || (is_copy(ends.walls[axis][0]) && is_copy(ends.walls[axis][1])));
+}
+
 }  // namespace
 
 Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation)
     : relaxation_(relaxation), keep_(float(1 - relaxation)) {
   Real3 const& h = level.spacing();
   Real const least = smallest_spacing(level);
-  for (int d = 0; d < 3; ++d) weight_[d] = float(least * least / h[d] / h[d]);
+  for (int d = 0; d < 3; ++d)
+    weight_[d] = is_its_own_neighbour(level, ends, d) ? 0 : float(least * least / h[d] / h[d]);
   for (Block const& block : layout.blocks()) {
     BlockStencil out;
     out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
@@ -176,7 +184,7 @@ std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diago
     pool_.resize(start + (3 * pitch + 15) / 16 * 16);
     for (std::size_t i = 0; i < diagonal.size(); ++i) {
       pool_[start + i] = diagonal[i];
-      pool_[start + (1 + i % 2) * pitch + i] = float(relaxation_) / diagonal[i];
+      pool_[start + (1 + i % 2) * pitch + i] = diagonal[i] == 0 ? 0 : float(relaxation_) / diagonal[i];
     }
   }
   return at->second;

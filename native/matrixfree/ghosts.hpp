@@ -65,7 +65,8 @@ class Stencil {
   Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation);
 
   BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
-  std::array<float, 3> const& weight() const { return weight_; }  ///< h² / h_d²
+  /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
+  std::array<float, 3> const& weight() const { return weight_; }
   bool isotropic() const { return weight_[0] == weight_[1] && weight_[1] == weight_[2]; }
   float keep() const { return keep_; }  ///< 1 - relaxation
 

@@ -35,7 +35,10 @@ int apart(Box const& a, Box const& b) {
 Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
     : domain_(level.domain()), first_box_(level.first_local_box()) {
   // Across an odd number of cells two of one colour meet: there images are copies with colours of their own.
-  for (int d = 0; d < 3; ++d) wraps_[d] = d < 2 && level.periodic()[d] && domain_.extent(d) % 2 == 0;
+  for (int d = 0; d < 3; ++d) {
+    bool const in_place = d < 2 && level.periodic()[d] && domain_.extent(d) % 2 == 0;
+    wraps_[d] = in_place ? (depth + domain_.extent(d)) / domain_.extent(d) : 0;
+  }
   std::array<Seam, 3> seams;
   for (int d = 0; d < 3; ++d)
     if (seam[d]) seams[d] = {domain_.extent(d) - 1, domain_.extent(d)};
@@ -141,16 +144,22 @@ Rectangle Layout::halo_place(Halo const& halo) const {
 /// Whether own cells are read in place where they are images of such a shift.
 bool Layout::in_place(Index3 const& shift) const {
   for (int d = 0; d < 3; ++d)
-    if (shift[d] != 0 && !wraps_[d]) return false;
+    if (shift[d] != 0 && wraps_[d] == 0) return false;
   return true;
 }
 
 std::vector<Index3> Layout::images(Box const& region) const {
   std::vector<Index3> out;
-  for (int y : {-1, 1, 0})
-    for (int x : {-1, 1, 0}) {
+  auto const periods = [&](int d) {  // none, the domain itself, comes last
+    std::vector<int> all;
+    for (int p = -wraps_[d]; p <= wraps_[d]; ++p)
+      if (p != 0) all.push_back(p);
+    all.push_back(0);
+    return all;
+  };
+  for (int y : periods(1))
+    for (int x : periods(0)) {
       Index3 const shift{x * domain_.extent(0), y * domain_.extent(1), 0};
-      if (!in_place(shift)) continue;
       Box reach = domain_.shift(shift);
       reach.lower[2] = region.lower[2], reach.upper[2] = region.upper[2];
       if (!region.intersect(reach).empty() || shift == Index3{0, 0, 0}) out.push_back(shift);

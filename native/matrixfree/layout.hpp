@@ -94,7 +94,7 @@ class Layout {
   void measure_halo();
 
   Box domain_;
-  std::array<bool, 3> wraps_;  ///< whether images across the axis are read in place
+  std::array<int, 3> wraps_;  ///< periods to either side whose images are read in place; 0 if they are copied
   int first_box_;
   std::vector<Block> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;

@@ -28,8 +28,8 @@ from fuzz_pool import SANITIZED, Broken, Pool
 # Goals: aspect ratio of the cells up to which so many cycles to 1e-10 are allowed.
 CYCLE_LIMITS = ((1.0, 9), (10.0, 12), (math.inf, 16))
 VARIATION = 1  # cycles that a case may differ from its reference
-# More of both where refined levels of cells longer than 1:10 meet axes along which no wall holds the potential: there the rows of
-# all levels at once are up to 7/4 as stiff, per level, as the next coarser level believes (docs/theory.md, "Slow cycles").
+# More of both where refined levels of cells longer than 1:10 meet axes along which no wall holds the potential: there the
+# rows of all levels at once are up to 7/4 as stiff, per level, as the coarser one believes (docs/theory.md, "Slow cycles").
 # Of 2,000 cases nine took more than 16 cycles, one 34.
 LOOSE_CYCLES, LOOSE_VARIATION = 20, 3
 BYTES_PER_CELL, BYTES_FREE = 100, 100e6  # memory of a matrix-free solve: potential, charge, solver, what Python holds

@@ -99,3 +99,26 @@ def test_columns_that_touch_along_edges_alone_take_few_cycles(pool, height, limi
     boxes = tuple(((i, j, 0), (i + 7, j + 7, 63)) for i, j in columns if (i + j) // 8 % 2 == 0)
     found = cycles(pool, Case((32,) * 3, (1.0, 1.0, float(height)), levels=(boxes,), source=source))
     assert found <= limit, found
+
+
+RING = ("periodic", "periodic")
+
+
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize(
+    ("cells", "spacing", "along"),
+    [((26, 2, 2), (37.0, 1.0, 1.0), 0), ((26, 2, 2), (1.0, 1.0, 1.0), 0), ((3, 70, 3), (1.0, 46.0, 1.0), 1)],
+)
+def test_rings_of_two_or_three_cells_converge_like_others(pool, cells, spacing, along, ranks):
+    """Sweeps reach further across a periodic axis than it has cells: beyond the first image they took zeros, and diverged."""
+    boundary = tuple(("dirichlet", "dirichlet") if axis == along else RING for axis in range(3))
+    case = Case(cells, spacing, boundary, blocking_factor=2, source=noise(3), ranks=ranks)
+    found = cycles(pool, case)
+    assert found <= 8, found
+
+
+def test_the_exact_bottom_knows_open_walls_of_a_base_that_is_covered(pool):
+    """A base of a few cells is the bottom itself: it took corrections to vanish where those of the finer level do not."""
+    case = Case((9, 2, 2), boundary=(("open", "open"),) * 3, levels=((((0, 0, 0), (17, 3, 3)),),), blocking_factor=2)
+    found = [cycles(pool, replace(case, backend=backend)) for backend in ("matrix-free", "crs")]
+    assert max(found) <= 6, found

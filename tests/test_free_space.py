@@ -425,6 +425,21 @@ def test_tables_of_many_levels_of_long_cells_are_small_shared_and_freed(gamma):
     assert kernel_table_bytes() == before
 
 
+def test_tables_of_all_solvers_together_are_bounded_and_made_again_as_needed():
+    before = kernel_table_bytes()
+    domain = Domain((0, 0, 0), (1, 1, 1), (16,) * 3, boundary="open")
+    hierarchy = Hierarchy(MPI.COMM_SELF, domain, [[((0, 0, 0), (15, 15, 15))]], blocking_factor=4)
+    rho = Field(hierarchy).fill(lambda x, y, z: 1e-9 * np.exp(-20 * (x**2 + y**2 + z**2)))
+    solvers = [PoissonSolver(hierarchy, stretch=(1, 1, 1 + n / 4)) for n in range(60)]
+    first = [solver.solve(rho)[0] for solver in solvers]
+    assert 40e6 < kernel_table_bytes() - before < 64 * 2**20
+    for solver, phi in list(zip(solvers, first, strict=True))[::-7]:
+        again = solver.solve(rho)[0]
+        assert all(np.array_equal(again.array(level), phi.array(level)) for level in range(hierarchy.levels))
+    del solvers, solver
+    assert kernel_table_bytes() == before
+
+
 @pytest.mark.mpi(ranks=(1, 2))
 def test_charge_outside_on_one_rank_is_refused_on_all(comm):
     space = free_space((16, 16, 16), comm=comm)

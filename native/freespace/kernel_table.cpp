@@ -116,6 +116,12 @@ KernelTable const& KernelTables::at(int number, bool finer) {
   return *table;
 }
 
+void KernelTables::trim() {
+  std::lock_guard<std::mutex> lock(guard_);
+  for (auto table = tables_.rbegin(); table != tables_.rend() && bytes_alive > most_table_bytes; ++table)
+    table->reset();
+}
+
 std::size_t kernel_table_bytes() { return bytes_alive; }
 
 }  // namespace amrpic::freespace

@@ -39,7 +39,7 @@ class KernelTable {
 };
 
 /// The tables of one lattice shape, made when first asked for and shared with all others of the process that reach as
-/// far; the last one frees them.
+/// far; the last one frees them, or `trim`.
 ///
 /// Beside long cells the lattice counts as far as ten of them reach, which is hundreds of short ones. But at a distance
 /// the function is smooth. So table number m serves distances of up to about 40 * 2^m short cells, and its points are
@@ -57,6 +57,10 @@ class KernelTables {
   /// `finer`: for charges of finer levels than the targets, half way along axes on which the points are not apart.
   KernelTable const& at(int number, bool finer);
 
+  /// Give up tables, those that reach furthest first, until all of the process take at most `most_table_bytes`: they
+  /// are made again when asked for. Call it while none of these is in use.
+  void trim();
+
  private:
   int cells_served(int number, int axis) const;
 
@@ -66,6 +70,8 @@ class KernelTables {
   std::mutex guard_;
   std::vector<std::shared_ptr<KernelTable const>> tables_;
 };
+
+constexpr std::size_t most_table_bytes = std::size_t(64) << 20;  ///< that are kept from one evaluation to the next
 
 /// Bytes of all tables that are alive in this process.
 std::size_t kernel_table_bytes();

@@ -483,6 +483,7 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
     for (auto const& [node, points] : masks)
       patch.add(node, charges.tree.nodes[std::size_t(node)], points, of_nodes, out.data() + (p - first) * patch_values);
   }
+  kernels_.trim();
   return out;
 }
 

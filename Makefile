@@ -157,7 +157,7 @@ SANITIZED = env PYTHONPATH=$(CURDIR)/$(SANITIZE)/python \
   ASAN_OPTIONS=detect_leaks=0:detect_stack_use_after_return=0:quarantine_size_mb=64:allocator_may_return_null=1 \
   UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
 # The history of residuals is that of the ordinary build, which fuses products and sums; and there is no pool to be tested.
-ONE_RANK := not 2r and not 3r and not 4r and not static_64_takes_seven_cycles and not used_again and not idle_memory
+ONE_RANK := not 2r and not 3r and not 4r and not static_64_takes_six_cycles and not used_again and not idle_memory
 NATIVE_TESTS := $(patsubst %,tests/test_%.py,solver_oracle poisson matrixfree composite deposit particles clouds free_space)
 
 sanitize: setup  ## tests of the native side under the address and undefined behaviour sanitizers

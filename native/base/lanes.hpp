@@ -1,10 +1,11 @@
-// Eight numbers at a time: in one vector, or with AVX2 in two halves. The same operations in the same order give the
-// same bits in both.
+// The vectors of all kernels. In single precision as many numbers as the processor takes; in double precision eight at
+// a time, in one vector, or with AVX2 in two halves: the same operations in the same order give the same bits in both.
 //
 // Compilers split longer vectors than the processor has by themselves, but take comparisons, choices and permutations
 // of such vectors apart number by number.
 #pragma once
 
+#include "base/float_lanes.hpp"
 #include "base/lane_types.hpp"
 #if defined(__AVX2__) && !defined(AMRPIC_AVX512)
 #include "base/lanes_avx2.hpp"

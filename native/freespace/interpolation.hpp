@@ -3,7 +3,7 @@
 
 #include <array>
 
-#include "freespace/lanes.hpp"
+#include "freespace/inverse_root.hpp"
 
 namespace amrpic::freespace {
 

@@ -9,7 +9,7 @@
 #include <array>
 #include <vector>
 
-#include "freespace/lanes.hpp"
+#include "freespace/inverse_root.hpp"
 
 namespace amrpic::freespace {
 

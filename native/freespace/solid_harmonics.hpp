@@ -8,7 +8,7 @@
 #include <algorithm>
 #include <array>
 
-#include "freespace/lanes.hpp"
+#include "freespace/inverse_root.hpp"
 
 namespace amrpic::freespace {
 

@@ -72,7 +72,7 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
     Relaxation own = relaxation;
-    own.factor = relaxation_on(*stack_.levels[l], stack_.refines(l), relaxation.factor);
+    own.factor = relaxation_on(*stack_.levels[l], stack_.halves_at_most(l), relaxation.factor);
     std::vector<LevelCopy> copies;
     if (stack_.refines(l))
       copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());
@@ -104,10 +104,10 @@ void Cycle::run() {
   correct(levels_.size() - 1);
 }
 
-/// The correction of a refinement level from zero. That of the base by an F-cycle: the coarsest level is solved first,
-/// and each level above starts from what is interpolated from below.
+/// The correction of a level from zero. Where the next coarser level is much smaller by an F-cycle: the coarsest level
+/// is solved first, and each level above starts from what is interpolated from below.
 void Cycle::correct(std::size_t l) {
-  if (stack_.refines(l)) return v_cycle(l, Guess::zero);
+  if (stack_.halves_at_most(l)) return cycle(l, Guess::zero, [&] { correct(l - 1); });
   for (std::size_t m = l; m > 0; --m) levels_[m].coarsening->restrict_right_hand_side();
   solve_coarsest();
   for (std::size_t m = 1; m <= l; ++m) v_cycle(m, Guess::coarser);
@@ -115,8 +115,13 @@ void Cycle::correct(std::size_t l) {
 
 void Cycle::v_cycle(std::size_t l, Guess guess) {
   if (l == 0) return solve_coarsest();
+  cycle(l, guess, [&] { v_cycle(l - 1, Guess::zero); });
+}
+
+template <class F>
+void Cycle::cycle(std::size_t l, Guess guess, F&& correct_coarser) {
   pre_smooth_and_restrict(levels_[l], guess);
-  stack_.refines(l) ? correct(l - 1) : v_cycle(l - 1, Guess::zero);
+  correct_coarser();
   prolong_and_post_smooth(levels_[l]);
 }
 

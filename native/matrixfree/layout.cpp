@@ -4,7 +4,7 @@
 #include <limits>
 #include <map>
 
-#include "matrixfree/lanes.hpp"
+#include "base/lanes.hpp"
 #include "mesh/box_set.hpp"
 
 namespace amrpic::matrixfree {
@@ -35,10 +35,12 @@ int apart(Box const& a, Box const& b) {
 Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
     : domain_(level.domain()), first_box_(level.first_local_box()) {
   // Across an odd number of cells two of one colour meet: there images are copies with colours of their own.
-  for (int d = 0; d < 3; ++d) {
-    bool const in_place = d < 2 && level.periodic()[d] && domain_.extent(d) % 2 == 0;
-    wraps_[d] = in_place ? (depth + domain_.extent(d)) / domain_.extent(d) : 0;
-  }
+  for (int d = 0; d < 3; ++d) wraps_[d] = d < 2 && level.periodic()[d] && domain_.extent(d) % 2 == 0;
+  auto const periods = [&](int d) { return wraps_[d] ? depth / domain_.extent(d) + 1 : 0; };
+  for (int y = -periods(1); y <= periods(1); ++y)
+    for (int x = -periods(0); x <= periods(0); ++x)
+      if (x != 0 || y != 0) images_.push_back({x * domain_.extent(0), y * domain_.extent(1), 0});
+  images_.push_back({0, 0, 0});
   std::array<Seam, 3> seams;
   for (int d = 0; d < 3; ++d)
     if (seam[d]) seams[d] = {domain_.extent(d) - 1, domain_.extent(d)};
@@ -144,27 +146,8 @@ Rectangle Layout::halo_place(Halo const& halo) const {
 /// Whether own cells are read in place where they are images of such a shift.
 bool Layout::in_place(Index3 const& shift) const {
   for (int d = 0; d < 3; ++d)
-    if (shift[d] != 0 && wraps_[d] == 0) return false;
+    if (shift[d] != 0 && !wraps_[d]) return false;
   return true;
-}
-
-std::vector<Index3> Layout::images(Box const& region) const {
-  std::vector<Index3> out;
-  auto const periods = [&](int d) {  // none, the domain itself, comes last
-    std::vector<int> all;
-    for (int p = -wraps_[d]; p <= wraps_[d]; ++p)
-      if (p != 0) all.push_back(p);
-    all.push_back(0);
-    return all;
-  };
-  for (int y : periods(1))
-    for (int x : periods(0)) {
-      Index3 const shift{x * domain_.extent(0), y * domain_.extent(1), 0};
-      Box reach = domain_.shift(shift);
-      reach.lower[2] = region.lower[2], reach.upper[2] = region.upper[2];
-      if (!region.intersect(reach).empty() || shift == Index3{0, 0, 0}) out.push_back(shift);
-    }
-  return out;
 }
 
 std::vector<int> Layout::near(int lower_plane, int upper_plane) const {

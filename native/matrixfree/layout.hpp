@@ -74,11 +74,15 @@ class Layout {
   /// region's indices, `part` minus `shift` inside the block.
   template <class F>
   void for_each_overlap(Box const& region, F&& f) const {
-    for (auto const& shift : images(region))
+    for (auto const& shift : images_) {
+      Box reach = domain_.shift(shift);
+      reach.lower[2] = region.lower[2], reach.upper[2] = region.upper[2];
+      if (shift != Index3{0, 0, 0} && region.intersect(reach).empty()) continue;
       for (int b : near(region.lower[2], region.upper[2])) {
         Box const part = region.intersect(blocks_[std::size_t(b)].box.shift(shift));
         if (!part.empty()) f(blocks_[std::size_t(b)], part, shift);
       }
+    }
   }
 
   /// Blocks that hold cells of a plane of z, lowest plane first.
@@ -88,13 +92,13 @@ class Layout {
 
  private:
   bool in_place(Index3 const& shift) const;
-  std::vector<Index3> images(Box const& region) const;
   std::vector<int> near(int lower_plane, int upper_plane) const;
   void add(Box const& box);
   void measure_halo();
 
   Box domain_;
-  std::array<int, 3> wraps_;  ///< periods to either side whose images are read in place; 0 if they are copied
+  std::array<bool, 3> wraps_;   ///< whether images across the axis are read in place
+  std::vector<Index3> images_;  ///< shifts of those within the sweeps' reach, none at all last
   int first_box_;
   std::vector<Block> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;

@@ -5,7 +5,7 @@
 #include <array>
 
 #include "base/fetch.hpp"
-#include "matrixfree/lanes.hpp"
+#include "base/lanes.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -24,7 +24,7 @@ struct Row {
 /// Call f(v, e, sum) for each vector of a row: its values, and the weighted sum over its neighbours.
 template <int N, bool isotropic, class F>
 inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, F&& f) {
-  using L = Lanes<N>;
+  using L = FloatLanes<N>;
   typename L::Type before = all<N>(row.left), here = load<N>(row.here);
   auto act = [&](int v, typename L::Type const& right) {
     typename L::Type const x = L::from_left(before, here) + right;
@@ -51,10 +51,10 @@ inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, 
 template <int N, bool isotropic>
 inline void relax(Row const& row, std::array<float, 3> const& weight, float const* r, float const* step, float keep,
                   int parity) {
-  using L = Lanes<N>;
+  using L = FloatLanes<N>;
   typename L::Type const keeps = (L::numbers & 1) == parity ? all<N>(keep) : all<N>(1);
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
-    store<N>(row.here + v * N, keeps * e + load<N>(step + v * N) * (sum - load<N>(r + v * N)));
+    store(row.here + v * N, keeps * e + load<N>(step + v * N) * (sum - load<N>(r + v * N)));
   });
 }
 
@@ -64,7 +64,7 @@ inline void relax_from_zero(float* e, float const* r, float const* step, int vec
   for (int v = 0; v < vectors; ++v) {
     fetch<Use::read>(r + v * N + ahead, N);
     fetch<Use::write>(e + v * N + ahead, N);
-    store<N>(e + v * N, -load<N>(step + v * N) * load<N>(r + v * N));
+    store(e + v * N, -load<N>(step + v * N) * load<N>(r + v * N));
   }
 }
 
@@ -73,21 +73,21 @@ template <int N, bool isotropic>
 inline void residual(Row const& row, std::array<float, 3> const& weight, float const* r, float const* diagonal,
                      float* out) {
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
-    store<N>(out + v * N, load<N>(r + v * N) - (sum - load<N>(diagonal + v * N) * e));
+    store(out + v * N, load<N>(r + v * N) - (sum - load<N>(diagonal + v * N) * e));
   });
 }
 
 /// Set `n` numbers to `values`, or add these; n at most N.
 template <int N>
-inline void put(float* to, typename Lanes<N>::Type const& values, std::ptrdiff_t n, bool set) {
-  if (n >= N) return store<N>(to, set ? values : load<N>(to) + values);
+inline void put(float* to, typename FloatLanes<N>::Type const& values, std::ptrdiff_t n, bool set) {
+  if (n >= N) return store(to, set ? values : load<N>(to) + values);
   for (std::ptrdiff_t i = 0; i < n; ++i) to[i] = set ? values[i] : to[i] + values[i];
 }
 
 /// Set a coarse row of `cells` to `share` times the sum of each one's children in a fine row (one or two), or add it.
 template <int N>
 inline void restrict_row(float const* fine, int cells, int ratio, float share, bool set, float* coarse) {
-  using L = Lanes<N>;
+  using L = FloatLanes<N>;
   for (std::ptrdiff_t place = 0; place < cells; place += N) {
     float const* const children = fine + place * ratio;
     if (ratio == 1) {
@@ -117,7 +117,7 @@ inline float mean(CoarseRows const& coarse, int place) {
 /// of the same row.
 template <int N>
 inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool set, float const* r, float* fine) {
-  using L = Lanes<N>;
+  using L = FloatLanes<N>;
   auto mean = [&](int place) {
     typename L::Type sum = coarse.share[0] * load<N>(coarse.row[0] + place);
     for (int c = 1; c < coarse.count; ++c) sum += coarse.share[c] * load<N>(coarse.row[c] + place);
@@ -126,7 +126,7 @@ inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool s
   auto put = [&](int v, typename L::Type const& values) {
     fetch<Use::write>(fine + v * N + ahead, N);
     fetch<Use::read>(r + v * N + ahead, N);
-    store<N>(fine + v * N, set ? values : load<N>(fine + v * N) + values);
+    store(fine + v * N, set ? values : load<N>(fine + v * N) + values);
   };
   if (ratio == 1) {
     for (int v = 0; v < vectors; ++v) put(v, mean(v * N));

@@ -66,6 +66,11 @@ struct LevelStack {
   std::size_t base = 0;  ///< the base level's place
 
   bool refines(std::size_t l) const { return l > base && l < levels.size(); }
+  /// Whether the next coarser level may be of like size: a coarser one than a refinement level, or than a level with
+  /// half its cells along one axis alone. An F-cycle over such levels costs more than it saves.
+  bool halves_at_most(std::size_t l) const {
+    return refines(l) || (l > 0 && ratio[l][0] * ratio[l][1] * ratio[l][2] == 2);
+  }
 };
 
 /// The refinement levels alone. Multigrid levels are put below them by `coarsen_below`.

@@ -13,11 +13,11 @@ namespace amrpic {
 /// it.
 bool has_long_cells(Level const& level);
 
-/// The over-relaxation on a level, of that for cubes on refinement levels. The best one lies closer to one where cells
-/// are long or flat, since errors couple along fewer axes, and from the base down, where an F-cycle leaves less of
-/// those errors that over-relaxing makes up for.
-inline Real relaxation_on(Level const& level, bool refines, Real relaxation) {
-  return 1 + (refines ? 1 : 0.7) * (has_long_cells(level) ? 0.55 : 1) * (relaxation - 1);
+/// The over-relaxation on a level, of that for cubes in a V-cycle. The best one lies closer to one where cells are long
+/// or flat, since errors couple along fewer axes, and in an F-cycle, which leaves less of those errors that
+/// over-relaxing makes up for.
+inline Real relaxation_on(Level const& level, bool v_cycle, Real relaxation) {
+  return 1 + (v_cycle ? 1 : 0.7) * (has_long_cells(level) ? 0.55 : 1) * (relaxation - 1);
 }
 
 /// Sweeps before and after a coarser correction.

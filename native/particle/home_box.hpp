@@ -2,7 +2,7 @@
 
 #include <vector>
 
-#include "particle/lanes.hpp"
+#include "particle/lane_groups.hpp"
 #include "particle/locate.hpp"
 
 namespace amrpic {

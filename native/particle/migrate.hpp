@@ -6,7 +6,7 @@
 
 #include "base/fetch.hpp"
 #include "particle/home_box.hpp"
-#include "particle/lanes.hpp"
+#include "particle/lane_groups.hpp"
 #include "particle/memory.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"

@@ -6,7 +6,7 @@
 #include <array>
 #include <utility>
 
-#include "particle/lanes.hpp"
+#include "particle/lane_groups.hpp"
 
 namespace amrpic {
 

@@ -9,7 +9,7 @@
 #include <vector>
 
 #include "particle/bricks.hpp"
-#include "particle/lanes.hpp"
+#include "particle/lane_groups.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
 

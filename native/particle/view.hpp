@@ -3,7 +3,7 @@
 #include <array>
 #include <cstdint>
 
-#include "particle/lanes.hpp"
+#include "particle/lane_groups.hpp"
 
 namespace amrpic {
 

@@ -31,6 +31,9 @@ class MultigridLevel {
   /// Add the coarser level's correction, take its part of the ghosts into account, smooth. Collective.
   void prolong_and_post_smooth(MultigridLevel const& coarser);
 
+  /// Bring the correction's copies of other ranks' cells up to date. Collective.
+  void update_copies() { operators_.halo.update(correction_.data()); }
+
   LevelOperators const& operators() const { return operators_; }
   /// Operators of this level and of those that its smoother has for itself.
   std::vector<LevelOperators const*> all_operators() const;
@@ -44,8 +47,8 @@ class MultigridLevel {
   std::vector<Real> right_hand_side_, correction_, residual_;
 };
 
-/// The cycle over refinement levels and multigrid levels alike, for corrections in residual form: a V-cycle over the
-/// refinement levels, and an F-cycle from the base down, see matrixfree::Cycle.
+/// The cycle over refinement levels and multigrid levels alike, for corrections in residual form: see
+/// matrixfree::Cycle.
 class Multigrid {
  public:
   /// Collective.
@@ -62,9 +65,12 @@ class Multigrid {
  private:
   void correct(std::size_t l, Stopwatch& stopwatch);
   void v_cycle(std::size_t l, Guess guess, Stopwatch& stopwatch);
+  template <class F>
+  void cycle(std::size_t l, Guess guess, Stopwatch& stopwatch, F&& correct_coarser);
+  void solve_coarsest(Stopwatch& stopwatch);
 
   std::vector<MultigridLevel> levels_;
-  std::size_t base_;
+  std::vector<bool> halves_at_most_;  ///< [level]: see LevelStack
   std::shared_ptr<Bottom> bottom_;
 };
 

@@ -37,11 +37,11 @@ std::vector<std::vector<LocalIndex>> colours(Level const& level) {
 /// Over-relaxed Gauss-Seidel, one colour after the other: rows of a colour do not couple with each other.
 class RedBlack : public Smoother {
  public:
-  RedBlack(LevelOperators const& operators, bool refines, SolverOptions const& options)
+  RedBlack(LevelOperators const& operators, bool v_cycle, SolverOptions const& options)
       : operators_(operators),
         pre_sweeps_(options.pre_sweeps),
         post_sweeps_(options.post_sweeps),
-        relaxation_(relaxation_on(*operators.level, refines, options.relaxation)),
+        relaxation_(relaxation_on(*operators.level, v_cycle, options.relaxation)),
         colour_(colours(*operators.level)) {}
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {
@@ -153,9 +153,9 @@ class LibrarySmoother : public Smoother {
 
 }  // namespace
 
-std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool refines,
+std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool v_cycle,
                                         SolverOptions const& options) {
-  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, refines, options);
+  if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, v_cycle, options);
   return std::make_unique<LibrarySmoother>(comm, operators, options);
 }
 

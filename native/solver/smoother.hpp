@@ -28,9 +28,9 @@ class Smoother {
   virtual std::vector<LevelOperators const*> own_levels() const { return {}; }
 };
 
-/// The smoother that the options name, for a level whose operators outlive it; `refines`: a refinement level, not the
-/// base or one below. Collective.
-std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool refines,
+/// The smoother that the options name, for a level whose operators outlive it; `v_cycle`: whether it is
+/// part of a V-cycle, see relaxation_on. Collective.
+std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool v_cycle,
                                         SolverOptions const& options);
 
 }  // namespace amrpic

@@ -1,11 +1,9 @@
+// Numbers in single precision, as many as a vector register of the processor takes; included by base/lanes.hpp.
 #pragma once
 
-#include <cstddef>
-#include <cstring>
+#include "base/lane_types.hpp"
 
-#include "base/intrinsics.hpp"
-
-namespace amrpic::matrixfree {
+namespace amrpic {
 
 /// Floats of the processor's vector registers, and those of the half of one, where these are vectors too: no operation
 /// is on single numbers.
@@ -19,13 +17,13 @@ constexpr int widest = 4, narrowest = 4;
 
 /// N numbers in a vector register, by the compiler's vector extension.
 template <int N>
-struct Lanes;
+struct FloatLanes;
 
 // from_left, from_right: the numbers one place lower, `low` before them, or one place higher, `high` after them.
 
 #ifdef __AVX512VL__
 template <>
-struct Lanes<16> {
+struct FloatLanes<16> {
   typedef float Type __attribute__((vector_size(64)));
   typedef int Mask __attribute__((vector_size(64)));
   static constexpr Mask numbers{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
@@ -49,7 +47,7 @@ struct Lanes<16> {
 
 #ifdef __AVX2__
 template <>
-struct Lanes<8> {
+struct FloatLanes<8> {
   typedef float Type __attribute__((vector_size(32)));
   typedef int Mask __attribute__((vector_size(32)));
   static constexpr Mask numbers{0, 1, 2, 3, 4, 5, 6, 7};
@@ -74,7 +72,7 @@ struct Lanes<8> {
 #endif
 
 template <>
-struct Lanes<4> {
+struct FloatLanes<4> {
   typedef float Type __attribute__((vector_size(16)));
   typedef int Mask __attribute__((vector_size(16)));
   static constexpr Mask numbers{0, 1, 2, 3};
@@ -87,20 +85,13 @@ struct Lanes<4> {
 };
 
 template <int N>
-typename Lanes<N>::Type load(float const* from) {
-  typename Lanes<N>::Type out;
-  std::memcpy(&out, from, sizeof out);
-  return out;
+typename FloatLanes<N>::Type load(float const* from) {
+  return load<typename FloatLanes<N>::Type>(from);
 }
 
 template <int N>
-void store(float* to, typename Lanes<N>::Type const& values) {
-  std::memcpy(to, &values, sizeof values);
+typename FloatLanes<N>::Type all(float value) {
+  return value - typename FloatLanes<N>::Type{};
 }
 
-template <int N>
-typename Lanes<N>::Type all(float value) {
-  return value - typename Lanes<N>::Type{};
-}
-
-}  // namespace amrpic::matrixfree
+}  // namespace amrpic

@@ -32,7 +32,8 @@ VARIATION = 1  # cycles that a case may differ from its reference
 # rows of all levels at once are up to 7/4 as stiff, per level, as the coarser one believes (docs/theory.md, "Slow cycles").
 # Of 2,000 cases nine took more than 16 cycles, one 34.
 LOOSE_CYCLES, LOOSE_VARIATION = 20, 3
-BYTES_PER_CELL, BYTES_FREE = 100, 100e6  # memory of a matrix-free solve: potential, charge, solver, what Python holds
+# Memory of a matrix-free solve: potential, charge, solver, plans for each box, what Python holds.
+BYTES_PER_CELL, BYTES_PER_BOX, BYTES_FREE = 100, 4000, 100e6
 
 # Refusals that are documented: of cells for which there is no method or no memory.
 REFUSALS = (
@@ -152,14 +153,16 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         if found.converged and plain.converged and worst > (bound := allowed_difference(case, plain)):
             fail("phi", f"differs by {worst:.2e} V, allowed are {bound:.2e} V, largest {plain.largest_phi:.2e} V")
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
-        most = BYTES_PER_CELL * outcome.cells + BYTES_FREE
+        most = BYTES_PER_CELL * outcome.cells + BYTES_PER_BOX * outcome.boxes + BYTES_FREE
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
-    # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; and what
-    # is constant along axes of short cells that nothing holds loses digits in the single precision of the other cycle.
+    # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; what is
+    # constant along axes of short cells that nothing holds loses digits in the single precision of the other cycle; and that
+    # one's exact bottom has one ghost for each open wall, also if it is the base, some of whose cells are covered.
     odd_ring = any("periodic" in pair and n % 2 for n, pair in zip(case.cells, case.boundary, strict=True))
+    open_bottom = math.prod(case.cells) <= 64 and any("open" in pair for pair in case.boundary)
     taken, reference = cycles_taken(case, found), cycles_taken(case, plain)
-    fewer = case.backend == "crs" and (odd_ring or is_loose(case)) and taken < reference
+    fewer = case.backend == "crs" and (odd_ring or open_bottom or is_loose(case)) and taken < reference
     if abs(taken - reference) > (LOOSE_VARIATION if case.levels and is_loose(case) else VARIATION) and not fewer:
         fail("cycles differ", f"{taken}, reference {reference}")
     for name, outcome, cycles in (("", found, taken), ("reference: ", plain, reference)):

@@ -148,6 +148,7 @@ class Outcome:
     cycles: int = 0
     residuals: Sequence[float] = ()
     cells: int = 0
+    boxes: int = 0
     solver_bytes: int = 0  # that the solver counts, over all ranks
     growth: float = 0.0  # of the peak of memory from before the mesh to after the solve, bytes over all ranks
     seconds: float = 0.0
@@ -181,6 +182,7 @@ def solve(comm: Any, case: Case, wants_phi: bool = True) -> Outcome:
     out.converged, out.reason = report.converged, report.reason
     out.cycles, out.residuals = report.cycles, list(report.residuals)
     out.cells = sum(phi.hierarchy.cells(level) for level in range(phi.hierarchy.levels))
+    out.boxes = sum(len(phi.hierarchy.boxes(level)) for level in range(phi.hierarchy.levels))
     out.largest_phi = phi.max_abs()
     if wants_phi:
         out.phi = _in_order(comm, phi)

@@ -220,11 +220,11 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
 }
 
 /// Whether so many cycles, and those to come at the pace of the latest one, are more than nine for ten digits, or
-/// twelve where cells are long.
+/// eleven where cells are long.
 bool PoissonSolver::is_slow(Real residual, Real factor, int cycles) const {
   if (factor >= 1) return true;
   Real const tolerance = std::clamp(options_.tolerance, 1e-10, 0.1);
-  Real const most = has_long_cells(hierarchy_->level(0)) ? 12 : 9;
+  Real const most = has_long_cells(hierarchy_->level(0)) ? 11 : 9;
   return cycles + std::log(tolerance / residual) / std::log(factor) > most * std::log10(1 / tolerance) / 10;
 }
 

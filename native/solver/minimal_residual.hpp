@@ -53,7 +53,7 @@ class MinimalResidual {
   }
 
  private:
-  static constexpr std::size_t most_directions = 8;
+  static constexpr std::size_t most_directions = 16;
   struct Direction {
     Vectors change, image;       ///< of the potential, and what it takes from the residual
     std::vector<Real> products;  ///< of the image with itself and older ones

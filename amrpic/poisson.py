@@ -48,7 +48,7 @@ class PoissonSolver:
     coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of
     boxes, by `kernels` "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs"
     holds the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
-    `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.Solver` tells what each choice does. `reuse`
+    `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.Solver` describes each choice. `reuse`
     is the `base_setup` of the solver of an earlier hierarchy on the same domain.
 
     Raises SolverError for an option out of range, or one that does not go with the others or the hierarchy.

@@ -204,7 +204,7 @@ TEXT = """# Performance
 Made by `make bench` (`benchmarks/bench.py`), figures and pictures; commit {commit}, {time}, on {cores} cores of
 {processor}, kernels for {instructions}, backend `{backend}`, of which a run on one rank had {core:.0%}. Figures are medians of
 {runs} runs. Seconds belong to that machine and to what else it did; ratios and work units travel. `benchmarks/compare.py
-OLD NEW` runs two builds in turns, and tells a difference of 3 % from noise; `benchmarks/compare_records.py BEFORE.json
+OLD NEW` runs two builds in turns, and resolves differences of 3 %; `benchmarks/compare_records.py BEFORE.json
 AFTER.json` compares two runs of this.
 
 ## Goals

@@ -1,4 +1,4 @@
-// Polynomials through the values at whole numbers: potentials far from charge, and charges seen from afar.
+// Polynomials through the values at whole numbers: of potentials far from charge, and of distant charges.
 #pragma once
 
 #include <array>

@@ -19,7 +19,8 @@ std::vector<LeafMoments> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& bloc
 /// The charges of some leaves.
 class LeafCharges {
  public:
-  /// Fetch those `wanted`, alike on all ranks. `across`: the axes, that of consecutive charges first. Collective.
+  /// Fetch the leaves marked in `wanted`, which is the same on all ranks. `across`: the axes, that of consecutive
+  /// charges first. Collective.
   LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<LeafMoments> const& leaves,
               std::vector<char> const& wanted, std::array<int, 3> const& across);
 

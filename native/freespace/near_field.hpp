@@ -60,7 +60,7 @@ struct StencilRow {
   }
 };
 
-/// Sums of charges times the kernel, seen from `count` points of a line along the rows. `rows`: where those of the
+/// Sums of charges times the kernel at `count` points of a line along the rows. `rows`: where those of the
 /// kernel begin for each row with charge, `along`: how far on for each point.
 template <int count>
 std::array<double, count> direct_sums(NodeCharges const& charges, std::array<double const*, block_rows> const& rows,

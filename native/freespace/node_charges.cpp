@@ -9,7 +9,7 @@ namespace {
 
 PointsApart const all_cells{{1, 1, 1}, {0, 0, 0}};
 
-/// Row n: shares of the points of `to` in charge at point n of `from`.
+/// Row n: weights of the points of `to` for charge at point n of `from`.
 using Weights = std::array<std::array<double, node_count>, node_count>;
 
 Weights weights_between(Nodes const& from, Nodes const& to, PointsApart const& points, int axis) {

@@ -9,12 +9,12 @@ namespace amrpic::freespace {
 namespace {
 
 /// A node that has no parent yet, and the block it lies in at the present depth.
-struct Orphan {
+struct Root {
   Cell place;
   int number;  ///< among all nodes made
 };
 
-bool by_place(Orphan const& a, Orphan const& b) {
+bool by_place(Root const& a, Root const& b) {
   return std::tie(a.place[2], a.place[1], a.place[0]) < std::tie(b.place[2], b.place[1], b.place[0]);
 }
 
@@ -108,29 +108,29 @@ Harmonics<double> join_moments(TreeNode const& parent, Member const* first, Memb
 
 class Builder {
  public:
-  std::vector<Orphan> orphans;
+  std::vector<Root> roots;
 
   void add(Cell const& place, Member const& member) {
-    orphans.push_back({place, int(made_.size())});
+    roots.push_back({place, int(made_.size())});
     made_.push_back(member);
   }
 
   /// Make the blocks twice as wide along some axes.
   void widen(std::array<bool, 3> const& doubled) {
-    for (Orphan& orphan : orphans)
-      for (int d = 0; d < 3; ++d) orphan.place[d] >>= doubled[d] ? 1 : 0;
+    for (Root& root : roots)
+      for (int d = 0; d < 3; ++d) root.place[d] >>= doubled[d] ? 1 : 0;
   }
 
-  /// Give a common parent to those of one place. An only child stays an orphan.
-  void adopt() {
-    std::stable_sort(orphans.begin(), orphans.end(), by_place);
-    std::vector<Orphan> const children = std::move(orphans);
-    orphans.clear();
+  /// Give a common parent to those of one place. A single node stays a root.
+  void join() {
+    std::stable_sort(roots.begin(), roots.end(), by_place);
+    std::vector<Root> const children = std::move(roots);
+    roots.clear();
     for (auto first = children.begin(); first != children.end();) {
       auto last = first + 1;
       while (last != children.end() && last->place == first->place) ++last;
       if (last - first == 1)
-        orphans.push_back(*first);
+        roots.push_back(*first);
       else
         add(first->place, parent_of(&*first, &*first + (last - first)));
       first = last;
@@ -138,12 +138,12 @@ class Builder {
   }
 
   Octree finish() {
-    for (Orphan const& orphan : orphans) keep(made_[std::size_t(orphan.number)]);
+    for (Root const& root : roots) keep(made_[std::size_t(root.number)]);
     return std::move(tree_);
   }
 
  private:
-  Member parent_of(Orphan const* first, Orphan const* last) {
+  Member parent_of(Root const* first, Root const* last) {
     children_.clear();
     for (; first != last; ++first) children_.push_back(made_[std::size_t(first->number)]);
     Member const *from = children_.data(), *to = from + children_.size();
@@ -200,29 +200,29 @@ Octree build_octree(std::vector<LeafMoments> const& leaves, Point const& shape) 
   auto last = int(leaves.size());
   auto const steps = steps_to_widest(shape);
   for (int level = finest; level >= 0; --level) {
-    std::vector<Orphan> finer;
-    finer.swap(builder.orphans);
+    std::vector<Root> finer;
+    finer.swap(builder.roots);
     int first = last;
     while (first > 0 && leaves[first - 1].leaf.key.level == level) --first;
     for (int n = first; n < last; ++n) builder.add(leaves[n].leaf.key.place, leaf_member(leaves[n], n, shape));
     last = first;
     for (Axes const& doubled : steps) {
       builder.widen(doubled);
-      builder.adopt();
+      builder.join();
     }
-    finer.insert(finer.end(), builder.orphans.begin(), builder.orphans.end());
-    builder.orphans = std::move(finer);
-    builder.adopt();
+    finer.insert(finer.end(), builder.roots.begin(), builder.roots.end());
+    builder.roots = std::move(finer);
+    builder.join();
     if (level > 0) builder.widen({true, true, true});
   }
   Cell const widest = widest_blocks(shape);
   Point width;
   for (int d = 0; d < 3; ++d) width[d] = shape[d] * widest[d];
-  while (builder.orphans.size() > 1) {
+  while (builder.roots.size() > 1) {
     Axes const doubled = axes_to_double(width);
     for (int d = 0; d < 3; ++d) width[d] *= doubled[d] ? 2 : 1;
     builder.widen(doubled);
-    builder.adopt();
+    builder.join();
   }
   return builder.finish();
 }

@@ -212,7 +212,8 @@ class TreePotential::NearPatch {
     return kernels_.serving(axis, std::max(end - point, point + 1 - node.first[axis]));
   }
 
-  /// For each point along an axis of the plane; all alike where the patch is interpolated from points of a table.
+  /// For each point along an axis of the plane; the same for all where the patch is interpolated from points of a
+  /// table.
   std::array<int, patch_points> tables_along(int t, TreeNode const& node) const {
     std::array<int, patch_points> out;
     for (int i = 0; i < patch_points; ++i) out[i] = table_serving(node, axes_[t], cells_[t][i]);

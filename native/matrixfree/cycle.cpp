@@ -101,28 +101,9 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
 
 void Cycle::run() {
   NoDenormals const guard;
-  correct(levels_.size() - 1);
-}
-
-/// The correction of a level from zero. Where the next coarser level is much smaller by an F-cycle: the coarsest level
-/// is solved first, and each level above starts from what is interpolated from below.
-void Cycle::correct(std::size_t l) {
-  if (stack_.halves_at_most(l)) return cycle(l, Guess::zero, [&] { correct(l - 1); });
-  for (std::size_t m = l; m > 0; --m) levels_[m].coarsening->restrict_right_hand_side();
-  solve_coarsest();
-  for (std::size_t m = 1; m <= l; ++m) v_cycle(m, Guess::coarser);
-}
-
-void Cycle::v_cycle(std::size_t l, Guess guess) {
-  if (l == 0) return solve_coarsest();
-  cycle(l, guess, [&] { v_cycle(l - 1, Guess::zero); });
-}
-
-template <class F>
-void Cycle::cycle(std::size_t l, Guess guess, F&& correct_coarser) {
-  pre_smooth_and_restrict(levels_[l], guess);
-  correct_coarser();
-  prolong_and_post_smooth(levels_[l]);
+  run_cycle(stack_, {[this](std::size_t l) { levels_[l].coarsening->restrict_right_hand_side(); },
+                     [this](std::size_t l, Guess guess) { pre_smooth_and_restrict(levels_[l], guess); },
+                     [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
 }
 
 /// Smooth, then leave the right-hand side of the coarser level.

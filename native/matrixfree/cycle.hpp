@@ -5,16 +5,13 @@
 #include "matrixfree/coarsening.hpp"
 #include "matrixfree/direct.hpp"
 #include "matrixfree/local_cycle.hpp"
+#include "operators/multigrid_cycle.hpp"
 #include "operators/open_walls.hpp"
 
 namespace amrpic::matrixfree {
 
-/// The cycle over refinement levels and multigrid levels alike, for corrections in residual form, in single precision
-/// and without matrices: a V-cycle over the refinement levels, and from the base down an F-cycle, as soon as levels
-/// have at most a quarter of the cells of the next finer one.
-///
-/// The F-cycle costs a third more than a V-cycle there. It leaves 0.003 of the residual on one level where that leaves
-/// 0.02, and 0.015 where refined levels are and it left 0.035.
+/// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form, in single
+/// precision and without matrices.
 class Cycle {
  public:
   /// `stack`: the refinement levels. Collective.
@@ -38,11 +35,6 @@ class Cycle {
     std::unique_ptr<Coarsening> coarsening;  ///< to the level below; none for the coarsest
     std::unique_ptr<LocalCycle> local;       ///< of a refinement level of long or flat cells
   };
-  enum class Guess { zero, coarser };  ///< what a level's sweeps start from: nothing, or the coarser level's correction
-  void correct(std::size_t l);
-  void v_cycle(std::size_t l, Guess guess);
-  template <class F>
-  void cycle(std::size_t l, Guess guess, F&& correct_coarser);
   void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
   void prolong_and_post_smooth(CycleLevel& level);
   void solve_coarsest();

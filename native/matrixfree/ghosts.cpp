@@ -11,11 +11,11 @@ namespace {
 
 constexpr std::int32_t nothing = -1;  ///< the source of a ghost of which nothing is known yet
 
-/// Whether a level has a single cell along an axis, on either side of which lies the value of itself.
+/// Whether a level has a single cell along an axis, with its own value on either side; periodic axes of one cell have
+/// such walls too.
 bool is_its_own_neighbour(Level const& level, Ends const& ends, int axis) {
   auto is_copy = [](WallGhost const& ghost) { return ghost.first == 1 && ghost.second == 0; };
-  return level.domain().extent(axis) == 1 &&
-         (level.periodic()[axis] || (is_copy(ends.walls[axis][0]) && is_copy(ends.walls[axis][1])));
+  return level.domain().extent(axis) == 1 && is_copy(ends.walls[axis][0]) && is_copy(ends.walls[axis][1]);
 }
 
 }  // namespace

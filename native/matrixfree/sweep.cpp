@@ -122,7 +122,7 @@ float const* Sweep::in_pairs(Block const& b, Parents const& parents, float* line
   return line;
 }
 
-/// The share of a row of fine values in pairs.
+/// Restrict a row of fine values in pairs.
 template <int lanes>
 void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
                          Vector& coarse) const {

@@ -37,7 +37,7 @@ class SweptLevel {
   /// Whether an odd number of cells lies around a periodic axis, where two of one colour meet.
   bool has_odd_ring() const {
     for (int d = 0; d < 3; ++d)
-      if (level_->periodic()[d] && level_->domain().extent(d) % 2 != 0 && stencil_.weight()[d] != 0) return true;
+      if (level_->periodic()[d] && level_->domain().extent(d) % 2 != 0) return true;
     return false;
   }
   /// Begin to bring the copies of right-hand sides up to date; the next `run` waits for them. Collective.

@@ -121,8 +121,8 @@ void MatrixFreeBackend::combine_corrections(MinimalResidual::Vectors const& befo
   });
 }
 
-/// The product over own cells of residuals, which are zero in covered ones: but for a common factor that of what they
-/// stand for, not of what the cycle makes of them on each level.
+/// The product of two residuals over own cells, covered ones being zero. Each level's scale is divided out, up to a
+/// factor common to all levels.
 Real MatrixFreeBackend::dot(MinimalResidual::Vectors const& a, MinimalResidual::Vectors const& b) {
   Real sum = 0;
   for (int l = 0; l < levels(); ++l) {

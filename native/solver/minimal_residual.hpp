@@ -59,8 +59,8 @@ class MinimalResidual {
     std::vector<Real> products;  ///< of the image with itself and older ones
   };
 
-  /// Weights of the kept corrections for the least residual, by elimination from the latest on; none for images that
-  /// later ones make up but for rounding.
+  /// Weights of the kept corrections for the least residual, by elimination from the latest on; zero for images that
+  /// depend linearly on later ones, up to rounding.
   std::vector<Real> weights(std::vector<Real> right) const {
     std::size_t const n = kept_.size();
     std::vector<std::vector<Real>> a(n, std::vector<Real>(n));

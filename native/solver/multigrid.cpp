@@ -57,7 +57,7 @@ void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
 
 Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators,
                      std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
-    : bottom_(std::move(bottom)) {
+    : stack_(stack), bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());
   for (std::size_t l = 0; l < operators.size(); ++l) {
     LevelOperators const& o = *operators[l];
@@ -68,36 +68,26 @@ Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators cons
     }
     if (l > 0 && !smoother) smoother = make_smoother(comm, o, stack.halves_at_most(l), options);
     levels_.emplace_back(o, std::move(smoother));
-    halves_at_most_.push_back(stack.halves_at_most(l));
   }
 }
 
-/// As matrixfree::Cycle does.
-void Multigrid::correct(std::size_t l, Stopwatch& stopwatch) {
-  if (halves_at_most_[l]) return cycle(l, Guess::zero, stopwatch, [&] { correct(l - 1, stopwatch); });
-  stopwatch.time("pre_smooth_and_restrict", [&] {
-    for (std::size_t m = l; m > 0; --m) levels_[m].restrict_right_hand_side(levels_[m - 1]);
-  });
-  solve_coarsest(stopwatch);
-  for (std::size_t m = 1; m <= l; ++m) v_cycle(m, Guess::coarser, stopwatch);
-}
-
-void Multigrid::v_cycle(std::size_t l, Guess guess, Stopwatch& stopwatch) {
-  if (l == 0) return solve_coarsest(stopwatch);
-  cycle(l, guess, stopwatch, [&] { v_cycle(l - 1, Guess::zero, stopwatch); });
-}
-
-template <class F>
-void Multigrid::cycle(std::size_t l, Guess guess, Stopwatch& stopwatch, F&& correct_coarser) {
-  stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].pre_smooth_and_restrict(guess, levels_[l - 1]); });
-  correct_coarser();
-  stopwatch.time("prolong_and_post_smooth", [&] { levels_[l].prolong_and_post_smooth(levels_[l - 1]); });
-  levels_[l].update_copies();
-}
-
-void Multigrid::solve_coarsest(Stopwatch& stopwatch) {
-  stopwatch.time("bottom", [&] { bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction()); });
-  levels_[0].update_copies();
+void Multigrid::cycle(Stopwatch& stopwatch) {
+  run_cycle(stack_,
+            {[&](std::size_t l) {
+               stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].restrict_right_hand_side(levels_[l - 1]); });
+             },
+             [&](std::size_t l, Guess guess) {
+               stopwatch.time("pre_smooth_and_restrict",
+                              [&] { levels_[l].pre_smooth_and_restrict(guess, levels_[l - 1]); });
+             },
+             [&](std::size_t l) {
+               stopwatch.time("prolong_and_post_smooth", [&] { levels_[l].prolong_and_post_smooth(levels_[l - 1]); });
+               levels_[l].update_copies();
+             },
+             [&] {
+               stopwatch.time("bottom", [&] { bottom_->solve(levels_[0].right_hand_side(), levels_[0].correction()); });
+               levels_[0].update_copies();
+             }});
 }
 
 }  // namespace amrpic

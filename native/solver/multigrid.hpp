@@ -3,15 +3,13 @@
 #include <memory>
 #include <vector>
 
-#include "operators/operators.hpp"
+#include "operators/multigrid_cycle.hpp"
 #include "solver/bottom.hpp"
 #include "solver/options.hpp"
 #include "solver/smoother.hpp"
 #include "solver/stopwatch.hpp"
 
 namespace amrpic {
-
-enum class Guess { zero, coarser };  ///< what a level's sweeps start from: nothing, or the coarser level's correction
 
 /// One level of the cycle: its operators, and vectors that are allocated once.
 class MultigridLevel {
@@ -47,30 +45,22 @@ class MultigridLevel {
   std::vector<Real> right_hand_side_, correction_, residual_;
 };
 
-/// The cycle over refinement levels and multigrid levels alike, for corrections in residual form: see
-/// matrixfree::Cycle.
+/// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form.
 class Multigrid {
  public:
-  /// Collective.
+  /// The stack outlives it. Collective.
   Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators, std::shared_ptr<Bottom> bottom,
             int max_grid_size, SolverOptions const& options);
 
   std::vector<MultigridLevel> const& levels() const { return levels_; }
   MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
-  std::size_t finest() const { return levels_.size() - 1; }
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
-  void cycle(Stopwatch& stopwatch) { correct(finest(), stopwatch); }
+  void cycle(Stopwatch& stopwatch);
 
  private:
-  void correct(std::size_t l, Stopwatch& stopwatch);
-  void v_cycle(std::size_t l, Guess guess, Stopwatch& stopwatch);
-  template <class F>
-  void cycle(std::size_t l, Guess guess, Stopwatch& stopwatch, F&& correct_coarser);
-  void solve_coarsest(Stopwatch& stopwatch);
-
+  LevelStack const& stack_;
   std::vector<MultigridLevel> levels_;
-  std::vector<bool> halves_at_most_;  ///< [level]: see LevelStack
   std::shared_ptr<Bottom> bottom_;
 };
 

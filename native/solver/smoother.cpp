@@ -108,11 +108,12 @@ class LibrarySmoother : public Smoother {
     matrix_ = tpetra_matrix(comm, scaled, operators, operators);
     x_ = Teuchos::rcp(new MultiVector(matrix_->getDomainMap(), 1));
     f_ = Teuchos::rcp(new MultiVector(matrix_->getRangeMap(), 1));
+    if (options.post_sweeps > 0) after_ = made(options, options.post_sweeps, false, oscillating(h));
     if (options.pre_sweeps > 0) {
       from_zero_ = made(options, options.pre_sweeps, true, oscillating(h));
-      before_ = made(options, options.pre_sweeps, false, oscillating(h));
+      bool const same = options.pre_sweeps == options.post_sweeps;
+      before_ = same ? after_ : made(options, options.pre_sweeps, false, oscillating(h));
     }
-    if (options.post_sweeps > 0) after_ = made(options, options.post_sweeps, false, oscillating(h));
   }
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {

@@ -90,14 +90,14 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
     against = "the exact field" if exact else f"the field on {FINER} times as many base cells per axis"
     yield Table(
         f"Speed against error: {scene.name}",
-        f"Relative error of E (L2 over the domain) against {against} of the density of `{scene.name}`'s bunches, averaged over "
-        "cells, on the mesh that their particles refine. Seconds: one solve and its field, best of three. Work unit: one "
-        f"plain 7-point Laplacian on as many cells as the scene's own mesh has ({own.cells}), or 24 bytes per cell at triad "
-        "bandwidth out of cache if that is less. Visits: cells times cycles; the frontier (Pareto front) goes by visits. "
-        "Warm guess: the potential of the charge half a finest cell away. Left by the solve: its part of the error of E over the mesh's. "
-        f"Goal: the distance of the scene's own settings from the frontier of those that leave at most {text(LEFT)}, the "
-        "smaller of two ratios: their error over the smallest for as many visits, and their visits less one cycle over "
-        "the fewest for an error up to a tenth larger.",
+        f"Relative error of E (L2 over the domain) against {against} of the density of `{scene.name}`'s bunches, averaged "
+        "over cells, on the mesh that their particles refine. Seconds: one solve and its field, best of three. Work unit: "
+        f"one plain 7-point Laplacian on as many cells as the scene's own mesh has ({own.cells}), or 24 bytes per cell at "
+        "triad bandwidth out of cache if that is less. Visits: cells times cycles; the frontier (Pareto front) goes by "
+        "visits. Warm guess: the potential of the charge half a finest cell away. Left by the solve: its part of the "
+        "error of E over the mesh's. Goal: the distance of the scene's own settings from the frontier of those that leave "
+        f"at most {text(LEFT)}, the smaller of two ratios: their error over the smallest for as many visits, and their "
+        "visits less one cycle over the fewest for an error up to a tenth larger.",
         COLUMNS,
         [_row(m, unit, own, found) for m in sorted(found, key=lambda m: (m.setting.mesh, m.setting.warm, m.cycles))],
         upwards="error of E against seconds",

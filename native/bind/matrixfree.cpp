@@ -127,11 +127,11 @@ void bind_matrixfree(nb::module_& m) {
   nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")
       .def(
           "__init__",
-          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch) {
+          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch, Real shift) {
             nb::gil_scoped_release release;
-            new (self) CompositeLaplacian(hierarchy->stretched(stretch), stretch);
+            new (self) CompositeLaplacian(hierarchy->stretched(stretch), shift, stretch);
           },
-          "hierarchy"_a, "stretch"_a)
+          "hierarchy"_a, "stretch"_a, "shift"_a = 0.0)
       .def("average_down", &CompositeLaplacian::average_down, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "add",

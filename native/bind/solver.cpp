@@ -76,6 +76,7 @@ void bind_solver(nb::module_& m) {
       .def_rw("post_sweeps", &SolverOptions::post_sweeps)
       .def_rw("relaxation", &SolverOptions::relaxation)
       .def_rw("prolongation", &SolverOptions::prolongation)
+      .def_rw("screening", &SolverOptions::screening)
       .def_rw("stretch", &SolverOptions::stretch)
       .def_rw("coarse_levels", &SolverOptions::coarse_levels)
       .def_rw("bottom", &SolverOptions::bottom)

@@ -27,8 +27,8 @@ void for_each_on_face(Box const& box, int face, int k, F&& f) {
 
 }  // namespace
 
-CompositeLaplacian::CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real3 const& stretch)
-    : hierarchy_(std::move(hierarchy)), stretch_(stretch), plan_(*hierarchy_) {
+CompositeLaplacian::CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch)
+    : hierarchy_(std::move(hierarchy)), shift_(shift), stretch_(stretch), plan_(*hierarchy_) {
   std::array<std::size_t, 3> face{0, 0, 0};
   std::size_t row = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
@@ -147,7 +147,7 @@ void CompositeLaplacian::fill_wall(int l, int b, int axis, int side, Real const*
   for (int y = 0; y < own.extent(v); ++y, first += pitch[v])
     for (int x = 0; x < own.extent(u); ++x) {
       Real const* cell = first + std::ptrdiff_t(x) * pitch[u];
-      *out++ = ghost.first * cell[0] + ghost.second * cell[inward] + ghost.datum * *data++;
+      *out++ = ghost(cell[0], cell[inward], *data++);
     }
 }
 
@@ -183,10 +183,8 @@ void CompositeLaplacian::fill_interface(int l, int b, int axis, int side, Field 
         Real const* fit = star + std::ptrdiff_t(half) * 2 * i.nu;
         for (int m = start; m < start + count; ++m) {
           Real const *p = cell + 2 * m * pu, *q = p + pu;
-          Real const lower = interface_ghost::coarse * fit[2 * m] + interface_ghost::first * p[0] +
-                             interface_ghost::second * p[inward];
-          Real const upper = interface_ghost::coarse * fit[2 * m + 1] + interface_ghost::first * q[0] +
-                             interface_ghost::second * q[inward];
+          Real const lower = ghost_at_interface(fit[2 * m], p[0], p[inward]);
+          Real const upper = ghost_at_interface(fit[2 * m + 1], q[0], q[inward]);
           ghost[2 * m] = lower, ghost[2 * m + 1] = upper;
           flux[m] += (p[0] - lower) + (q[0] - upper);
         }
@@ -221,7 +219,7 @@ void CompositeLaplacian::for_each_refined(int l, int b, int k, Real const* phi, 
         Real const flux = fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
                                  std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
         Real const covered = inside ? phi[at + outward] : beyond[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
-        f(at, r.axis, r.side, 0.5 * flux - (covered - phi[at]));
+        f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
       }
   }
 }
@@ -241,7 +239,7 @@ void CompositeLaplacian::clear_covered(int l, int b, int k, Real* plane) const {
   for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) { std::fill_n(plane + at, n, 0.0); });
 }
 
-/// f - Laplace phi of a plane of cells, into `plane_`; zero in covered ones.
+/// f - L phi of a plane of cells, into `plane_`; zero in covered ones.
 void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& source, Field const& phi) {
   Box const& own = box(l, b);
   int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
@@ -249,7 +247,7 @@ void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& sourc
   auto const& values = phi.level(l);
   Real const* const cells = values.data() + offset(l, b);
   Real const* const rho = source.rho.level(l).data() + offset(l, b) + k * plane;
-  kernels::Residual const formula(level(l).spacing(), source.background);
+  kernels::Residual const formula{equation(l), source.background};
   Real const* const c = cells + k * plane;
   Real const* const below = k > 0 ? c - plane : beyond_[4].data();
   Real const* const above = k + 1 < nz ? c + plane : beyond_[5].data();
@@ -276,9 +274,8 @@ void CompositeLaplacian::residual_plane(int l, int b, int k, Source const& sourc
     kernels::residual_ends(formula, nx, c + at, neighbours(j), beyond_[0][end], beyond_[1][end], rho + at,
                            plane_.data() + at);
   }
-  Real const coefficient[3] = {formula.cx, formula.cy, formula.cz};
   for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int, Real excess) {
-    plane_[std::size_t(at - k * plane)] -= coefficient[axis] * excess;
+    plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
   });
   clear_covered(l, b, k, plane_.data());
 }
@@ -303,7 +300,8 @@ void CompositeLaplacian::for_each_wall_term(int l, int b, int k, Source const& s
   for (int face = 0; face < 6; ++face) {
     int const wall = plan(l, b).faces[face].wall, axis = face / 2;
     if (wall < 0) continue;
-    Real const weight = wall_ghost(hierarchy_->domain().boundary[axis][face % 2], h[axis]).datum / h[axis] / h[axis];
+    WallGhost const ghost = wall_ghost(hierarchy_->domain().boundary[axis][face % 2], h[axis]);
+    Real const weight = equation(l).weight[axis] * ghost.datum;
     for_each_on_face(box(l, b), face, k, [&](std::ptrdiff_t at, int u, int v, int nu) {
       f(at, weight * source.walls[l].datum[std::size_t(wall + u + std::ptrdiff_t(v) * nu)]);
     });
@@ -326,13 +324,13 @@ void CompositeLaplacian::diagonal_plane(int l, int b, int k, Field const& phi) {
   Box const& own = box(l, b);
   Index3 const pitch = pitches(own);
   Real3 const& h = level(l).spacing();
-  kernels::Residual const formula(h, {});
+  Equation const equation = this->equation(l);
   Real const* const cells = phi.level(l).data() + offset(l, b) + std::ptrdiff_t(k) * pitch[2];
-  for (int i = 0; i < pitch[2]; ++i) plane_[std::size_t(i)] = -formula.diagonal * cells[i];
+  for (int i = 0; i < pitch[2]; ++i) plane_[std::size_t(i)] = -equation.diagonal() * cells[i];
   for (int f = 0; f < 6; ++f) {
     FacePlan const& face = plan(l, b).faces[f];
     int const axis = f / 2;
-    Real const c = 1 / h[axis] / h[axis];
+    Real const c = equation.weight[axis];
     if (face.wall >= 0) {
       Real const first = wall_ghost(hierarchy_->domain().boundary[axis][f % 2], h[axis]).first;
       for_each_on_face(own, f, k,
@@ -548,7 +546,7 @@ void CompositeLaplacian::field_plane(int l, int b, int k, Where where, Field con
   std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
   Real const* const cells = phi.level(l).data() + offset(l, b);
   Real3 factor;
-  for (int d = 0; d < 3; ++d) factor[d] = half_over_spacing(l, d);
+  for (int d = 0; d < 3; ++d) factor[d] = factor_of_field(l, d);
   for (int j = 0; j < ny; ++j) {
     std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
     Real const* const c = cells + k * plane + at;

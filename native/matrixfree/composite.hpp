@@ -38,17 +38,19 @@ struct Source {
   Background background{};
 };
 
-/// The Laplacian over all levels of a hierarchy at once, in double precision and without matrices: the same formulas as
-/// the operators `composite`, `coarse_boundary`, `fine_boundary`, `restriction` and `gradient`, evaluated box by box.
+/// The operator L = Laplace - shift over all levels of a hierarchy at once, in double precision and without matrices:
+/// the same formulas as the operators `composite`, `coarse_boundary`, `fine_boundary`, `restriction` and `gradient`,
+/// evaluated box by box.
 ///
 /// The ghosts around a box are copied from its neighbours or evaluated from walls and coarser cells just before the box
 /// is swept; finer levels come first and leave the fluxes through the coarse faces for the coarser ones, so that each
 /// face has one flux. Results in a cell do not depend on boxes and ranks, not even by rounding.
 class CompositeLaplacian {
  public:
-  /// `hierarchy` is in coordinates stretched by `stretch` already; norms and fields are those of the unstretched space.
-  /// Collective.
-  explicit CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real3 const& stretch = {1, 1, 1});
+  /// `shift`: of the Equation. `hierarchy` is in coordinates stretched by `stretch` already; norms and fields are those
+  /// of the unstretched space. Collective.
+  explicit CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real shift = 0,
+                              Real3 const& stretch = {1, 1, 1});
 
   /// Set the covered cells of all levels to the mean of their children. Collective.
   void average_down(Field& phi);
@@ -58,7 +60,7 @@ class CompositeLaplacian {
   template <class T>
   Real add(Blocks<T> const& correction, Real scale, Field& phi);
 
-  /// residual = scale[level] * (f - Laplace phi) in uncovered cells, zero in covered ones, rounded to T; returns the
+  /// residual = scale[level] * (f - L phi) in uncovered cells, zero in covered ones, rounded to T; returns the
   /// norm, without the scale and before rounding, over uncovered cells; nan if a value is not finite. `phi` must be
   /// averaged down. Collective.
   template <class T>
@@ -121,7 +123,7 @@ class CompositeLaplacian {
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
   void diagonal_plane(int l, int b, int k, Field const& phi);
   template <class T>
-  void prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale, Block<T> const& out,
+  void prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& error, Real scale, Block<T> const& out,
                           Magnitude& largest);
   /// Round scale times `plane_` into plane k of a block; zeros if the scale is zero.
   template <class T>
@@ -159,7 +161,7 @@ class CompositeLaplacian {
   void average_across_ranks(int l, Field& phi);
   void average_field(int l, int b, int k, Real* means);
   void give_means(int l, Real const* means, ElectricField& field);
-  Real half_over_spacing(int l, int axis) const { return 0.5 / level(l).spacing()[axis] / stretch_[axis]; }
+  Real factor_of_field(int l, int axis) const { return field_factor(level(l).spacing()[axis]) / stretch_[axis]; }
 
   Level const& level(int l) const { return hierarchy_->level(l); }
   LevelPlan const& plan(int l) const { return plan_.levels[std::size_t(l)]; }
@@ -168,8 +170,10 @@ class CompositeLaplacian {
   Box const& box(int l, int b) const { return level(l).box(level(l).first_local_box() + b); }
   LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
   Real volume(int l) const;
+  Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
 
   std::shared_ptr<Hierarchy const> hierarchy_;
+  Real shift_;
   Real3 stretch_;
   CompositePlan plan_;
   std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface

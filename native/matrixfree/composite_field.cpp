@@ -71,7 +71,7 @@ ElectricField CompositeLaplacian::electric_field(std::shared_ptr<Field const> po
   Field const& phi = *potential;
   std::vector<Real3> factor(std::size_t(hierarchy_->level_count()));
   for (std::size_t l = 0; l < factor.size(); ++l)
-    for (int d = 0; d < 3; ++d) factor[l][d] = half_over_spacing(int(l), d);
+    for (int d = 0; d < 3; ++d) factor[l][d] = factor_of_field(int(l), d);
   ElectricField out(std::move(potential), std::move(factor));
 
   bool const averages = covered == CoveredField::mean;

@@ -4,27 +4,18 @@
 #include <algorithm>
 
 #include "base/fetch.hpp"
-#include "base/fused.hpp"
-#include "base/types.hpp"
 #include "stencil/background.hpp"
+#include "stencil/laplacian.hpp"
 
 namespace amrpic::kernels {
 
-/// f - Laplace phi of cells with equal coefficients.
+/// f - L phi of cells of equal size.
 struct Residual {
-  Real cx, cy, cz, diagonal;  ///< 1 / h^2 along each axis, and twice their sum
+  Equation equation;
   Background background;
 
-  Residual(Real3 const& h, Background const& background)
-      : cx(1 / h[0] / h[0]),
-        cy(1 / h[1] / h[1]),
-        cz(1 / h[2] / h[2]),
-        diagonal(2 * (cx + cy + cz)),
-        background(background) {}
-
   Real operator()(Real rho, Real c, Real xm, Real xp, Real ym, Real yp, Real zm, Real zp) const {
-    Real const sum = fused(cz, zm + zp, fused(cy, ym + yp, cx * (xm + xp)));
-    return background.right_hand_side(rho) - fused(-diagonal, c, sum);
+    return background.right_hand_side(rho) - laplacian(equation, c, xm, xp, ym, yp, zm, zp);
   }
 };
 
@@ -40,7 +31,7 @@ inline void for_each_part(std::ptrdiff_t first, std::ptrdiff_t last, F&& f) {
   for (; first < last; first += part) f(first, std::min(last, first + part));
 }
 
-/// f - Laplace phi of the cells [first, last) of a run; those at the ends of rows take what memory holds beside them
+/// f - L phi of the cells [first, last) of a run; those at the ends of rows take what memory holds beside them
 /// for their neighbours along x. So the loop has whole vectors, and the ends are put right afterwards.
 inline void residual_run(Residual const& formula, std::ptrdiff_t first, std::ptrdiff_t last, Real const* c,
                          Neighbours const& n, Real const* __restrict rho, Real* __restrict out) {

@@ -7,9 +7,6 @@ namespace amrpic {
 
 namespace {
 
-/// A second-order stencil of twice the width errs four times as much; seen is what it errs more.
-constexpr Real seen_over_error = 3;
-
 /// A part of a window, in the memory of a box of this rank or as another rank sent it.
 struct Part {
   int owner;  ///< rank that sends it, or Rectangle::here
@@ -17,10 +14,8 @@ struct Part {
   Box place;  ///< in the window
 };
 
-int cells_per_parent(Index3 const& ratio) { return ratio[0] * ratio[1] * ratio[2]; }
-
 /// Whether the last cell of a level along an axis, the base's, has no partner to share a parent with. The parent that
-/// it has alone holds no mean, and nothing is told of its neighbours, as of cells at walls.
+/// it has alone holds no mean, and nothing is known of its neighbours, as of cells at walls.
 bool leaves_a_cell(Level const& level, Index3 const& ratio, int axis) {
   return level.domain().extent(axis) % ratio[axis] != 0;
 }
@@ -92,7 +87,7 @@ void add_parents(int n, int ratio, Real weight, Real const* __restrict fine, Rea
 std::vector<Real> means(Level const& level, Index3 const& ratio, std::vector<std::int32_t> const& first_parent,
                         Real const* fine) {
   std::vector<Real> out(std::size_t(first_parent.back()), 0.0);
-  Real const weight = 1.0 / cells_per_parent(ratio);
+  Real const weight = mean_weight(ratio);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const &box = level.box(b), parents = box.coarsen(ratio);
     Real* const first = out.data() + first_parent[std::size_t(b - level.first_local_box())];
@@ -126,8 +121,8 @@ struct Task {
   std::vector<Part> phi;  ///< in them and their neighbours: the coarser level's, or means where none is
 };
 
-/// Whether the coarser Laplacian tells something of a cell: all its children are uncovered, and it is not at a wall.
-Window<char> told(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
+/// Parents in which the coarser Laplacian is an estimate: all children are uncovered, and they are not at a wall.
+Window<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
   Window<char> out(parents, 0);
   Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
   auto set = [&](Box const& part, char value) {
@@ -159,10 +154,10 @@ void prolong_row(int n, int ratio, Real const* __restrict parent, Real* __restri
     return;
   }
   for (int i = 0; i < n / 2; ++i) {
-    out[2 * i] = 0.75 * parent[i] + 0.25 * parent[i - 1];
-    out[2 * i + 1] = 0.75 * parent[i] + 0.25 * parent[i + 1];
+    out[2 * i] = prolonged(parent[i], parent[i - 1]);
+    out[2 * i + 1] = prolonged(parent[i], parent[i + 1]);
   }
-  if (n % 2 != 0) out[n - 1] = 0.75 * parent[n / 2] + 0.25 * parent[n / 2 - 1];
+  if (n % 2 != 0) out[n - 1] = prolonged(parent[n / 2], parent[n / 2 - 1]);
 }
 
 /// Parent along an axis, its neighbour on the side of the cell, and the neighbour's weight.
@@ -173,22 +168,21 @@ struct Pair {
 Pair parents_along(int cell, int ratio) {
   if (ratio == 1) return {cell, cell, 0};
   int const parent = floor_divide(cell, 2);
-  return {parent, cell == 2 * parent ? parent - 1 : parent + 1, 0.25};
+  return {parent, cell == 2 * parent ? parent - 1 : parent + 1, prolongation::far};
 }
 
 /// The truncation error in a row of n cells, from the potentials in a window around them and the means of rho.
-void see_row(int n, Real3 const& weights, Real const* __restrict potential, Box const& window,
-             Real const* __restrict charge, Background const& background, char const* __restrict usable,
-             Real* __restrict seen) {
-  Real3 const weight = weights;
+void estimate_row(int n, Equation const& coarse, Real const* __restrict potential, Box const& window,
+                  Real const* __restrict charge, Background const& background, char const* __restrict usable,
+                  Real* __restrict error) {
+  Equation const equation = coarse;
   Background const taken_away = background;
   std::ptrdiff_t const y = window.extent(0), z = y * window.extent(1);
   for (int i = 0; i < n; ++i) {
     Real const* const phi = potential + i;
-    Real const laplacian = weight[0] * (phi[-1] + phi[1] - 2 * phi[0]) + weight[1] * (phi[-y] + phi[y] - 2 * phi[0]) +
-                           weight[2] * (phi[-z] + phi[z] - 2 * phi[0]);
+    Real const found = laplacian(equation, phi[0], phi[-1], phi[1], phi[-y], phi[y], phi[-z], phi[z]);
     Real const f = taken_away.right_hand_side(charge[i]);
-    seen[i] = usable[i] ? (laplacian - f) / seen_over_error : 0;
+    error[i] = usable[i] ? truncation_error(found, f) : 0;
   }
 }
 
@@ -230,21 +224,20 @@ Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Inde
     for (Task const& task : tasks) {
       auto const charge = gather(task.parents, task.rho, charges.data(), rho_imports);
       auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, phi_imports);
-      auto const usable = told(level(l), hierarchy_->has_finer(l) ? &level(l + 1) : nullptr, ratio, task.parents);
-      Real3 weight;
-      for (int d = 0; d < 3; ++d) {
-        Real const h = ratio[d] * level(l).spacing()[d];
-        weight[d] = 1 / h / h;
-      }
-      Window<Real> seen(task.parents, 0.0);
+      auto const usable =
+          usable_parents(level(l), hierarchy_->has_finer(l) ? &level(l + 1) : nullptr, ratio, task.parents);
+      Real3 spacing;
+      for (int d = 0; d < 3; ++d) spacing[d] = ratio[d] * level(l).spacing()[d];
+      Equation const coarse = equation_on(spacing, shift_);
+      Window<Real> error(task.parents, 0.0);
       Box const& p = task.parents;
       for (int k = p.lower[2]; k <= p.upper[2]; ++k)
         for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
           Index3 const first{p.lower[0], j, k};
-          see_row(p.extent(0), weight, &potential(first), potential.box(), &charge(first), source.background,
-                  &usable(first), &seen(first));
+          estimate_row(p.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,
+                       &usable(first), &error(first));
         }
-      prolong_truncation(l, task.box, ratio, seen, scale[std::size_t(l)],
+      prolong_truncation(l, task.box, ratio, error, scale[std::size_t(l)],
                          truncation[std::size_t(l)][std::size_t(task.box)], largest);
     }
   }
@@ -257,21 +250,21 @@ template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3
 
 /// What is known in the parents, in the uncovered cells of a box.
 template <class T>
-void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& seen, Real scale,
+void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& error, Real scale,
                                             Block<T> const& out, Magnitude& largest) {
   Box const& own = box(l, b);
-  int const width = seen.box().extent(0), first = seen.box().lower[0];
+  int const width = error.box().extent(0), first = error.box().lower[0];
   int const before = floor_divide(own.lower[0], ratio[0]) - first;  // parents in front of the first cell's
   std::vector<Real> row(std::size_t(width), 0.0);
   for (int k = 0; k < own.extent(2); ++k) {
     Pair const z = parents_along(own.lower[2] + k, ratio[2]);
     for (int j = 0; j < own.extent(1); ++j) {
       Pair const y = parents_along(own.lower[1] + j, ratio[1]);
-      Real const *nn = &seen({first, y.parent, z.parent}), *fn = &seen({first, y.neighbour, z.parent}),
-                 *nf = &seen({first, y.parent, z.neighbour}), *ff = &seen({first, y.neighbour, z.neighbour});
+      Real const *nn = &error({first, y.parent, z.parent}), *fn = &error({first, y.neighbour, z.parent}),
+                 *nf = &error({first, y.parent, z.neighbour}), *ff = &error({first, y.neighbour, z.neighbour});
       Real* __restrict const mixed = row.data();
       for (int i = 0; i < width; ++i)
-        mixed[i] = (1 - z.far) * ((1 - y.far) * nn[i] + y.far * fn[i]) + z.far * ((1 - y.far) * nf[i] + y.far * ff[i]);
+        mixed[i] = prolonged(z.far, prolonged(y.far, nn[i], fn[i]), prolonged(y.far, nf[i], ff[i]));
       prolong_row(own.extent(0), ratio[0], row.data() + before, plane_.data() + std::ptrdiff_t(j) * own.extent(0));
     }
     clear_covered(l, b, k, plane_.data());

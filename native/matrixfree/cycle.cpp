@@ -62,9 +62,9 @@ WallGhosts walls_of_coarsest(LevelStack const& stack, Ends const& ends) {
 
 }  // namespace
 
-Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxation)
+Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
     : comm_(comm),
-      stack_(coarsen_below(stack_of(hierarchy), hierarchy.domain(), {hierarchy.max_grid_size(), held_by_all},
+      stack_(coarsen_below(stack_of(hierarchy, shift), hierarchy.domain(), {hierarchy.max_grid_size(), held_by_all},
                            std::numeric_limits<int>::max())),
       relaxation_(relaxation) {
   OpenWalls const open_walls(stack_);
@@ -78,7 +78,7 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
       copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
     int const halo = own.halo() + (!copies.empty() || !stack_.refines(l) ? 1 : 0);
-    level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, own, halo);
+    level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, stack_.ratio[l], stack_.refines(l),
@@ -86,16 +86,15 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxa
                        return prolonged_end(stack_, open_walls, l - 1, cell, axis, side);
                      },
                      last_children_of(stack_, l), seam_widths(stack_.levels[l - 1]->periodic(), stack_.upper[l - 1])});
-    level.local = make_local_cycle(comm, *level.swept, copies, own);
+    level.local = make_local_cycle(comm, *level.swept, copies, shift, own);
     levels_.push_back(std::move(level));
   }
   Level const& coarsest = *stack_.levels.front();
   Box const& box = coarsest.domain();
-  Real3 weight;
-  for (int d = 0; d < 3; ++d) weight[d] = levels_[0].swept->scale() / coarsest.spacing()[d] / coarsest.spacing()[d];
+  Equation const equation = scaled(stack_.equation(0), levels_[0].swept->scale());
   Ends const ends = ends_of(stack_, open_walls, 0);
   direct_ =
-      std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, weight,
+      std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
                                             walls_of_coarsest(stack_, ends), coarsest.periodic(), ends.seam_width);
 }
 

@@ -14,8 +14,8 @@ namespace amrpic::matrixfree {
 /// precision and without matrices.
 class Cycle {
  public:
-  /// `stack`: the refinement levels. Collective.
-  Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Relaxation const& relaxation);
+  /// `shift`: of the Equation. Collective.
+  Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation);
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();

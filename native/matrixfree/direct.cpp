@@ -6,10 +6,10 @@
 
 namespace amrpic::matrixfree {
 
-FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Real3 const& weight, WallGhosts const& walls,
+FastDiagonalisation::FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
                                          std::array<bool, 3> const& periodic, Real3 const& seam_width)
-    : cells_(cells) {
-  for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], weight[d], walls[d], periodic[d], seam_width[d]);
+    : cells_(cells), shift_(equation.shift) {
+  for (int d = 0; d < 3; ++d) axes_[d] = axis(cells[d], equation.weight[d], walls[d], periodic[d], seam_width[d]);
 }
 
 FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::array<WallGhost, 2> const& walls,
@@ -80,8 +80,8 @@ void FastDiagonalisation::solve(std::vector<Real>& values) {
   for (Real z : axes_[2].eigenvalue)
     for (Real y : axes_[1].eigenvalue)
       for (Real x : axes_[0].eigenvalue) {
-        Real const sum = x + y + z;
-        values[n] = std::abs(sum) > 1e-12 * largest ? values[n] / sum : 0;
+        Real const sum = x + y + z - shift_;
+        values[n] = shift_ > 0 || std::abs(sum) > 1e-12 * largest ? values[n] / sum : 0;
         ++n;
       }
   for (int d = 0; d < 3; ++d) transform(d, axes_[d].from, values);

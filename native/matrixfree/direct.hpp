@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "stencil/coarse_end.hpp"
+#include "stencil/equation.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -10,9 +11,8 @@ namespace amrpic::matrixfree {
 /// the product of their eigenvectors it is diagonal (Lynch, Rice and Thomas, Numer. Math. 6, 185, 1964).
 class FastDiagonalisation {
  public:
-  /// sum over axes of weight_d (lower neighbour - 2 + upper neighbour), with ghosts behind walls, and with finite
-  /// volumes where the last cell of a periodic axis has a width of its own.
-  FastDiagonalisation(Index3 const& cells, Real3 const& weight, WallGhosts const& walls,
+  /// With ghosts behind walls, and with finite volumes where the last cell of a periodic axis has a width of its own.
+  FastDiagonalisation(Index3 const& cells, Equation const& equation, WallGhosts const& walls,
                       std::array<bool, 3> const& periodic, Real3 const& seam_width);
 
   /// Replace the right-hand side (x fastest) by the solution; the one without a constant if constants solve the
@@ -28,6 +28,7 @@ class FastDiagonalisation {
   void transform(int axis, std::vector<Real> const& matrix, std::vector<Real>& values);
 
   Index3 cells_;
+  Real shift_;
   std::array<Axis, 3> axes_;
   std::vector<Real> scratch_;
 };

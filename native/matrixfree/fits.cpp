@@ -16,7 +16,7 @@ int line_along(unsigned usable, int i, int j) {
 }
 
 int number_of(unsigned usable) {
-  PlaneFit const fit = plane_fit(usable, 0.25, 0.25);
+  PlaneFit const fit = plane_fit(usable, quarter(true), quarter(true));
   if (fit.kind == PlaneFitKind::biquadratic) return fit.placement;
   if (fit.kind == PlaneFitKind::bilinear) return first_bilinear + fit.placement;
   return first_linear + (line_along(usable, 1, 0) + 1) + 3 * (line_along(usable, 0, 1) + 1);
@@ -26,7 +26,7 @@ NumberedFit tabulated(unsigned usable) {
   NumberedFit out{};
   for (int b = 0; b < 2; ++b)
     for (int a = 0; a < 2; ++a) {
-      PlaneFit const fit = plane_fit(usable, a == 0 ? -0.25 : 0.25, b == 0 ? -0.25 : 0.25);
+      PlaneFit const fit = plane_fit(usable, quarter(a != 0), quarter(b != 0));
       out.count = fit.count;
       for (int t = 0; t < fit.count; ++t) {
         auto const& term = fit.terms[t];

@@ -38,7 +38,7 @@ NumberedFit const& numbered_fit(FitNumber number);
 /// of 2 count values. `coarse` points to the first of the cells, its rows are `pitch` apart.
 template <class T>
 void central_fits(int count, T const* coarse, std::ptrdiff_t pitch, T* lower_row, T* upper_row) {
-  constexpr T near = T(5.0 / 32), middle = T(15.0 / 16), far = T(-3.0 / 32);  // parabola at a quarter of a cell
+  constexpr T near = T(parabola_at_quarter[0]), middle = T(parabola_at_quarter[1]), far = T(parabola_at_quarter[2]);
   constexpr int most = 62;
   T lower[most + 2], upper[most + 2];  // the parabolas along the higher axis
   for (int done = 0; done < count; done += most) {

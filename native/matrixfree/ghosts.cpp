@@ -20,12 +20,9 @@ bool is_its_own_neighbour(Level const& level, Ends const& ends, int axis) {
 
 }  // namespace
 
-Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation)
-    : relaxation_(relaxation), keep_(float(1 - relaxation)) {
-  Real3 const& h = level.spacing();
-  Real const least = smallest_spacing(level);
-  for (int d = 0; d < 3; ++d)
-    weight_[d] = is_its_own_neighbour(level, ends, d) ? 0 : float(least * least / h[d] / h[d]);
+Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Equation const& equation, Real relaxation)
+    : relaxation_(relaxation), shift_(float(equation.shift)), keep_(float(1 - relaxation)) {
+  for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, ends, d) ? 0 : float(equation.weight[d]);
   for (Block const& block : layout.blocks()) {
     BlockStencil out;
     out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
@@ -143,7 +140,7 @@ std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std
 void Stencil::add_coefficients(BlockStencil& out, Block const& block,
                                std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
-  float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]);
+  float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]) + shift_;
   std::vector<float> diagonal;
   std::map<std::array<float, 2>, std::int32_t> inner;  // of rows away from the faces of y and z, by their two ends
   for (int k = 0; k < nz; ++k)

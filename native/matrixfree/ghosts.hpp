@@ -7,6 +7,7 @@
 
 #include "matrixfree/layout.hpp"
 #include "stencil/coarse_end.hpp"
+#include "stencil/equation.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -57,12 +58,12 @@ struct BlockStencil {
   std::vector<std::int32_t> first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
 };
 
-/// The operator h² (Laplacian of a level as if nothing finer existed), h the smallest spacing, over the blocks of a
-/// layout: S e - d e, S the weighted sum over neighbours, d the diagonal with what ghosts add to it.
+/// The operator h² L of a level as if nothing finer existed, h the smallest spacing, over the blocks of a layout:
+/// S e - d e, S the weighted sum over neighbours, d the diagonal with what ghosts add to it.
 class Stencil {
  public:
-  /// `relaxation`: factor of a Gauss-Seidel step.
-  Stencil(Level const& level, Layout const& layout, Ends const& ends, Real relaxation);
+  /// `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
+  Stencil(Level const& level, Layout const& layout, Ends const& ends, Equation const& equation, Real relaxation);
 
   BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
   /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
@@ -90,6 +91,7 @@ class Stencil {
 
   Real relaxation_;
   std::array<float, 3> weight_;
+  float shift_;
   float keep_;
   std::vector<BlockStencil> blocks_;
   Vector pool_;

@@ -80,8 +80,7 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         face.parent_u = around.cells.stride(u);
         face.parent_v = around.cells.stride(v);
         face.weight = float(weight[axis] * interface_ghost::coarse);
-        // over the coarse cell width a gradient counts double, and each fine face has a quarter of the coarse one
-        face.flux_weight = 0.5f * coarse_weight[axis];
+        face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
         faces_.push_back(face);
         plane_.resize(std::max(plane_.size(), std::size_t(face.nu + 2 * margin) * std::size_t(face.nv + 2 * margin)));
         rows_.resize(std::max(rows_.size(), std::size_t(4 * face.nu)));
@@ -118,9 +117,8 @@ void InterfaceCells::subtract_coarse(Vector const& surroundings, Vector& r) cons
 }
 
 void InterfaceCells::subtract_flux(Vector const& e, Vector& surroundings) const {
-  constexpr float first = float(1 - interface_ghost::first), second = float(-interface_ghost::second);
   for (Face const& face : faces_) {
-    auto through = [&](float const* cell) { return first * cell[0] + second * cell[face.inward]; };
+    auto through = [&](float const* cell) { return difference_at_interface(cell[0], cell[face.inward]); };
     for (int v = 0; v < face.nv; ++v)
       for_each_run(
           &fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu, [&](int u, int count, FitNumber) {

@@ -21,10 +21,10 @@ Ends ends_of(LevelCopy const& copy) {
 
 }  // namespace
 
-LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Relaxation const& relaxation)
+LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Real shift, Relaxation const& relaxation)
     : fine_(fine),
       relaxation_(of_copies(relaxation)),
-      swept_(comm, copy.level, ends_of(copy), relaxation_, relaxation_.halo()),
+      swept_(comm, copy.level, ends_of(copy), shift, relaxation_, relaxation_.halo()),
       coarsening_(comm, fine, swept_, copy.ratio, false,
                   CoarseEnds{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
 
@@ -40,12 +40,12 @@ std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stage
 }
 
 std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
-                                             Relaxation const& relaxation) {
+                                             Real shift, Relaxation const& relaxation) {
   std::unique_ptr<LocalCycle> first;
   std::unique_ptr<LocalCycle>* place = &first;
   SweptLevel* above = &fine;
   for (LevelCopy const& copy : copies) {
-    *place = std::make_unique<LocalCycle>(comm, *above, copy, relaxation);
+    *place = std::make_unique<LocalCycle>(comm, *above, copy, shift, relaxation);
     above = &(*place)->swept();
     place = &(*place)->next();
   }

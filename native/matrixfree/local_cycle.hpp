@@ -14,8 +14,8 @@ namespace amrpic::matrixfree {
 /// along all axes, does not see it where it oscillates along the others.
 class LocalCycle {
  public:
-  /// `fine` is relaxed by the caller. Collective.
-  LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Relaxation const& relaxation);
+  /// `fine` is relaxed by the caller; `shift`: of the Equation. Collective.
+  LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Real shift, Relaxation const& relaxation);
 
   /// Run stages over the finer level, find a correction for what they leave, and return stages that add it and smooth.
   /// Collective.
@@ -39,6 +39,6 @@ class LocalCycle {
 
 /// The local cycle of a refinement level over its copies; null without any. Collective.
 std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
-                                             Relaxation const& relaxation);
+                                             Real shift, Relaxation const& relaxation);
 
 }  // namespace amrpic::matrixfree

@@ -2,6 +2,8 @@
 
 #include <Kokkos_Core.hpp>
 
+#include "stencil/laplacian.hpp"
+
 namespace amrpic::matrixfree::portable {
 
 namespace {
@@ -16,9 +18,9 @@ struct RowView {
   float const *here, *y_below, *y_above, *z_below, *z_above;
   float left, right;
   int n;
-  KOKKOS_INLINE_FUNCTION float sum(int i, Kokkos::Array<float, 3> const& w) const {
+  KOKKOS_INLINE_FUNCTION float sum(int i, std::array<float, 3> const& w) const {
     float const x = (i > 0 ? here[i - 1] : left) + (i + 1 < n ? here[i + 1] : right);
-    return w[0] * x + w[1] * (y_below[i] + y_above[i]) + w[2] * (z_below[i] + z_above[i]);
+    return weighted_sum(w, x, y_below[i] + y_above[i], z_below[i] + z_above[i]);
   }
 };
 
@@ -64,11 +66,6 @@ int parity(Plane const& p, int j, int colour) {
   return (colour + p.block.box.lower[0] + p.block.box.lower[1] + j + p.k) & 1;
 }
 
-Kokkos::Array<float, 3> weights(Plane const& p) {
-  auto const& w = p.stencil.weight();
-  return {w[0], w[1], w[2]};
-}
-
 }  // namespace
 
 void relax_from_zero(Plane const& p, int colour, float const* r, float* e) {
@@ -84,7 +81,7 @@ void relax_from_zero(Plane const& p, int colour, float const* r, float* e) {
 }
 
 void relax(Plane const& p, int colour, float const* r, float* e) {
-  auto const weight = weights(p);
+  auto const weight = p.stencil.weight();
   float const keep = p.stencil.keep();
   for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
     int const odd = parity(p, j, colour);
@@ -127,7 +124,7 @@ bool has_offset(Parents const& parents, int j, int offset) { return (j + parents
 
 void restrict_residual(Plane const& p, float const* r, float const* e, Parents const& parents, float share,
                        float* coarse) {
-  auto const weight = weights(p);
+  auto const weight = p.stencil.weight();
   for (int offset = 0; offset < parents.ratio[1]; ++offset)
     for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
       if (!has_offset(parents, j, offset)) return;

@@ -6,6 +6,8 @@
 
 #include "base/fetch.hpp"
 #include "base/lanes.hpp"
+#include "stencil/intergrid.hpp"
+#include "stencil/laplacian.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -33,7 +35,7 @@ inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, 
     if constexpr (isotropic)
       f(v, here, x + y + z);
     else
-      f(v, here, weight[0] * x + weight[1] * y + weight[2] * z);
+      f(v, here, weighted_sum(weight, x, y, z));
   };
   int const end = row.vectors - 1;
   for (int v = 0; v < end; ++v) {
@@ -134,8 +136,9 @@ inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool s
   }
   for (int v = 0; v < vectors; v += 2) {
     int const place = v / 2 * N;
-    typename L::Type const here = 0.75f * mean(place);
-    typename L::Type const lower = here + 0.25f * mean(place - 1), upper = here + 0.25f * mean(place + 1);
+    constexpr float near = prolongation::near, far = prolongation::far;
+    typename L::Type const here = near * mean(place);
+    typename L::Type const lower = here + far * mean(place - 1), upper = here + far * mean(place + 1);
     put(v, L::interleave_low(lower, upper));
     if (v + 1 < vectors) put(v + 1, L::interleave_high(lower, upper));
   }

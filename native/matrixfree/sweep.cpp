@@ -198,9 +198,9 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
       float* const line = buffer_[4].data();
       prolong_row<n()>(from, parents.ratio[0], (nx + 1 + n() - 1) / n(), true, r.data() + row, line);
       for (int i = 0; i < nx && parents.seam[0] > 0; ++i)
-        if (float const far = parents.far(0, i); far != 0.25f) {
+        if (float const far = parents.far(0, i); far != float(prolongation::far)) {
           int const place = parents.parent(0, i);
-          line[i + parents.odd[0]] = (1 - far) * mean(from, place) + far * mean(from, place + parents.toward(0, i));
+          line[i + parents.odd[0]] = prolonged(far, mean(from, place), mean(from, place + parents.toward(0, i)));
         }
       for (int i = 0; i < nx; ++i)
         e[std::size_t(row + i)] = (set ? 0 : e[std::size_t(row + i)]) + line[i + parents.odd[0]];

@@ -26,8 +26,8 @@ struct Parents {
   /// What it takes of that one.
   float far(int axis, int i) const {
     int const side = toward(axis, i);
-    if (seam[axis] == 0 || side == 0) return side == 0 ? 0.0f : 0.25f;
-    return float(0.25 * prolonged_seam(first[axis] + parent(axis, i), (side + 1) / 2, seam[axis], seam_width[axis]));
+    if (seam[axis] == 0 || side == 0) return side == 0 ? 0.0f : float(prolongation::far);
+    return float(prolonged_far(first[axis] + parent(axis, i), (side + 1) / 2, seam[axis], seam_width[axis]));
   }
   /// What a child weighs in its parent's mean, over what others do.
   float weight_of(int axis, int i) const {

@@ -28,12 +28,12 @@ void add_ends(Level const& level, Wanted const& wanted, std::vector<Wanted>& out
 
 }  // namespace
 
-SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends,
+SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Real shift,
                        Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       layout_(*level_, halo, ends.seams()),
-      stencil_(*level_, layout_, ends, relaxation.factor),
+      stencil_(*level_, layout_, ends, scaled(equation_on(level_->spacing(), shift), scale_), relaxation.factor),
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {

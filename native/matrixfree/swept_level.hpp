@@ -21,9 +21,9 @@ struct Relaxation {
 /// of the level, and all that sweeps over it need.
 class SweptLevel {
  public:
-  /// `halo`: how deep the copies of other ranks' cells are. Collective.
-  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Relaxation const& relaxation,
-             int halo);
+  /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. Collective.
+  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Real shift,
+             Relaxation const& relaxation, int halo);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "mesh/domain.hpp"
-
 namespace amrpic {
 
 namespace {

@@ -5,6 +5,8 @@
 #include <cstdlib>
 #include <optional>
 
+#include "mesh/box_set.hpp"
+
 namespace amrpic {
 
 namespace {
@@ -91,33 +93,6 @@ Cut choose_cut(Part const& part, Box const& box) {
   return {axes[0], box.extent(axes[0]) / 2};
 }
 
-/// Join neighbours along an axis whose cross-sections agree; true if there were any.
-bool merge_along(std::vector<Box>& boxes, int axis) {
-  auto const [u, v] = tangential_axes(axis);
-  auto section = [u = u, v = v](Box const& b) { return std::array{b.lower[u], b.upper[u], b.lower[v], b.upper[v]}; };
-  std::sort(boxes.begin(), boxes.end(), [&](Box const& a, Box const& b) {
-    return section(a) != section(b) ? section(a) < section(b) : a.lower[axis] < b.lower[axis];
-  });
-  std::vector<Box> out;
-  for (Box const& box : boxes) {
-    if (!out.empty() && section(out.back()) == section(box) && out.back().upper[axis] + 1 == box.lower[axis])
-      out.back().upper[axis] = box.upper[axis];
-    else
-      out.push_back(box);
-  }
-  bool const merged = out.size() < boxes.size();
-  boxes = std::move(out);
-  return merged;
-}
-
-/// Join boxes that together form a box. Their union is no emptier than the emptier of the two.
-void merge(std::vector<Box>& boxes) {
-  for (bool again = true; again;) {
-    again = false;
-    for (int axis = 0; axis < 3; ++axis) again |= merge_along(boxes, axis);
-  }
-}
-
 }  // namespace
 
 std::vector<Box> cluster(std::vector<Index3> blocks, Real efficiency) {
@@ -142,8 +117,7 @@ std::vector<Box> cluster(std::vector<Index3> blocks, Real efficiency) {
     pending.push_back({part[0], middle});
     pending.push_back({middle, part[1]});
   }
-  merge(boxes);
-  return boxes;
+  return joined(std::move(boxes));  // their union is no emptier than the emptiest of them
 }
 
 }  // namespace amrpic

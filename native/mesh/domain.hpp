@@ -3,10 +3,9 @@
 #include <array>
 
 #include "mesh/box.hpp"
+#include "stencil/boundary.hpp"
 
 namespace amrpic {
-
-enum class Boundary { open, dirichlet, neumann, periodic };
 
 /// The computational domain: a cuboid in metres, cut into the cells of the base level.
 struct Domain {

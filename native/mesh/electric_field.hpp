@@ -6,15 +6,9 @@
 
 #include "mesh/field.hpp"
 #include "mesh/rim.hpp"
+#include "stencil/electric_field.hpp"
 
 namespace amrpic {
-
-/// A component of E at the centre of a cell between two others along its axis; `factor` is one over twice the distance
-/// of the centres.
-template <class Value>
-inline Value field_between(Real factor, Value const& below, Value const& above) {
-  return factor * (below - above);
-}
 
 /// Write a row of cells, their components along x, y, z side by side, past the cache where that can be done:
 /// `stream_end` must follow before others read.

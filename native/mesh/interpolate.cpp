@@ -4,6 +4,7 @@
 
 #include "mesh/exchange.hpp"
 #include "mesh/window.hpp"
+#include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
@@ -49,24 +50,13 @@ std::vector<Box> local_boxes(Level const& level) {
   return {level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box()};
 }
 
-/// Shares that the left, the middle and the right parent have in the mean over the upper (`side` = 1) or lower (-1)
-/// half of the middle one, by a parabola through the three means; beyond a wall the slope is that towards the other
-/// side.
-std::array<Real, 3> half_cell_weights(int side, bool has_left, bool has_right) {
-  Real const s = side / 8.0;
-  if (has_left && has_right) return {-s, 1, s};
-  if (has_left) return {-2 * s, 1 + 2 * s, 0};
-  if (has_right) return {0, 1 - 2 * s, 2 * s};
-  return {0, 1, 0};
-}
-
 using Weights = std::array<std::array<Real, 3>, 2>;  ///< of the lower and the upper half of a parent along an axis
 
 /// Means over the children of a parent, x fastest, one axis after the other; `v` points to the parent's among its
 /// neighbours' values.
 std::array<Real, 8> child_means(Real const* v, std::ptrdiff_t y, std::ptrdiff_t z, std::array<Weights, 3> const& w) {
-  auto weigh = [](std::array<Real, 3> const& share, Real left, Real middle, Real right) {
-    return share[0] * left + share[1] * middle + share[2] * right;
+  auto weigh = [](std::array<Real, 3> const& weight, Real left, Real middle, Real right) {
+    return weight[0] * left + weight[1] * middle + weight[2] * right;
   };
   std::array<Real, 8> out;
   for (int a = 0; a < 2; ++a) {
@@ -99,7 +89,7 @@ void interpolate(Level const& coarser, Window<Real> const& around, Box const& bo
     std::array<Weights, 3> weights;
     for (int d = 0; d < 3; ++d)
       for (int side = 0; side < 2; ++side)
-        weights[d][side] = half_cell_weights(2 * side - 1, exists(parent, d, -1), exists(parent, d, 1));
+        weights[d][side] = half_cell_weights(side == 1, exists(parent, d, -1), exists(parent, d, 1));
     auto const means = child_means(&around(parent), y, z, weights);
     std::size_t n = 0;
     for_each_cell(children, [&](Index3 const& child) { values[box.offset(child)] = means[n++]; });

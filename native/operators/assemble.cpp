@@ -1,21 +1,20 @@
 #include <algorithm>
 #include <optional>
 
+#include "operators/forms.hpp"
+#include "operators/intergrid_rows.hpp"
 #include "operators/multigrid_levels.hpp"
 #include "operators/open_walls.hpp"
 #include "operators/operators.hpp"
 #include "operators/regular_rows.hpp"
-#include "operators/terms.hpp"
 
 namespace amrpic {
 
 namespace {
 
-void laplacian_row(Neighbourhood const& n, Index3 const& cell, Execution execution, Terms& terms) {
-  terms.clear();
-  terms.own(n.own(cell), 0);  // the diagonal comes first
-  for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 2; ++side) outward_gradient(n, cell, axis, side, execution, 1 / n.spacing[axis], terms);
+Form laplacian_row(Equation const& equation, Neighbourhood const& n, Index3 const& cell, Execution execution) {
+  return laplacian_form(equation, n.own(cell),
+                        [&](int axis, int side) { return beyond(n, cell, axis, side, execution); });
 }
 
 void sort_unique(std::vector<GlobalIndex>& cells) {
@@ -41,7 +40,8 @@ class RegularProlongation {
     for (int d = 0; d < 3; ++d) linear_[d] = kind == Prolongation::trilinear && ratio[d] == 2;
     for (int corner = 0; corner < 8; ++corner) {
       Real weight = 1;
-      for (int d = 0; d < 3; ++d) weight *= linear_[d] ? ((corner >> d) & 1 ? 0.25 : 0.75) : (corner >> d) & 1 ? 0 : 1;
+      for (int d = 0; d < 3; ++d)
+        weight *= linear_[d] ? ((corner >> d) & 1 ? prolongation::far : prolongation::near) : (corner >> d) & 1 ? 0 : 1;
       if (weight != 0) weights_.push_back(weight), corners_.push_back(corner);
     }
   }
@@ -83,7 +83,7 @@ class RegularProlongation {
 void write_means(Index3 const& ratio, Window<LocalIndex> const& places, Index3 const& first, LocalIndex rows,
                  LocalIndex* column, Real* value) {
   int const terms = ratio[0] * ratio[1] * ratio[2];
-  std::fill_n(value, std::ptrdiff_t(rows) * terms, 1.0 / terms);
+  std::fill_n(value, std::ptrdiff_t(rows) * terms, mean_weight(ratio));
   for (int k = 0, t = 0; k < ratio[2]; ++k)
     for (int j = 0; j < ratio[1]; ++j, t += ratio[0]) {
       LocalIndex const* child = &places({first[0] * ratio[0], first[1] * ratio[1] + j, first[2] * ratio[2] + k});
@@ -101,6 +101,7 @@ class LevelAssembly {
         l_(l),
         kind_(kind),
         level_(*stack.levels[l]),
+        equation_(stack.equation(l)),
         open_walls_(stack),
         seam_width_(seam_widths(level_.periodic(), stack.upper[l])),
         prolong_(stack.ratio[l], kind),
@@ -204,7 +205,7 @@ class LevelAssembly {
 
   /// A row that a missing neighbour makes special, and with it that of the composite where it is the same.
   void count_special(Neighbourhood const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
-    laplacian_row(n, cell, Execution::without_finer, terms_);
+    terms_.set(laplacian_row(equation_, n, cell, Execution::without_finer));
     if (finer_ && composite == RowKind::special) composite_->put(row, terms_.own_row);
     if (composite == RowKind::covered) add_open_walls(n, cell);
     no_fine_.put(row, terms_.own_row);
@@ -221,7 +222,7 @@ class LevelAssembly {
       }
       if (kind != RowKind::beside) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-        laplacian_row(n, cell, Execution::composite, terms_);
+        terms_.set(laplacian_row(equation_, n, cell, Execution::composite));
         composite_->put(row, terms_.own_row);
         fine_boundary_->put(row, terms_.fine_row);
       });
@@ -238,9 +239,9 @@ class LevelAssembly {
       return otherwise && parent == last / ratio[d];
     };
     auto put = [&](Index3 const& cell, LocalIndex row) {
-      terms_.clear();
-      restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { terms_.fine_row.append(c, w); });
-      restriction_->put(row, terms_.fine_row);
+      Row mean;
+      restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { mean.append(c, w); });
+      restriction_->put(row, mean);
     };
     Run regular = run;
     if (special(1, first[1]) || special(2, first[2]))
@@ -254,7 +255,7 @@ class LevelAssembly {
   void fill_laplacians(int b, Exchange const& halo) {
     Box const& box = level_.box(b);
     auto const places = halo.places(level_, box.grow(1));
-    RegularRows const regular(level_.spacing(), places);
+    RegularRows const regular(level_.spacing(), equation_.shift, places);
     auto write = [&](auto const&... where) { regular.laplacian(where...); };
     no_fine_.fill_runs(box, level_.local_offset(b), write);
     if (finer_) composite_->fill_runs(box, level_.local_offset(b), write);
@@ -266,7 +267,7 @@ class LevelAssembly {
       for (int side = 0; side < 2; ++side) {
         bool const at_wall = cell[axis] == (side == 0 ? n.domain.lower[axis] : n.domain.upper[axis]);
         if (at_wall && stack_.boundary[axis][side] == Boundary::open)
-          terms_.own(n.own(cell), open_walls_.first(l_, cell, axis, side) / n.spacing[axis] / n.spacing[axis]);
+          terms_.own_row.add(n.own(cell), equation_.weight[axis] * open_walls_.first(l_, cell, axis, side));
       }
   }
 
@@ -303,14 +304,14 @@ class LevelAssembly {
                    if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
                    if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
                    for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-                     terms_.clear();
+                     Row values;
                      prolong(
                          cell, ratio, kind_, *coarse, coarser_->domain(), coarser_->periodic(), coarse_seam,
                          [&](Index3 const& parent, int axis, int side) {
                            return prolonged_end(stack_, open_walls_, l_ - 1, parent, axis, side);
                          },
-                         [&](GlobalIndex c, Real w) { terms_.coarse_row.append(c, w); });
-                     prolongation_->put(row, terms_.coarse_row);
+                         [&](GlobalIndex c, Real w) { values.append(c, w); });
+                     prolongation_->put(row, values);
                    });
                  });
   }
@@ -334,6 +335,7 @@ class LevelAssembly {
   std::size_t l_;
   Prolongation kind_;
   Level const& level_;
+  Equation equation_;
   Level const* coarser_ = nullptr;
   Level const* finer_ = nullptr;
   Terms terms_;
@@ -350,7 +352,8 @@ class LevelAssembly {
 StackOperators lasting(LevelStack const& stack, Prolongation prolongation, Assembled const& former) {
   std::size_t const count = stack.levels.size(), before = former.stack.levels.size();
   StackOperators out(count);
-  if (prolongation != former.prolongation || stack.base != former.stack.base || stack.boundary != former.stack.boundary)
+  if (prolongation != former.prolongation || stack.base != former.stack.base ||
+      stack.boundary != former.stack.boundary || stack.shift != former.stack.shift)
     return out;
   auto same = [&](std::size_t l) {
     return (l >= count && l >= before) ||
@@ -392,16 +395,18 @@ void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::ve
 
 }  // namespace
 
-LevelStack stack_of(Hierarchy const& hierarchy) {
+LevelStack stack_of(Hierarchy const& hierarchy, Real shift) {
   LevelStack stack;
+  stack.shift = shift;
   stack.boundary = hierarchy.domain().boundary;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     stack.levels.push_back(hierarchy.share_level(l));
     stack.ratio.push_back(refinement_ratio);
     stack.upper.emplace_back();
     Real3 const h = hierarchy.level(l).spacing();
-    Domain const& domain = hierarchy.domain();
-    stack.walls.push_back(wall_ghosts(domain, [&](Boundary kind, int axis) { return wall_ghost(kind, h[axis]); }));
+    WallGhosts& walls = stack.walls.emplace_back();
+    for (int d = 0; d < 3; ++d)
+      for (int side = 0; side < 2; ++side) walls[d][side] = wall_ghost(stack.boundary[d][side], h[d]);
   }
   return stack;
 }

@@ -1,18 +1,18 @@
 #include <utility>
 
+#include "operators/forms.hpp"
 #include "operators/operators.hpp"
 #include "operators/regular_rows.hpp"
-#include "operators/terms.hpp"
+#include "stencil/electric_field.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// E along an axis: minus the mean of the two face derivatives, of which the lower one points outward against the axis.
-void gradient_row(Neighbourhood const& n, Index3 const& cell, int axis, Execution execution, Terms& terms) {
-  terms.clear();
-  outward_gradient(n, cell, axis, 0, execution, 0.5, terms);
-  outward_gradient(n, cell, axis, 1, execution, -0.5, terms);
+/// E along an axis.
+Form field_form(Neighbourhood const& n, Index3 const& cell, int axis, Execution execution) {
+  return field_between(field_factor(n.spacing[axis]), beyond(n, cell, axis, 0, execution),
+                       beyond(n, cell, axis, 1, execution));
 }
 
 std::array<CrsBuilder, 3> builders(LocalIndex rows, Level const& columns) {
@@ -24,7 +24,7 @@ void fill_regular(Level const& level, Exchange const& halo, std::array<CrsBuilde
   for (CrsBuilder& axis : axes) axis.start_filling(halo);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     auto const places = halo.places(level, level.box(b).grow(1));
-    RegularRows const regular(level.spacing(), places);
+    RegularRows const regular(level.spacing(), 0, places);
     for (int d = 0; d < 3; ++d)
       axes[d].fill_runs(level.box(b), level.local_offset(b),
                         [&](auto const&... where) { regular.gradient(d, where...); });
@@ -49,7 +49,7 @@ std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, 
       if (kind == RowKind::regular || kind == RowKind::covered) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
         for (int d = 0; d < 3; ++d) {
-          gradient_row(n, cell, d, Execution::composite, terms);
+          terms.set(field_form(n, cell, d, Execution::composite));
           own[d].put(row, terms.own_row);
           below[d].put(row, terms.coarse_row);
           above[d].put(row, terms.fine_row);
@@ -94,7 +94,7 @@ std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_
       if (kind != RowKind::special) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex at) {
         for (int d = 0; d < 3; ++d) {
-          gradient_row(n, cell, d, Execution::without_finer, terms);
+          terms.set(field_form(n, cell, d, Execution::without_finer));
           axes[d].put(at, terms.own_row);
         }
       });

@@ -1,37 +1,32 @@
 #include "operators/copy_operators.hpp"
 
+#include "operators/forms.hpp"
+#include "operators/intergrid_rows.hpp"
 #include "operators/regular_rows.hpp"
-#include "operators/terms.hpp"
 
 namespace amrpic {
 
 namespace {
 
 /// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
-void special_row(LevelCopy const& copy, Neighbourhood const& n, Index3 const& cell, Terms& terms) {
-  terms.clear();
-  terms.own(n.own(cell), 0);  // the diagonal comes first
-  for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 2; ++side) {
-      Index3 outer = cell, inner = cell;
-      outer[axis] += side == 0 ? -1 : 1;
-      inner[axis] -= side == 0 ? -1 : 1;
-      Real const weight = 1 / n.spacing[axis];
-      bool const at_wall = n.behind_wall(outer, axis);
-      if (!at_wall && n.own(outer) != no_cell) {
-        outward_gradient(n, cell, axis, side, Execution::without_finer, weight, terms);
-        continue;
-      }
-      WallGhost const ghost = at_wall ? copy.walls[axis][side] : copy.beyond(cell, axis, side);
-      terms.own(n.own(cell), weight * weight * (ghost.first - 1));
-      if (ghost.second != 0 && n.own(inner) != no_cell) terms.own(n.own(inner), weight * weight * ghost.second);
-    }
+Form special_row(Equation const& equation, LevelCopy const& copy, Neighbourhood const& n, Index3 const& cell) {
+  return laplacian_form(equation, n.own(cell), [&](int axis, int side) {
+    Index3 outer = cell, inner = cell;
+    outer[axis] += side == 0 ? -1 : 1;
+    inner[axis] -= side == 0 ? -1 : 1;
+    bool const at_wall = n.behind_wall(outer, axis);
+    if (!at_wall && n.own(outer) != no_cell) return beyond(n, cell, axis, side, Execution::without_finer);
+    WallGhost ghost = at_wall ? copy.walls[axis][side] : copy.beyond(cell, axis, side);
+    if (n.own(inner) == no_cell) ghost.second = 0;
+    return ghost(own(n.own(cell)), own(n.own(inner)));
+  });
 }
 
-LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy) {
+LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
   LevelOperators out;
   out.level = copy.level;
   Level const& level = *copy.level;
+  Equation const equation = equation_on(level.spacing(), shift);
   Real3 const seam_width = seam_widths(level.periodic(), copy.upper);
   CrsBuilder builder(level.local_cells(), level);
   Terms terms;
@@ -41,7 +36,7 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy) {
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-        special_row(copy, n, cell, terms);
+        terms.set(special_row(equation, copy, n, cell));
         builder.put(row, terms.own_row);
       });
     });
@@ -55,7 +50,7 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy) {
   builder.start_filling(out.halo);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     auto const places = out.halo.places(level, level.box(b).grow(1));
-    RegularRows const regular(level.spacing(), places);
+    RegularRows const regular(level.spacing(), shift, places);
     builder.fill_runs(level.box(b), level.local_offset(b), [&](auto const&... where) { regular.laplacian(where...); });
   }
   out.no_fine = builder.take();
@@ -84,9 +79,9 @@ bool emit_value(LevelCopy const& copy, Window<GlobalIndex> const& number, Index3
 
 }  // namespace
 
-CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy) {
+CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy, Real shift) {
   CopyOperators out;
-  out.level = laplacian_of(comm, copy);
+  out.level = laplacian_of(comm, copy, shift);
   Level const& level = *copy.level;
   Row row;
 
@@ -119,8 +114,8 @@ CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const&
           } else {
             int const side = cell[d] == 2 * parent[d] ? 0 : 1;
             Real const far = level.periodic()[d]
-                                 ? 0.25 * prolonged_seam(parent[d], side, level.domain().extent(d), seam_width[d])
-                                 : 0.25;
+                                 ? prolonged_far(parent[d], side, level.domain().extent(d), seam_width[d])
+                                 : prolongation::far;
             weight *= other ? far : 1 - far;
             if (other) source[d] += 2 * side - 1;
           }

@@ -12,7 +12,7 @@ struct CopyOperators {
   Exchange above, own;
 };
 
-/// The operators of a copy of a level, which is that above it. Collective.
-CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy);
+/// The operators of a copy of a level, which is that above it; `shift`: of the Equation. Collective.
+CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy, Real shift);
 
 }  // namespace amrpic

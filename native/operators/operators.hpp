@@ -10,6 +10,7 @@
 #include "operators/crs.hpp"
 #include "stencil/boundary.hpp"
 #include "stencil/coarse_end.hpp"
+#include "stencil/equation.hpp"
 #include "stencil/intergrid.hpp"
 
 namespace amrpic {
@@ -64,6 +65,9 @@ struct LevelStack {
   std::vector<std::array<UpperEnd, 3>> upper;  ///< [l][axis]
   std::array<std::array<Boundary, 2>, 3> boundary;
   std::size_t base = 0;  ///< the base level's place
+  Real shift = 0;        ///< kappa^2 of the screened equation, in 1/m^2
+
+  Equation equation(std::size_t l) const { return equation_on(levels[l]->spacing(), shift); }
 
   bool refines(std::size_t l) const { return l > base && l < levels.size(); }
   /// Whether the next coarser level may be of like size: a coarser one than a refinement level, or than a level with
@@ -74,7 +78,7 @@ struct LevelStack {
 };
 
 /// The refinement levels alone. Multigrid levels are put below them by `coarsen_below`.
-LevelStack stack_of(Hierarchy const& hierarchy);
+LevelStack stack_of(Hierarchy const& hierarchy, Real shift);
 
 /// Operators of the levels of a stack, coarse to fine; several solvers may share those of a level.
 using StackOperators = std::vector<std::shared_ptr<LevelOperators>>;

@@ -1,5 +1,9 @@
 #include "operators/regular_rows.hpp"
 
+#include "stencil/coarse_end.hpp"
+#include "stencil/electric_field.hpp"
+#include "stencil/laplacian.hpp"
+
 namespace amrpic {
 
 RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers,
@@ -54,14 +58,18 @@ void append_remote_neighbours(Level const& level, Box const& box, std::vector<Gl
     }
 }
 
-RegularRows::RegularRows(Real3 const& spacing, Window<LocalIndex> const& places)
+RegularRows::RegularRows(Real3 const& spacing, Real shift, Window<LocalIndex> const& places)
     : places_(places),
       stride_{1, places.box().extent(0), std::ptrdiff_t(places.box().extent(0)) * places.box().extent(1)} {
-  laplacian_[0] = 0;
+  // unknown 0 is the cell, 1 + 2 axis + side its neighbours
+  auto neighbour = [](int axis, int side) { return Row(1 + 2 * axis + side, 1); };
+  Row const self(0, 1);
+  Row const row = amrpic::laplacian(equation_on(spacing, shift), self, neighbour(0, 0), neighbour(0, 1),
+                                    neighbour(1, 0), neighbour(1, 1), neighbour(2, 0), neighbour(2, 1));
+  for (int k = 0; k < row.size(); ++k) laplacian_[std::size_t(row.column(k))] = row.value(k);
   for (int d = 0; d < 3; ++d) {
-    laplacian_[1 + 2 * d] = laplacian_[2 + 2 * d] = 1 / spacing[d] / spacing[d];
-    laplacian_[0] -= 2 / spacing[d] / spacing[d];
-    half_inverse_[d] = 0.5 / spacing[d];
+    Row const e = field_between(field_factor(spacing[d]), neighbour(d, 0), neighbour(d, 1));
+    gradient_[d] = {e.value(0), e.value(1)};
   }
 }
 
@@ -80,8 +88,7 @@ void RegularRows::laplacian(Index3 const& first, LocalIndex rows, LocalIndex* co
 void RegularRows::gradient(int axis, Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const {
   LocalIndex const* place = &places_(first);
   std::ptrdiff_t const step = stride_[axis];
-  std::array<Real, gradient_terms> const terms{half_inverse_[axis], -half_inverse_[axis]};
-  repeat(terms.data(), gradient_terms, rows, value);
+  repeat(gradient_[axis].data(), gradient_terms, rows, value);
   for (LocalIndex n = 0; n < rows; ++n) column[2 * n] = place[n - step], column[2 * n + 1] = place[n + step];
 }
 

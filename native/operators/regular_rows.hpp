@@ -1,7 +1,8 @@
 #pragma once
 
+#include "mesh/window.hpp"
 #include "operators/row.hpp"
-#include "stencil/gradient.hpp"
+#include "stencil/equation.hpp"
 
 namespace amrpic {
 
@@ -53,19 +54,20 @@ class RegularRows {
  public:
   static constexpr std::size_t laplacian_terms = 7, gradient_terms = 2;
 
-  RegularRows(Real3 const& spacing, Window<LocalIndex> const& places);
+  /// `shift`: of the Equation.
+  RegularRows(Real3 const& spacing, Real shift, Window<LocalIndex> const& places);
 
   /// The Laplacian: the diagonal, then the neighbours.
   void laplacian(Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
 
-  /// E along an axis: minus the central difference.
+  /// E along an axis.
   void gradient(int axis, Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
 
  private:
   Window<LocalIndex> const& places_;
   std::array<std::ptrdiff_t, 3> stride_;
   std::array<Real, laplacian_terms> laplacian_;
-  Real3 half_inverse_;  ///< 1 / (2 h)
+  std::array<std::array<Real, gradient_terms>, 3> gradient_;
 };
 
 }  // namespace amrpic

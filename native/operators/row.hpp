@@ -9,40 +9,12 @@
 #include "mesh/exchange.hpp"
 #include "mesh/window.hpp"
 #include "operators/crs.hpp"
+#include "stencil/linear_form.hpp"
 
 namespace amrpic {
 
-/// One row of an operator under way: terms in global cell numbers, equal columns added up, in order of first
-/// appearance.
-class Row {
- public:
-  void clear() { size_ = 0; }
-  void add(GlobalIndex column, Real value) {
-    if (column == no_cell) throw std::logic_error("a stencil reached for a cell that does not exist");
-    for (int k = 0; k < size_; ++k)
-      if (columns_[k] == column) {
-        values_[k] += value;
-        return;
-      }
-    if (size_ == capacity) throw std::logic_error("a stencil has more terms than a row holds");
-    columns_[size_] = column;
-    values_[size_++] = value;
-  }
-  /// Add a term whose column is known to be new.
-  void append(GlobalIndex column, Real value) {
-    columns_[size_] = column;
-    values_[size_++] = value;
-  }
-  int size() const { return size_; }
-  GlobalIndex column(int k) const { return columns_[k]; }
-  Real value(int k) const { return values_[k]; }
-
- private:
-  static constexpr int capacity = 160;  // 7 + 6 faces x 25 cells of the plane
-  int size_ = 0;
-  std::array<GlobalIndex, capacity> columns_;
-  std::array<Real, capacity> values_;
-};
+/// One row of an operator, in global cell numbers.
+using Row = LinearForm<GlobalIndex>;
 
 /// Write the same terms for each of `rows` rows. Copies of what is written already, twice as much each time, beat one
 /// small copy per row.

@@ -1,5 +1,7 @@
 #include "operators/walls.hpp"
 
+#include "stencil/electric_field.hpp"
+
 namespace amrpic {
 
 Real3 Walls::position(Domain const& domain, Level const& level, std::size_t face) const {
@@ -34,11 +36,11 @@ Walls find_walls(Domain const& domain, Level const& level) {
   return out;
 }
 
-void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Real3 const& spacing, std::vector<Real>& f) {
+void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Equation const& equation,
+                             std::vector<Real>& f) {
   for (std::size_t i = 0; i < walls.faces.size(); ++i) {
     auto const& face = walls.faces[i];
-    Real const h = spacing[face.axis];
-    f[face.row] -= ghosts[face.axis][face.side].datum * walls.datum[i] / h / h;
+    f[face.row] -= equation.weight[face.axis] * ghosts[face.axis][face.side].datum * walls.datum[i];
   }
 }
 
@@ -47,8 +49,8 @@ void add_to_field(Walls const& walls, WallGhosts const& ghosts, Real3 const& spa
   for (std::size_t i = 0; i < walls.faces.size(); ++i) {
     auto const& face = walls.faces[i];
     if (face.axis != axis || bool(uncovered[face.row]) != which) continue;
-    Real const outward = ghosts[axis][face.side].datum * walls.datum[i] / spacing[axis];
-    e[face.row] += (face.side == 0 ? 0.5 : -0.5) * outward;
+    Real const ghost = ghosts[axis][face.side].datum * walls.datum[i], factor = field_factor(spacing[axis]);
+    e[face.row] += face.side == 0 ? field_between(factor, ghost, 0.0) : field_between(factor, 0.0, ghost);
   }
 }
 

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "particle/shape.hpp"
+#include "stencil/cloud.hpp"
 
 namespace amrpic {
 

@@ -107,8 +107,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
       store(clouds.corner + i, to_index(x.first + stride_y * y.first + stride_z * z.first));
       Lanes const weight = load(particles.weight, particles.equal_weights, group);
       for (int k = 0; k < width; ++k)
-        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.share[k] * y.share[j]);
-      clouds.put_x_shares(i, x.share);
+        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.weight[k] * y.weight[j]);
+      clouds.put_x_shares(i, x.weight);
     });
     all_in &= in;
     add(clouds, block, tile);

@@ -2,6 +2,7 @@
 
 #include "base/fetch.hpp"
 #include "particle/tile.hpp"
+#include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
@@ -76,11 +77,11 @@ void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex>
   Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
   for (int c = 0; c < 3; ++c) out[c] = 0;
   for (int corner = 0; corner < 8; ++corner) {
-    Real weight = 1;  // the centre lies a quarter of a coarse cell from that of its parent, along each axis
+    Real weight = 1;
     Index3 from;
     for (int d = 0; d < 3; ++d) {
       bool const is_far = (corner >> d) & 1;
-      weight *= is_far ? Real(0.25) : Real(0.75);
+      weight *= is_far ? prolongation::far : prolongation::near;
       from[d] = is_far ? far[d] : near[d];
     }
     Real const* const value = coarse.at(places[std::size_t(parents.offset(fold_at_walls(from, coarser)))]);
@@ -278,8 +279,8 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, to_index(lanes * x.first + row_step * y.first + plane_step * z.first));
       for (int k = 0; k < width; ++k)
-        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.share[k] * y.share[j]);
-      for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.share[j]);
+        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.weight[k] * y.weight[j]);
+      for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.weight[j]);
     });
     all_in &= in;
     for_each_group(block, [=, &clouds](LaneGroup const& group) {

@@ -19,8 +19,8 @@ struct Integral {
   Real net, magnitude;
 };
 
-/// One execution of the equations f - Laplace phi = 0 over all levels at once, and of the cycle that improves phi. All
-/// calls are collective; norms are those of the options, over uncovered cells.
+/// One execution of the equations f - L phi = 0 (see Equation) over all levels at once, and of the cycle that improves
+/// phi. All calls are collective; norms are those of the options, over uncovered cells.
 class Backend {
  public:
   virtual ~Backend() = default;

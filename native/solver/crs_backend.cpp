@@ -13,8 +13,8 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
     : problem_(problem),
       hierarchy_(problem.hierarchy),
       options_(problem.options),
-      stack_(coarsen_below(stack_of(*hierarchy_), hierarchy_->domain(), {hierarchy_->max_grid_size()},
-                           options_.coarse_levels)),
+      stack_(coarsen_below(stack_of(*hierarchy_, shift_of(options_)), hierarchy_->domain(),
+                           {hierarchy_->max_grid_size()}, options_.coarse_levels)),
       operators_(assembled(reusable)),
       transfer_(hierarchy_),
       multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), hierarchy_->max_grid_size(), options_),
@@ -39,8 +39,8 @@ StackOperators CrsBackend::assembled(Reusable& reusable) {
 std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
     reusable.bottom.reset();  // the old one goes before the new one comes
-    reusable.bottom =
-        std::make_shared<Bottom>(hierarchy_->comm(), *operators_.front(), hierarchy_->domain().singular(), options_);
+    reusable.bottom = std::make_shared<Bottom>(hierarchy_->comm(), *operators_.front(),
+                                               is_singular(hierarchy_->domain(), options_), options_);
     ++bottom_setups_;
   }
   return reusable.bottom;
@@ -78,7 +78,7 @@ Integral CrsBackend::integrate_right_hand_side() {
     });
     Walls const& walls = problem_.walls[l];
     std::vector<Real> of_walls(rho.size());
-    subtract_from_laplacian(walls, operators(l).walls, hierarchy_->level(l).spacing(), of_walls);
+    subtract_from_laplacian(walls, operators(l).walls, stack_.equation(stack_.base + std::size_t(l)), of_walls);
     Real net = 0, size = 0;
     for_each_uncovered(l, [&](LocalIndex row) {
       net += right_hand_side_[l][row];
@@ -102,7 +102,7 @@ void CrsBackend::take_away(Background const& background) {
     auto& f = right_hand_side_[l];
     auto const& density = rho_->level(l);
     for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = background.right_hand_side(density[row]); });
-    subtract_from_laplacian(problem_.walls[l], operators(l).walls, hierarchy_->level(l).spacing(), f);
+    subtract_from_laplacian(problem_.walls[l], operators(l).walls, stack_.equation(stack_.base + std::size_t(l)), f);
   }
 }
 

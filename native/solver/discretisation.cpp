@@ -4,13 +4,11 @@
 
 #include "base/rows.hpp"
 #include "solver/crs_backend.hpp"
+#include "stencil/laplacian.hpp"
 
 namespace amrpic {
 
 namespace {
-
-/// A second-order stencil of twice the width errs four times as much; seen is what it errs more.
-constexpr Real seen_over_error = 3;
 
 /// Rows in which the coarser Laplacian is no estimate: those at walls, and those beside half a pair of finer cells.
 std::vector<char> rows_at_ends(Domain const& domain, Level const& level, Level const& finer, Index3 const& ratio) {
@@ -60,7 +58,7 @@ void CrsBackend::set_truncation() {
     std::size_t const here = std::size_t(fine.rows() + fine.halo.ghosts());
     std::size_t const there = std::size_t(coarse.rows() + coarse.halo.ghosts());
 
-    std::vector<Real> f(here), uncovered(here), phi(there), seen(there);
+    std::vector<Real> f(here), uncovered(here), phi(there), error(there);
     std::copy_n(right_hand_side_[l].begin(), fine.rows(), f.begin());
     std::copy_n(fine.uncovered.begin(), fine.rows(), uncovered.begin());
     fine.halo.update(f.data());
@@ -75,10 +73,10 @@ void CrsBackend::set_truncation() {
     coarse.restriction.for_each_row([&](LocalIndex row) {
       bool const usable = coarse.restriction.dot(row, uncovered.data()) > 1 - 1e-9;  // no child is covered
       if (usable && !at_end[row])
-        seen[row] = (coarse.no_fine.dot(row, phi.data()) - coarse.restriction.dot(row, f.data())) / seen_over_error;
+        error[row] = truncation_error(coarse.no_fine.dot(row, phi.data()), coarse.restriction.dot(row, f.data()));
     });
-    coarse.halo.update(seen.data());
-    add_multiply(1.0, fine.prolongation, seen.data(), truncation.data());
+    coarse.halo.update(error.data());
+    add_multiply(1.0, fine.prolongation, error.data(), truncation.data());
     for_rows(fine.rows(), [&](LocalIndex row) {
       if (!fine.uncovered[row]) truncation[row] = 0;
     });

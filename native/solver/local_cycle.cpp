@@ -41,7 +41,7 @@ class WithCopies : public Smoother {
 CopyCycle::CopyCycle(MPI_Comm comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
                      SolverOptions const& options)
     : above_(above),
-      copy_(copy_operators(comm, *above.level, *copies)),
+      copy_(copy_operators(comm, *above.level, *copies, shift_of(options))),
       smoother_(make_smoother(comm, copy_.level, true, options)),
       residual_(std::size_t(above.rows()) + std::size_t(copy_.above.ghosts())),
       f_(std::size_t(copy_.level.rows())),

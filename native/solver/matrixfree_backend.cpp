@@ -31,8 +31,8 @@ Real product(float const* a, float const* b, int n) {
 
 MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
     : problem_(checked(problem)),
-      composite_(problem.hierarchy, problem.options.stretch),
-      cycle_(problem.hierarchy->comm(), *problem.hierarchy,
+      composite_(problem.hierarchy, shift_of(problem.options), problem.options.stretch),
+      cycle_(problem.hierarchy->comm(), *problem.hierarchy, shift_of(problem.options),
              {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation,
               problem.options.kernels}),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
@@ -205,7 +205,8 @@ std::size_t MatrixFreeBackend::bytes() const {
 
 LevelOperators const& MatrixFreeBackend::operators_with_gradient(int level) {
   if (shown_.operators.empty()) {
-    shown_ = assemble(problem_.hierarchy->comm(), stack_of(*problem_.hierarchy), problem_.options.prolongation);
+    shown_ = assemble(problem_.hierarchy->comm(), stack_of(*problem_.hierarchy, shift_of(problem_.options)),
+                      problem_.options.prolongation);
     assemble_gradient(shown_.stack, shown_.operators);
   }
   return *shown_.operators[std::size_t(level)];

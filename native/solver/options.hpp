@@ -3,6 +3,7 @@
 #include <string>
 
 #include "matrixfree/sweep.hpp"
+#include "mesh/domain.hpp"
 #include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
 
@@ -54,6 +55,7 @@ struct SolverOptions {
   int pre_sweeps = 2, post_sweeps = 2;
   Real relaxation = 1.28;  ///< of red-black Gauss-Seidel on refined levels of cubes, see relaxation_on
   Prolongation prolongation = Prolongation::trilinear;
+  Real screening = 0;      ///< kappa of -Laplace phi + kappa^2 phi = rho / eps0, 1/m
   Real3 stretch{1, 1, 1};  ///< factors on the lengths: (1, 1, gamma) is the frame of a bunch that moves along z
   int coarse_levels = as_many_as_possible;  ///< multigrid levels below the base
   BottomKind bottom = BottomKind::gmres;    ///< works for all matrices, those of the base included
@@ -62,6 +64,14 @@ struct SolverOptions {
   bool neutralize =
       false;  ///< take the mean of the charge away where the boundary leaves the potential's constant free
 };
+
+/// Whether the equation leaves a constant in phi free.
+inline bool is_singular(Domain const& domain, SolverOptions const& options) {
+  return domain.singular() && options.screening == 0;
+}
+
+/// kappa^2, of the Equation.
+inline Real shift_of(SolverOptions const& options) { return options.screening * options.screening; }
 
 /// Whether a preconditioner is one of MueLu's.
 inline bool aggregates(BottomPreconditioner kind) { return kind >= BottomPreconditioner::smoothed_aggregation; }

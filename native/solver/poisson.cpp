@@ -245,7 +245,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero) {
   backend_->stopwatch().reset();
   if (reusable_.free_space) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
-  bool const singular = hierarchy_->domain().singular();
+  bool const singular = is_singular(hierarchy_->domain(), options_);
   Real const rounding = singular ? remove_net_charge(rho) : 0;
   iterate(report, phi, from_zero, rounding);
   backend_->finish();

@@ -1,17 +1,29 @@
 #pragma once
 
-#include "mesh/domain.hpp"
+#include "base/types.hpp"
 
 namespace amrpic {
 
-/// The value at a ghost centre behind a wall, from the first and second cell inside and the wall's datum:
-/// ghost = first * phi_1 + second * phi_2 + datum * g.
+/// What the potential meets at a face of the domain.
+enum class Boundary { open, dirichlet, neumann, periodic };
+
+/// The value at a ghost centre behind a wall, from the first and second cell inside and the wall's datum.
 struct WallGhost {
   Real first, second, datum;
+
+  template <class Value>
+  Value operator()(Value const& phi_1, Value const& phi_2, Value const& given) const {
+    return first * phi_1 + second * phi_2 + datum * given;
+  }
+  /// With a datum of zero.
+  template <class Value>
+  Value operator()(Value const& phi_1, Value const& phi_2) const {
+    return first * phi_1 + second * phi_2;
+  }
 };
 
-/// Wall ghosts of levels 0, 1, ...: Dirichlet (g: potential on the face) by the parabola through the face and two
-/// cells, Neumann (g: outward derivative) by the central difference, open (g: potential at the ghost centre itself).
+/// Wall ghosts of levels 0, 1, ...: Dirichlet (datum: potential on the face) by the parabola through the face and two
+/// cells, Neumann (outward derivative) by the central difference, open (potential at the ghost centre itself).
 inline WallGhost wall_ghost(Boundary kind, Real spacing) {
   switch (kind) {
     case Boundary::dirichlet:
@@ -26,15 +38,10 @@ inline WallGhost wall_ghost(Boundary kind, Real spacing) {
   return {0.0, 0.0, 0.0};
 }
 
+/// Factor of the last cell in the ghost of a correction that vanishes `distance` spacings behind its centre.
+inline Real ghost_that_vanishes(Real distance) { return 1 - 1 / distance; }
+
 /// Wall ghosts of all faces, [axis][lower or upper].
 using WallGhosts = std::array<std::array<WallGhost, 2>, 3>;
-
-template <class Rule>
-WallGhosts wall_ghosts(Domain const& domain, Rule&& rule) {
-  WallGhosts out{};
-  for (int d = 0; d < 3; ++d)
-    for (int side = 0; side < 2; ++side) out[d][side] = rule(domain.boundary[d][side], d);
-  return out;
-}
 
 }  // namespace amrpic

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "stencil/boundary.hpp"
+#include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
@@ -48,9 +49,6 @@ inline bool can_be_coarsened(int cells, std::array<Boundary, 2> const& ends) {
   return cells > (is_closed(ends) ? 1 : 2);
 }
 
-/// Factor of the last cell in the ghost of a correction that vanishes `distance` spacings behind its centre.
-inline Real ghost_that_vanishes(Real distance) { return 1 - 1 / distance; }
-
 /// Wall ghosts of corrections on multigrid levels along the axes that these coarsen: the correction vanishes on a
 /// Dirichlet face; no flux passes a Neumann face, whose last cell has a width of its own. Behind an open face it
 /// vanishes at a distance of its own (see OpenWalls). A single cell around a periodic axis is its own neighbour and
@@ -84,10 +82,17 @@ inline Real seam_factor(int i, int side, int n, Real width) {
   return is_last(side == 0 ? i - 1 : i + 1) ? 1 / distance : 1;
 }
 
-/// What a child of cell i takes of the neighbour on its side, over what it does elsewhere, when prolongation meets a
-/// last cell with a width of its own: linear towards that cell, constant in it.
-inline Real prolonged_seam(int i, int side, int n, Real width) {
-  return width != 1 && ((i + 1) % n + n) % n == 0 ? 0 : seam_factor(i, side, n, width);
+/// What a child of cell i takes of the neighbour on its side along such an axis: linear towards the last cell, constant
+/// in it.
+inline Real prolonged_far(int i, int side, int n, Real width) {
+  bool const in_last = width != 1 && ((i + 1) % n + n) % n == 0;
+  return in_last ? 0 : prolongation::far * seam_factor(i, side, n, width);
+}
+
+/// The value beyond a face towards the last cell of such an axis, as an ordinary face's.
+template <class Value>
+inline Value beyond_seam(Real factor, Value const& inner, Value const& outer) {
+  return factor * outer + (1 - factor) * inner;
 }
 
 /// Widths of the last cells along periodic axes; ones along others.

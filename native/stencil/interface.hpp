@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <type_traits>
 #include <utility>
 
 #include "base/types.hpp"
@@ -15,6 +16,28 @@ constexpr Real coarse = 8.0 / 15.0;
 constexpr Real first = 2.0 / 3.0;
 constexpr Real second = -1.0 / 5.0;
 }  // namespace interface_ghost
+
+template <class Value>
+inline Value ghost_at_interface(Value const& star, Value const& phi_1, Value const& phi_2) {
+  return interface_ghost::coarse * star + interface_ghost::first * phi_1 + interface_ghost::second * phi_2;
+}
+
+/// phi_1 less its ghost where phi* is zero.
+template <class Value>
+inline Value difference_at_interface(Value const& phi_1, Value const& phi_2) {
+  using Weight = std::conditional_t<std::is_arithmetic_v<Value>, Value, Real>;
+  return Weight(1 - interface_ghost::first) * phi_1 + Weight(-interface_ghost::second) * phi_2;
+}
+
+/// What the difference across each of four fine faces weighs in that across the coarse face that they make up: a
+/// quarter of the face each, and half the distance.
+constexpr Real fine_face_weight = 2.0 / 4;
+
+/// The value beyond a coarse face that has the flux of the four fine ones: of the sum of their differences.
+template <class Value>
+inline Value beyond_fine_faces(Value const& inner, Value const& differences) {
+  return inner + fine_face_weight * differences;
+}
 
 /// How phi* was found; the first that fits is taken, in this order.
 enum class PlaneFitKind { biquadratic, bilinear, two_lines, one_line, single };
@@ -40,6 +63,14 @@ constexpr Real lagrange(int first, int count, int m, Real x) {
     if (k != m) weight *= (x - (first + k)) / Real(m - k);
   return weight;
 }
+
+/// Where in its parent's face a fine cell's centre lies, in coarse cell widths from the middle.
+constexpr Real quarter(bool upper) { return upper ? 0.25 : -0.25; }
+
+/// The parabola through three neighbouring values, a quarter of a spacing below the middle one: their weights from the
+/// lower one up; above the middle the other way round.
+constexpr std::array<Real, 3> parabola_at_quarter{
+    lagrange(-1, 3, 0, quarter(false)), lagrange(-1, 3, 1, quarter(false)), lagrange(-1, 3, 2, quarter(false))};
 
 /// Bit of the coarse cell at offset (i, j), each in -2 .. 2.
 constexpr unsigned plane_bit(int i, int j) { return 1u << (5 * (i + 2) + (j + 2)); }

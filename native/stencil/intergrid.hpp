@@ -1,67 +1,52 @@
 #pragma once
 
-#include "mesh/window.hpp"
-#include "stencil/coarse_end.hpp"
+#include <array>
+#include <cstddef>
+
+#include "base/types.hpp"
 
 namespace amrpic {
 
 enum class Prolongation { constant, trilinear };
 
-/// A fine cell's value from the coarser level, as emit(coarse cell number, weight): its parent's, or trilinear with 3/4
-/// for the parent and 1/4 for the neighbour on the cell's side along each refined axis. A cell behind a wall, neighbour
-/// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
-/// cells along periodic axes.
-template <class Wall, class Emit>
-void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Window<GlobalIndex> const& coarse,
-             Box const& coarse_domain, std::array<bool, 3> const& periodic, Real3 const& seam_width, Wall&& wall,
-             Emit&& emit) {
-  Index3 parent, step{0, 0, 0};
-  Real3 near{1, 1, 1}, far{0, 0, 0};
-  for (int d = 0; d < 3; ++d) parent[d] = floor_divide(cell[d], ratio[d]);
-  for (int d = 0; d < 3; ++d) {
-    if (ratio[d] == 1) continue;
-    if (!periodic[d] && parent[d] > coarse_domain.upper[d]) {
-      parent[d] = coarse_domain.upper[d];
-      near[d] = 0.75 * wall(parent, d, 1) + 0.25;
-      continue;
-    }
-    if (kind == Prolongation::constant) continue;
-    int const side = cell[d] - 2 * parent[d];
-    int const neighbour = parent[d] + 2 * side - 1;
-    if (!periodic[d] && (neighbour < coarse_domain.lower[d] || neighbour > coarse_domain.upper[d])) {
-      near[d] = 0.75 + 0.25 * wall(parent, d, side);
-    } else {
-      far[d] = periodic[d] ? 0.25 * prolonged_seam(parent[d], side, coarse_domain.extent(d), seam_width[d]) : 0.25;
-      near[d] = 1 - far[d], step[d] = 2 * side - 1;
-    }
-  }
-  for (int corner = 0; corner < 8; ++corner) {
-    Real weight = 1;
-    Index3 source = parent;
-    for (int d = 0; d < 3; ++d) {
-      bool const other = (corner >> d) & 1;
-      weight *= other ? far[d] : near[d];
-      if (other) source[d] += step[d];
-    }
-    if (weight != 0) emit(coarse(source), weight);
-  }
+/// Along each axis a fine cell's centre lies a quarter of a coarse cell from its parent's, towards one of the parent's
+/// neighbours: what linear interpolation takes of either.
+namespace prolongation {
+constexpr Real near = 3.0 / 4, far = 1.0 / 4;
 }
 
-/// A cell's value as the mean of its children, those that exist: emit(fine cell number, weight). `last`: what the finer
-/// level's last cells weigh.
-template <class Emit>
-void restrict_mean(Index3 const& cell, Index3 const& ratio, Level const& fine, std::array<LastChildren, 3> const& last,
-                   Emit&& emit) {
-  Box const children = Box{cell, cell}.refine(ratio);
-  auto const number = cell_numbers(fine, children);
-  Index3 const end = fine.domain().upper;
-  for_each_cell(children, [&](Index3 const& child) {
-    if (!fine.domain().contains(child) || number(child) == no_cell) return;
-    Real weight = 1.0 / (ratio[0] * ratio[1] * ratio[2]);
-    for (int d = 0; d < 3; ++d)
-      weight *= child[d] == end[d] ? last[d].last : child[d] + 1 == end[d] ? last[d].before : 1;
-    emit(number(child), weight);
-  });
+/// A fine value between those of its parent and of the parent's neighbour on its side.
+template <class Value>
+inline Value prolonged(Value const& parent, Value const& neighbour) {
+  return prolongation::near * parent + prolongation::far * neighbour;
+}
+/// The same where the neighbour's weight is another.
+template <class Weight, class Value>
+inline Value prolonged(Weight far, Value const& parent, Value const& neighbour) {
+  return (1 - far) * parent + far * neighbour;
+}
+
+/// What each child weighs in its parent's mean.
+inline Real mean_weight(Index3 const& ratio) { return 1.0 / (ratio[0] * ratio[1] * ratio[2]); }
+
+/// The mean of eight children, whose first one is `child`, with so much between rows and planes. It is rounded the same
+/// wherever it stands in a row.
+template <class Value>
+inline Value mean_of_children(Value const* child, std::ptrdiff_t y, std::ptrdiff_t z) {
+  return ((child[0] + child[1]) + (child[y] + child[y + 1]) + (child[z] + child[z + 1]) +
+          (child[y + z] + child[y + z + 1])) *
+         0.125;
+}
+
+/// What the mean over the upper or lower half of a cell takes of the means of the cell on the left, of the cell itself
+/// and of that on the right, by the parabola with these three means; beyond a wall the slope is that towards the other
+/// side.
+inline std::array<Real, 3> half_cell_weights(bool upper, bool has_left, bool has_right) {
+  Real const s = upper ? 1.0 / 8 : -1.0 / 8;
+  if (has_left && has_right) return {-s, 1, s};
+  if (has_left) return {-2 * s, 1 + 2 * s, 0};
+  if (has_right) return {0, 1 - 2 * s, 2 * s};
+  return {0, 1, 0};
 }
 
 }  // namespace amrpic

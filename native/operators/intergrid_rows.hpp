@@ -1,0 +1,65 @@
+#pragma once
+
+#include "mesh/window.hpp"
+#include "stencil/coarse_end.hpp"
+
+namespace amrpic {
+
+/// A fine cell's value from the coarser level, as emit(coarse cell number, weight): its parent's, or trilinear between
+/// the parent and the neighbour on the cell's side along each refined axis. A cell behind a wall, neighbour
+/// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
+/// cells along periodic axes.
+template <class Wall, class Emit>
+void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Window<GlobalIndex> const& coarse,
+             Box const& coarse_domain, std::array<bool, 3> const& periodic, Real3 const& seam_width, Wall&& wall,
+             Emit&& emit) {
+  Index3 parent, step{0, 0, 0};
+  Real3 near{1, 1, 1}, far{0, 0, 0};
+  for (int d = 0; d < 3; ++d) parent[d] = floor_divide(cell[d], ratio[d]);
+  for (int d = 0; d < 3; ++d) {
+    if (ratio[d] == 1) continue;
+    if (!periodic[d] && parent[d] > coarse_domain.upper[d]) {
+      parent[d] = coarse_domain.upper[d];
+      near[d] = prolonged(wall(parent, d, 1), Real(1));
+      continue;
+    }
+    if (kind == Prolongation::constant) continue;
+    int const side = cell[d] - 2 * parent[d];
+    int const neighbour = parent[d] + 2 * side - 1;
+    if (!periodic[d] && (neighbour < coarse_domain.lower[d] || neighbour > coarse_domain.upper[d])) {
+      near[d] = prolonged(Real(1), wall(parent, d, side));
+    } else {
+      far[d] = periodic[d] ? prolonged_far(parent[d], side, coarse_domain.extent(d), seam_width[d]) : prolongation::far;
+      near[d] = 1 - far[d], step[d] = 2 * side - 1;
+    }
+  }
+  for (int corner = 0; corner < 8; ++corner) {
+    Real weight = 1;
+    Index3 source = parent;
+    for (int d = 0; d < 3; ++d) {
+      bool const other = (corner >> d) & 1;
+      weight *= other ? far[d] : near[d];
+      if (other) source[d] += step[d];
+    }
+    if (weight != 0) emit(coarse(source), weight);
+  }
+}
+
+/// A cell's value as the mean of its children, those that exist: emit(fine cell number, weight). `last`: what the finer
+/// level's last cells weigh.
+template <class Emit>
+void restrict_mean(Index3 const& cell, Index3 const& ratio, Level const& fine, std::array<LastChildren, 3> const& last,
+                   Emit&& emit) {
+  Box const children = Box{cell, cell}.refine(ratio);
+  auto const number = cell_numbers(fine, children);
+  Index3 const end = fine.domain().upper;
+  for_each_cell(children, [&](Index3 const& child) {
+    if (!fine.domain().contains(child) || number(child) == no_cell) return;
+    Real weight = mean_weight(ratio);
+    for (int d = 0; d < 3; ++d)
+      weight *= child[d] == end[d] ? last[d].last : child[d] + 1 == end[d] ? last[d].before : 1;
+    emit(number(child), weight);
+  });
+}
+
+}  // namespace amrpic

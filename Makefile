@@ -35,7 +35,7 @@ test: setup  ## all tests, some files at a time; ARGS go to pytest
 # An old and a middling processor, as QEMU has them: the set that each gets, and a refined problem with a known potential.
 nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alone, emulated
 	@for kind in Nehalem:v2 Haswell:v3; do \
-	  mpiexec -n 1 qemu-x86_64 -cpu $${kind%:*} $(BIN)/python -W ignore -c "from mpi4py import MPI; from amrpic import doctor, isa; \
+	  mpiexec -n 1 qemu-x86_64 -cpu $${kind%:*} $(BIN)/python -W ignore -c "from mpi4py import MPI; from amrpic import isa; from amrpic.commands import doctor; \
 	assert isa.in_use == '$${kind#*:}', isa.in_use; print('$${kind%:*},', isa.description() + ':', doctor.solve_known(MPI.COMM_WORLD))" 2> >(grep -v 'TCG doesn.t support' >&2); \
 	done
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import amrpic
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from amrpic.verify.errors import level_errors as errors
 from amrpic.verify.errors import observed_order
 from amrpic.verify.peers import static as static_hierarchy

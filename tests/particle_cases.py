@@ -10,11 +10,11 @@ from mpi4py import MPI
 
 import amrpic
 import hierarchies
-from amrpic.clouds import PLAIN, Clouds
-from amrpic.deposit import deposit
-from amrpic.migrate import migrate
-from amrpic.particles import Particles
-from amrpic.species import Species, SpeciesTable
+from amrpic.particles.clouds import PLAIN, Clouds
+from amrpic.particles.particles import Particles
+from amrpic.particles.species import Species, SpeciesTable
+from amrpic.stages.deposit import deposit
+from amrpic.stages.migrate import migrate
 
 CHARGE, MASS = -1.5e-19, 9e-31
 ONE_KIND = SpeciesTable((Species(charge=CHARGE, mass=MASS),))

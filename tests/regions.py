@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from amrpic import Hierarchy
-from amrpic.regrid import Regridding
+from amrpic.stages.regrid import Regridding
 
 
 def mask(hierarchy: Hierarchy, level: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import SolverError
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from exact import EPS0
 
 BACKENDS = ("matrix-free", "crs")

@@ -54,7 +54,7 @@ def scene_file(folder: Path) -> str:
 
 def ended(comm: Any, *arguments: str) -> tuple[int, str]:
     """Exit status and standard error of a command, checked to be a failure or success of all ranks, told by rank 0 alone."""
-    from amrpic.cli import main
+    from amrpic.commands.main import main
 
     comm.Barrier()
     errors = io.StringIO()
@@ -241,19 +241,19 @@ ALONE = {
 SCRIPT = """
 import amrpic, amrpic.errors
 from mpi4py import MPI
-from amrpic import cli, simulation as module
+from amrpic.commands import main, run
 
 def fail(simulation):
     if simulation.step == 3 and simulation.comm.rank == 1:
         {failure}
 
-class Failing(module.Simulation):
+class Failing(run.Simulation):
     def run(self, walltime=None):
         self.on_step(fail)
         return super().run(walltime)
 
-module.Simulation = Failing
-cli.main(["run", {scene!r}, "--output", {out!r}, "--set", "schedule.steps=6", "--set", "output.checkpoint_every=2"])
+run.Simulation = Failing
+main.main(["run", {scene!r}, "--output", {out!r}, "--set", "schedule.steps=6", "--set", "output.checkpoint_every=2"])
 """
 
 
@@ -289,7 +289,7 @@ def test_failure_in_a_script_ends_all(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "from mpi4py import MPI\n"
-        "from amrpic.scene import Scene\nfrom amrpic.simulation import Simulation\n"
+        "from amrpic import Scene, Simulation\n"
         f"run = Simulation(MPI.COMM_WORLD, Scene.from_toml({scene_file(tmp_path)!r}, ['output.write=[]']))\n"
         "run.on_step(lambda s: 1 / s.comm.rank)\n"
         f"run.scene.output.write or run.run()\n"

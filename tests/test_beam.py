@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import beam, distributions
 from amrpic.errors import ParticleError
-from amrpic.particles import Particles
-from amrpic.phase_space import PhaseSpace, Plane
-from amrpic.populate import make_particles
-from amrpic.sampling import draw
-from amrpic.scene import Scene
-from amrpic.species import Species
+from amrpic.particles import distributions
+from amrpic.particles.particles import Particles
+from amrpic.particles.phase_space import PhaseSpace, Plane
+from amrpic.particles.sampling import draw
+from amrpic.particles.species import Species
+from amrpic.run.initial_particles import make_particles
+from amrpic.scene.scene import Scene
+from amrpic.stages import beam
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 from particle_cases import everywhere
 

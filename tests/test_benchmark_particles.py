@@ -8,7 +8,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import particles as benchmark
 
-from amrpic.clouds import SHAPES
+from amrpic.particles.clouds import SHAPES
 
 
 def test_every_stage_takes_time():

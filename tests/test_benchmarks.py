@@ -32,7 +32,7 @@ import sine
 import solving
 from measuring import Record
 
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from amrpic.verify.errors import errors
 
 BENCHMARKS = Path(measuring.__file__).parent

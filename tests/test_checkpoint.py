@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amrpic.boxes import cells_of
 from amrpic.errors import InputError, OutputError
-from amrpic.io import checkpoint, collect, durable, manifest, restart
-from amrpic.io.checkpoint import Snapshot
-from amrpic.io.manifest import Header
+from amrpic.io import atomic_files, checkpoint_manifest, checkpoint_reader, checkpoint_writer, writer_ranks
+from amrpic.io.checkpoint_manifest import Header
+from amrpic.io.checkpoint_writer import Snapshot
 from amrpic.io.provenance import Provenance
+from amrpic.mesh.boxes import cells_of
 from full_disk import file_size_limit
 
 DOMAIN = {"lower": [-0.15, -0.15, -0.3], "upper": [0.15, 0.15, 0.3], "cells": [16, 16, 16]}
@@ -90,14 +90,14 @@ def everything(comm, state: Snapshot) -> tuple[dict, dict]:
 @pytest.mark.mpi(ranks=(1, 2, 3))
 @pytest.mark.parametrize("writers", [0, 1, 2, 64])
 def test_the_same_ranks_get_every_bit_back_in_order(comm, tmp_path, monkeypatch, writers):
-    monkeypatch.setattr(collect, "PIECE_BYTES", 200)  # many pieces per array
+    monkeypatch.setattr(writer_ranks, "PIECE_BYTES", 200)  # many pieces per array
     state = snapshot(comm.size, comm.rank)
-    path = checkpoint.path_of(tmp_path, 7)
-    checkpoint.write(comm, path, state, writers)
+    path = checkpoint_writer.path_of(tmp_path, 7)
+    checkpoint_writer.write(comm, path, state, writers)
     assert path.name == "checkpoint_00000007"
     assert len(list(path.glob("part_*.h5"))) == (min(writers, comm.size) or comm.size)
-    assert_same(restart.read(comm, path), state)
-    np.testing.assert_array_equal(restart.read(comm, path).header.owners[1], state.header.owners[1])
+    assert_same(checkpoint_reader.read(comm, path), state)
+    np.testing.assert_array_equal(checkpoint_reader.read(comm, path).header.owners[1], state.header.owners[1])
 
 
 @pytest.mark.mpi(ranks=(3,))
@@ -105,17 +105,17 @@ def test_the_same_ranks_get_every_bit_back_in_order(comm, tmp_path, monkeypatch,
 def test_any_number_of_ranks_gets_the_same_cells_and_particles(comm, tmp_path, writers):
     from mpi4py import MPI
 
-    path = checkpoint.path_of(tmp_path, 7)
-    checkpoint.write(comm, path, snapshot(comm.size, comm.rank), writers)
+    path = checkpoint_writer.path_of(tmp_path, 7)
+    checkpoint_writer.write(comm, path, snapshot(comm.size, comm.rank), writers)
     cells, rows = everything(comm, snapshot(comm.size, comm.rank))
     for colour in (0, comm.rank // 2):  # two ranks and one
         part = comm.Split(colour if colour else min(comm.rank, 1), comm.rank)
-        other_cells, other_rows = everything(part, restart.read(part, path))
+        other_cells, other_rows = everything(part, checkpoint_reader.read(part, path))
         part.Free()
         assert cells.keys() == other_cells.keys()
         assert all(np.array_equal(cells[key], other_cells[key]) for key in cells)
         assert all(np.array_equal(rows[key], other_rows[key]) for key in rows)
-    alone = restart.read(MPI.COMM_SELF, path)
+    alone = checkpoint_reader.read(MPI.COMM_SELF, path)
     assert all(np.array_equal(cell_values(b, l), alone.fields["phi"][l]) for l, b in enumerate(alone.header.boxes))
 
 
@@ -123,11 +123,11 @@ def test_any_number_of_ranks_gets_the_same_cells_and_particles(comm, tmp_path, w
 def test_what_one_rank_wrote_spreads_over_two(comm, tmp_path):
     from mpi4py import MPI
 
-    path = checkpoint.path_of(tmp_path, 7)
+    path = checkpoint_writer.path_of(tmp_path, 7)
     if comm.rank == 0:
-        checkpoint.write(MPI.COMM_SELF, path, snapshot(1, 0))
+        checkpoint_writer.write(MPI.COMM_SELF, path, snapshot(1, 0))
     comm.barrier()
-    state = restart.read(comm, path)
+    state = checkpoint_reader.read(comm, path)
     assert all(len(cells) > 0 for cells in state.fields["phi"])
     assert len(state.tables["particles"]["id"]) == 25
     cells, rows = everything(comm, state)
@@ -138,9 +138,9 @@ def test_what_one_rank_wrote_spreads_over_two(comm, tmp_path):
 
 @pytest.mark.mpi(ranks=(2,))
 def test_the_caller_may_say_who_owns_what(comm, tmp_path):
-    path = checkpoint.path_of(tmp_path, 7)
-    checkpoint.write(comm, path, snapshot(comm.size, comm.rank))
-    state = restart.read(comm, path, owners=lambda header: [np.ones(len(b), int) for b in header.boxes])
+    path = checkpoint_writer.path_of(tmp_path, 7)
+    checkpoint_writer.write(comm, path, snapshot(comm.size, comm.rank))
+    state = checkpoint_reader.read(comm, path, owners=lambda header: [np.ones(len(b), int) for b in header.boxes])
     for level, boxes in enumerate(state.header.boxes):
         np.testing.assert_array_equal(state.fields["phi"][level], cell_values(boxes, level) if comm.rank == 1 else [])
 
@@ -149,8 +149,8 @@ def test_the_caller_may_say_who_owns_what(comm, tmp_path):
 def test_no_particles_and_no_fields_are_a_state_too(comm, tmp_path):
     state = snapshot(comm.size, comm.rank, per_rank=-comm.rank)
     bare = Snapshot(state.header, {}, state.tables)
-    checkpoint.write(comm, tmp_path / "checkpoint_00000001", bare, writers=2)
-    back = restart.read(comm, tmp_path / "checkpoint_00000001")
+    checkpoint_writer.write(comm, tmp_path / "checkpoint_00000001", bare, writers=2)
+    back = checkpoint_reader.read(comm, tmp_path / "checkpoint_00000001")
     assert_same(back, bare)
     assert back.tables["particles"]["position"].shape == (0, 3)
 
@@ -168,29 +168,29 @@ def flip_a_bit(path: Path) -> None:
 
 
 def foreign(path: Path) -> None:
-    (path / manifest.MANIFEST).write_text('{"format": "something else"}')
+    (path / checkpoint_manifest.MANIFEST).write_text('{"format": "something else"}')
 
 
 def torn(path: Path) -> None:
-    text = (path / manifest.MANIFEST).read_text()
-    (path / manifest.MANIFEST).write_text(text[: len(text) // 2])
+    text = (path / checkpoint_manifest.MANIFEST).read_text()
+    (path / checkpoint_manifest.MANIFEST).write_text(text[: len(text) // 2])
 
 
 def edited(path: Path) -> None:
-    text = (path / manifest.MANIFEST).read_text()
-    (path / manifest.MANIFEST).write_text(text.replace('"seed": 42', '"seed": 43'))
+    text = (path / checkpoint_manifest.MANIFEST).read_text()
+    (path / checkpoint_manifest.MANIFEST).write_text(text.replace('"seed": 42', '"seed": 43'))
 
 
 def from_the_future(path: Path) -> None:
-    text = (path / manifest.MANIFEST).read_text()
-    (path / manifest.MANIFEST).write_text(text.replace('"format_version": 2', '"format_version": 99'))
+    text = (path / checkpoint_manifest.MANIFEST).read_text()
+    (path / checkpoint_manifest.MANIFEST).write_text(text.replace('"format_version": 2', '"format_version": 99'))
 
 
 DAMAGES = {
     truncate: "has .* bytes instead of",
     flip_a_bit: "checksum of part_0000.h5 is wrong",
     lambda path: (path / "part_0000.h5").unlink(): "lacks its part part_0000.h5",
-    lambda path: (path / manifest.MANIFEST).unlink(): "has no manifest.json",
+    lambda path: (path / checkpoint_manifest.MANIFEST).unlink(): "has no manifest.json",
     foreign: "damaged or foreign",
     torn: "damaged or foreign",
     edited: "its checksum is wrong",
@@ -204,21 +204,21 @@ DAMAGES = {
 def test_a_damaged_checkpoint_is_named_on_all_ranks_and_passed_over(comm, tmp_path, damage):
     act, complaint = list(DAMAGES.items())[damage]
     for step in (10, 20):
-        checkpoint.write(comm, checkpoint.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
-    newest = checkpoint.path_of(tmp_path, 20)
-    assert restart.find_latest_valid(comm, tmp_path) == newest
+        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
+    newest = checkpoint_writer.path_of(tmp_path, 20)
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) == newest
     if comm.rank == 0:
         act(newest)
     comm.barrier()
     with pytest.raises(InputError, match=complaint) as caught:
-        restart.verify(comm, newest)
+        checkpoint_reader.verify(comm, newest)
     messages = comm.allgather(str(caught.value))
     assert len(set(messages)) == 1
     assert str(newest) in messages[0]
     assert "\n" not in messages[0]
-    warned = comm.rank == 0 and (newest / manifest.MANIFEST).exists()  # without one it never was finished
+    warned = comm.rank == 0 and (newest / checkpoint_manifest.MANIFEST).exists()  # without one it never was finished
     with pytest.warns(UserWarning, match=complaint) if warned else contextlib.nullcontext():
-        assert restart.find_latest_valid(comm, tmp_path) == checkpoint.path_of(tmp_path, 10)
+        assert checkpoint_reader.find_latest_valid(comm, tmp_path) == checkpoint_writer.path_of(tmp_path, 10)
 
 
 @pytest.mark.mpi(ranks=(2,))
@@ -227,13 +227,13 @@ def test_a_file_is_not_a_checkpoint(comm, tmp_path):
         (tmp_path / "beam.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     comm.barrier()
     with pytest.raises(InputError, match="is not a checkpoint"):
-        restart.read(comm, tmp_path / "beam.h5")
+        checkpoint_reader.read(comm, tmp_path / "beam.h5")
 
 
 @pytest.mark.mpi(ranks=(2,))
 def test_an_empty_or_missing_directory_has_no_checkpoint(comm, tmp_path):
-    assert restart.find_latest_valid(comm, tmp_path) is None
-    assert restart.find_latest_valid(comm, tmp_path / "nowhere") is None
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) is None
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path / "nowhere") is None
 
 
 @pytest.mark.mpi(ranks=(1, 2))
@@ -242,31 +242,31 @@ def test_the_newest_are_kept_and_leftovers_of_dead_runs_go(comm, tmp_path):
         (tmp_path / "checkpoint_00000099.tmp").mkdir()
         (tmp_path / "checkpoint_00000099.tmp" / "part_0000.h5").write_bytes(b"half")
     comm.barrier()
-    assert restart.find_latest_valid(comm, tmp_path) is None
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) is None
     for step in (900, 10, 20, 30):  # 900: an earlier, longer run in the same directory
-        checkpoint.write(comm, checkpoint.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
-        checkpoint.prune(comm, tmp_path, keep=2)
+        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
+        checkpoint_writer.prune(comm, tmp_path, keep=2)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["checkpoint_00000020", "checkpoint_00000030"]
-    assert restart.find_latest_valid(comm, tmp_path) == checkpoint.path_of(tmp_path, 30)
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) == checkpoint_writer.path_of(tmp_path, 30)
 
 
 @pytest.mark.mpi(ranks=(2,))
 def test_writing_again_replaces_as_a_whole(comm, tmp_path):
-    path = checkpoint.path_of(tmp_path, 5)
+    path = checkpoint_writer.path_of(tmp_path, 5)
     for per_rank in (10, 20):
-        checkpoint.write(comm, path, snapshot(comm.size, comm.rank, 5, per_rank))
-    assert_same(restart.read(comm, path), snapshot(comm.size, comm.rank, 5, 20))
+        checkpoint_writer.write(comm, path, snapshot(comm.size, comm.rank, 5, per_rank))
+    assert_same(checkpoint_reader.read(comm, path), snapshot(comm.size, comm.rank, 5, 20))
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.mpi(ranks=(1,))
 def test_one_that_stepped_aside_is_found_until_its_successor_is_there(comm, tmp_path):
-    path = checkpoint.path_of(tmp_path, 5)
-    checkpoint.write(comm, path, snapshot(1, 0, 5))
-    path.rename(durable.replaced(path))  # where a kill between the two renames leaves it
-    assert restart.find_latest_valid(comm, tmp_path) == durable.replaced(path)
-    checkpoint.write(comm, path, snapshot(1, 0, 5))
-    assert restart.find_latest_valid(comm, tmp_path) == path
+    path = checkpoint_writer.path_of(tmp_path, 5)
+    checkpoint_writer.write(comm, path, snapshot(1, 0, 5))
+    path.rename(atomic_files.replaced(path))  # where a kill between the two renames leaves it
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) == atomic_files.replaced(path)
+    checkpoint_writer.write(comm, path, snapshot(1, 0, 5))
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) == path
 
 
 @pytest.mark.mpi(ranks=(2,))
@@ -275,21 +275,21 @@ def test_a_folder_that_cannot_be_made_is_one_error_on_all_ranks(comm, tmp_path):
         (tmp_path / "file").write_text("in the way")
     comm.barrier()
     with pytest.raises(OutputError, match=r"cannot write checkpoint .*: File exists; .* output folder") as caught:
-        checkpoint.write(comm, tmp_path / "file" / "checkpoint_00000001", snapshot(comm.size, comm.rank))
+        checkpoint_writer.write(comm, tmp_path / "file" / "checkpoint_00000001", snapshot(comm.size, comm.rank))
     assert len(set(comm.allgather(str(caught.value)))) == 1
 
 
 @pytest.mark.mpi(ranks=(3,))
 @pytest.mark.parametrize(("full", "limit"), [(0, 100), (0, 100_000), (1, 5000), (2, 50_000)])
 def test_a_disk_that_fills_up_on_one_rank_keeps_the_old_checkpoint(comm, tmp_path, full, limit):
-    checkpoint.write(comm, checkpoint.path_of(tmp_path, 1), snapshot(comm.size, comm.rank, 1))
+    checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, 1), snapshot(comm.size, comm.rank, 1))
     state = snapshot(comm.size, comm.rank, 2)
     state = Snapshot(state.header, state.fields, {**state.tables, "more": {"x": np.zeros(20_000)}})
     with (
         file_size_limit(limit if comm.rank == full else None),
         pytest.raises(OutputError, match=r"cannot write checkpoint .*: File too large; free some space") as caught,
     ):
-        checkpoint.write(comm, checkpoint.path_of(tmp_path, 2), state, writers=3)
+        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, 2), state, writers=3)
     assert len(set(comm.allgather(str(caught.value)))) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint_00000001"]
-    assert restart.find_latest_valid(comm, tmp_path) == checkpoint.path_of(tmp_path, 1)
+    assert checkpoint_reader.find_latest_valid(comm, tmp_path) == checkpoint_writer.path_of(tmp_path, 1)

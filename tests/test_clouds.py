@@ -11,14 +11,14 @@ from mpi4py import MPI
 
 import amrpic
 import hierarchies
-from amrpic.clouds import SHAPES, Clouds
-from amrpic.deposit import deposit
 from amrpic.errors import SolverError
-from amrpic.gather import gather
-from amrpic.migrate import migrate
-from amrpic.particles import Particles
-from amrpic.poisson import PoissonSolver
-from amrpic.species import Species, SpeciesTable
+from amrpic.particles.clouds import SHAPES, Clouds
+from amrpic.particles.particles import Particles
+from amrpic.particles.species import Species, SpeciesTable
+from amrpic.stages.deposit import deposit
+from amrpic.stages.gather import gather
+from amrpic.stages.migrate import migrate
+from amrpic.stages.poisson import PoissonSolver
 from particle_cases import CHARGE, Mesh, assert_as_by_hand, dense, gather_by_hand, placed, random_field
 
 CASES = hierarchies.all_cases()

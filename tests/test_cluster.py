@@ -8,9 +8,9 @@ from mpi4py import MPI
 
 from amrpic import Domain, Hierarchy, _native
 from amrpic.errors import HierarchyError
-from amrpic.hierarchy import BoundarySpec
-from amrpic.regrid import Regridding, regrid
-from amrpic.tag import magnitude, static_boxes
+from amrpic.mesh.domain import BoundarySpec
+from amrpic.stages.regrid import Regridding, regrid
+from amrpic.stages.tag import magnitude, static_boxes
 from regions import coarser, finer, grown, mask
 
 CELLS = (32, 24, 40)

@@ -16,10 +16,10 @@ from scipy.constants import epsilon_0
 
 import amrpic
 from amrpic import _native
-from amrpic.clouds import SHAPES, Clouds
-from amrpic.gather import gather
-from amrpic.hierarchy import BOUNDARIES
-from amrpic.migrate import migrate
+from amrpic.mesh.domain import BOUNDARIES
+from amrpic.particles.clouds import SHAPES, Clouds
+from amrpic.stages.gather import gather
+from amrpic.stages.migrate import migrate
 from amrpic.verify.meshes import MESHES
 from hierarchies import all_cases
 from particle_cases import scattered as scattered_particles

@@ -14,8 +14,8 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import Scene
-from amrpic.plan import Plan
-from amrpic.step import advance, begin
+from amrpic.run.plan import Plan
+from amrpic.run.step import advance, begin
 
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 SCENE = Path(__file__).parents[1] / "examples" / "ten_bunches.toml"

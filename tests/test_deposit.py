@@ -8,12 +8,12 @@ from mpi4py import MPI
 
 import amrpic
 import hierarchies
-from amrpic.deposit import deposit
 from amrpic.errors import ParticleError
-from amrpic.gather import gather
-from amrpic.migrate import migrate
-from amrpic.particles import Particles
-from amrpic.push import push
+from amrpic.particles.particles import Particles
+from amrpic.stages.deposit import deposit
+from amrpic.stages.gather import gather
+from amrpic.stages.migrate import migrate
+from amrpic.stages.push import push
 from particle_cases import (
     CHARGE,
     ONE_KIND,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amrpic import Domain, Field, Hierarchy, VectorField, diagnostics
-from amrpic.particles import Particles
-from amrpic.species import Species, SpeciesTable
+from amrpic import Domain, Field, Hierarchy, VectorField
+from amrpic.particles.particles import Particles
+from amrpic.particles.species import SPECIES, SpeciesTable
+from amrpic.stages import diagnostics
 from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 DOMAIN = Domain(lower=(-1, -1, -2), upper=(1, 1, 2), cells=(16, 16, 32), boundary="dirichlet")
-ELECTRONS = SpeciesTable((Species.model_validate("electron"),))
+ELECTRONS = SpeciesTable((SPECIES["electron"],))
 LEVELS = [[((8, 8, 8), (23, 23, 47))]]
 
 

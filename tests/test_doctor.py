@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import mpi_batch
-from amrpic import doctor
+from amrpic.commands import doctor
 
 EXAMINE = """
 from mpi4py import MPI
-from amrpic import doctor
+from amrpic.commands import doctor
 print(*doctor.examine(MPI.COMM_WORLD), sep="\\n")
 """
 

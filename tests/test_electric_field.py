@@ -10,10 +10,10 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.clouds import Clouds
 from amrpic.errors import HierarchyError, InputError
-from amrpic.gather import gather
-from amrpic.push import push
+from amrpic.particles.clouds import Clouds
+from amrpic.stages.gather import gather
+from amrpic.stages.push import push
 from hierarchies import all_cases
 from particle_cases import placed, random_field
 

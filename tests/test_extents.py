@@ -9,11 +9,11 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.deposit import deposit
-from amrpic.migrate import migrate
-from amrpic.regrid import Regridding, carry_over, regrid
-from amrpic.scene import Scene
-from amrpic.simulation import Simulation
+from amrpic.run.simulation import Simulation
+from amrpic.scene.scene import Scene
+from amrpic.stages.deposit import deposit
+from amrpic.stages.migrate import migrate
+from amrpic.stages.regrid import Regridding, carry_over, regrid
 from particle_cases import dense, everywhere, scattered
 from regions import coarser, mask, wanted_blocks
 

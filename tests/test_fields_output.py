@@ -9,8 +9,8 @@ import pytest
 
 from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.errors import InputError, OutputError
-from amrpic.io import collect, fields
-from amrpic.io.dump import Dump
+from amrpic.io import vtkhdf_writer, writer_ranks
+from amrpic.io.field_reader import Dump
 from amrpic.io.provenance import Provenance
 from full_disk import file_size_limit
 
@@ -35,7 +35,7 @@ def dumped(comm):
 
 def write(comm, path, writers=1):
     hierarchy, values = dumped(comm)
-    fields.write(path, hierarchy, values, 7, 1.25e-9, ABOUT, writers)
+    vtkhdf_writer.write(path, hierarchy, values, 7, 1.25e-9, ABOUT, writers)
     return hierarchy
 
 
@@ -67,8 +67,8 @@ def vtk_cells(image):
 def test_vtk_reads_the_right_values_at_the_right_places(comm, tmp_path, monkeypatch, writers):
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    monkeypatch.setattr(collect, "PIECE_BYTES", 10_000)
-    path = fields.path_of(tmp_path, 7)
+    monkeypatch.setattr(writer_ranks, "PIECE_BYTES", 10_000)
+    path = vtkhdf_writer.path_of(tmp_path, 7)
     hierarchy = write(comm, path, writers)
     amr = vtk_read(path)
     assert amr.GetNumberOfLevels() == hierarchy.levels
@@ -93,7 +93,7 @@ def test_vtk_reads_the_right_values_at_the_right_places(comm, tmp_path, monkeypa
 @pytest.mark.mpi(ranks=(1, 2))
 @pytest.mark.parametrize("writers", [1, 0])
 def test_our_reader_gives_back_every_box(comm, tmp_path, writers):
-    path = fields.path_of(tmp_path, 7)
+    path = vtkhdf_writer.path_of(tmp_path, 7)
     hierarchy = write(comm, path, writers)
     with Dump(path) as dump:
         assert (dump.step, dump.time, dump.version, dump.seed) == (7, 1.25e-9, "0.1.0", 42)
@@ -115,7 +115,7 @@ def test_our_reader_gives_back_every_box(comm, tmp_path, writers):
 
 @pytest.mark.mpi(ranks=(2,))
 def test_a_dump_replaces_an_earlier_one_and_its_parts(comm, tmp_path):
-    path = fields.path_of(tmp_path, 0)
+    path = vtkhdf_writer.path_of(tmp_path, 0)
     if comm.rank == 0:
         (tmp_path / "fields_00000000.part0007.h5.tmp").write_bytes(b"half")  # of a run that was killed
     write(comm, path, writers=2)
@@ -133,7 +133,7 @@ def test_a_dump_that_cannot_be_written_is_one_error_and_leaves_nothing(comm, tmp
     hierarchy, values = dumped(comm)
     missing = tmp_path / "nowhere"
     with pytest.raises(OutputError, match=r"cannot write fields .*: No such file or directory; .*folder") as caught:
-        fields.write(fields.path_of(missing, 7), hierarchy, values, 7, 0.0, ABOUT, writers)
+        vtkhdf_writer.write(vtkhdf_writer.path_of(missing, 7), hierarchy, values, 7, 0.0, ABOUT, writers)
     assert len(set(comm.allgather(str(caught.value)))) == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -141,14 +141,14 @@ def test_a_dump_that_cannot_be_written_is_one_error_and_leaves_nothing(comm, tmp
 @pytest.mark.mpi(ranks=(2,))
 @pytest.mark.parametrize("writers", [1, 2])
 def test_a_disk_that_fills_up_keeps_the_old_dump(comm, tmp_path, writers):
-    path = fields.path_of(tmp_path, 7)
+    path = vtkhdf_writer.path_of(tmp_path, 7)
     write(comm, path, writers)
     before = sorted(p.name for p in tmp_path.iterdir())
     comm.barrier()  # before the other rank writes again
     hierarchy, values = dumped(comm)
     full = file_size_limit(20_000 if comm.rank == 0 else None)
     with full, pytest.raises(OutputError, match=r"cannot write fields .*: File too large; .*folder"):
-        fields.write(path, hierarchy, values, 7, 0.0, ABOUT, writers)
+        vtkhdf_writer.write(path, hierarchy, values, 7, 0.0, ABOUT, writers)
     comm.barrier()
     assert sorted(p.name for p in tmp_path.iterdir()) == before
     with Dump(path) as dump:
@@ -177,10 +177,10 @@ def test_what_is_no_dump_is_named(comm, tmp_path):
 
 @pytest.mark.mpi(ranks=(2,))
 def test_a_lost_part_is_named(comm, tmp_path):
-    path = fields.path_of(tmp_path, 7)
+    path = vtkhdf_writer.path_of(tmp_path, 7)
     write(comm, path, writers=2)
     if comm.rank == 0:
-        fields.part_of(path, 1).unlink()
+        vtkhdf_writer.part_of(path, 1).unlink()
     comm.barrier()
     with pytest.raises(InputError, match=r"its part fields_00000007\.part0001\.h5 is not beside it"):
         Dump(path)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amrpic.clouds import matched_pays
-from amrpic.scene import Scene
-from amrpic.simulation import Simulation
+from amrpic.particles.clouds import matched_pays
+from amrpic.run.simulation import Simulation
+from amrpic.scene.scene import Scene
 
 CELL = 1 / 16  # m, of the finest level
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amrpic.io import checkpoint, restart, series
-from amrpic.io.checkpoint import Snapshot
+from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
+from amrpic.io.checkpoint_writer import Snapshot
 from mpi_batch import ENVIRONMENT
 
 KILLS = int(os.environ.get("AMRPIC_KILLS", "3"))  # of each motion
@@ -159,9 +159,9 @@ def last_state(folder: Path) -> Snapshot:
     """The state at the end of a run, of all ranks."""
     from mpi4py import MPI
 
-    path = checkpoint.path_of(folder, LAST)
-    restart.verify(MPI.COMM_SELF, path)
-    return restart.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
+    path = checkpoint_writer.path_of(folder, LAST)
+    checkpoint_reader.verify(MPI.COMM_SELF, path)
+    return checkpoint_reader.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
 
 
 def arrays(state: Snapshot) -> dict[str, np.ndarray]:
@@ -173,7 +173,7 @@ def rows(folder: Path) -> dict[str, np.ndarray]:
     """The time series and the residuals, without what depends on the machine's mood."""
     columns: dict[str, np.ndarray] = {}
     for file in ("series.csv", "residuals.csv"):
-        table = series.read(folder / file)
+        table = time_series.read(folder / file)
         columns |= {f"{file}/{name}": table[name] for name in table.dtype.names or ()}
     return {name: c for name, c in columns.items() if not name.startswith(("series.csv/seconds", "series.csv/memory"))}
 

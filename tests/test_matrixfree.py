@@ -25,7 +25,7 @@ BOUNDARIES: dict[str, Any] = {
 REFUSED = {key for key, spec in BOUNDARIES.items() if "open" in str(spec) and "periodic" in str(spec)}
 
 
-def solved(hierarchy: amrpic.Hierarchy, **options) -> tuple[amrpic.Field, amrpic.poisson.SolveReport]:
+def solved(hierarchy: amrpic.Hierarchy, **options) -> tuple[amrpic.Field, amrpic.SolveReport]:
     """Charge off the centre. Collective."""
     size = np.array(hierarchy.domain.upper) - hierarchy.domain.lower
     rho = amrpic.Field(hierarchy).fill(

@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 import mpi_batch
 from amrpic import Domain, Field, Hierarchy, PoissonSolver, Scene
-from amrpic.boxes import outer_faces
-from amrpic.memory import LAPLACIAN, _copies, run_memory
+from amrpic.mesh.boxes import outer_faces
+from amrpic.run.memory import LAPLACIAN, _copies, run_memory
 from hierarchies import all_cases
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -26,7 +26,7 @@ LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 MEASURED = """
 import resource
 from mpi4py import MPI
-from amrpic.cli import main
+from amrpic.commands.main import main
 try:
     main()
 except SystemExit as end:

@@ -13,14 +13,14 @@ import pytest
 from mpi4py import MPI
 
 from amrpic.errors import InputError
-from amrpic.io import bunch_file, particles
+from amrpic.io import openpmd_reader, openpmd_writer
 from amrpic.io.provenance import Provenance
 from amrpic.parallel import share
-from amrpic.particles import Particles
-from amrpic.populate import make_particles
-from amrpic.scene import Scene
-from amrpic.simulation import Simulation
-from amrpic.species import Species, SpeciesTable
+from amrpic.particles.particles import Particles
+from amrpic.particles.species import SPECIES, Species, SpeciesTable
+from amrpic.run.initial_particles import make_particles
+from amrpic.run.simulation import Simulation
+from amrpic.scene.scene import Scene
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from particle_cases import everywhere
 
@@ -106,22 +106,20 @@ def test_a_run_writes_its_particles_alike_on_any_number_of_ranks(comm, tmp_path)
 @pytest.mark.mpi(ranks=(1, 3))
 def test_every_species_has_a_group_that_can_be_chosen(comm, tmp_path):
     ion = Species(name="argon", charge=2 * ELEMENTARY_CHARGE, mass=6.6e-26)
-    table = SpeciesTable.of_runs(
-        [(0, Species.model_validate("proton")), (10, ion), (25, Species.model_validate("proton"))]
-    )
+    table = SpeciesTable.of_runs([(0, SPECIES["proton"]), (10, ion), (25, SPECIES["proton"])])
     random = np.random.default_rng(1)
     all_of = Particles(
         random.normal(0, 1e-3, (40, 3)), random.normal(size=(40, 3)), random.random(40) + 1, np.arange(40), table
     )
     path = tmp_path / "two.h5"
-    particles.write(comm, path, all_of.select(slice(comm.rank, None, comm.size)), 3, 1e-9, Provenance())
+    openpmd_writer.write(comm, path, all_of.select(slice(comm.rank, None, comm.size)), 3, 1e-9, Provenance())
     with pytest.raises(InputError, match="2 groups; set group to one of argon, proton"):
-        bunch_file.read(path, partial(share, comm))
-    part = bunch_file.read(path, partial(share, comm), group="argon", iteration=3)
+        openpmd_reader.read(path, partial(share, comm))
+    part = openpmd_reader.read(path, partial(share, comm), group="argon", iteration=3)
     assert part.species.kinds == (ion,)
     assert len(part) == pytest.approx(15 / comm.size, abs=1)
     assert np.array_equal(everywhere(comm, part)["momentum"], all_of.momentum[10:25])
-    protons = everywhere(comm, bunch_file.read(path, partial(share, comm), group="proton", first_id=100))
+    protons = everywhere(comm, openpmd_reader.read(path, partial(share, comm), group="proton", first_id=100))
     assert np.array_equal(protons["weight"], all_of.weight[np.r_[0:10, 25:40]])
     assert protons["id"].tolist() == list(range(100, 125))
 
@@ -139,7 +137,7 @@ def test_units_offsets_and_macroparticle_momenta_are_heeded(comm, tmp_path):
             beam[f"momentum/{axis}"].attrs["unitSI"] = 2.0
         beam["momentum"].attrs.update(macroWeighted=1, weightingPower=1.0)
         beam.create_group("weighting").attrs.update(value=3.0, shape=[4])
-    particles = bunch_file.read(tmp_path / "foreign.h5", partial(share, comm))
+    particles = openpmd_reader.read(tmp_path / "foreign.h5", partial(share, comm))
     assert particles.position == pytest.approx(np.arange(4)[:, None] * 1e-3 + [1, 1.001, 1.002], rel=1e-14, abs=0)
     assert particles.momentum == pytest.approx(np.full((4, 3), 4.0), rel=1e-14, abs=0)
     assert particles.weight.tolist() == [3.0] * 4
@@ -195,19 +193,19 @@ def test_a_bad_file_is_refused_in_one_sentence_on_all_ranks(comm, tmp_path, how,
 
 def test_only_the_rows_asked_for_are_read(tmp_path):
     broken(tmp_path / "bad.h5", "nan")  # in row 400
-    part = bunch_file.read(tmp_path / "bad.h5", lambda count: (100, 300), first_id=7)
+    part = openpmd_reader.read(tmp_path / "bad.h5", lambda count: (100, 300), first_id=7)
     assert part.id.tolist() == list(range(107, 307))
     with pytest.raises(InputError, match="row 400 of 500"):
-        bunch_file.read(tmp_path / "bad.h5", lambda count: (300, 500))
+        openpmd_reader.read(tmp_path / "bad.h5", lambda count: (300, 500))
 
 
 def test_what_cannot_be_written_is_told_and_leaves_nothing(comm, tmp_path):
     from amrpic.errors import OutputError
 
     (tmp_path / "file").write_text("in the way")
-    nothing = Particles.empty(SpeciesTable((Species.model_validate("proton"),)))
+    nothing = Particles.empty(SpeciesTable((SPECIES["proton"],)))
     with pytest.raises(OutputError, match="cannot write particles"):
-        particles.write(comm, tmp_path / "file" / "out.h5", nothing, 0, 0.0, Provenance())
-    particles.write(comm, tmp_path / "none.h5", nothing, 0, 0.0, Provenance())
-    assert len(bunch_file.read(tmp_path / "none.h5", partial(share, comm))) == 0
+        openpmd_writer.write(comm, tmp_path / "file" / "out.h5", nothing, 0, 0.0, Provenance())
+    openpmd_writer.write(comm, tmp_path / "none.h5", nothing, 0, 0.0, Provenance())
+    assert len(openpmd_reader.read(tmp_path / "none.h5", partial(share, comm))) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "none.h5"]

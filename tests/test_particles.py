@@ -13,14 +13,15 @@ import amrpic
 import hierarchies
 import mpi_batch
 from amrpic import _native
-from amrpic.clouds import Clouds
-from amrpic.deposit import deposit
 from amrpic.errors import ParticleError
-from amrpic.gather import gather
-from amrpic.migrate import migrate, particles_per_box
-from amrpic.particles import Particles, concatenate, recycled
-from amrpic.push import RANDOM_WALK, push, random_walk
-from amrpic.species import Species, SpeciesTable
+from amrpic.particles.arrays import recycled
+from amrpic.particles.clouds import Clouds
+from amrpic.particles.particles import Particles, concatenate
+from amrpic.particles.species import Species, SpeciesTable
+from amrpic.stages.deposit import deposit
+from amrpic.stages.gather import gather
+from amrpic.stages.migrate import migrate, particles_per_box
+from amrpic.stages.push import RANDOM_WALK, push, random_walk
 from particle_cases import (
     CHARGE,
     MASS,
@@ -205,7 +206,7 @@ def test_idle_memory_makes_room_for_other_sizes():
     code = """if True:
         import numpy as np
         from amrpic import _native
-        from amrpic.particles import recycled
+        from amrpic.particles.arrays import recycled
         kept = [recycled(n, np.float64) for n in 3 * [1_000_000]]
         kept.pop()
         idle = _native.idle_bytes()

@@ -9,7 +9,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic import isa
 from amrpic.errors import SolverError
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from exact import EPS0, STATIC, errors, observed_order, solve_static, static_hierarchy
 
 # Errors of a mature solver (AMReX) on the same case, levels 0, 1, 2: L2 relative, max relative.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amrpic import PoissonSolver, Scene, Simulation
-from amrpic.preview import Histogram, preview
+from amrpic.commands.preview import Histogram, preview
 
 TRAIN = {
     "distribution": "gaussian",

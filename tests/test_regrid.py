@@ -10,9 +10,9 @@ from mpi4py import MPI
 
 from amrpic import Domain, Field, Hierarchy
 from amrpic.errors import HierarchyError
-from amrpic.hierarchy import BoundarySpec
-from amrpic.regrid import Regridding, balance, carry_over, regrid
-from amrpic.tag import beyond, magnitude
+from amrpic.mesh.domain import BoundarySpec
+from amrpic.stages.regrid import Regridding, balance, carry_over, regrid
+from amrpic.stages.tag import beyond, magnitude
 
 CELLS = (24, 16, 32)
 

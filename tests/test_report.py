@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from amrpic import Domain, Field, Hierarchy, Scene, Simulation, VectorField, plot, raster
+from amrpic import Domain, Field, Hierarchy, Scene, Simulation, VectorField
 from amrpic.errors import InputError, OutputError
-from amrpic.io import fields
-from amrpic.io.dump import CheckpointDump, Dump, open_dump
+from amrpic.io import vtkhdf_writer
+from amrpic.io.field_reader import CheckpointDump, Dump, open_dump
 from amrpic.io.provenance import Provenance
-from amrpic.report import RunLog, step_line
+from amrpic.run.log import RunLog, step_line
+from amrpic.view import plot, raster
 
 ROW = {
     "step": 12,
@@ -95,8 +96,8 @@ def dumped(comm, folder, density):
     phi = Field(hierarchy, "V").fill(lambda x, y, z: x + 10 * y + 100 * z)
     efield = VectorField(*(Field(hierarchy, "V/m").fill(lambda *at, i=i: at[i]) for i in range(3)))
     rho = Field(hierarchy, "C/m^3").fill(density).average_down()
-    path = fields.path_of(folder, 3)
-    fields.write(path, hierarchy, {"phi": phi, "rho": rho, "E": efield}, 3, 2e-9, Provenance())
+    path = vtkhdf_writer.path_of(folder, 3)
+    vtkhdf_writer.write(path, hierarchy, {"phi": phi, "rho": rho, "E": efield}, 3, 2e-9, Provenance())
     return path
 
 

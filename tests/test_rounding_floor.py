@@ -13,7 +13,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from exact import EPS0
 
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"

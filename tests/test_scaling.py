@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import mpi_batch
+from amrpic.commands.scaling import Measured, by_kind, draw, efficiency, grown, study, table
 from amrpic.errors import InputError
-from amrpic.scaling import Measured, by_kind, draw, efficiency, grown, study, table
-from amrpic.scene import Scene
+from amrpic.scene.scene import Scene
 
 SCENE = Path(__file__).parents[1] / "examples" / "sphere.toml"
 SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000"]

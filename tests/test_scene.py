@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from amrpic.errors import InputError, SceneError
-from amrpic.limits import check_scene, memory_error, rank_cells_error
-from amrpic.memory import base_boxes
-from amrpic.scene import RefusedScene, Scene
-from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, UNITS, to_si
+from amrpic.run.limits import check_scene, memory_error, rank_cells_error
+from amrpic.run.memory import base_boxes
+from amrpic.scene.scene import RefusedScene, Scene
+from amrpic.scene.units import to_si
+from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, UNITS
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.toml"))
 

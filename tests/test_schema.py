@@ -9,10 +9,10 @@ from typing import Any
 import jsonschema
 import pytest
 
-from amrpic import cli
+from amrpic.commands import main
 from amrpic.errors import OutputError, SceneError
-from amrpic.scene import Scene
-from amrpic.schema import scene_reference, scene_schema
+from amrpic.scene.scene import Scene
+from amrpic.scene.schema import scene_reference, scene_schema
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.toml"))
 VALIDATOR = jsonschema.Draft202012Validator(scene_schema())
@@ -130,7 +130,7 @@ def test_every_key_says_what_it_means_and_is_in_the_reference():
 
 
 def test_the_command_writes_into_a_file_or_says_why_not(tmp_path, capsys):
-    chosen = cli.parser().parse_args(["schema"])
+    chosen = main.parser().parse_args(["schema"])
     assert chosen.command(chosen) == 0
     printed = capsys.readouterr().out
     chosen.output = tmp_path / "scene.schema.json"

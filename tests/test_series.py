@@ -11,11 +11,11 @@ import time
 import numpy as np
 import pytest
 
-from amrpic.diagnostics import Quantity
 from amrpic.errors import InputError, OutputError
-from amrpic.io import series
+from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
-from amrpic.io.series import Series
+from amrpic.io.time_series import Series
+from amrpic.stages.diagnostics import Quantity
 
 COLUMNS = [
     Quantity("step", counts=True),
@@ -39,7 +39,7 @@ def test_numbers_read_back_bit_for_bit(comm, tmp_path):
     file.append({"step": 5, "time": float("nan"), "particles": 0, "charge": float("inf")})
     file.sync()
     file.close()
-    rows = series.read(path)
+    rows = time_series.read(path)
     assert rows.dtype.names == ("step", "time", "particles", "charge")
     assert rows["time"][:5].tolist() == [row(step)["time"] for step in range(5)]
     assert rows["particles"][:5].tolist() == [row(step)["particles"] for step in range(5)]
@@ -57,18 +57,18 @@ def test_a_restart_cuts_off_what_came_after_its_step_and_what_is_torn(comm, tmp_
     if comm.rank == 0:
         path.write_bytes(path.read_bytes()[:-3])
     comm.barrier()
-    assert series.read(path)["step"].tolist() == list(range(9))
+    assert time_series.read(path)["step"].tolist() == list(range(9))
     comm.barrier()
     file = Series(comm, path, COLUMNS, ABOUT, keep_to_step=8)
     file.append(row(9))
     file.close()
-    assert series.read(path)["step"].tolist() == list(range(10))
+    assert time_series.read(path)["step"].tolist() == list(range(10))
     comm.barrier()
     Series(comm, path, COLUMNS, ABOUT, keep_to_step=3).close()
-    assert series.read(path)["step"].tolist() == list(range(4))
+    assert time_series.read(path)["step"].tolist() == list(range(4))
     comm.barrier()
     Series(comm, path, COLUMNS, ABOUT).close()
-    assert len(series.read(path)) == 0
+    assert len(time_series.read(path)) == 0
 
 
 def test_a_series_of_other_columns_is_not_cut(comm, tmp_path):
@@ -81,10 +81,10 @@ def test_a_series_of_other_columns_is_not_cut(comm, tmp_path):
 def test_what_is_no_series_is_named(comm, tmp_path):
     path = tmp_path / "series.csv"
     with pytest.raises(InputError, match="No such file"):
-        series.read(path)
+        time_series.read(path)
     path.write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="it is not a series"):
-        series.read(path)
+        time_series.read(path)
 
 
 @pytest.mark.mpi(ranks=(2,))
@@ -101,9 +101,9 @@ WRITER = """
 import sys
 from pathlib import Path
 from mpi4py import MPI
-from amrpic.diagnostics import Quantity
 from amrpic.io.provenance import Provenance
-from amrpic.io.series import Series
+from amrpic.io.time_series import Series
+from amrpic.stages.diagnostics import Quantity
 
 file = Series(MPI.COMM_SELF, Path(sys.argv[1]), [Quantity("step", counts=True), Quantity("value")], Provenance())
 for step in range(10**9):
@@ -119,7 +119,7 @@ def test_a_kill_at_any_moment_leaves_complete_rows(tmp_path):
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    rows = series.read(path)
+    rows = time_series.read(path)
     assert len(rows) > 100
     np.testing.assert_array_equal(rows["step"], np.arange(len(rows)))
     np.testing.assert_array_equal(rows["value"], np.arange(len(rows)) / 3)

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amrpic import scene as model
-from amrpic.diagnostics import moments
-from amrpic.io import bunch_file, series
-from amrpic.io import particles as dumps
+from amrpic.io import openpmd_reader, time_series
+from amrpic.io import openpmd_writer as dumps
 from amrpic.parallel import share
-from amrpic.plan import Clock
-from amrpic.simulation import Simulation
+from amrpic.run.clock import Clock
+from amrpic.run.simulation import Simulation
+from amrpic.scene import scene as model
+from amrpic.stages.diagnostics import moments
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, VACUUM_PERMITTIVITY
 from particle_cases import everywhere
 
@@ -133,7 +133,7 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
         assert np.abs(exact - synchronized).max(initial=0) <= 1e-12 * kick
         now.write_particles(tmp_path / "particles.h5")
         for path in (tmp_path / "particles.h5", dumps.path_of(tmp_path / "out", now.step)):
-            written = everywhere(comm, bunch_file.read(path, partial(share, comm)))
+            written = everywhere(comm, openpmd_reader.read(path, partial(share, comm)))
             assert np.abs(written["momentum"] - everywhere(comm, now.particles)["momentum"]).max() <= 1e-12 * kick
         seen.append(moments(comm, now.particles))
 
@@ -143,7 +143,7 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
     for name, values in everything(undisturbed).items():
         assert np.array_equal(values, everything(watched)[name]), name
     if comm.rank == 0:
-        rows = series.read(tmp_path / "out" / "series.csv")
+        rows = time_series.read(tmp_path / "out" / "series.csv")
         for column, measured in (
             ("kinetic_energy", [m.kinetic_energy for m in seen]),
             ("emittance_x", [m.emittance[0] for m in seen]),
@@ -287,7 +287,7 @@ def test_expanding_bunch_turns_field_energy_into_motion(comm):
     simulation = Simulation(comm, given)
 
     def energies() -> tuple[float, float]:
-        from amrpic.diagnostics import moments, potential_energy
+        from amrpic.stages.diagnostics import moments, potential_energy
 
         return moments(comm, simulation.particles).kinetic_energy, potential_energy(simulation.rho, simulation.phi)
 
@@ -320,9 +320,9 @@ def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_pa
     for name, values in everything(undisturbed).items():
         assert np.array_equal(values, everything(again)[name]), name
     if comm.rank == 0:
-        table = series.read(tmp_path / "out" / "series.csv")
+        table = time_series.read(tmp_path / "out" / "series.csv")
         assert table["step"].tolist() == [0, 1, 2, 3, 4]
-        history = series.read(tmp_path / "out" / "residuals.csv")
+        history = time_series.read(tmp_path / "out" / "residuals.csv")
         for step, cycles, residual in zip(table["step"], table["cycles"], table["residual"], strict=True):
             solve = history[history["step"] == step]
             assert solve["cycle"].tolist() == list(range(int(cycles) + 1))

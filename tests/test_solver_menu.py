@@ -10,15 +10,15 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic import menu
 from amrpic.errors import SceneError, SolverError
-from amrpic.hierarchy import BoundarySpec
-from amrpic.poisson import PoissonSolver
+from amrpic.mesh.domain import BoundarySpec
+from amrpic.scene import solver_options
+from amrpic.stages.poisson import PoissonSolver
 from exact import STATIC, solve_static, static_hierarchy
 
 POINTS = np.random.default_rng(2).uniform(0.01, 0.99, (500, 3))
 MIXED = {"x": ("neumann", "dirichlet"), "y": "periodic", "z": ("dirichlet", "neumann")}
-AGGREGATION = [name for name in get_args(menu.BottomPreconditioner) if name.endswith("aggregation")]
+AGGREGATION = [name for name in get_args(solver_options.BottomPreconditioner) if name.endswith("aggregation")]
 
 
 def refined(comm: MPI.Comm, boundary: BoundarySpec, cells: int = 16, first: int | None = 8) -> amrpic.Hierarchy:
@@ -37,7 +37,7 @@ def charge(hierarchy: amrpic.Hierarchy) -> amrpic.Field:
     return rho
 
 
-def solved(hierarchy: amrpic.Hierarchy, backend="crs", **options) -> tuple[amrpic.Field, amrpic.poisson.SolveReport]:
+def solved(hierarchy: amrpic.Hierarchy, backend="crs", **options) -> tuple[amrpic.Field, amrpic.SolveReport]:
     solver = PoissonSolver(hierarchy, tolerance=1e-11, background=None, backend=backend, **options)
     phi, report = solver.solve(charge(hierarchy))
     assert report.converged, (options, report.reason)
@@ -56,7 +56,7 @@ def difference(phi: amrpic.Field, other: amrpic.Field) -> float:
 def test_every_smoother_and_acceleration_finds_the_same_potential(boundary, comm):
     hierarchy = refined(comm, boundary)
     wanted, plain = solved(hierarchy)
-    for smoother in get_args(menu.Smoother)[1:]:
+    for smoother in get_args(solver_options.Smoother)[1:]:
         phi, report = solved(hierarchy, smoother=smoother)
         assert difference(phi, wanted) < 1e-9, smoother
         assert report.cycles <= 25, smoother
@@ -72,7 +72,7 @@ def test_every_bottom_with_every_preconditioner_finds_the_same_potential(comm):
         comm, "dirichlet", cells=24
     )  # 12^3 cells on the coarsest level: more than MueLu solves directly
     wanted, _ = solved(hierarchy)
-    krylov = itertools.product(("gmres", "cg", "bicgstab"), get_args(menu.BottomPreconditioner))
+    krylov = itertools.product(("gmres", "cg", "bicgstab"), get_args(solver_options.BottomPreconditioner))
     for bottom, preconditioner in [*krylov, *(("multigrid", name) for name in AGGREGATION), ("direct", None)]:
         phi, report = solved(hierarchy, coarse_levels=1, bottom=bottom, bottom_preconditioner=preconditioner)
         assert difference(phi, wanted) < 1e-9, (bottom, preconditioner)
@@ -195,7 +195,7 @@ def test_scenes_refuse_them_in_the_same_words(solver, complaint):
 
 
 def test_a_scene_hands_every_choice_to_the_solver():
-    from amrpic.plan import Plan
+    from amrpic.run.plan import Plan
 
     chosen: dict[str, Any] = {
         "backend": "crs",
@@ -220,7 +220,7 @@ def test_a_scene_hands_every_choice_to_the_solver():
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
-@pytest.mark.parametrize("backend", get_args(menu.Backend))
+@pytest.mark.parametrize("backend", get_args(solver_options.Backend))
 @pytest.mark.parametrize("boundary", ["dirichlet", "periodic", "neumann", "open", MIXED], ids=str)
 def test_long_and_flat_cells_converge_like_cubes_on_any_decomposition(boundary, backend, comm):
     """Cells of 1:1:10 took 100 cycles in a refined level, and 27 in a base, by a point smoother and linear ghosts alone."""
@@ -232,7 +232,7 @@ def test_long_and_flat_cells_converge_like_cubes_on_any_decomposition(boundary, 
         assert phi.sample(POINTS) == pytest.approx(alone.sample(POINTS), rel=1e-8, abs=1e-9 * alone.max_abs())
 
 
-@pytest.mark.parametrize("smoother", get_args(menu.Smoother))
+@pytest.mark.parametrize("smoother", get_args(solver_options.Smoother))
 def test_every_smoother_serves_long_cells(smoother):
     hierarchy = refined(MPI.COMM_SELF, "dirichlet")
     phi, report = solved(hierarchy, smoother=smoother, stretch=(1, 1, 10))
@@ -240,7 +240,7 @@ def test_every_smoother_serves_long_cells(smoother):
     assert difference(phi, solved(hierarchy, stretch=(1, 1, 10))[0]) < 1e-9
 
 
-@pytest.mark.parametrize("backend", get_args(menu.Backend))
+@pytest.mark.parametrize("backend", get_args(solver_options.Backend))
 @pytest.mark.parametrize("sweeps", [(0, 2), (2, 0)])
 def test_long_cells_converge_with_sweeps_on_one_side_alone(comm, sweeps, backend):
     """Their own cycles need sweeps on both: 57 and 50 cycles without."""

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import Domain, Field, Hierarchy, VectorField, diagnostics
-from amrpic.deposit import deposit
-from amrpic.migrate import migrate
-from amrpic.particles import Particles, concatenate
-from amrpic.push import push
-from amrpic.scene import Scene
-from amrpic.simulation import Simulation
-from amrpic.species import Species, SpeciesTable
+from amrpic import Domain, Field, Hierarchy, VectorField
+from amrpic.particles.particles import Particles, concatenate
+from amrpic.particles.species import SPECIES, Species, SpeciesTable
+from amrpic.run.simulation import Simulation
+from amrpic.scene.scene import Scene
+from amrpic.stages import diagnostics
+from amrpic.stages.deposit import deposit
+from amrpic.stages.migrate import migrate
+from amrpic.stages.push import push
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
 from particle_cases import everywhere
 
-ELECTRON, PROTON = (Species.model_validate(name) for name in ("electron", "proton"))
+ELECTRON, PROTON = (SPECIES[name] for name in ("electron", "proton"))
 SIZE: dict[str, Any] = {"distribution": "gaussian", "sigma": 0.01}
 BUNCHES = [
     {**SIZE, "species": "electron", "charge": -3e-12, "particles": 600, "centre": [-0.05, 0, 0]},

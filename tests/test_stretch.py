@@ -10,8 +10,8 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import SceneError, SolverError
-from amrpic.poisson import PoissonSolver
-from amrpic.scene import Scene
+from amrpic.scene.scene import Scene
+from amrpic.stages.poisson import PoissonSolver
 from exact import Gaussian
 
 GAMMA = 8.0

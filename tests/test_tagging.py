@@ -16,19 +16,20 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import InputError, SceneError
-from amrpic.field import Field
-from amrpic.follow import follow, make_base
-from amrpic.hierarchy import Domain, Hierarchy
-from amrpic.migrate import migrate
-from amrpic.plan import Plan
-from amrpic.populate import make_particles
-from amrpic.quantities import Quantities
-from amrpic.refinement import ARGUMENTS
-from amrpic.regrid import Regridding, regrid
-from amrpic.rules import apart, index_boxes, tags_of
-from amrpic.scene import Scene
-from amrpic.simulation import Simulation
-from amrpic.tag import Tags, inside
+from amrpic.mesh.domain import Domain
+from amrpic.mesh.field import Field
+from amrpic.mesh.hierarchy import Hierarchy
+from amrpic.run.adapt import follow, make_base
+from amrpic.run.initial_particles import make_particles
+from amrpic.run.particle_fields import Quantities
+from amrpic.run.plan import Plan
+from amrpic.run.simulation import Simulation
+from amrpic.run.tagging_rules import apart, index_boxes, tags_of
+from amrpic.scene.refinement import ARGUMENTS
+from amrpic.scene.scene import Scene
+from amrpic.stages.migrate import migrate
+from amrpic.stages.regrid import Regridding, regrid
+from amrpic.stages.tag import Tags, inside
 from particle_cases import dense, everywhere
 from regions import coarser, mask, wanted_blocks
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import menu
-from amrpic.cli import main
+from amrpic.commands.main import main
 from amrpic.errors import InputError
-from amrpic.poisson import PoissonSolver
-from amrpic.populate import make_particles
-from amrpic.scene import Scene
+from amrpic.run.initial_particles import make_particles
+from amrpic.scene import solver_options
+from amrpic.scene.scene import Scene
+from amrpic.stages.poisson import PoissonSolver
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
 from amrpic.verify import TOPICS, backends, conservation, convergence, pareto, verify, write
 from amrpic.verify.described import Cylinder, Lattice, density_of, exact_field
@@ -177,7 +177,7 @@ def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
 @pytest.mark.mpi(ranks=(1, 2))
 def test_backends_are_compared_as_soon_as_there_are_two(comm):
     found = list(backends.tables(comm))
-    assert len(found) == len(get_args(menu.Backend)) - 1
+    assert len(found) == len(get_args(solver_options.Backend)) - 1
     assert all(table.met and len(table.rows) == 4 * len(MESHES) for table in found)
 
 
@@ -197,8 +197,8 @@ def test_all_solvers_take_the_backend_that_is_asked_for(monkeypatch):
     monkeypatch.setattr("amrpic.verify.chosen.PoissonSolver", Spy)
     for topic in ("convergence", "open-boundary", "peers", "stopping", "hard-cases"):
         with pytest.raises(InterruptedError):
-            list(verify(MPI.COMM_SELF, [topic], backend=get_args(menu.Backend)[-1]))
-    assert taken == [get_args(menu.Backend)[-1]] * 5
+            list(verify(MPI.COMM_SELF, [topic], backend=get_args(solver_options.Backend)[-1]))
+    assert taken == [get_args(solver_options.Backend)[-1]] * 5
 
 
 # ---- speed against error ----

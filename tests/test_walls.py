@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from amrpic.errors import InputError, SceneError
-from amrpic.expression import formula
-from amrpic.scene import Scene
-from amrpic.simulation import Simulation
+from amrpic.run.simulation import Simulation
+from amrpic.scene.expression import formula
+from amrpic.scene.scene import Scene
 
 QUADRUPOLE = "1e3*(x^2 - y^2)"
 

@@ -14,7 +14,7 @@ from amrpic.errors import OutputError, SceneError
 from amrpic.scene.scene import Scene
 from amrpic.scene.schema import scene_reference, scene_schema
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.toml"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
 VALIDATOR = jsonschema.Draft202012Validator(scene_schema())
 
 

@@ -467,7 +467,7 @@ def test_a_run_with_a_function_goes_on_from_a_checkpoint_once_it_is_given_again(
 
 
 # ---- what people read ----
-PAGE = (Path(__file__).parents[1] / "docs" / "refinement.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "refinement.md").read_text(encoding="utf-8")
 
 
 def blocks(language: str) -> list[str]:

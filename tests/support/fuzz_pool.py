@@ -1,7 +1,7 @@
 """Ranks that live on between solves: a pool of MPI processes to which one call after another is handed.
 
 A call runs on the first so many ranks while the others wait. A crash or a hang ends the processes; the next call starts
-new ones. `python tests/fuzz_pool.py ADDRESS` is one of them.
+new ones. `python tests/support/fuzz_pool.py ADDRESS` is one of them.
 """
 
 from __future__ import annotations

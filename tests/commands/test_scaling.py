@@ -15,7 +15,7 @@ from amrpic.commands.scaling import Measured, by_kind, draw, efficiency, grown, 
 from amrpic.errors import InputError
 from amrpic.scene.scene import Scene
 
-SCENE = Path(__file__).parents[1] / "examples" / "sphere.toml"
+SCENE = Path(__file__).parents[2] / "examples" / "sphere.toml"
 SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000"]
 
 

@@ -16,7 +16,7 @@ from amrpic.scene.scene import RefusedScene, Scene
 from amrpic.scene.units import to_si
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, UNITS
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.toml"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
 
 TWISS = {
     "x": {"emittance": "1 um rad", "beta": "2 m"},

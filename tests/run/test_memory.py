@@ -18,7 +18,7 @@ from amrpic.mesh.boxes import outer_faces
 from amrpic.run.memory import LAPLACIAN, _copies, run_memory
 from hierarchies import all_cases
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAM = str(Path(sys.executable).with_name("amrpic"))
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 

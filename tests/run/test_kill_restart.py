@@ -1,6 +1,6 @@
 """Runs that are killed go on from the newest checkpoint that is whole, and end as if nothing had happened.
 
-`AMRPIC_KILLS=20 pytest tests/test_kill_restart.py` kills more often than the few times of an ordinary test run.
+`AMRPIC_KILLS=20 pytest tests/run/test_kill_restart.py` kills more often than the few times of an ordinary test run.
 """
 
 from __future__ import annotations

@@ -217,7 +217,7 @@ def test_lost_particles_are_recorded_and_kept_in_checkpoints(comm, tmp_path):
     assert np.array_equal(again.lost.particles.id, simulation.lost.particles.id)
 
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.mark.mpi(ranks=2)

@@ -36,7 +36,7 @@ SOURCES = {
     "product": Product((Wave(3.0), Layer(0.3), Wave(2.0, 1.0))),
     "pair": Together((Gaussian((0.03, 0.03, 0.1), (0.1, 0, 0)), Gaussian((0.05,) * 3, (-0.1, 0, 0), -EPS0))),
 }
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mpi_batch
 
-BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "solvers.py"
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "solvers.py"
 sys.path.insert(0, str(BENCHMARK.parent))
 from solvers import Measured, Table, document  # noqa: E402
 

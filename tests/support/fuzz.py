@@ -1,7 +1,7 @@
 """Random Poisson problems: the answer and its cost may not depend on ranks, boxes, backend or instruction set.
 
-    python tests/fuzz.py --cases 200 --seed 7        # a table, and each failure as a few lines to paste
-    python tests/fuzz.py --seed 7 --only 31          # one case again
+    python tests/support/fuzz.py --cases 200 --seed 7        # a table, and each failure as a few lines to paste
+    python tests/support/fuzz.py --seed 7 --only 31          # one case again
 
 Every case is solved as drawn and, at the same time, on one rank, matrix-free, in boxes of the default size. `fuzz_draw`
 tells what is drawn, `judge` what must hold; the ranks live on between cases (`fuzz_pool`).

@@ -18,7 +18,7 @@ from amrpic.run.plan import Plan
 from amrpic.run.step import advance, begin
 
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
-SCENE = Path(__file__).parents[1] / "examples" / "ten_bunches.toml"
+SCENE = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
 SMALLER = [
     "domain.cells=48",
     "refinement.levels=2",

@@ -41,29 +41,11 @@ def test_two_thousand_problems_do_not_depend_on_how_they_are_solved():
 # --- what finds the failures ---
 
 
-def sleep_on_the_last_rank(comm, *_):
-    import time
-
-    time.sleep(60 if comm.rank == comm.size - 1 else 0)
-    comm.barrier()
-
-
-def end_on_the_last_rank(comm, *_):
-    if comm.rank == comm.size - 1:
-        print("no more", flush=True)
-        os._exit(3)
-    comm.barrier()
-
-
-def ranks_and_sum(comm, value):
-    return comm.size, comm.allreduce(value)
-
-
 def test_calls_run_on_as_many_ranks_as_asked_for_and_processes_live_on():
     with Pool(3) as pool:
-        assert [pool.call("test_fuzz:ranks_and_sum", n, 2) for n in (3, 1, 2)] == [(3, 6), (1, 2), (2, 4)]
+        assert [pool.call("pool_calls:ranks_and_sum", n, 2) for n in (3, 1, 2)] == [(3, 6), (1, 2), (2, 4)]
         first = list(pool.pids)
-        pool.call("test_fuzz:ranks_and_sum", 3, 2)
+        pool.call("pool_calls:ranks_and_sum", 3, 2)
         assert pool.pids == first and len(first) == 3
 
 
@@ -74,9 +56,9 @@ def test_calls_run_on_as_many_ranks_as_asked_for_and_processes_live_on():
 def test_a_pool_survives_what_hangs_and_crashes(function, kind, said):
     with Pool(2) as pool:
         with pytest.raises(Broken, match=said) as broken:
-            pool.call(f"test_fuzz:{function}", 2, timeout=1)
+            pool.call(f"pool_calls:{function}", 2, timeout=1)
         assert broken.value.kind == kind
-        assert pool.call("test_fuzz:ranks_and_sum", 2, 1) == (2, 2)
+        assert pool.call("pool_calls:ranks_and_sum", 2, 1) == (2, 2)
 
 
 def test_a_case_is_drawn_from_its_seed_and_number_alone():

@@ -18,6 +18,7 @@ from .particles.particles import Particles  # noqa: E402
 from .particles.species import Species, SpeciesTable  # noqa: E402
 from .run.simulation import Simulation  # noqa: E402
 from .scene.scene import Scene  # noqa: E402
+from .scene.solver_options import SolverOptions  # noqa: E402
 from .stages.poisson import PoissonSolver, SolveReport  # noqa: E402
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "Scene",
     "Simulation",
     "SolveReport",
+    "SolverOptions",
     "Species",
     "SpeciesTable",
     "VectorField",

@@ -41,20 +41,7 @@ class Plan:
             self._solver = None  # the old operators go before the new ones come
             self._solver = PoissonSolver(
                 hierarchy,
-                tolerance=options.tolerance,
-                norm=options.norm,
-                backend=options.backend,
-                absolute_tolerance=options.absolute_tolerance,
-                smoother=options.smoother,
-                relaxation=options.relaxation,
-                sweeps=options.sweeps,
-                prolongation=options.prolongation,
-                coarse_levels=options.coarse_levels,
-                bottom=options.bottom,
-                bottom_preconditioner=options.bottom_preconditioner,
-                krylov=options.krylov,
-                max_cycles=options.max_cycles,
-                stretch=options.stretch,
+                options=options,
                 background="neutralizing" if self.scene.background == "neutralizing" else None,
                 reuse=kept,
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
@@ -17,23 +17,40 @@ def close_match(word: str, known: Iterable[str]) -> str:
     return f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(choices)}"
 
 
+class Mistake(NamedTuple):
+    """What is wrong with one value of a model, and what to do about it."""
+
+    path: str
+    found: Any  # "" where there is nothing to show
+    what: str
+    remedy: str
+
+
+def mistakes(refused: ValidationError, model: type[BaseModel]) -> list[Mistake]:
+    """Return the mistakes that made a model refuse its input."""
+    schema = model.model_json_schema()
+    return [_mistake(error, schema) for error in refused.errors(include_url=False)]
+
+
 def sentences(refused: ValidationError, source: str, model: type[BaseModel]) -> list[str]:
     """Return a sentence for each error of a model; `source` names the file or object that was to be read."""
-    schema = model.model_json_schema()
-    return [_sentence(error, source, schema) for error in refused.errors(include_url=False)]
+    return [_sentence(source, *mistake) for mistake in mistakes(refused, model)]
 
 
-def _sentence(error: ErrorDetails, source: str, schema: dict[str, Any]) -> str:
+def _sentence(source: str, path: str, found: Any, what: str, remedy: str) -> str:
+    value = "" if found == "" else f" ({_brief(found)})"
+    return f"{source}: {path or 'the scene'}{value} {what}; {remedy}"
+
+
+def _mistake(error: ErrorDetails, schema: dict[str, Any]) -> Mistake:
     context = error.get("ctx") or {}
     path = ".".join([*_keys(error["loc"], schema), context.get("path", "")]).strip(".")
     found = context.get("found") if error["type"] == "amrpic" else None
     found = error["input"] if found is None else found
     if error["type"] == "amrpic":
-        what, remedy = context["what"], context["remedy"]
-    else:
-        what, remedy, found = _pydantic(error, path, found)
-    value = "" if found == "" else f" ({_brief(found)})"
-    return f"{source}: {path or 'the scene'}{value} {what}; {remedy}"
+        return Mistake(path, found, context["what"], context["remedy"])
+    what, remedy, found = _pydantic(error, path, found)
+    return Mistake(path, found, what, remedy)
 
 
 def _keys(place: tuple[str | int, ...], schema: dict[str, Any]) -> Iterator[str]:

@@ -24,7 +24,7 @@ from .particles import ParticlesSection
 from .refinement import Refinement, StaticBox, StaticRule, every_rule
 from .schedule import Schedule
 from .section import Section
-from .solver_options import Solver
+from .solver_options import SolverSection
 
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
 
@@ -63,7 +63,7 @@ class Scene(Section):
     ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
     refinement: Refinement = Refinement()
     particles: ParticlesSection = ParticlesSection()
-    solver: Solver = Solver()
+    solver: SolverSection = SolverSection()
     motion: Annotated[NoMotion | Leapfrog | RandomWalk, Field(discriminator="kind")] = NoMotion()
     schedule: Schedule = Schedule()
     output: Output = Output()

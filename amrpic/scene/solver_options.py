@@ -1,11 +1,15 @@
-"""The solver's menu: the names of its choices, and which of them do not go together."""
+"""The options of the Poisson solver: one model for the scene's section [solver], `PoissonSolver` and the native side.
+
+An option is added here, with its default, description and checks, and under the same name in native/solver/options.hpp and
+its binding. `native_values` says where the two differ.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, NoReturn, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from .complaints import complaint
 from .section import Section
@@ -32,103 +36,32 @@ Krylov = Literal["none", "fgmres", "bicgstab"]
 # Laplacian best; the library's orders are best left as they are.
 RELAXATION = {"red-black": 1.28, "jacobi": 6 / 7, "gauss-seidel": 1.0, "symmetric-gauss-seidel": 1.0, "chebyshev": 1.0}
 
-
 LARGEST_STRETCH = 1e9  # far beyond the Lorentz factor of any bunch
+SMALLEST = 1e-12  # tolerance that ends a solve to the discretization error, where the mesh makes none
+MOST_LEVELS = 100  # multigrid levels below the base: more than any number of cells allows
+
+# Of these the matrix-free backend has the default alone.
+OF_COMPRESSED_ROWS = ("smoother", "prolongation", "coarse_levels", "bottom", "bottom_preconditioner", "krylov")
 
 
-class Refusal(NamedTuple):
-    """Why an option does not go with the others."""
-
-    option: str
-    found: object
-    what: str
-    remedy: str
-
-
-def refusal(
-    smoother: str,
-    relaxation: float | None,
-    sweeps: Sequence[int],
-    bottom: str,
-    bottom_preconditioner: str | None,
-) -> Refusal | None:
-    """Return why these choices do not go together, or None."""
-    if relaxation is not None and smoother == "chebyshev":
-        return Refusal(
-            "relaxation", relaxation, "has no meaning for chebyshev, whose polynomial has no factor", "leave it out"
-        )
-    if relaxation is not None and smoother == "jacobi" and relaxation > 1:
-        return Refusal("relaxation", relaxation, "makes jacobi diverge", "give a number up to 1, best about 0.86")
-    if min(sweeps) < 0 or sum(sweeps) == 0:
-        return Refusal(
-            "sweeps",
-            tuple(sweeps),
-            "leaves nothing to smooth with",
-            "give two numbers, before and after, at least one of them positive",
-        )
-    aggregates = bottom_preconditioner is None or bottom_preconditioner.endswith("aggregation")
-    if bottom == "direct" and bottom_preconditioner is not None:
-        return Refusal(
-            "bottom_preconditioner",
-            bottom_preconditioner,
-            "has nothing to do in a direct solve",
-            'leave it out, or set bottom to "gmres"',
-        )
-    if bottom == "multigrid" and not aggregates:
-        return Refusal(
-            "bottom_preconditioner",
-            bottom_preconditioner,
-            "is no multigrid, which is to stand alone",
-            "use smoothed-aggregation, plain-aggregation or brick-aggregation",
-        )
-    return None
-
-
-# What the matrix-free backend has one of, and which.
-MATRIX_FREE = {
-    "smoother": "red-black",
-    "prolongation": "trilinear",
-    "coarse_levels": None,
-    "bottom": "gmres",
-    "bottom_preconditioner": None,
-    "krylov": "none",
-}
-
-
-def backend_refusal(backend: str, choices: Mapping[str, object]) -> Refusal | None:
-    """Return which of the choices the backend does not offer, or None."""
-    if backend == "crs":
-        return None
-    for option, only in MATRIX_FREE.items():
-        if choices[option] != only:
-            what = "is a choice of the backend of compressed rows alone"
-            return Refusal(option, choices[option], what, 'leave it out, or set backend to "crs"')
-    return None
-
-
-def both(sweeps: int | Sequence[int]) -> Sequence[int]:
+def _both(sweeps: int | Sequence[int]) -> Sequence[int]:
     """Return the sweeps before and after: one number stands for both."""
-    return (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
-
-
-def stopping_refusal(tolerance: float | str, krylov: str) -> Refusal | None:
-    """Return why this tolerance does not go with this acceleration, or None."""
-    if tolerance != "discretization" or krylov == "none":
-        return None
-    what = 'does not tell how much error is left, as tolerance "discretization" must know'
-    return Refusal("krylov", krylov, what, 'use "none", or a number as tolerance')
+    both = (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
+    if not isinstance(both, Sequence) or len(both) != 2:
+        raise complaint("is neither one number nor two", "give one number, or two, before and after")
+    return both
 
 
 def _tolerance(value: Any) -> float | str:
-    """The tolerance of a solve as it is, if it is one; a complaint otherwise."""
+    """Return the tolerance of a solve as it is; a complaint if it is none."""
     if value == "discretization":
         return "discretization"
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < 1:
         raise complaint("is no tolerance", 'give a number between 0 and 1, or "discretization"')
     return float(value)
 
 
-class Solver(Section):
+class SolverOptions(Section):
     """How Poisson's equation is solved."""
 
     tolerance: Annotated[
@@ -157,6 +90,10 @@ class Solver(Section):
         "smallest. crs: compressed rows (Tpetra's matrices), with the whole menu of smoothers, prolongation, coarse_levels, "
         "bottoms and krylov, which matrix-free does not have.",
     )
+    kernels: Kernels = Field(
+        default="tuned",
+        description="Loops of the matrix-free backend: tuned for vector registers, or portable (Kokkos), slower.",
+    )
     smoother: Smoother = Field(
         default="red-black",
         description="What damps the errors of a level. red-black (over-relaxed Gauss-Seidel) is the fastest measured, and the "
@@ -171,7 +108,7 @@ class Solver(Section):
         "Red-black takes it on refined levels of cubes; from the base down it takes 0.7, and where cells are long or flat "
         "0.55, of what lies beyond 1. Refused for chebyshev, which has none.",
     )
-    sweeps: Annotated[tuple[int, int], BeforeValidator(both, json_schema_input_type=int | tuple[int, int])] = Field(
+    sweeps: Annotated[tuple[int, int], BeforeValidator(_both, json_schema_input_type=int | tuple[int, int])] = Field(
         default=(2, 2),
         description="Smoothing sweeps before, and after, the coarse correction: one number for both, or two. For chebyshev "
         "the degree of its polynomial.",
@@ -206,26 +143,66 @@ class Solver(Section):
         description="Krylov acceleration over all levels, with the cycle as its preconditioner: flexible GMRES or BiCGStab. "
         "Without it is faster wherever the cycle converges well.",
     )
-    max_cycles: int = Field(default=50, ge=1, description="Cycles after which a solve is given up as unconverged.")
+    max_cycles: int = Field(default=100, ge=1, description="Cycles after which a solve is given up as unconverged.")
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        if self.relaxation is not None and self.smoother == "chebyshev":
+            self._refuse("relaxation", "has no meaning for chebyshev, whose polynomial has no factor", "leave it out")
+        if self.relaxation is not None and self.smoother == "jacobi" and self.relaxation > 1:
+            self._refuse("relaxation", "makes jacobi diverge", "give a number up to 1, best about 0.86")
+        if min(self.sweeps) < 0 or sum(self.sweeps) == 0:
+            remedy = "give two numbers, before and after, at least one of them positive"
+            self._refuse("sweeps", "leaves nothing to smooth with", remedy)
+        if self.bottom == "direct" and self.bottom_preconditioner is not None:
+            remedy = 'leave it out, or set bottom to "gmres"'
+            self._refuse("bottom_preconditioner", "has nothing to do in a direct solve", remedy)
+        aggregates = self.bottom_preconditioner is None or self.bottom_preconditioner.endswith("aggregation")
+        if self.bottom == "multigrid" and not aggregates:
+            remedy = "use smoothed-aggregation, plain-aggregation or brick-aggregation"
+            self._refuse("bottom_preconditioner", "is no multigrid, which is to stand alone", remedy)
+        if self.tolerance == "discretization" and self.krylov != "none":
+            what = 'does not tell how much error is left, as tolerance "discretization" must know'
+            self._refuse("krylov", what, 'use "none", or a number as tolerance')
+        for option in OF_COMPRESSED_ROWS if self.backend == "matrix-free" else ():
+            if getattr(self, option) != type(self).model_fields[option].default:
+                what = "is a choice of the backend of compressed rows alone"
+                self._refuse(option, what, 'leave it out, or set backend to "crs"')
+        for axis, factor in enumerate(self.stretch):
+            if not 0 < factor < LARGEST_STRETCH:
+                remedy = f"give a factor above 0, below {LARGEST_STRETCH:g}"
+                raise complaint("is no stretch", remedy, path=f"stretch.{axis}", found=factor)
+        return self
+
+    def _refuse(self, option: str, what: str, remedy: str) -> NoReturn:
+        raise complaint(what, remedy, path=option, found=getattr(self, option))
+
+    def native_values(self) -> dict[str, Any]:
+        """Return the options by their names in the native struct; those that it has its own default for are left out."""
+        values = {name: getattr(self, name) for name in SolverOptions.model_fields}
+        values["pre_sweeps"], values["post_sweeps"] = values.pop("sweeps")
+        values["to_discretisation"] = self.tolerance == "discretization"
+        if self.tolerance == "discretization":
+            values["tolerance"] = SMALLEST
+        if self.relaxation is None:
+            values["relaxation"] = RELAXATION[self.smoother]
+        if self.coarse_levels is not None:
+            values["coarse_levels"] = min(self.coarse_levels, MOST_LEVELS)
+        return {name: value for name, value in values.items() if value is not None}
+
+
+class SolverSection(SolverOptions):
+    """How Poisson's equation is solved."""
+
     reuse: bool = Field(
         default=True,
         description="Keep the operators of levels that a regrid leaves alone, the set-up of the bottom, and the tables of open "
         "walls.",
     )
 
-    @model_validator(mode="after")
-    def _goes_together(self) -> Self:
-        wrong = refusal(self.smoother, self.relaxation, self.sweeps, self.bottom, self.bottom_preconditioner)
-        wrong = wrong or stopping_refusal(self.tolerance, self.krylov)
-        wrong = wrong or backend_refusal(self.backend, {name: getattr(self, name) for name in MATRIX_FREE})
-        if wrong:
-            raise complaint(wrong.what, wrong.remedy, path=wrong.option, found=wrong.found)
-        return self
-
-    @model_validator(mode="after")
-    def _positive_stretch(self) -> Self:
-        for axis, factor in enumerate(self.stretch):
-            if not 0 < factor < LARGEST_STRETCH:
-                remedy = f"give a factor above 0, below {LARGEST_STRETCH:g}"
-                raise complaint("is no stretch", remedy, path=f"stretch.{axis}", found=factor)
-        return self
+    @field_validator("tolerance")
+    @classmethod
+    def _positive(cls, value: float | str) -> float | str:
+        if value == 0:  # a run would spend most of its cycles on rounding errors
+            raise complaint("is no tolerance", 'give a number between 0 and 1, or "discretization"')
+        return value

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
+from pydantic import ValidationError
 from scipy import sparse
 
 from .. import _native
@@ -15,10 +16,10 @@ from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import together
-from ..scene import solver_options
+from ..scene.complaints import mistakes
+from ..scene.solver_options import SolverOptions
 
 COVERED = ("mean", "difference")
-SMALLEST = 1e-12  # tolerance that ends a solve to the discretization error, where the mesh makes none
 DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
 
 
@@ -50,8 +51,10 @@ class PoissonSolver:
     coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of
     boxes, by `kernels` "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs"
     holds the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
-    `coarse_levels`, `bottom` methods and `krylov` accelerations. `amrpic.scene.solver_options` describes each choice. `reuse`
-    is the `base_setup` of the solver of an earlier hierarchy on the same domain.
+    `coarse_levels`, `bottom` methods and `krylov` accelerations. `reuse` is the `base_setup` of the solver of an earlier
+    hierarchy on the same domain.
+
+    `SolverOptions` describes each of these choices, which are its fields; `options` gives all of them as one.
 
     Raises SolverError for an option out of range, or one that does not go with the others or the hierarchy.
     """
@@ -59,104 +62,32 @@ class PoissonSolver:
     def __init__(
         self,
         hierarchy: Hierarchy,
-        tolerance: float | Literal["discretization"] = 1e-10,
-        norm: str = "max",
-        backend: str = "matrix-free",
+        tolerance: float | Literal["discretization"] | None = None,
+        norm: str | None = None,
+        backend: str | None = None,
         *,
-        kernels: str = "tuned",
-        absolute_tolerance: float = 0.0,
-        smoother: str = "red-black",
-        relaxation: float | None = None,
-        sweeps: int | Sequence[int] = 2,
-        prolongation: str = "trilinear",
-        coarse_levels: int | None = None,
-        bottom: str = "gmres",
-        bottom_preconditioner: str | None = None,
-        krylov: str = "none",
-        max_cycles: int = 100,
+        options: SolverOptions | None = None,
         background: str | None = None,
-        stretch: Sequence[float] = (1.0, 1.0, 1.0),
         reuse: BaseSetup | None = None,
+        **choices: Any,
     ) -> None:
-        _one_of("norm", norm, get_args(solver_options.Norm))
-        _one_of("backend", backend, get_args(solver_options.Backend))
-        _one_of("kernels", kernels, get_args(solver_options.Kernels))
-        _one_of("smoother", smoother, get_args(solver_options.Smoother))
-        _one_of("prolongation", prolongation, get_args(solver_options.Prolongation))
-        _one_of("bottom", bottom, get_args(solver_options.Bottom))
-        if bottom_preconditioner is not None:
-            _one_of("bottom_preconditioner", bottom_preconditioner, get_args(solver_options.BottomPreconditioner))
-        _one_of("krylov", krylov, get_args(solver_options.Krylov))
+        named = {"tolerance": tolerance, "norm": norm, "backend": backend}
+        self.options = _options(options, {**{k: v for k, v in named.items() if v is not None}, **choices})
         if background is not None:
             _one_of("background", background, ("neutralizing",))
-        to_discretization = tolerance == "discretization"
-        stopping = solver_options.stopping_refusal(tolerance, krylov)
-        if to_discretization:
-            tolerance = SMALLEST
-        if isinstance(tolerance, str) or not 0 <= tolerance < 1:
-            raise SolverError(
-                f'tolerance is {tolerance!r}; give a number from 0 up to, not including, 1, or "discretization"'
-            )
-        if not 0 <= absolute_tolerance < np.inf:
-            raise SolverError(f"absolute_tolerance is {absolute_tolerance} V/m²; give zero or a finite positive number")
-        before_and_after = tuple(solver_options.both(sweeps))
-        if len(before_and_after) != 2:
-            raise SolverError(f"sweeps is {before_and_after}; give one number, or two, before and after")
-        if relaxation is not None and not 0 < relaxation < 2:
-            raise SolverError(f"relaxation is {relaxation}; give a number between 0 and 2")
-        if max_cycles < 1:
-            raise SolverError(f"max_cycles is {max_cycles}; give at least 1")
-        if len(stretch) != 3 or not all(0 < s < solver_options.LARGEST_STRETCH for s in stretch):
-            raise SolverError(
-                f"stretch is {tuple(stretch)}; give three positive numbers below {solver_options.LARGEST_STRETCH:g}"
-            )
-        if coarse_levels is not None and coarse_levels < 0:
-            raise SolverError(f"coarse_levels is {coarse_levels}; give zero or a positive number")
-        wrong = (
-            solver_options.refusal(smoother, relaxation, before_and_after, bottom, bottom_preconditioner) or stopping
-        )
-        choices = {
-            "smoother": smoother,
-            "prolongation": prolongation,
-            "coarse_levels": coarse_levels,
-            "bottom": bottom,
-            "bottom_preconditioner": bottom_preconditioner,
-            "krylov": krylov,
-        }
-        wrong = wrong or solver_options.backend_refusal(backend, choices)
-        if wrong:
-            raise SolverError(f"{wrong.option} is {wrong.found!r}, which {wrong.what}; {wrong.remedy}")
-        options = _native.SolverOptions()
-        options.backend = _choice(_native.Backend, backend)
-        options.kernels = _choice(_native.Kernels, kernels)
-        options.tolerance = tolerance
-        options.to_discretisation = to_discretization
-        options.absolute_tolerance = absolute_tolerance
-        options.norm = getattr(_native.Norm, norm)
-        options.smoother = _choice(_native.Smoother, smoother)
-        options.pre_sweeps, options.post_sweeps = before_and_after
-        options.relaxation = solver_options.RELAXATION[smoother] if relaxation is None else relaxation
-        options.prolongation = getattr(_native.Prolongation, prolongation)
-        if coarse_levels is not None:
-            options.coarse_levels = min(coarse_levels, 100)  # more than any number of cells allows
-        options.bottom = _choice(_native.Bottom, bottom)
-        if bottom_preconditioner is not None:
-            options.bottom_preconditioner = _choice(_native.BottomPreconditioner, bottom_preconditioner)
-        options.krylov = _choice(_native.Krylov, krylov)
-        options.max_cycles = int(max_cycles)
-        options.neutralize = background is not None
-        options.stretch = self.stretch = tuple(float(s) for s in stretch)
-        self._base = hierarchy.comm, hierarchy.domain, bottom, bottom_preconditioner, self.stretch
+        self.hierarchy = hierarchy
+        chosen = self.options
+        self._base = hierarchy.comm, hierarchy.domain, chosen.bottom, chosen.bottom_preconditioner, chosen.stretch
         if reuse is not None and reuse.base != self._base:
             raise SolverError(
                 "reuse comes from a solver of another domain, stretch or bottom; make this one without it"
             )
-        self.hierarchy = hierarchy
         self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
+        native = native_options(chosen)
+        native.neutralize = background is not None
+        kept = reuse.native if reuse is not None else _native.Reusable()
         try:
-            self.native = _native.PoissonSolver(
-                hierarchy.native, options, reuse.native if reuse is not None else _native.Reusable()
-            )
+            self.native = _native.PoissonSolver(hierarchy.native, native, kept)
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
 
@@ -249,7 +180,7 @@ class PoissonSolver:
                     faces = kinds == kind
                     data[faces] = 0.0 if function is None else function(*points[faces].T)
                 # the native side works in stretched coordinates
-                data[kinds == NEUMANN] /= np.array(self.stretch)[axes[kinds == NEUMANN]]
+                data[kinds == NEUMANN] /= np.array(self.options.stretch)[axes[kinds == NEUMANN]]
         self._walls = values, flux
 
 
@@ -261,9 +192,34 @@ class BaseSetup:
     native: _native.Reusable
 
 
-def _choice(kind: Any, name: str) -> Any:
-    """Return the member of a native enumeration."""
-    return getattr(kind, name.replace("-", "_"))
+def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> SolverOptions:
+    """Return the options that are given as a whole or one by one. Raises SolverError."""
+    if options is not None:
+        if choices:
+            raise SolverError(f"options are given as well as {', '.join(choices)}; keep one of the two")
+        return options
+    try:
+        return SolverOptions(**{name: _plain(value) for name, value in choices.items()})
+    except ValidationError as refused:
+        path, found, what, remedy = mistakes(refused, SolverOptions)[0]
+        raise SolverError(f"{path} is {found!r}, which {what}; {remedy}") from None
+
+
+def _plain(value: Any) -> Any:
+    """Return a value without NumPy's types, which the model does not take for numbers."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
+
+
+def native_options(options: SolverOptions) -> _native.SolverOptions:
+    """Return the options as the native struct; the names of choices become members of its enumerations."""
+    native = _native.SolverOptions()
+    for name, value in options.native_values().items():
+        if isinstance(value, str):
+            value = getattr(type(getattr(native, name)), value.replace("-", "_"))
+        setattr(native, name, value)
+    return native
 
 
 def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:

@@ -10,10 +10,13 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+from amrpic import _native
 from amrpic.errors import SceneError, SolverError
 from amrpic.mesh.domain import BoundarySpec
 from amrpic.scene import solver_options
-from amrpic.stages.poisson import PoissonSolver
+from amrpic.scene.scene import Scene
+from amrpic.scene.solver_options import SolverOptions
+from amrpic.stages.poisson import PoissonSolver, native_options
 from exact import STATIC, solve_static, static_hierarchy
 
 POINTS = np.random.default_rng(2).uniform(0.01, 0.99, (500, 3))
@@ -157,18 +160,20 @@ def test_the_base_set_up_lasts_while_refined_levels_change(comm):
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        ({"smoother": "sor"}, "smoother is 'sor'; use one of red-black, jacobi"),
+        ({"smoother": "sor"}, "smoother is 'sor', which is not one of the choices; use one of red-black, jacobi"),
         ({"smoother": "chebyshev", "relaxation": 0.8}, "relaxation is 0.8, which has no meaning for chebyshev"),
         ({"smoother": "jacobi", "relaxation": 1.2}, "relaxation is 1.2, which makes jacobi diverge"),
         ({"sweeps": (0, 0)}, r"sweeps is \(0, 0\), which leaves nothing to smooth with"),
-        ({"sweeps": (1, 2, 3)}, r"sweeps is \(1, 2, 3\); give one number, or two"),
+        ({"sweeps": (1, 2, 3)}, r"sweeps is \(1, 2, 3\), which is neither one number nor two; give one number, or two"),
         ({"bottom": "magic"}, "bottom is 'magic'"),
         ({"bottom": "direct", "bottom_preconditioner": "ilu"}, "'ilu', which has nothing to do in a direct solve"),
         ({"bottom": "multigrid", "bottom_preconditioner": "jacobi"}, "'jacobi', which is no multigrid"),
         ({"bottom_preconditioner": "magic"}, "bottom_preconditioner is 'magic'"),
         ({"krylov": "cg"}, "krylov is 'cg'"),
         ({"coarse_levels": -1}, "coarse_levels is -1"),
-        ({"absolute_tolerance": -1}, "absolute_tolerance is -1 V/m²"),
+        ({"smother": "jacobi"}, "smother is 'jacobi', which is an unknown key; did you mean \"smoother\""),
+        ({"options": SolverOptions(), "sweeps": 1}, "options are given as well as sweeps; keep one of the two"),
+        ({"absolute_tolerance": -1}, "absolute_tolerance is -1, which is not greater than or equal to 0"),
     ],
 )
 def test_choices_that_mean_nothing_are_refused(options, complaint):
@@ -192,6 +197,25 @@ def test_scenes_refuse_them_in_the_same_words(solver, complaint):
     domain = {"lower": 0, "upper": 1, "cells": 16}
     with pytest.raises(SceneError, match=complaint):
         amrpic.Scene.from_dict({"domain": domain, "solver": solver})
+
+
+def test_defaults_are_the_same_in_scenes_in_python_and_in_the_native_struct():
+    scene = Scene.from_dict({"domain": {"lower": 0, "upper": 1, "cells": 16}})
+    assert dict(scene.solver) == {**dict(SolverOptions()), "reuse": True}
+    ours, its_own = native_options(SolverOptions()), _native.SolverOptions()
+    for name in (name for name in dir(its_own) if not name.startswith("_")):
+        assert getattr(ours, name) == getattr(its_own, name), name
+
+
+def test_options_may_be_numbers_of_numpy():
+    given: dict[str, Any] = {
+        "sweeps": np.array([1, 3]),
+        "max_cycles": np.int64(7),
+        "relaxation": np.float32(1.5),
+        "stretch": np.ones(3),
+    }
+    solver = PoissonSolver(refined(MPI.COMM_SELF, "dirichlet"), **given)
+    assert solver.options == SolverOptions(sweeps=(1, 3), max_cycles=7, relaxation=1.5)
 
 
 def test_a_scene_hands_every_choice_to_the_solver():

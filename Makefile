@@ -35,7 +35,7 @@ test: setup  ## all tests, some files at a time; ARGS go to pytest
 # An old and a middling processor, as QEMU has them: the set that each gets, and a refined problem with a known potential.
 nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alone, emulated
 	@for kind in Nehalem:v2 Haswell:v3; do \
-	  mpiexec -n 1 qemu-x86_64 -cpu $${kind%:*} $(BIN)/python -W ignore -c "from mpi4py import MPI; from amrpic import doctor, isa; \
+	  mpiexec -n 1 qemu-x86_64 -cpu $${kind%:*} $(BIN)/python -W ignore -c "from mpi4py import MPI; from amrpic import isa; from amrpic.commands import doctor; \
 	assert isa.in_use == '$${kind#*:}', isa.in_use; print('$${kind%:*},', isa.description() + ':', doctor.solve_known(MPI.COMM_WORLD))" 2> >(grep -v 'TCG doesn.t support' >&2); \
 	done
 
@@ -48,12 +48,12 @@ nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alo
 # Another kind of processor: Debian's packages for it in a folder, the module cross-compiled, its Python under QEMU.
 ARM := build/aarch64
 ARM_PACKAGES := trilinos-all-dev,libopenmpi-dev,openmpi-bin,python3.11,libpython3.11-dev,libopenblas0-pthread
-ARM_TESTS ?= tests/test_poisson.py tests/test_matrixfree.py tests/test_composite.py tests/test_solver_oracle.py
+ARM_TESTS ?= tests/solver/test_poisson.py tests/solver/test_matrixfree.py tests/solver/test_composite.py tests/solver/test_solver_oracle.py
 aarch64: setup .venv/.qemu $(ARM)/.packages  ## cross-compile for 64-bit ARM and run the solver's tests there on one rank
 	@export AMRPIC_ARM64_ROOT=$(CURDIR)/$(ARM)/root; \
 	[ -e $(ARM)/native/build.ninja ] || cmake -S . -B $(ARM)/native -G Ninja -DCMAKE_TOOLCHAIN_FILE=cmake/aarch64.cmake -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python >/dev/null; \
 	nice ninja -C $(ARM)/native -j $(JOBS) --quiet
-	@ln -sfn $(CURDIR)/amrpic/* -t $(ARM)/packages/amrpic; cp tests/aarch64_python $(ARM)/python
+	@ln -sfn $(CURDIR)/amrpic/* -t $(ARM)/packages/amrpic; cp tests/support/aarch64_python $(ARM)/python
 	@for module in _native_baseline _processor; do cp $(ARM)/native/$$module*.so $(ARM)/packages/amrpic/$$module.so; done
 	$(ARM)/python -m pytest -p no:cacheprovider -k "not 2r and not 3r and not 4r" $(ARM_TESTS) $(ARGS)
 
@@ -74,9 +74,9 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
-	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/test_verify.py tests/test_decomposition.py \
-	  tests/test_kill_restart.py tests/test_memory.py tests/test_rounding_floor.py tests/test_invariance.py \
-	  tests/test_every_base.py tests/test_fuzz.py $(ARGS); \
+	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/verify/test_verify.py tests/run/test_decomposition.py \
+	  tests/run/test_kill_restart.py tests/run/test_memory.py tests/solver/test_rounding_floor.py tests/solver/test_invariance.py \
+	  tests/solver/test_every_base.py tests/solver/test_fuzz.py $(ARGS); \
 	exit $$failed
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
@@ -158,7 +158,7 @@ SANITIZED = env PYTHONPATH=$(CURDIR)/$(SANITIZE)/python \
   UBSAN_OPTIONS=print_stacktrace=1:halt_on_error=1
 # The history of residuals is that of the ordinary build, which fuses products and sums; and there is no pool to be tested.
 ONE_RANK := not 2r and not 3r and not 4r and not static_64_takes_six_cycles and not used_again and not idle_memory
-NATIVE_TESTS := $(patsubst %,tests/test_%.py,solver_oracle poisson matrixfree composite deposit particles clouds free_space)
+NATIVE_TESTS := $(foreach name,solver_oracle poisson matrixfree composite deposit particles clouds free_space,$(wildcard tests/*/test_$(name).py))
 
 sanitize: setup  ## tests of the native side under the address and undefined behaviour sanitizers
 	@mkdir -p $(SANITIZE)/python
@@ -166,11 +166,11 @@ sanitize: setup  ## tests of the native side under the address and undefined beh
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_CXX_FLAGS="$(SANITIZERS)" >/dev/null
 	@nice ninja -C $(SANITIZE) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }
 	@rm -rf $(SANITIZE)/python/amrpic && cp -r amrpic $(SANITIZE)/python/ && cp $(SANITIZE)/_native.*.so $(SANITIZE)/python/amrpic/
-	@cp tests/sanitized/sitecustomize.py $(SANITIZE)/python/
+	@cp tests/support/sanitized/sitecustomize.py $(SANITIZE)/python/
 	@$(SANITIZED) $(BIN)/python -c 'import amrpic._native as n; assert "$(SANITIZE)" in n.__file__, n.__file__'
 	@failed=0; \
 	$(SANITIZED) $(BIN)/python -m pytest -p no:cacheprovider -k "$(ONE_RANK)" $(NATIVE_TESTS) $(ARGS) || failed=1; \
-	$(SANITIZED) $(BIN)/python tests/fuzz.py --cases 60 --seed 1 --only-crashes || failed=1; \
+	$(SANITIZED) $(BIN)/python tests/support/fuzz.py --cases 60 --seed 1 --only-crashes || failed=1; \
 	exit $$failed
 
 solvers: setup  ## measure the solver's menu on 1 and 2 ranks and write docs/solvers.md

@@ -11,13 +11,15 @@ from . import _native
 _native.initialize()
 atexit.register(_native.finalize)
 
-from .field import Field, VectorField  # noqa: E402
-from .hierarchy import Domain, Hierarchy  # noqa: E402
-from .particles import Particles  # noqa: E402
-from .poisson import PoissonSolver, SolveReport  # noqa: E402
-from .scene import Scene  # noqa: E402
-from .simulation import Simulation  # noqa: E402
-from .species import Species, SpeciesTable  # noqa: E402
+from .mesh.domain import Domain  # noqa: E402
+from .mesh.field import Field, VectorField  # noqa: E402
+from .mesh.hierarchy import Hierarchy  # noqa: E402
+from .particles.particles import Particles  # noqa: E402
+from .particles.species import Species, SpeciesTable  # noqa: E402
+from .run.simulation import Simulation  # noqa: E402
+from .scene.scene import Scene  # noqa: E402
+from .scene.solver_options import SolverOptions  # noqa: E402
+from .stages.poisson import PoissonSolver, SolveReport  # noqa: E402
 
 __all__ = [
     "Domain",
@@ -28,6 +30,7 @@ __all__ = [
     "Scene",
     "Simulation",
     "SolveReport",
+    "SolverOptions",
     "Species",
     "SpeciesTable",
     "VectorField",

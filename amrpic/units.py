@@ -1,19 +1,8 @@
-"""Physical quantities as people write them: SI numbers, or strings such as "2.5 mm" and "100 pC"."""
+"""Constants of physics, the units that scenes know, and numbers with units as text."""
 
 from __future__ import annotations
 
-import math
-import re
-import sys
-from dataclasses import dataclass
-from decimal import Decimal
-from typing import Annotated, Any
-
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
-
 from . import _native
-from .errors import InputError
 
 # CODATA 2022; the charge and the speed of light are exact.
 ELEMENTARY_CHARGE = 1.602176634e-19  # C
@@ -73,67 +62,6 @@ UNITS: dict[str, dict[str, float]] = {
 
 PREFIXES = {1e9: "G", 1e6: "M", 1e3: "k", 1.0: "", 1e-3: "m", 1e-6: "µ", 1e-9: "n", 1e-12: "p", 1e-15: "f"}
 
-_NUMBER = r"[-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
-
-
-def complaint(what: str, remedy: str, *, path: str = "", found: Any = None) -> PydanticCustomError:
-    """Return a validation error that already knows its wording: what is wrong, and what to do about it.
-
-    `path` is relative to the section that is being validated; `found` replaces the value that pydantic would report.
-    """
-    # Braces in the message would be read as placeholders by pydantic, so the words travel as context.
-    return PydanticCustomError(
-        "amrpic", "{what}; {remedy}", {"what": what, "remedy": remedy, "path": path, "found": found}
-    )
-
-
-def to_si(value: Any, kind: str) -> float:
-    """Return `value` in the SI unit of `kind`; plain numbers are taken to be in that unit already."""
-    table = UNITS[kind]
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        raise complaint(f"is not a {kind}", f"write a number in {next(iter(table))} or a string {_example(kind)}")
-    if not isinstance(value, str):
-        return _finite(float(value) if abs(value) <= sys.float_info.max else math.inf, kind)  # an int has no limit
-    match = _QUANTITY.fullmatch(value)
-    number, unit = match.groups() if match else ("", "")
-    if not match or not unit:
-        raise complaint(
-            f"is not a {kind} with a unit", f"write a string {_example(kind)}, or a plain number in {next(iter(table))}"
-        )
-    if unit not in table:
-        raise complaint(f'has the unit "{unit}", which is not a {kind}', f"use one of {', '.join(table)}")
-    return _finite(_scaled(number, table[unit]), kind)
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """Annotation of a field that holds a quantity in SI units and accepts it with a unit."""
-
-    kind: str
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(lambda value: to_si(value, self.kind), handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        # The pattern constrains strings alone, limits constrain numbers alone.
-        units = "|".join(UNITS[self.kind]).replace("^", r"\^")
-        pattern = rf"^\s*{_NUMBER}\s*({units})\s*$"
-        unit = next(iter(UNITS[self.kind]))
-        return {**handler(schema), "type": ["number", "string"], "pattern": pattern, "unit": unit}
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Annotation of a triple: a single value stands for all three axes."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_before_validator_function(_spread, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        one = handler(schema)["prefixItems"][0]
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 3, "maxItems": 3}]}
-
 
 def prefix_of(largest: float) -> tuple[float, str]:
     """Return the SI prefix, as a factor and a letter, that brings the largest magnitude between 1 and 1000."""
@@ -149,76 +77,3 @@ def quantity(value: float, unit: str, like: float | None = None) -> str:
     # To a thousandth of what it is compared with: the centre of a cloud of particles is not known better.
     digits = 3 - len(f"{abs(value if like is None else like) / factor:.0f}")
     return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}".replace("-", "−")
-
-
-def to_seconds(text: str) -> float:
-    """Return a duration in s, written as "01:30:00", "90 min" or a number of seconds. Raises InputError."""
-    try:
-        if ":" in text:
-            return float(sum(int(part) * 60**power for power, part in enumerate(reversed(text.split(":")))))
-        return float(text) if re.fullmatch(r"[\d.]+", text) else to_si(text, "duration")
-    except (ValueError, PydanticCustomError):
-        raise InputError(
-            f'"{text}" is not a duration; write it as "01:30:00", "90 min" or a number of seconds'
-        ) from None
-
-
-def to_metres(text: str) -> float:
-    """Return a length in m, written as "2.5 mm" or a number of metres. Raises InputError."""
-    try:
-        return to_si(float(text) if re.fullmatch(_NUMBER, text) else text, "length")
-    except PydanticCustomError:
-        raise InputError(f'"{text}" is not a length; write it as "2.5 mm" or a number of metres') from None
-
-
-def _spread(value: Any) -> Any:
-    if isinstance(value, (int, float, str)):
-        return (value, value, value)
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise complaint("does not hold one value per axis", "write three values such as [x, y, z], or one for all axes")
-    return tuple(value)
-
-
-def _scaled(number: str, unit: float) -> float:
-    # In decimal, so that "28.28 mm" is the float nearest to 0.02828.
-    return float(Decimal(number) * Decimal(repr(unit)))
-
-
-def _finite(value: float, kind: str) -> float:
-    if not math.isfinite(value):
-        raise complaint(f"is not a finite {kind}", "write a finite number")
-    return value
-
-
-def _example(kind: str) -> str:
-    table = list(UNITS[kind])
-    return f'such as "2.5 {table[1] if len(table) > 1 else table[0]}"'
-
-
-Length = Annotated[float, Quantity("length")]
-Emittance = Annotated[float, Quantity("emittance")]
-Time = Annotated[float, Quantity("time")]
-Charge = Annotated[float, Quantity("charge")]
-Mass = Annotated[float, Quantity("mass")]
-Momentum = Annotated[float, Quantity("momentum")]
-Velocity = Annotated[float, Quantity("velocity")]
-ChargeDensity = Annotated[float, Quantity("charge density")]
-Potential = Annotated[float, Quantity("potential")]
-FieldStrength = Annotated[float, Quantity("field")]
-Length3 = Annotated[tuple[Length, Length, Length], Spread()]
-Momentum3 = Annotated[tuple[Momentum, Momentum, Momentum], Spread()]
-Velocity3 = Annotated[tuple[Velocity, Velocity, Velocity], Spread()]
-Index3 = Annotated[tuple[int, int, int], Spread()]
-
-#: Charge (C) and mass (kg) of one particle of the species that have a name.
-SPECIES: dict[str, tuple[float, float]] = {
-    "electron": (-ELEMENTARY_CHARGE, ELECTRON_MASS),
-    "positron": (ELEMENTARY_CHARGE, ELECTRON_MASS),
-    "proton": (ELEMENTARY_CHARGE, PROTON_MASS),
-    "antiproton": (-ELEMENTARY_CHARGE, PROTON_MASS),
-    "deuteron": (ELEMENTARY_CHARGE, DEUTERON_MASS),
-    "alpha": (2 * ELEMENTARY_CHARGE, ALPHA_MASS),
-    "H-": (-ELEMENTARY_CHARGE, PROTON_MASS + 2 * ELECTRON_MASS),
-}

@@ -18,7 +18,7 @@ from measuring import BACKENDS, Record, timed, write
 from mpi4py import MPI
 
 import amrpic
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from amrpic.verify.meshes import MESHES, Mesh, around
 
 TOLERANCE = 1e-11

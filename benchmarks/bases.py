@@ -20,7 +20,7 @@ from mpi4py import MPI
 from solving import FULL
 
 from amrpic.errors import AmrpicError
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 
 BASES = (72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251)
 SMOOTH = sorted({factor << k for factor in (1, 3) for k in range(3, 10)})

@@ -14,7 +14,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "build" / "compare"
-SOURCES = ("CMakeLists.txt", "native", "amrpic")
+SOURCES = ("CMakeLists.txt", "native", "amrpic", "benchmarks")
 VARIABLE = re.compile(r"@([A-Za-z_]\w*)=([^@]*)")
 
 
@@ -27,7 +27,13 @@ class Build:
     environment: dict[str, str] = field(default_factory=dict)
 
     def run(self, script: Path, *arguments: str) -> str:
-        """Return what a Python script prints that imports `amrpic` from this build. Raises CalledProcessError."""
+        """Return what a Python script prints that imports `amrpic` from this build. Raises CalledProcessError.
+
+        A build whose package has other folders than the present one runs the script of its own revision.
+        """
+        own = self.package.parent / "benchmarks" / script.name
+        if not (self.package / "amrpic" / "stages").exists() and own.exists():
+            script = own
         # -S: the present environment's own installation of amrpic would come first.
         command = [sys.executable, "-S", str(script), *arguments]
         path = os.pathsep.join([str(self.package), sysconfig.get_paths()["platlib"]])

@@ -22,7 +22,7 @@ from mpi4py import MPI
 from solving import FULL
 
 import amrpic
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from amrpic.verify.sources import EPS0
 
 GAMMAS = (10, 20, 50, 100)

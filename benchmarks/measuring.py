@@ -23,11 +23,12 @@ import numpy as np
 from mpi4py import MPI
 from sine import Yardstick
 
-from amrpic import _native, menu
-from amrpic.poisson import PoissonSolver
+from amrpic import _native
+from amrpic.scene import solver_options
+from amrpic.stages.poisson import PoissonSolver
 
 ROOT = Path(__file__).parents[1]
-BACKENDS = get_args(menu.Backend)
+BACKENDS = get_args(solver_options.Backend)
 BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
 CORE = "share of a core"
 ENVIRONMENT = {

@@ -20,12 +20,12 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic import _native
-from amrpic.follow import follow, make_base
-from amrpic.migrate import migrate
-from amrpic.particles import concatenate
-from amrpic.plan import Plan
-from amrpic.populate import make_bunches
-from amrpic.quantities import Quantities
+from amrpic.particles.particles import concatenate
+from amrpic.run.adapt import follow, make_base
+from amrpic.run.initial_particles import make_bunches
+from amrpic.run.particle_fields import Quantities
+from amrpic.run.plan import Plan
+from amrpic.stages.migrate import migrate
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

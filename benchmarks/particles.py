@@ -14,18 +14,18 @@ from measuring import Record, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
 
 import amrpic
-from amrpic.clouds import SHAPES, Clouds, Shape
-from amrpic.deposit import deposit
-from amrpic.diagnostics import moments
-from amrpic.gather import gather
-from amrpic.hierarchy import Hierarchy
-from amrpic.migrate import migrate
-from amrpic.particles import Particles
-from amrpic.push import push
-from amrpic.species import Species, SpeciesTable
+from amrpic.mesh.hierarchy import Hierarchy
+from amrpic.particles.clouds import SHAPES, Clouds, Shape
+from amrpic.particles.particles import Particles
+from amrpic.particles.species import SPECIES, SpeciesTable
+from amrpic.stages.deposit import deposit
+from amrpic.stages.diagnostics import moments
+from amrpic.stages.gather import gather
+from amrpic.stages.migrate import migrate
+from amrpic.stages.push import push
 
 Result = TypeVar("Result")
-ELECTRON = SpeciesTable((Species.model_validate("electron"),))
+ELECTRON = SpeciesTable((SPECIES["electron"],))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
 STAGES = ("deposit", "field", "gather", "gather+push", "migrate", "moments")

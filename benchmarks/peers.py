@@ -25,7 +25,7 @@ from mpi4py import MPI
 from scipy import sparse
 from sine import by_sine_transform, inverse_eigenvalues
 
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 from amrpic.verify.sources import EPS0
 
 HERE = Path(__file__).parent

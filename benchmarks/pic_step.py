@@ -20,9 +20,9 @@ from statistics import median
 from measuring import BACKEND, BACKENDS, Record, slowest, timed, work_unit, write
 from mpi4py import MPI
 
-from amrpic.plan import Plan
-from amrpic.scene import Scene
-from amrpic.step import advance, begin
+from amrpic.run.plan import Plan
+from amrpic.run.step import advance, begin
+from amrpic.scene.scene import Scene
 
 HERE = Path(__file__).parent
 RELATIVE_TOLERANCE = 1e-7  # of the solve in every step; ImpactX's own default

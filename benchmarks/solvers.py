@@ -24,11 +24,11 @@ from measuring import ENVIRONMENT, ROOT, work_unit
 from mpi4py import MPI
 
 import amrpic
-from amrpic import menu
 from amrpic.errors import SolverError
-from amrpic.plan import Plan
-from amrpic.poisson import BaseSetup, PoissonSolver
-from amrpic.step import begin
+from amrpic.run.plan import Plan
+from amrpic.run.step import begin
+from amrpic.scene import solver_options
+from amrpic.stages.poisson import BaseSetup, PoissonSolver
 
 sys.path.insert(0, str(ROOT / "tests"))
 from exact import EPS0, STATIC, static_hierarchy
@@ -103,7 +103,7 @@ def all_rows() -> Iterator[tuple[str, list[Options]]]:
     """Yield the groups of the table: what is varied, and the options of each row."""
     yield "default", [{}]
     yield "backend", [{"backend": "matrix-free"}]
-    yield "smoother", [{"smoother": name} for name in get_args(menu.Smoother)[1:]]
+    yield "smoother", [{"smoother": name} for name in get_args(solver_options.Smoother)[1:]]
     yield (
         "sweeps",
         [
@@ -124,9 +124,9 @@ def all_rows() -> Iterator[tuple[str, list[Options]]]:
     yield "prolongation", [{"prolongation": "constant"}, {"prolongation": "constant", "sweeps": (4, 4)}]
     yield (
         "krylov",
-        [{"krylov": name, **more} for more in ({}, {"sweeps": (1, 1)}) for name in get_args(menu.Krylov)[1:]],
+        [{"krylov": name, **more} for more in ({}, {"sweeps": (1, 1)}) for name in get_args(solver_options.Krylov)[1:]],
     )
-    kinds = list(get_args(menu.BottomPreconditioner))
+    kinds = list(get_args(solver_options.BottomPreconditioner))
     aggregation = [kind for kind in kinds if kind.endswith("aggregation")]
     bottoms: list[Options] = [
         {},

@@ -31,8 +31,8 @@ from measuring import (
 from mpi4py import MPI
 
 import amrpic
-from amrpic.poisson import PoissonSolver
-from amrpic.regrid import Regridding, carry_over, regrid
+from amrpic.stages.poisson import PoissonSolver
+from amrpic.stages.regrid import Regridding, carry_over, regrid
 from amrpic.verify.errors import errors
 
 FULL = 1e-10

@@ -19,7 +19,7 @@ from mpi4py import MPI
 from sine import Yardstick
 from solving import FULL, follower
 
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 
 Work = Callable[[], object]
 CLOCKS: dict[str, Callable[[], float]] = {"cpu": time.process_time, "wall": time.perf_counter}

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from open_boundary import density
 
 import amrpic
-from amrpic.poisson import PoissonSolver
+from amrpic.stages.poisson import PoissonSolver
 
 TOLERANCE = 1e-10
 WALLS = ("dirichlet", "open")

@@ -1,6 +1,6 @@
-"""Who may know whom: the dependency graphs of the native folders and of the Python modules.
+"""Who may know whom: the order of the native folders and of the packages of `amrpic`.
 
-Stages are functions from values to a value and do not know each other; only the step puts them in order.
+Each Python module imports from below only. Stages are functions from values to a value and do not know each other.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -37,83 +38,26 @@ CONFINED = {
     r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
 }
 
-# ---- Python: module -> groups and modules it may import; a folder counts as one module ----
-GROUPS = {
-    "common": {
-        "boxes",
-        "distributions",
-        "errors",
-        "failure",
-        "menu",
-        "parallel",
-        "phase_space",
-        "sampling",
-        "stop",
-        "units",
-    },
-    "native": {"_native", "_processor", "isa"},
-    "values": {"clouds", "hierarchy", "field", "particles", "scene"},
-    "scene parts": {
-        "bunch_data",
-        "bunch_shapes",
-        "bunches",
-        "complaints",
-        "expression",
-        "limits",
-        "memory",
-        "refinement",
-        "schema",
-        "section",
-        "species",
-        "toml",
-        "walls",
-    },
-    "stages": {"beam", "tag", "regrid", "migrate", "deposit", "poisson", "gather", "push"},
-    "reductions": {"diagnostics"},
-    "output": {"io", "plot", "raster", "report"},
-    "order": {
-        "step",
-        "follow",
-        "plan",
-        "populate",
-        "preview",
-        "quantities",
-        "record",
-        "resume",
-        "rules",
-        "simulation",
-    },  # compose stages and output
-    "machine": {"doctor"},
-    "study": {"scaling"},  # of whole steps, each in a run of its own
-    "proof": {"verify"},
-    "surface": {"cli", "__init__", "__main__"},
-}
-IMPORTS = {
-    "common": {"common", "native"},
-    "native": {"native"},
-    "values": {"common", "native", "values", "scene parts"},
-    "scene parts": {"common", "scene parts", "scene"},
-    "stages": {"common", "native", "values", "species"},
-    "reductions": {"common", "native", "values"},
-    "output": {"common", "native", "values", "scene parts", "reductions", "output"},
-    "order": {"common", "native", "values", "scene parts", "stages", "reductions", "output", "order"},
-    "machine": {"common", "native", "values", "poisson"},
-    "study": {"common", "values", "order"},
-    "proof": {"common", "native", "values", "scene parts", "stages", "reductions", "order", "proof"},
-    "surface": {
-        "common",
-        "native",
-        "values",
-        "scene parts",
-        "stages",
-        "reductions",
-        "output",
-        "order",
-        "machine",
-        "proof",
-        "study",
-    },
-}
+# ---- Python: modules and packages of `amrpic` from the bottom to the top; each may import those before it ----
+ORDER = (
+    "errors",
+    "_processor",
+    "isa",
+    "_native",
+    "units",
+    "parallel",
+    "mesh",
+    "particles",
+    "scene",
+    "stages",
+    "io",
+    "view",
+    "run",
+    "__init__",
+    "verify",
+    "commands",
+)
+APART = ("stages",)  # packages whose modules do not import each other
 
 
 def native_files() -> list[Path]:
@@ -134,52 +78,43 @@ def forbidden_includes(folder: str, text: str) -> set[str]:
     return {other for other in included(text) if other != folder and other not in NATIVE[folder]}
 
 
-def group_of(module: str) -> str:
-    """The group of a module of the package; one that has none must be given its place above."""
-    found = [group for group, modules in GROUPS.items() if module in modules]
-    assert found, f"amrpic/{module} has no place in the dependency graph; give it one in {Path(__file__).name}"
-    return found[0]
+def module_of(path: Path) -> tuple[str, ...]:
+    """The module that a file of the package is, as its name in parts; a package is its `__init__`."""
+    return path.relative_to(ROOT / "amrpic").with_suffix("").parts
 
 
-def module_of(path: Path) -> str:
-    """The module, or the folder, that a file of the package belongs to."""
-    return path.relative_to(ROOT / "amrpic").parts[0].removesuffix(".py")
+MODULES = {module_of(path) for path in python_files()} | {("_processor",)}
 
 
-def imported(text: str, depth: int) -> set[str]:
-    """Modules of the package that a source imports anywhere in it; it lies `depth` folders below the package."""
-    found: set[str] = set()
+def imported(module: tuple[str, ...], text: str) -> set[tuple[str, ...]]:
+    """Modules of the package that the source of a module imports anywhere in it."""
+    found: set[tuple[str, ...]] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            names = [alias.name.split(".") for alias in node.names]
-            found |= {(name[1:] or ["__init__"])[0] for name in names if name[0] == "amrpic"}
+            names = [tuple(alias.name.split(".")) for alias in node.names]
+            found |= {resolved(name[1:]) for name in names if name[0] == "amrpic"}
         elif isinstance(node, ast.ImportFrom):
-            found |= imported_from(node, depth)
-    return found
+            path = tuple(node.module.split(".")) if node.module else ()
+            if node.level == 0 and path[:1] != ("amrpic",):
+                continue
+            start = module[: len(module) - node.level] + path if node.level else path[1:]
+            found |= {resolved((*start, alias.name)) for alias in node.names}
+    return found - {module}
 
 
-def imported_from(node: ast.ImportFrom, depth: int) -> set[str]:
-    """Modules of the package that one `from` line imports."""
-    name = node.module.split(".") if node.module else []
-    if node.level == 0:
-        if name[0] != "amrpic":
-            return set()
-        name = name[1:]
-    elif node.level <= depth:
-        return set()  # within its own folder
-    return {name[0]} if name else {package_name(alias.name) for alias in node.names}
+def resolved(name: tuple[str, ...]) -> tuple[str, ...]:
+    """The module that a dotted name lies in; its last part may be something that the module defines."""
+    candidates = (name, (*name, "__init__"), name[:-1], (*name[:-1], "__init__"))
+    return next(candidate for candidate in candidates if candidate in MODULES)
 
 
-def package_name(name: str) -> str:
-    """What `from . import name` depends on: a module, or else the package's own surface."""
-    return name if any(name in modules for modules in GROUPS.values()) else "__init__"
-
-
-def forbidden_imports(module: str, text: str, depth: int = 0) -> set[str]:
-    """Modules that a source of `module` imports and may not."""
-    allowed = IMPORTS[group_of(module)]
-    others = imported(text, depth) - {module}
-    return {other for other in others if other not in allowed and group_of(other) not in allowed}
+def forbidden_imports(module: tuple[str, ...], text: str) -> set[str]:
+    """Modules that the source of a module imports and may not."""
+    package = module[0]
+    own = imported(module, text)
+    above = {other for other in own if ORDER.index(other[0]) > ORDER.index(package)}
+    beside = {other for other in own if other[0] == package and package in APART}
+    return {".".join(other) for other in above | beside}
 
 
 @pytest.mark.parametrize("path", native_files(), ids=lambda path: str(path.relative_to(ROOT)))
@@ -193,9 +128,17 @@ def test_native_folder_includes_only_what_lies_below_it(path):
 
 
 @pytest.mark.parametrize("path", python_files(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_module_imports_only_what_lies_below_it(path):
-    depth = len(path.relative_to(ROOT / "amrpic").parts) - 1
-    assert forbidden_imports(module_of(path), path.read_text(), depth) == set()
+def test_module_imports_from_below_only(path):
+    assert forbidden_imports(module_of(path), path.read_text()) == set()
+
+
+def test_all_modules_have_a_place_in_the_order():
+    assert {module[0] for module in MODULES} == set(ORDER)
+
+
+def test_modules_of_a_package_import_each_other_without_cycles():
+    graph = {module_of(path): imported(module_of(path), path.read_text()) for path in python_files()}
+    TopologicalSorter(graph).prepare()  # raises CycleError
 
 
 def own_headers(source: Path) -> set[Path]:
@@ -257,10 +200,14 @@ def test_native_graph_has_no_cycle():
 def test_forbidden_lines_are_found():
     assert forbidden_includes("mesh", '#include "solver/cycle.hpp"\n#include "base/types.hpp"') == {"solver"}
     assert forbidden_includes("particle", '  #  include "operators/x.hpp"') == {"operators"}
-    assert forbidden_imports("deposit", "from .gather import gather\nfrom .field import Field") == {"gather"}
-    assert forbidden_imports("deposit", "def f():\n    from amrpic.migrate import migrate") == {"migrate"}
-    assert forbidden_imports("field", "from . import deposit, _native") == {"deposit"}
-    assert forbidden_imports("step", "import amrpic.cli") == {"cli"}
-    assert forbidden_imports("io", "from ..step import State\nfrom .collect import rows", depth=1) == {"step"}
-    assert forbidden_imports("push", "import amrpic") == {"__init__"}
-    assert forbidden_imports("cli", "from . import step, report, io, doctor\nfrom .errors import AmrpicError") == set()
+    stage, field = ("stages", "deposit"), ("mesh", "field")
+    assert forbidden_imports(stage, "from .gather import gather\nfrom ..mesh.field import Field") == {"stages.gather"}
+    assert forbidden_imports(stage, "def f():\n    from amrpic.stages.migrate import x") == {"stages.migrate"}
+    assert forbidden_imports(field, "from .. import _native, stages") == {"stages.__init__"}
+    assert forbidden_imports(field, "from ..stages import deposit") == {"stages.deposit"}
+    assert forbidden_imports(("run", "step"), "import amrpic.commands.main") == {"commands.main"}
+    assert forbidden_imports(("io", "vtkhdf_writer"), "from ..run.step import State\nfrom .writer_ranks import x") == {
+        "run.step"
+    }
+    assert forbidden_imports(("stages", "push"), "import amrpic") == {"__init__"}
+    assert forbidden_imports(("commands", "run"), "from ..run import step\nfrom ..errors import AmrpicError") == set()

@@ -10,9 +10,9 @@ from typing import get_args
 
 from mpi4py import MPI
 
-from .. import menu
 from ..errors import InputError
-from ..scene import Scene
+from ..scene import solver_options
+from ..scene.scene import Scene
 from . import backends, conservation, convergence, hard, openboundary, pareto, peers, selfforce, stopping
 from .chosen import backend as chosen_backend
 from .draw import draw_curves
@@ -59,8 +59,8 @@ def verify(
 
 def require_backend(name: str | None) -> None:
     """Raise InputError unless the solver has this backend, or none is named."""
-    if name is not None and name not in get_args(menu.Backend):
-        raise InputError(f'the solver has no backend "{name}"; use {", ".join(get_args(menu.Backend))}')
+    if name is not None and name not in get_args(solver_options.Backend):
+        raise InputError(f'the solver has no backend "{name}"; use {", ".join(get_args(solver_options.Backend))}')
 
 
 OPENING = (

@@ -8,10 +8,11 @@ from typing import get_args
 import numpy as np
 from mpi4py import MPI
 
-from .. import menu
-from ..field import Field
-from ..hierarchy import BoundarySpec, Hierarchy
-from ..poisson import PoissonSolver
+from ..mesh.domain import BoundarySpec
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..scene import solver_options
+from ..stages.poisson import PoissonSolver
 from .convergence import smooth
 from .meshes import MESHES
 from .sources import Gaussian, Source, fill
@@ -23,7 +24,7 @@ SAME = 1e-8  # of the largest value, after solves to 1e-11
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The table of this topic; none while there is one backend alone. Collective."""
-    first, *others = get_args(menu.Backend)
+    first, *others = get_args(solver_options.Backend)
     for other in others:
         yield Table(
             f"Backend {other} beside {first}",

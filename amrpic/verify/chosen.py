@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-from ..hierarchy import Hierarchy
-from ..poisson import PoissonSolver
-from ..scene import Scene
+from ..mesh.hierarchy import Hierarchy
+from ..scene.scene import Scene
+from ..stages.poisson import PoissonSolver
 
 _backend: ContextVar[str | None] = ContextVar("backend", default=None)  # None: the package's default
 

@@ -9,17 +9,17 @@ from typing import get_args
 import numpy as np
 from mpi4py import MPI
 
-from ..clouds import Clouds, Shape
-from ..deposit import deposit
-from ..diagnostics import Moments, field_energy, moments, potential_energy
-from ..field import Field
-from ..hierarchy import BoundarySpec
-from ..migrate import migrate
-from ..particles import Particles
-from ..plan import Plan
-from ..regrid import carry_over
-from ..species import Species, SpeciesTable
-from ..step import State, advance, begin
+from ..mesh.domain import BoundarySpec
+from ..mesh.field import Field
+from ..particles.clouds import Clouds, Shape
+from ..particles.particles import Particles
+from ..particles.species import Species, SpeciesTable
+from ..run.plan import Plan
+from ..run.step import State, advance, begin
+from ..stages.deposit import deposit
+from ..stages.diagnostics import Moments, field_energy, moments, potential_energy
+from ..stages.migrate import migrate
+from ..stages.regrid import carry_over
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
 from .chosen import scene_of, solver_of
 from .errors import observed_order

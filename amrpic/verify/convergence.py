@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from mpi4py import MPI
 
-from ..field import Field, Function
-from ..hierarchy import BoundarySpec, Hierarchy
+from ..mesh.domain import BoundarySpec
+from ..mesh.field import Field, Function
+from ..mesh.hierarchy import Hierarchy
 from .chosen import solver_of
 from .errors import errors, observed_order
 from .meshes import MESHES, Mesh

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from ..bunch_shapes import GaussianBunch, HaloBunch, KVBunch, SphereBunch
-from ..bunches import Bunch, LatticeBunch, Train
-from ..distributions import halo_core
 from ..errors import InputError
-from ..scene import Scene
+from ..particles.distributions import halo_core
+from ..scene.bunch_shapes import GaussianBunch, HaloBunch, KVBunch, SphereBunch
+from ..scene.bunches import Bunch, LatticeBunch, Train
+from ..scene.scene import Scene
 from .sources import EPS0, Array, Density, Gaussian, Sphere, Vector
 
 ExactField = Callable[[Array, Array, Array], Vector]

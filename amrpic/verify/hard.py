@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 from mpi4py import MPI
 
-from ..field import Field
-from ..hierarchy import Domain, Hierarchy
-from ..plan import Plan
-from ..poisson import SolveReport
-from ..simulation import Simulation
-from ..step import advance, begin
+from ..mesh.domain import Domain
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..run.plan import Plan
+from ..run.simulation import Simulation
+from ..run.step import advance, begin
+from ..stages.poisson import SolveReport
 from .chosen import scene_of, solver_of
 from .errors import errors
 from .meshes import MESHES, Mesh, around

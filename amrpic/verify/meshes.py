@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from ..hierarchy import BoundarySpec, Domain, Hierarchy
+from ..mesh.domain import BoundarySpec, Domain
+from ..mesh.hierarchy import Hierarchy
 
 # A box as its lower and upper corners in eighths of the domain; a level is a list of them.
 Eighths = tuple[tuple[float, float, float], tuple[float, float, float]]

@@ -9,8 +9,9 @@ import scipy.fft
 from mpi4py import MPI
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from ..field import Field, VectorField
-from ..hierarchy import Domain, Hierarchy
+from ..mesh.domain import Domain
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
 from .chosen import solver_of
 from .errors import errors
 from .lattice import FreeLattice

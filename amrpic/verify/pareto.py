@@ -12,18 +12,19 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import _native
-from ..boxes import scaled_cells
-from ..diagnostics import field_energy
-from ..field import Field, VectorField
-from ..follow import follow, make_base
-from ..hierarchy import Hierarchy
-from ..migrate import migrate
-from ..particles import concatenate
-from ..plan import Plan
-from ..populate import make_bunches
-from ..quantities import Quantities
-from ..refinement import StaticRule, every_rule
-from ..scene import NoMotion, Scene
+from ..mesh.boxes import scaled_cells
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..particles.particles import concatenate
+from ..run.adapt import follow, make_base
+from ..run.initial_particles import make_bunches
+from ..run.particle_fields import Quantities
+from ..run.plan import Plan
+from ..scene.motion import NoMotion
+from ..scene.refinement import StaticRule, every_rule
+from ..scene.scene import Scene
+from ..stages.diagnostics import field_energy
+from ..stages.migrate import migrate
 from .chosen import with_backend
 from .described import ExactField, Moved, density_of, exact_field
 from .draw import MARKERS, picture

@@ -9,8 +9,9 @@ from importlib.resources import files
 import numpy as np
 from mpi4py import MPI
 
-from ..field import Field
-from ..hierarchy import Domain, Hierarchy
+from ..mesh.domain import Domain
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
 from .chosen import solver_of
 from .errors import level_errors
 from .sources import EPS0, Gaussian, Together

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
-from ..clouds import Clouds
-from ..deposit import deposit
-from ..diagnostics import moments
-from ..gather import gather
-from ..hierarchy import Hierarchy
-from ..migrate import migrate
-from ..particles import Particles
-from ..plan import Plan
-from ..poisson import PoissonSolver
-from ..species import Species, SpeciesTable
-from ..step import advance, begin
+from ..mesh.hierarchy import Hierarchy
+from ..particles.clouds import Clouds
+from ..particles.particles import Particles
+from ..particles.species import Species, SpeciesTable
+from ..run.plan import Plan
+from ..run.step import advance, begin
+from ..stages.deposit import deposit
+from ..stages.diagnostics import moments
+from ..stages.gather import gather
+from ..stages.migrate import migrate
+from ..stages.poisson import PoissonSolver
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE
 from .chosen import scene_of, solver_of
 from .meshes import Mesh

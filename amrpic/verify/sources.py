@@ -13,8 +13,8 @@ from typing import Protocol
 import numpy as np
 from scipy.special import erf
 
-from ..field import Field
-from ..hierarchy import Hierarchy
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
 from ..units import VACUUM_PERMITTIVITY as EPS0
 
 Array = np.ndarray

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from mpi4py import MPI
 
-from ..field import Field
-from ..poisson import SolveReport
+from ..mesh.field import Field
+from ..stages.poisson import SolveReport
 from . import peers
 from .chosen import solver_of
 from .convergence import smooth

@@ -1,0 +1,57 @@
+"""What the arguments of several commands share."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import NoReturn
+
+from ..errors import InputError
+from ..scene.scene import Scene
+
+Commands = argparse._SubParsersAction
+
+
+class Parser(argparse.ArgumentParser):
+    """Raises InputError for wrong arguments, so that one rank reports them, not all."""
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see {self.prog} --help")
+
+
+def command(
+    commands: Commands, name: str, call: Callable[[argparse.Namespace], int], help: str
+) -> argparse.ArgumentParser:
+    """Return the parser of a new command; `call` runs it and returns its exit status."""
+    added: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
+    added.set_defaults(command=call)
+    added.add_argument("--traceback", action="store_true", help="show where in the code an error comes from")
+    return added
+
+
+def count(text: str) -> int:
+    """Return a positive number."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is not positive; give at least 1")
+    return number
+
+
+def scene_arguments(command: argparse.ArgumentParser) -> None:
+    """Add the scene file and its overrides."""
+    command.add_argument("scene", metavar="SCENE", help="a scene file in TOML")
+    command.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a value, such as solver.tolerance=1e-8",
+    )
+
+
+def scene_of(chosen: argparse.Namespace) -> Scene:
+    """Return the scene that the arguments name, with its overrides and output folder."""
+    scene = Scene.from_toml(chosen.scene, chosen.set)
+    if getattr(chosen, "output", None) is None:
+        return scene
+    return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})

@@ -1,0 +1,183 @@
+"""amrpic doctor: is this machine fit to compute? One finding per question, each with its fix."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from mpi4py import MPI
+
+from .. import _native, isa
+from ..errors import AmrpicError, SolverError
+from ..mesh.domain import Domain
+from ..mesh.field import Field, Patch
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import global_max
+from ..stages.poisson import PoissonSolver
+from ..units import VACUUM_PERMITTIVITY
+from .arguments import Commands, command
+
+OLDEST_TRILINOS = (13, 2)
+SECONDS = 120.0  # for a solve that takes one
+
+MEND_MPI = (
+    "build mpi4py with the system's MPI (pip install --force-reinstall --no-binary mpi4py mpi4py), "
+    "and put the mpiexec of the same MPI first in PATH"
+)
+MEND_HDF5 = "reinstall h5py from its wheel (pip install --force-reinstall h5py) and set no LD_PRELOAD"
+MEND_TRILINOS = "install Debian's trilinos-all-dev, or Trilinos 13.2 or newer, and build again (make clean setup)"
+MEND_SOLVE = "mend the findings above first, then build again (make clean setup)"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The answer to one question, and what to do if it is not well."""
+
+    subject: str
+    well: bool
+    text: str
+    remedy: str = ""
+
+    def __str__(self) -> str:
+        mark, advice = ("ok  ", "") if self.well else ("FAIL", f"\n     to mend it: {self.remedy}")
+        return f"{mark} {self.subject}: {self.text}{advice}"
+
+
+def examine(comm: MPI.Comm) -> list[Finding]:
+    """Return the findings about this machine, the same on all ranks. Collective.
+
+    Under mpiexec the solve runs on these ranks, otherwise on two processes that are started for it.
+    """
+    findings = [
+        answer("MPI", one_mpi_library, MEND_MPI),
+        answer("HDF5", hdf5_works_beside_trilinos, MEND_HDF5),
+        answer("Trilinos", trilinos_and_backend, MEND_TRILINOS),
+        answer("kernels", isa.description, MEND_TRILINOS),
+        answer("solve", (lambda: solve_known(comm)) if under_mpiexec() else solve_on_two_ranks, MEND_SOLVE),
+    ]
+    return [worst(each) for each in zip(*comm.allgather(findings), strict=True)]
+
+
+def answer(subject: str, question: Callable[[], str], remedy: str) -> Finding:
+    """The finding of a question that returns what is well and raises what is not."""
+    try:
+        return Finding(subject, True, question())
+    except Exception as wrong:  # whatever goes wrong here is what was asked for
+        return Finding(subject, False, str(wrong) or type(wrong).__name__, remedy)
+
+
+def worst(findings: tuple[Finding, ...]) -> Finding:
+    """The first finding that is not well, or the first."""
+    return next((finding for finding in findings if not finding.well), findings[0])
+
+
+def loaded(library: str) -> list[str]:
+    """Files of a shared library that are mapped into this process, without links and doubles."""
+    lines = Path("/proc/self/maps").read_text().splitlines()
+    paths = {line.split(maxsplit=5)[5] for line in lines if f"/{library}" in line}
+    return sorted({os.path.realpath(path) for path in paths})
+
+
+def one_mpi_library() -> str:
+    """Return the MPI that mpi4py and the native module share; raise if there are two."""
+    here, there = MPI.Get_library_version().splitlines()[0].strip("\0 ,"), _native.mpi_library().strip("\0 ,")
+    files = loaded("libmpi.so") + loaded("libmpich.so")
+    if here != there or len(files) != 1:
+        raise AmrpicError(f"mpi4py runs on {here}, the native module on {there}; loaded are {files}")
+    return f"{here.split(', package')[0]}, shared by mpi4py and the native module ({files[0]})"
+
+
+def hdf5_works_beside_trilinos() -> str:
+    """Return the HDF5 that h5py uses; raise if it does not read back what it wrote, now that Trilinos is loaded."""
+    built, running = h5py.version.hdf5_version, ".".join(map(str, h5py.h5.get_libversion()))
+    if not running.startswith(".".join(built.split(".")[:2])):
+        raise AmrpicError(f"h5py was built for HDF5 {built} and runs on {running}")
+    values = np.arange(1000.0)
+    with h5py.File("doctor", "w", driver="core", backing_store=False) as file:
+        file["values"] = values
+        if not np.array_equal(file["values"][()], values):
+            raise AmrpicError("h5py reads back other numbers than it wrote")
+    beside = [path for path in loaded("libhdf5") if "h5py" not in path]
+    return f"h5py on HDF5 {running}" + (f", unharmed by {', '.join(beside)}" if beside else "")
+
+
+def trilinos_and_backend() -> str:
+    """Return the version of Trilinos and the Kokkos backend; raise if it is older than what was tried."""
+    version = _native.trilinos_version()
+    if tuple(int(part) for part in version.split(".")[:2]) < OLDEST_TRILINOS:
+        raise AmrpicError(f"Trilinos {version} is older than 13.2")
+    return f"{version} on Kokkos' backend {_native.kokkos_backend()}"
+
+
+def parabola(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """A potential in V that the scheme reproduces to rounding, interfaces included, because it is of second degree."""
+    return 1.0 + x - 2.0 * y + x * y + 3.0 * x**2 + 2.0 * y**2 - z**2
+
+
+def solve_known(comm: MPI.Comm) -> str:
+    """Return how well a refined problem with a known potential was solved; raise if not. Collective."""
+    domain = Domain(lower=(-1.0, -1.0, -1.0), upper=(1.0, 1.0, 1.0), cells=(32, 32, 32), boundary="dirichlet")
+    hierarchy = Hierarchy(comm, domain, levels=[[((16, 16, 16), (47, 47, 47))]], max_grid_size=16, blocking_factor=8)
+    rho = Field(hierarchy, unit="C/m^3")
+    rho.fill(lambda x, y, z: -8.0 * VACUUM_PERMITTIVITY + 0.0 * (x + y + z))
+    phi, report = PoissonSolver(hierarchy, tolerance=1e-10).solve(rho, boundary_values=parabola)
+    error = global_max(comm, max((patch_error(patch) for patch in phi.patches), default=0.0))
+    if not (report.converged and error < 1e-7):
+        raise SolverError(f"a known potential is missed by {error:.1e} V on {comm.size} ranks: {report.reason}")
+    return f"a known potential is met within {error:.0e} V in {report.cycles} cycles on {comm.size} ranks"
+
+
+def patch_error(patch: Patch) -> float:
+    """The largest distance from the known potential in the cells that no finer level covers."""
+    return float(np.max(np.abs(patch.data - parabola(*patch.centres())), where=~patch.covered, initial=0.0))
+
+
+def under_mpiexec() -> bool:
+    """True if a launcher of MPI started this process; it could not start another."""
+    return any(name in os.environ for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"))
+
+
+def solve_on_two_ranks() -> str:
+    """Return what `solve_known` says in two processes that this one starts; raise if they fail."""
+    code = "from mpi4py import MPI; from amrpic.commands import doctor; print(end=doctor.told_by_first(MPI.COMM_WORLD))"
+    command = ["mpiexec", "-n", "2", sys.executable, "-m", "mpi4py", "-c", code]
+    # os.environ as Python found it: what MPI has since added to the environment would make the children's MPI fail.
+    root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    environment = {**os.environ, **root, "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=SECONDS)
+    if done.returncode:
+        lines = [line for line in done.stderr.splitlines() if line.strip()]
+        raise AmrpicError(
+            "mpiexec -n 2 failed: " + next((line for line in lines if "Error" in line), " ".join(lines[-3:]))
+        )
+    return done.stdout
+
+
+def told_by_first(comm: MPI.Comm) -> str:
+    """Return what `solve_known` says on the first rank, nothing on the others. Collective."""
+    if comm.size != 2:
+        raise AmrpicError(f"mpiexec -n 2 made {comm.size} rank: it belongs to another MPI than mpi4py")
+    text = solve_known(comm)
+    return text if comm.rank == 0 else ""
+
+
+# ---- the command ----
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    command(commands, "doctor", _doctor, "check this machine and tell how to mend what is wrong")
+
+
+def _doctor(chosen: argparse.Namespace) -> int:
+    findings = examine(MPI.COMM_WORLD)
+    if MPI.COMM_WORLD.rank == 0:
+        print("\n".join(map(str, findings)))
+    return 0 if all(finding.well for finding in findings) else 1

@@ -1,0 +1,57 @@
+"""The end of a run that failed: one sentence, said once, and no rank left waiting for another."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+
+from mpi4py import MPI
+
+from ..errors import AmrpicError, HierarchyError, InputError, SceneError
+
+BAD_INPUT = 2  # exit status of what the user can mend in the input; any other failure is 1
+GRACE = 3.0  # s; ranks that raise together get here within milliseconds of each other
+
+
+class Meeting:
+    """Where failing ranks meet. Collective to make, before anything can fail."""
+
+    def __init__(self) -> None:
+        # A communicator of its own: the others may be amid a collective on the common one.
+        self._comm = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else MPI.COMM_SELF
+
+    def told(self, failure: BaseException, show_traceback: bool) -> int:
+        """Tell the user what failed and return the exit status. Called by each rank that fails.
+
+        If all ranks come, rank 0 speaks for them. A rank that failed alone speaks for itself and ends all of them.
+        """
+        everyone = self._all_came()
+        if self._comm.rank == 0 or not everyone:
+            text = traceback.format_exc() if show_traceback else sentence(failure)
+            alone = "" if everyone else f" (on rank {self._comm.rank} of {self._comm.size} alone)"
+            print(f"amrpic: {text}{alone}", file=sys.stderr, flush=True)
+        status = BAD_INPUT if isinstance(failure, SceneError | InputError | HierarchyError) else 1
+        if not everyone:
+            self._comm.Abort(status)
+        self._comm.Barrier()  # mpiexec ends the others when the first one exits, so rank 0 must have spoken
+        return status
+
+    def _all_came(self) -> bool:
+        arrival = self._comm.Ibarrier()
+        end = time.monotonic() + GRACE
+        while not (came := arrival.Test()) and time.monotonic() < end:
+            time.sleep(1e-3)
+        return came
+
+
+def sentence(failure: BaseException) -> str:
+    """Return what failed as one sentence on one line."""
+    text = " ".join(str(failure).split())
+    if isinstance(failure, AmrpicError):
+        return text
+    if isinstance(failure, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(failure, MemoryError):
+        return f"out of memory ({text}); use fewer cells or particles, or more machines"
+    return f"unexpected {type(failure).__name__}: {text}; run again with --traceback and report it"

@@ -1,0 +1,34 @@
+"""The command line: the parser of all commands, and what becomes of the one that was chosen."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from . import check, doctor, plot, preview, run, scaling, schema, verify
+from .arguments import Parser
+from .failure import Meeting
+
+COMMANDS = (run, check, preview, plot, schema, verify, scaling, doctor)  # as --help lists them
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command that the arguments name and exit with its status. Collective under mpiexec."""
+    meeting, show_traceback = Meeting(), False
+    try:
+        chosen = parser().parse_args(arguments)
+        show_traceback = chosen.traceback
+        status = chosen.command(chosen)
+    except (Exception, KeyboardInterrupt) as failure:
+        status = meeting.told(failure, show_traceback)
+    sys.exit(status)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    top = Parser(prog="amrpic", description="Self-fields of charged-particle bunches on adaptive meshes.")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add(commands)
+    return top

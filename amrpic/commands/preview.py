@@ -1,0 +1,262 @@
+"""amrpic preview: mesh, bunches, memory and pictures of a scene, without a solve."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import InputError, OutputError
+from ..io import vtkhdf_writer
+from ..mesh.domain import AXES
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import together
+from ..particles.particles import Particles, concatenate
+from ..run.adapt import follow, make_base
+from ..run.initial_particles import make_bunches
+from ..run.limits import machine_memory
+from ..run.memory import MIB, run_memory
+from ..run.output import prepare
+from ..run.particle_fields import Quantities
+from ..run.plan import Plan
+from ..run.restart import about
+from ..scene.motion import RandomWalk
+from ..scene.refinement import CallableRule, ChargeDensityRule, Combination, FieldStrengthRule, PotentialRule, RuleKind
+from ..scene.scene import Scene
+from ..stages.diagnostics import moments
+from ..stages.migrate import migrate
+from ..stages.push import random_walk
+from ..stages.tag import cells_of_particles
+from ..units import quantity
+from .arguments import Commands, command, count, scene_arguments, scene_of
+from .text_table import columns
+
+FILE = "preview.vtkhdf"
+IN_PLACE = 1e-3  # relative density that stands for rules that ask for the field: as by default
+FORESEEN = 1000  # steps of a random walk that are gone through for its last mesh
+
+
+def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
+    """Return the text of a preview; pictures go into the folder of the scene's run. Collective.
+
+    `ranks` are those that the run is meant for. Raises what making particles and mesh may raise, and OutputError.
+    """
+    prepare(comm, scene)
+    plan, notes = _plan_without_solves(comm, scene)
+    base = make_base(plan)
+    bunches = make_bunches(comm, scene)
+    plan.settle_interface(bunches)
+    particles, gone = migrate(concatenate(bunches), base)
+    seen = follow(Quantities(particles, base, plan))
+    lost = gone.global_count(comm)
+    made = seen.particles.global_count(comm) + lost
+    if lost:
+        notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
+    paragraphs = [
+        [scene.summary()],
+        _levels(seen.particles, seen.hierarchy),
+        _bunches(comm, scene, bunches[1:], seen.hierarchy),
+        _memory(seen, made, ranks),
+        [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
+        list(map(str, _pictures(comm, scene, seen.rho))),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
+
+
+def _plan_without_solves(comm: MPI.Comm, scene: Scene) -> tuple[Plan, list[str]]:
+    """Return the plan of a scene whose rule asks for nothing that must be solved for, and what was changed for that."""
+    asked: list[str] = []
+    rule = _without_field(scene.refinement.rule, asked)
+    if not asked:
+        return Plan(comm, scene), []
+    refinement = scene.refinement.model_copy(update={"rule": rule})
+    note = (
+        f"refinement.rule asks for the field ({', '.join(asked)}), which a preview does not solve for; in its place cells "
+        f"are refined by charge-density, relative = {IN_PLACE:g}"
+    )
+    return Plan(comm, scene.model_copy(update={"refinement": refinement})), [note]
+
+
+def _without_field(rule: RuleKind, asked: list[str]) -> RuleKind:
+    """Return a rule with charge density in place of what needs a solve; `asked` grows by the kinds of these."""
+    match rule:
+        case Combination():
+            return rule.model_copy(update={"of": [_without_field(one, asked) for one in rule.of]})
+        case PotentialRule() | FieldStrengthRule():
+            pass
+        case CallableRule() if {"phi", "efield"} & set(rule.arguments):
+            pass
+        case _:
+            return rule
+    asked.append(rule.kind)
+    return ChargeDensityRule(relative=IN_PLACE, levels=rule.levels)
+
+
+# ---- tables ----
+
+LEVELS = ("level", "boxes", "cells", "cell width", "particles", "mean in a cell", "median", "most")
+
+
+def _levels(particles: Particles, hierarchy: Hierarchy) -> list[str]:
+    """Return the table of levels; mean, median and most are over the cells that hold particles. Collective."""
+    rows: list[Sequence[object]] = [LEVELS]
+    for level, (_, cells) in enumerate(cells_of_particles(particles, hierarchy)):
+        held = Histogram.of(hierarchy.comm, np.unique(cells, return_counts=True)[1])
+        rows.append(
+            [
+                level,
+                len(hierarchy.boxes(level)),
+                hierarchy.cells(level),
+                _widths(hierarchy.spacing(level)),
+                held.total,
+                f"{held.mean:.3g}",
+                held.median,
+                held.most,
+            ]
+        )
+    return columns(rows)
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """How often each number occurs, over all ranks."""
+
+    values: np.ndarray  # ascending
+    times: np.ndarray
+
+    @classmethod
+    def of(cls, comm: MPI.Comm, numbers: np.ndarray) -> Histogram:
+        """Return that of the whole numbers of all ranks. Collective."""
+        parts = comm.allgather(np.unique(numbers, return_counts=True))
+        values, place = np.unique(np.concatenate([part for part, _ in parts]), return_inverse=True)
+        return cls(
+            values, np.bincount(place, np.concatenate([times for _, times in parts]), len(values)).astype(np.int64)
+        )
+
+    @property
+    def total(self) -> int:
+        return int(self.values @ self.times)
+
+    @property
+    def mean(self) -> float:
+        return self.total / max(int(self.times.sum()), 1)
+
+    @property
+    def median(self) -> int:
+        """The lower one of two."""
+        below = np.cumsum(self.times)
+        return int(self.values[np.searchsorted(below, (below[-1] + 1) // 2)]) if len(below) else 0
+
+    @property
+    def most(self) -> int:
+        return int(self.values[-1]) if len(self.values) else 0
+
+
+def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy: Hierarchy) -> list[str]:
+    """Return the table of bunches, with their size over the cell width on each level along their narrowest axis. Collective.
+
+    `made` are the bunches one by one, in the order of the scene.
+    """
+    levels = range(hierarchy.levels)
+    rows: list[Sequence[object]] = [
+        ("bunches", "number", "particles of each", "charge of each", "sigma x, y, z", *(f"sigma/h {l}" for l in levels))
+    ]
+    rest = iter(made)
+    for number, bunch in enumerate(scene.bunches):
+        copies = list(itertools.islice(rest, bunch.copies))
+        size = np.sqrt(np.mean([moments(comm, copy).rms ** 2 for copy in copies], axis=0))  # nan of an empty bunch
+        known = bool(np.isfinite(size).all())
+        rows.append(
+            [
+                f"{number} {bunch.name or bunch.distribution}",
+                len(copies),
+                copies[0].global_count(comm),
+                quantity(copies[0].total_charge(comm), "C"),
+                ", ".join(quantity(float(sigma), "m", float(size.max())) for sigma in size) if known else "none",
+                *(f"{(size / hierarchy.spacing(level)).min():.2g}" if known else "none" for level in levels),
+            ]
+        )
+    return columns(rows) if scene.bunches else []
+
+
+def _memory(seen: Quantities, particles: int, ranks: int) -> list[str]:
+    """Return how much memory a run takes, and by what. Collective."""
+    hierarchy, mesh = _last_mesh(seen)
+    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
+    parts = run_memory(seen.plan.scene, boxes, particles, ranks)
+    of = "1 rank" if ranks == 1 else f"{ranks} ranks"
+    return [
+        f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "
+        f"{machine_memory(seen.plan.comm) / MIB:.0f} MiB are free here",
+        *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
+    ]
+
+
+def _last_mesh(seen: Quantities) -> tuple[Hierarchy, str]:
+    """Return the mesh of the last regrid, or else the first one, and which of them it is. Collective.
+
+    A random walk can be foreseen; in one leap, so that particles leave the domain and coarse cells behind only there.
+    """
+    plan, motion = seen.plan, seen.plan.scene.motion
+    regrids = [step for step in range(1, plan.scene.schedule.last_step + 1) if plan.regrids_at(step)]
+    if not isinstance(motion, RandomWalk) or not regrids or regrids[-1] > FORESEEN:
+        moves = plan.scene.schedule.last_step > 0 and plan.scene.refinement.follows
+        return seen.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
+    particles = seen.particles
+    for step in range(1, regrids[-1] + 1):
+        particles = random_walk(particles, motion.amplitude, plan.scene.seed, step)
+    particles, _ = migrate(particles, seen.hierarchy)
+    last = follow(Quantities(particles, seen.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
+    cells = sum(last.cells(level) for level in range(last.levels))
+    return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
+
+
+def _widths(spacing: np.ndarray) -> str:
+    """Return the cell widths, one if they are equal."""
+    equal = np.ptp(spacing) < 1e-9 * spacing[0]
+    return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
+
+
+# ---- pictures ----
+
+
+def _pictures(comm: MPI.Comm, scene: Scene, rho: Field) -> list[Path]:
+    """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
+    path = scene.directory / FILE
+    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene))
+    drawn: list[Path] = []
+    with together(comm, OutputError):
+        if comm.rank == 0:
+            from ..view.plot import View, plot
+
+            drawn = plot(path, views=[View("rho", "projection", axis) for axis in range(len(AXES))])
+    return comm.bcast([path, *drawn])
+
+
+# ---- the command ----
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    added = command(
+        commands, "preview", _preview, "show mesh, bunches, memory and pictures of a scene, without a solve"
+    )
+    scene_arguments(added)
+    added.add_argument("--ranks", type=count, metavar="N", help="ranks of the run; default those of the preview")
+    added.add_argument("--output", metavar="DIR", help="where to put the pictures; default runs/<scene>")
+
+
+def _preview(chosen: argparse.Namespace) -> int:
+    comm = MPI.COMM_WORLD
+    with together(comm, InputError):
+        scene = scene_of(chosen)
+    text = preview(comm, scene, chosen.ranks or comm.size)
+    if comm.rank == 0:
+        print(text)
+    return 0

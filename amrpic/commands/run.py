@@ -1,0 +1,52 @@
+"""amrpic run: a scene from its start, or from a checkpoint."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ..errors import InputError
+from ..io.checkpoint_reader import find_latest_valid
+from ..parallel import together
+from ..run.log import RunLog
+from ..run.output import prepare
+from ..run.simulation import Simulation
+from ..scene.scene import Scene
+from ..scene.units import to_seconds
+from .arguments import Commands, command, scene_arguments, scene_of
+
+STOPPED = 75  # "try again later": stopped by a signal or the clock after a checkpoint, to be resubmitted
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    run = command(commands, "run", _run, "run a scene; under mpiexec on many ranks")
+    scene_arguments(run)
+    run.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
+    run.add_argument(
+        "--restart", metavar="auto|PATH", help="go on from a checkpoint; auto: the newest valid one, if any"
+    )
+    run.add_argument(
+        "--walltime", metavar="TIME", help='stop with a checkpoint before so much time has passed: "01:30:00", "90 min"'
+    )
+
+
+def _run(chosen: argparse.Namespace) -> int:
+    comm = MPI.COMM_WORLD
+    with together(comm, InputError):
+        scene = scene_of(chosen)
+        walltime = None if chosen.walltime is None else to_seconds(chosen.walltime)
+    prepare(comm, scene)
+    path = _checkpoint(comm, scene, chosen.restart)
+    simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)
+    return 0 if simulation.run(walltime) is None else STOPPED
+
+
+def _checkpoint(comm: MPI.Comm, scene: Scene, restart: str | None) -> Path | None:
+    """Return the checkpoint to go on from."""
+    if restart == "auto":
+        with RunLog(comm, scene.schedule.last_step):  # warns of broken ones
+            return find_latest_valid(comm, scene.directory)
+    return None if restart is None else Path(restart)

@@ -1,0 +1,213 @@
+"""Reading the fields of dumps, box by box: of field files, and of checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..mesh.boxes import cells_of
+from ..mesh.domain import AXES
+from .checkpoint_manifest import MANIFEST, decode
+from .writer_ranks import one_line
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Level:
+    """The boxes of a level of a dump."""
+
+    spacing: Array  # (3,) m
+    boxes: Array  # (n, 6): lower x, y, z, upper x, y, z, inclusive
+    starts: Array  # (n,): row of the first cell of each box
+
+
+class Dump:
+    """A field dump, open for reading; a context manager. Values are read when they are asked for.
+
+    Raises InputError if the file is missing, damaged, or something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        try:
+            self._h5 = h5py.File(self.path, "r", locking=False)
+        except OSError as error:
+            reason = one_line(error) if self.path.exists() else "No such file or directory"
+            raise self._refusal(reason) from None
+        try:
+            self._read_description()
+        except (KeyError, AttributeError, TypeError, ValueError, OSError) as error:
+            self._h5.close()
+            raise self._refusal(f"it is no field dump of amrpic ({one_line(error)})") from None
+        except InputError:
+            self._h5.close()
+            raise
+
+    def _refusal(self, reason: str) -> InputError:
+        return InputError(
+            f"{self.path} cannot be read: {reason}; give a fields_*.vtkhdf file or a checkpoint that a run wrote"
+        )
+
+    def _read_description(self) -> None:
+        root, ours = self._h5["VTKHDF"], self._h5["amrpic"]
+        self.step, self.time = int(ours.attrs["step"]), float(ours.attrs["time"])  # time in s
+        self.version, self.seed = str(ours.attrs["version"]), int(ours.attrs["seed"])
+        self.lower, self.upper = np.array(root.attrs["Origin"]), np.array(ours.attrs["upper"])  # m
+        self.levels = [self._read_level(root[f"Level{l}"]) for l in range(sum(key.startswith("Level") for key in root))]
+        self.units = {name: str(values.attrs["unit"]) for name, values in root["Level0/CellData"].items()}
+        if "parts" in ours:
+            for name, size in zip(ours["parts"].asstr()[:], ours["part_bytes"][:], strict=True):
+                self._check_part(name, int(size))
+
+    @staticmethod
+    def _read_level(group: h5py.Group) -> Level:
+        boxes = group["AMRBox"][:].astype(np.int64)[:, [0, 2, 4, 1, 3, 5]]
+        cells = cells_of(boxes)
+        return Level(np.array(group.attrs["Spacing"]), boxes, np.cumsum(cells) - cells)
+
+    def _check_part(self, name: str, size: int) -> None:
+        # HDF5 would silently give nan for what is not there.
+        try:
+            found = (self.path.parent / name).stat().st_size
+        except OSError:
+            raise self._refusal(f"its part {name} is not beside it") from None
+        if found != size:
+            raise self._refusal(f"its part {name} has {found} bytes instead of {size}")
+
+    def __enter__(self) -> Dump:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._h5.close()
+
+    @property
+    def scene_text(self) -> str:
+        """The resolved scene as JSON."""
+        return str(self._h5["amrpic/scene"].asstr()[()])
+
+    def values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+        """Return a field in a box of a level: (nx, ny, nz), or (nx, ny, nz, 3) of a vector.
+
+        Of a vector field "E" there are also its length "|E|" and its components "Ex", "Ey" and "Ez".
+        """
+        vector, component = self._vector_of(name)
+        if vector is None:
+            return self._values(name, level, box)
+        values = self._values(vector, level, box)
+        return np.sqrt(np.sum(values**2, axis=-1)) if component is None else values[..., component]
+
+    def unit(self, name: str) -> str:
+        """Return the unit of what `values` gives. Raises InputError if the dump does not hold it."""
+        vector, _ = self._vector_of(name)
+        found = vector or name
+        if found not in self.units:
+            raise InputError(f"{self.path} holds no {name}; choose among {', '.join(self.units)}")
+        return self.units[found]
+
+    def _vector_of(self, name: str) -> tuple[str | None, int | None]:
+        """The vector field that a name refers to, and which component; None: its length. None, None for other names."""
+        if name.startswith("|") and name.endswith("|"):
+            return name[1:-1], None
+        if name not in self.units and name[-1:] in AXES and name[:-1] in self.units:
+            return name[:-1], AXES.index(name[-1])
+        return None, None
+
+    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+        cells = self._size(level, box)
+        start = int(self.levels[level].starts[box])
+        flat = self._h5[f"VTKHDF/Level{level}/CellData/{name}"][start : start + int(np.prod(cells))]
+        if flat.ndim == 1:
+            return flat.reshape(cells, order="F")
+        return np.stack([flat[:, c].reshape(cells, order="F") for c in range(flat.shape[1])], axis=-1)
+
+    def _size(self, level: int, box: int | np.integer[Any]) -> tuple[int, ...]:
+        corners = self.levels[level].boxes[box]
+        return tuple(int(n) for n in corners[3:] - corners[:3] + 1)
+
+    def covered(self, level: int, box: int | np.integer[Any]) -> Array:
+        """Return where a finer level covers the cells of a box, bool (nx, ny, nz)."""
+        lower, upper = self.levels[level].boxes[box, :3], self.levels[level].boxes[box, 3:]
+        out = np.zeros(upper - lower + 1, dtype=bool)
+        if level + 1 == len(self.levels):
+            return out
+        finer = self.levels[level + 1].boxes
+        low, high = np.maximum(finer[:, :3] // 2, lower), np.minimum(finer[:, 3:] // 2, upper)
+        for b in np.flatnonzero(np.all(low <= high, axis=1)):
+            x, y, z = (slice(i, j + 1) for i, j in zip(low[b] - lower, high[b] - lower, strict=True))
+            out[x, y, z] = True
+        return out
+
+
+class CheckpointDump(Dump):
+    """The fields of a checkpoint, open for reading like a field dump. Raises InputError if it is none, or damaged."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        manifest = decode(self.path)
+        header = manifest.header
+        self._parts = [self._open_part(part.file) for part in manifest.parts]
+        self.step, self.time = header.step, header.time
+        self.version, self.seed = header.about.version, header.about.seed
+        self.lower, self.upper = (np.array(header.domain[key], dtype=float) for key in ("lower", "upper"))  # m
+        spacing = (self.upper - self.lower) / np.array(header.domain["cells"])
+        places = [manifest.places(level) for level in range(len(header.boxes))]
+        self._part_of = [part for part, _ in places]
+        self.levels = [
+            Level(spacing / 2**level, boxes, starts)
+            for level, (boxes, (_, starts)) in enumerate(zip(header.boxes, places, strict=True))
+        ]
+        vector = {"efield_x", "efield_y", "efield_z"} <= set(manifest.fields)
+        self.units = {name: unit for name, unit in UNITS.items() if name in manifest.fields or (name == "E" and vector)}
+
+    def _open_part(self, name: str) -> h5py.File:
+        try:
+            return h5py.File(self.path / name, "r", locking=False)
+        except OSError as error:
+            raise InputError(f"{self.path / name} cannot be read: {one_line(error)}; draw another checkpoint") from None
+
+    def close(self) -> None:
+        for part in self._parts:
+            part.close()
+
+    @property
+    def scene_text(self) -> str:
+        return decode(self.path).header.about.scene_text
+
+    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+        if name == "E":
+            return np.stack([self._values(f"efield_{axis}", level, box) for axis in AXES], axis=-1)
+        cells, start = self._size(level, box), int(self.levels[level].starts[box])
+        rows = self._parts[self._part_of[level][box]][f"level{level}/{name}"]
+        return rows[start : start + int(np.prod(cells))].reshape(cells, order="F")
+
+
+UNITS = {"rho": "C/m^3", "phi": "V", "E": "V/m"}  # of the fields of a checkpoint
+
+
+def open_dump(path: Path) -> Dump:
+    """Return the dump at a path, open for reading: a field file, a checkpoint, or the latest of those in a run's folder.
+
+    Raises InputError if there is none.
+    """
+    path = Path(path)
+    if (path / MANIFEST).exists():
+        return CheckpointDump(path)
+    if not path.is_dir():
+        return Dump(path)
+    for pattern, kind in (("fields_*.vtkhdf", Dump), ("checkpoint_????????", CheckpointDump)):
+        if found := sorted(path.glob(pattern)):
+            return kind(found[-1])
+    raise InputError(
+        f"{path} holds neither fields_*.vtkhdf nor checkpoint_*; name a folder that a run wrote into, or a dump in it"
+    )

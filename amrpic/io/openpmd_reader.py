@@ -1,0 +1,173 @@
+"""Reading particles from openPMD files, each rank its share: those of `openpmd_writer`, of BeamPhysics and of other codes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, ParticleError
+from ..mesh.domain import AXES
+from ..particles.particles import Particles
+from ..particles.species import SPECIES, Species, SpeciesTable
+from .openpmd_writer import ALIVE
+from .writer_ranks import one_line
+
+Array = NDArray[Any]
+
+
+def read(
+    file: str | Path,
+    share: Callable[[int], tuple[int, int]],
+    iteration: int | None = None,
+    group: str | None = None,
+    species: Species | None = None,
+    first_id: int = 0,
+) -> Particles:
+    """Return those particles of a file whose rows `share(number of rows)` names, in order; ids count the rows.
+
+    Only these rows are read. `iteration` and `group` must be told if the file holds several, `species` if it does not know its
+    own. Raises InputError, naming what is wrong with the file.
+    """
+    path = Path(file)
+    try:
+        with h5py.File(path, "r", locking=False) as h5:
+            source = _Source(path, _find(path, h5, iteration, group))
+            return source.particles(share, species, first_id)
+    except FileNotFoundError:
+        raise InputError(
+            f"particle file {path} does not exist; mend the path (relative ones start at the scene file)"
+        ) from None
+    except (OSError, KeyError, TypeError, ValueError) as reason:
+        raise InputError(
+            f"particle file {path} cannot be read as openPMD ({one_line(reason)}); write it anew, for instance by "
+            "ParticleGroup.write of openpmd-beamphysics"
+        ) from None
+
+
+def _find(path: Path, h5: h5py.File, iteration: int | None, group: str | None) -> h5py.Group:
+    """Return the group of particles that is meant."""
+    base = _text(h5.attrs["basePath"])
+    if "%T" in base:
+        before, after = base.split("%T")
+        base = before + _chosen(path, "iteration", list(h5[before]), iteration) + after
+    particles = h5[base + _text(h5.attrs["particlesPath"])]
+    if "position" in particles:
+        return particles
+    names = [name for name, member in particles.items() if "position" in member]
+    return particles[_chosen(path, "group", names, group)]
+
+
+def _chosen(path: Path, key: str, names: Sequence[str], wanted: str | int | None) -> str:
+    found = [name for name in names if wanted is None or name == wanted or (name.isdigit() and int(name) == wanted)]
+    if len(found) == 1:
+        return found[0]
+    what = f"no {key} {wanted}" if wanted is not None else f"{len(names)} {key}s"
+    raise InputError(f"particle file {path} holds {what}; set {key} to one of {', '.join(names) or 'another file'}")
+
+
+class _Source:
+    """A group of particles in a file."""
+
+    def __init__(self, path: Path, group: h5py.Group) -> None:
+        self.path, self.group = path, group
+        x = group["position/x"]
+        self.count = int(np.atleast_1d(x.attrs["shape"])[0]) if "shape" in x.attrs else len(x)
+        self.rows = slice(0, self.count)
+
+    def particles(self, share: Callable[[int], tuple[int, int]], species: Species | None, first_id: int) -> Particles:
+        start, stop = share(self.count)
+        self.rows = slice(start, stop)
+        species = species or self._species()
+        weight = self._weight(species)
+        position, momentum = (self._vector(name) for name in ("position", "momentum"))
+        attributes = self.group["momentum"].attrs
+        if attributes.get("macroWeighted", 0):
+            momentum /= weight ** float(attributes.get("weightingPower", 1))
+        for what, values in (("place", position), ("momentum", momentum)):
+            finite = np.logical_and.reduce(np.isfinite(values))
+            self._require(f"a {what} that is not finite", finite, "remove or mend it")
+        self._require("no positive weight", weight > 0, "remove or mend it")
+        self._require_alive_at_one_time()
+        ids = np.arange(first_id + start, first_id + stop, dtype=np.int64)
+        return Particles(position.T, momentum.T, weight, ids, SpeciesTable((species,)))
+
+    def _values(self, name: str, rows: slice | None = None) -> Array:
+        """Return this share of a component in SI units."""
+        rows = rows or self.rows
+        if name not in self.group:
+            raise ValueError(f"{self.group.name}/{name} is missing")
+        component = self.group[name]
+        unit = float(component.attrs.get("unitSI", 1.0))
+        if "value" in component.attrs:
+            return np.full(rows.stop - rows.start, unit * float(component.attrs["value"]))
+        values = np.asarray(component[rows], dtype=np.float64)
+        if len(component) != self.count:
+            raise ValueError(f"{name} has {len(component)} rows where position/x has {self.count}")
+        return values if unit == 1.0 else unit * values
+
+    def _with_offset(self, record: str, component: str = "") -> Array:
+        values, offset = self._values(record + component), f"{record}Offset"
+        return values + self._values(offset + component) if offset in self.group else values
+
+    def _vector(self, record: str) -> Array:
+        return np.stack([self._with_offset(record, f"/{axis}") for axis in AXES])
+
+    def _weight(self, species: Species) -> Array:
+        """Return real particles per macroparticle."""
+        if "weighting" in self.group:
+            return self._values("weighting")
+        if species.charge == 0:
+            raise InputError(
+                f"particle file {self.path} tells weights as charges, but its species has none; give it weighting"
+            )
+        if "weight" in self.group:
+            return np.abs(self._values("weight") / species.charge)
+        attributes = self.group.attrs
+        total = float(np.ravel(attributes["totalCharge"] * attributes.get("chargeUnitSI", 1.0))[0])
+        return np.full(self.rows.stop - self.rows.start, abs(total / self.count / species.charge))
+
+    def _species(self) -> Species:
+        name = _text(self.group.attrs.get("speciesType", self.group.name.rpartition("/")[2]))
+        constants = {}
+        for key in ("charge", "mass"):
+            attributes = self.group[key].attrs if key in self.group else {}
+            if "value" in attributes and not attributes.get("macroWeighted", 0):
+                constants[key] = float(attributes["value"]) * float(attributes.get("unitSI", 1.0))
+        try:
+            if len(constants) == 2:
+                return Species(name=name, **constants)
+            return SPECIES[name]
+        except (KeyError, ParticleError):
+            raise InputError(
+                f'particle file {self.path} holds the species "{name}", whose charge and mass are not known; '
+                f"give the bunch a species, such as one of {', '.join(SPECIES)}"
+            ) from None
+
+    def _require_alive_at_one_time(self) -> None:
+        if "particleStatus" in self.group:
+            alive = self._values("particleStatus") == ALIVE
+            self._require("the status of a lost particle", alive, "write the file with those alone that are alive")
+        if "time" in self.group and self.count:
+            first = self._values("time", slice(0, 1))
+            same = self._with_offset("time") == self._with_first_offset(first)
+            self._require(
+                "another time than the first", same, "drift all to one time, as ParticleGroup.drift_to_t does"
+            )
+
+    def _with_first_offset(self, first: Array) -> Array:
+        return first + self._values("timeOffset", slice(0, 1)) if "timeOffset" in self.group else first
+
+    def _require(self, what: str, holds: Array, remedy: str) -> None:
+        if not holds.all():
+            row = self.rows.start + int(np.argmin(holds))
+            raise InputError(f"particle file {self.path} has {what} in row {row} of {self.count}; {remedy}")
+
+
+def _text(value: Any) -> str:
+    value = np.ravel(value)[0] if isinstance(value, np.ndarray) else value
+    return value.decode() if isinstance(value, bytes) else str(value)

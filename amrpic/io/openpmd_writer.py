@@ -1,0 +1,171 @@
+"""Particle dumps: openPMD files with the BeamPhysics extension.
+
+A file is openPMD 1.1 with, in addition, what BeamPhysics asks for. Momenta, times and places are in SI units, numbers of real
+particles as such (`weighting`, beside BeamPhysics's `weight` in C), so that they read back bit for bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ..errors import OutputError
+from ..mesh.domain import AXES
+from ..particles.particles import Particles
+from ..particles.species import Species
+from .atomic_files import Hdf5Writer, publish, remove, temporary
+from .provenance import Provenance
+from .writer_ranks import Attempts, Rows, collect
+
+ALIVE = 1  # of BeamPhysics's particleStatus
+
+# Powers of length, mass, time, current, temperature, amount, luminous intensity.
+LENGTH, TIME, NONE = (1, 0, 0, 0, 0, 0, 0), (0, 0, 1, 0, 0, 0, 0), (0, 0, 0, 0, 0, 0, 0)
+MOMENTUM, MASS, CHARGE = (1, 1, -1, 0, 0, 0, 0), (0, 1, 0, 0, 0, 0, 0), (0, 0, 1, 1, 0, 0, 0)
+
+Array = NDArray[Any]
+
+
+def path_of(directory: Path, step: int) -> Path:
+    """Return where the particles of a step lie in a run's directory."""
+    return Path(directory) / f"particles_{step:08d}.h5"
+
+
+def write(comm: MPI.Comm, path: Path, particles: Particles, step: int, time: float, about: Provenance) -> None:
+    """Write all particles into the file `path`, which is there whole and synced on return, or unchanged. Collective.
+
+    A group for each species holds its particles in the order of their ids, which is the same on any number of ranks. Rank 0
+    writes what it receives in small pieces. Raises OutputError, alike on all ranks.
+    """
+    path = Path(path)
+    attempts = Attempts(f"cannot write particles {path}", "free some space or choose another output folder")
+    ordered = _by_id(comm, particles)
+    writer = attempts.attempt(_open, path, step, time, about) if comm.rank == 0 else None
+    for kind, (name, species) in enumerate(zip(ordered.species.names, ordered.species.kinds, strict=True)):
+        group = f"/data/{step}/particles/{name}"
+        _write_species(comm, writer, group, species, ordered.select(ordered.kind == kind), time, attempts)
+    if writer is not None:
+        attempts.always(writer.close)
+    if comm.rank == 0:
+        attempts.attempt(publish, path)
+        with contextlib.suppress(OSError):
+            remove(temporary(path))  # it is gone already unless an attempt failed
+    attempts.settle(comm, OutputError)
+
+
+def _by_id(comm: MPI.Comm, particles: Particles) -> Particles:
+    """Return the particles with this rank's equal share of the ids, in their order. Collective."""
+    position, momentum, weight, id = particles.arrays
+    order = np.argsort(id)
+    rows = np.column_stack([position, momentum, weight, id.view(np.float64)])[order]
+    end = comm.allreduce(int(id.max(initial=-1)), MPI.MAX) + 1
+    edges = np.searchsorted(id[order], [end * rank // comm.size for rank in range(comm.size + 1)])
+    sent, received = np.diff(edges), np.empty(comm.size, dtype=edges.dtype)
+    comm.Alltoall(sent, received)
+    width = rows.shape[1]
+    out = np.empty((received.sum(), width))
+    comm.Alltoallv([rows, width * sent], [out, width * received])
+    out = out[np.argsort(out[:, 7].copy().view(np.int64))]
+    return Particles(out[:, :3], out[:, 3:6], out[:, 6], out[:, 7].copy().view(np.int64), particles.species)
+
+
+def _open(path: Path, step: int, time: float, about: Provenance) -> Hdf5Writer:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writer = Hdf5Writer(temporary(path))
+    name = path.name.replace(f"{step:08d}", "%08T")
+    texts = {
+        "openPMD": "1.1.0",
+        "basePath": "/data/%T/",
+        "particlesPath": "particles/",
+        "iterationEncoding": "fileBased",
+        "iterationFormat": name if "%08T" in name else "%T",
+        "software": "amrpic",
+        "softwareVersion": about.version,
+    }
+    for key, text in texts.items():
+        _set_text(writer.h5, key, text)
+    writer.h5.attrs["openPMDextension"] = np.uint32(0)
+    writer.h5["amrpic/scene"] = about.scene_text
+    writer.h5.create_group(f"/data/{step}/particles")
+    writer.h5[f"/data/{step}"].attrs.update(time=time, dt=0.0, timeUnitSI=1.0)
+    return writer
+
+
+def _write_species(
+    comm: MPI.Comm,
+    writer: Hdf5Writer | None,
+    group: str,
+    species: Species,
+    particles: Particles,
+    time: float,
+    attempts: Attempts,
+) -> None:
+    """Write the particles of one species. Collective."""
+    counts = comm.allgather(len(particles))
+    total = comm.reduce(float(particles.weight.sum() * abs(species.charge)))
+    if writer is not None:
+        attempts.attempt(_describe, writer.h5, group, species, sum(counts), total, time)
+    columns: Mapping[str, tuple[Array, tuple[int, ...]]] = {
+        **{f"position/{axis}": (particles.position[:, i], LENGTH) for i, axis in enumerate(AXES)},
+        **{f"momentum/{axis}": (particles.momentum[:, i], MOMENTUM) for i, axis in enumerate(AXES)},
+        "weighting": (particles.weight, NONE),
+        "weight": (particles.weight * abs(species.charge), CHARGE),
+        "id": (particles.id.astype(np.uint64), NONE),
+    }
+    for name, (rows, dimension) in columns.items():
+        place = f"{group}/{name}"
+        dataset = attempts.attempt(_create, writer.h5, place, rows, sum(counts), dimension) if writer else None
+        collect(comm, range(comm.size), counts, rows, partial(attempts.attempt, _store, dataset))
+
+
+def _describe(h5: h5py.File, group: str, species: Species, count: int, charge: float, time: float) -> None:
+    """Add what holds for all particles of a species."""
+    member = h5.create_group(group)
+    _set_text(member, "speciesType", species.name or "other")
+    member.attrs.update(numParticles=count, totalCharge=charge, chargeUnitSI=1.0)
+    for axis in AXES:
+        _constant(h5, f"{group}/positionOffset/{axis}", 0.0, count, LENGTH)
+    for name, value, dimension in (
+        ("charge", species.charge, CHARGE),
+        ("mass", species.mass, MASS),
+        ("time", time, TIME),
+        ("particleStatus", ALIVE, NONE),
+    ):
+        _constant(h5, f"{group}/{name}", value, count, dimension)
+
+
+def _constant(h5: h5py.File, name: str, value: float, count: int, dimension: tuple[int, ...]) -> None:
+    component = h5.create_group(name)
+    component.attrs.update(value=value, shape=np.array([count], dtype=np.uint64))
+    _set_units(h5, name, dimension)
+
+
+def _create(h5: h5py.File, name: str, rows: Rows, count: int, dimension: tuple[int, ...]) -> h5py.Dataset:
+    dataset = h5.create_dataset(name, shape=(count,), dtype=rows.dtype)
+    _set_units(h5, name, dimension)
+    return dataset
+
+
+def _store(dataset: h5py.Dataset, offset: int, piece: Array) -> None:
+    dataset[offset : offset + len(piece)] = piece
+
+
+def _set_units(h5: h5py.File, name: str, dimension: tuple[int, ...]) -> None:
+    """Set what openPMD asks of a component and of its record, which are one for a scalar."""
+    h5[name].attrs["unitSI"] = 1.0
+    record = h5[name] if name.rpartition("/")[2] not in AXES else h5[name].parent
+    # Momentum, charge and mass are those of a real particle; the rest does not know the difference.
+    record.attrs.update(unitDimension=np.array(dimension, dtype=np.float64), timeOffset=0.0)
+    record.attrs.update(macroWeighted=np.uint32(name.endswith(("/weighting", "/weight"))), weightingPower=1.0)
+
+
+def _set_text(target: h5py.Group, key: str, text: str) -> None:
+    target.attrs.create(key, np.bytes_(text.encode()))

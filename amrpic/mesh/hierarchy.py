@@ -1,0 +1,117 @@
+"""The levels of boxes that refine a domain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import _native
+from ..errors import HierarchyError
+from .domain import BOUNDARIES, Domain
+
+
+def _index_boxes(level: int, boxes: Sequence[Sequence[Sequence[int]]] | np.ndarray) -> np.ndarray:
+    """Return boxes as (n, 6) of 32 bits; HierarchyError if they do not fit or are no whole numbers."""
+    try:
+        given = np.asarray(boxes)
+    except ValueError:  # ragged
+        given = np.array([np.nan])
+    if given.size % 6 or (given.size and not np.issubdtype(given.dtype, np.integer)):
+        raise HierarchyError(
+            f"the boxes of level {level} are not pairs of three whole numbers; give ((i, j, k), (i, j, k))"
+        )
+    if given.size and np.abs(given).max() > np.iinfo(np.int32).max:
+        raise HierarchyError(
+            f"a box of level {level} has index {np.abs(given).max()}, beyond 32 bits; use fewer levels"
+        )
+    return given.astype(np.int32).reshape(-1, 6)
+
+
+class Hierarchy:
+    """The levels of a refined mesh, coarse to fine; immutable. Collective to make.
+
+    `levels[k]` lists the boxes of level k + 1 as pairs of inclusive corner indices in that level's own index space, or is
+    an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
+    if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
+
+    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
+
+    Raises HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not nest.
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        domain: Domain,
+        levels: Sequence[Sequence[Sequence[Sequence[int]]] | np.ndarray] = (),
+        max_grid_size: int = 24,
+        blocking_factor: int = 8,
+        weights: Sequence[np.ndarray] | None = None,
+    ) -> None:
+        boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
+        codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
+        loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
+        try:
+            self.native = _native.Hierarchy(
+                comm.py2f(),
+                domain.lower,
+                domain.upper,
+                domain.cells,
+                codes,
+                boxes,
+                max_grid_size,
+                blocking_factor,
+                loads,
+            )
+        except _native.HierarchyError as refused:
+            raise HierarchyError(str(refused)) from None
+        self.comm = comm
+        self.domain = domain
+        self.max_grid_size = int(max_grid_size)
+        self.blocking_factor = int(blocking_factor)
+        self.weights = loads  # as given; none: the cells of each box
+
+    @property
+    def levels(self) -> int:
+        """Number of levels, the base included."""
+        return self.native.levels
+
+    def boxes(self, level: int) -> np.ndarray:
+        """Boxes of a level, (n, 6) int: lower x, y, z and upper x, y, z, inclusive, in their order."""
+        return self.native.boxes(self._checked(level))
+
+    def owners(self, level: int) -> np.ndarray:
+        """Rank that owns each box of a level, (n,) int."""
+        return self.native.owners(self._checked(level))
+
+    def spacing(self, level: int) -> np.ndarray:
+        """Cell widths of a level, (3,) in m."""
+        return self.domain.spacing / 2 ** self._checked(level)
+
+    def cells(self, level: int) -> int:
+        """Number of cells of a level, over all ranks."""
+        return self.native.cells(self._checked(level))
+
+    def local_boxes(self, level: int) -> range:
+        """Numbers of this rank's boxes of a level."""
+        first, last = self.native.local_boxes(self._checked(level))
+        return range(first, last)
+
+    def same_mesh(self, other: Hierarchy) -> bool:
+        """Whether both have the same domain and boxes; owners may differ."""
+        return (
+            self.domain == other.domain
+            and self.levels == other.levels
+            and all(np.array_equal(self.boxes(l), other.boxes(l)) for l in range(self.levels))
+        )
+
+    def _checked(self, level: int) -> int:
+        if not 0 <= level < self.levels:
+            raise HierarchyError(f"level {level} does not exist; the hierarchy has levels 0 to {self.levels - 1}")
+        return level
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{len(self.boxes(l))} boxes {self.cells(l)} cells" for l in range(self.levels))
+        return f"Hierarchy({sizes})"

@@ -1,0 +1,1 @@
+"""Macroparticles: their arrays, species and clouds, and the distributions that they are drawn from."""

@@ -1,0 +1,37 @@
+"""Arrays of particles: columns laid out for the kernels, in memory that is used again."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from .. import _native
+
+PAGE = 512  # doubles
+
+
+def repeated(values: np.ndarray) -> np.ndarray:
+    """The same values, as one that takes no memory if they are equal."""
+    return np.broadcast_to(values[0], values.shape) if len(values) > 0 and (values == values[0]).all() else values
+
+
+def empty_columns(count: int) -> np.ndarray:
+    """(count, 3), each column contiguous and starting on a cache line."""
+    # Kernels pass along the columns of several arrays at once. So that these neither compete for the same sets of a cache nor
+    # look alike in the part of an address that tells a read from an earlier write, each starts an eighth of a page further on.
+    first = next(_columns_made) * PAGE // 8 % PAGE
+    capacity = -(-count // PAGE) * PAGE + PAGE // 8
+    memory = recycled(3 * capacity + PAGE, np.float64)
+    return memory[first : first + 3 * capacity].reshape(3, capacity).T[:count]
+
+
+def recycled(count: int, dtype: type) -> np.ndarray:
+    """(count,) values of eight bytes each, not set; in the memory of an array that is gone, if there is such.
+
+    A step makes and drops many arrays of the same size, and fresh memory takes longer to get than to fill.
+    """
+    return _native.recycled(8 * count).view(dtype)
+
+
+_columns_made = itertools.count(0, 3)

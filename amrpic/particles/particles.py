@@ -1,0 +1,197 @@
+"""Particles as a structure of arrays, and the hierarchy as particles see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import _native
+from ..errors import ParticleError
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import global_sum
+from .arrays import empty_columns, recycled
+from .species import SpeciesTable
+
+
+@dataclass(frozen=True)
+class Sorting:
+    """How particles are sorted: by level, box and brick of 8³ cells of a hierarchy.
+
+    `starts[s]` is where the particles of this rank's box number s start, boxes counted level by level; one value more.
+    """
+
+    hierarchy: Hierarchy
+    starts: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """Macroparticles on this rank; a value that stages take and return.
+
+    Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change. Equal weights
+    take no memory if they are given as one number that is repeated, `np.broadcast_to(weight, n)`, as bunches give them.
+    Raises ParticleError if the arrays do not fit together.
+    """
+
+    position: np.ndarray  # (n, 3) m; the transpose of an array with one row per component
+    momentum: np.ndarray  # (n, 3) kg m/s, of one real particle
+    weight: np.ndarray  # (n,) real particles per macroparticle
+    id: np.ndarray  # (n,) int64, unique over all ranks
+    species: SpeciesTable  # of all ids, the same on all ranks
+    sorting: Sorting | None = None
+
+    def __post_init__(self) -> None:
+        set_ = object.__setattr__
+        set_(self, "position", _columns(self.position, "position"))
+        set_(self, "momentum", _columns(self.momentum, "momentum"))
+        set_(self, "weight", _weights(self.weight))
+        set_(self, "id", np.ascontiguousarray(self.id, dtype=np.int64))
+        count = len(self.position)
+        for name in ("momentum", "weight", "id"):
+            if len(getattr(self, name)) != count:
+                raise ParticleError(f"particles have {count} positions but {len(getattr(self, name))} values of {name}")
+
+    @staticmethod
+    def allocate(count: int, species: SpeciesTable, weight: float | None = None) -> Particles:
+        """Particles whose values are yet to be set, but for the weight if all have the same."""
+        return Particles(
+            empty_columns(count),
+            empty_columns(count),
+            recycled(count, np.float64) if weight is None else np.broadcast_to(weight, count),
+            recycled(count, np.int64),
+            species,
+        )
+
+    @staticmethod
+    def empty(species: SpeciesTable) -> Particles:
+        """No particles."""
+        return Particles.allocate(0, species)
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Position, momentum, weight and id, as the native kernels take them."""
+        return self.position, self.momentum, self.weight, self.id
+
+    @cached_property
+    def kind(self) -> np.ndarray:
+        """(n,) index of each particle's species in `species.kinds`."""
+        return self.species.find(self.id)
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """One value per species as one per particle (n,); takes no memory if there is one species. Not to be written to."""
+        return np.broadcast_to(values[0], len(self)) if len(values) == 1 else values[self.kind]
+
+    @property
+    def charge(self) -> np.ndarray:
+        """(n,) C, of one real particle."""
+        return self.spread(self.species.charges)
+
+    @property
+    def mass(self) -> np.ndarray:
+        """(n,) kg, of one real particle."""
+        return self.spread(self.species.masses)
+
+    def select(self, chosen: np.ndarray | slice) -> Particles:
+        """The particles that an index array, a mask or a slice names."""
+        position, momentum, weight, id = (a[chosen] for a in self.arrays)
+        return Particles(position, momentum, weight, id, self.species)
+
+    def replace(self, position: np.ndarray | None = None, momentum: np.ndarray | None = None) -> Particles:
+        """The same particles elsewhere, or with other momenta; what is not given is shared."""
+        return Particles(
+            self.position if position is None else position,
+            self.momentum if momentum is None else momentum,
+            self.weight,
+            self.id,
+            self.species,
+            self.sorting if position is None else None,
+        )
+
+    @property
+    def equal_weights(self) -> bool:
+        """Whether the weights are one number that is repeated."""
+        return self.weight.strides == (0,)
+
+    def one_weight(self, comm: MPI.Comm) -> float | None:
+        """The weight that all particles on all ranks are known to have, if there is one. Collective."""
+        if len(self) == 0:
+            bounds = np.array([np.inf, np.inf])
+        elif self.equal_weights:
+            bounds = np.array([self.weight[0], -self.weight[0]])
+        else:
+            bounds = np.array([-np.inf, -np.inf])
+        comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MIN)
+        return float(bounds[0]) if bounds[0] == -bounds[1] else None
+
+    def with_own_weights(self) -> Particles:
+        """The same particles, with memory for the weight of each even if all are equal."""
+        if not self.equal_weights:
+            return self
+        return Particles(self.position, self.momentum, np.array(self.weight), self.id, self.species, self.sorting)
+
+    def sorted_on(self, hierarchy: Hierarchy) -> Sorting:
+        """How the particles are sorted on a hierarchy; raises ParticleError if they are not."""
+        if self.sorting is None or self.sorting.hierarchy is not hierarchy:
+            raise ParticleError(
+                "particles are not sorted on this hierarchy; pass them through migrate(particles, hierarchy) first"
+            )
+        return self.sorting
+
+    def global_count(self, comm: MPI.Comm) -> int:
+        """Number of macroparticles on all ranks. Collective."""
+        return int(comm.allreduce(len(self)))
+
+    def total_charge(self, comm: MPI.Comm) -> float:
+        """Charge on all ranks in C. Collective."""
+        return global_sum(comm, float((self.weight * self.charge).sum()))
+
+
+def concatenate(parts: Sequence[Particles]) -> Particles:
+    """One value with the particles of all parts, in order; the parts must have one table of species."""
+    species = parts[0].species
+    for part in parts:
+        if part.species != species:
+            raise ParticleError(
+                f"particles of the species {part.species} cannot join those of {species}; give all one table of species"
+            )
+    weights = {float(part.weight[0]) if part.equal_weights else None for part in parts if len(part) > 0}
+    out = Particles.allocate(sum(map(len, parts)), species, weights.pop() if len(weights) == 1 else None)
+    for target, *sources in zip(out.arrays, *(part.arrays for part in parts), strict=True):
+        if target.flags.writeable:  # not of weights that are equal
+            np.concatenate(sources, out=target)
+    return out
+
+
+def _weights(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    return values if values.strides == (0,) else np.ascontiguousarray(values)
+
+
+def _columns(values: np.ndarray, name: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != 3:
+        raise ParticleError(f"{name} of particles has shape {values.shape}; give (n, 3)")
+    if values.strides[0] == values.itemsize or len(values) == 0:
+        return values
+    out = empty_columns(len(values))
+    out[...] = values
+    return out
+
+
+_meshes: WeakKeyDictionary[Hierarchy, _native.ParticleMesh] = WeakKeyDictionary()
+
+
+def particle_mesh(hierarchy: Hierarchy) -> _native.ParticleMesh:
+    """The native look-ups and exchange plans for particles on a hierarchy, made at the first call. Collective."""
+    mesh = _meshes.get(hierarchy)
+    if mesh is None:
+        mesh = _meshes[hierarchy] = _native.ParticleMesh(hierarchy.native)
+    return mesh

@@ -1,0 +1,1 @@
+"""A run: the stages put in order, the mesh that follows the particles, output, restart, limits of the machine."""

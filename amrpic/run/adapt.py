@@ -1,0 +1,77 @@
+"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes shared out anew."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..mesh.hierarchy import Hierarchy
+from ..stages.migrate import particles_per_box
+from ..stages.regrid import Regridding, balance, regrid
+from ..stages.tag import Tags, cells_of_particles, tagged
+from .limits import require_room
+from .memory import base_boxes
+from .particle_fields import Quantities
+from .plan import Plan
+from .tagging_rules import apart, index_boxes, tags_of
+
+
+def make_base(plan: Plan) -> Hierarchy:
+    """Return the hierarchy of the base level alone, if the machine can hold it with the particles. Collective."""
+    scene = plan.scene
+    require_room(plan.comm, scene, base_boxes(scene), scene.particle_count(), "domain.cells")
+    refinement = scene.refinement
+    return Hierarchy(plan.comm, scene.domain.value, (), refinement.max_grid_size, refinement.blocking_factor)
+
+
+def follow(seen: Quantities, hysteresis: float = 1.0) -> Quantities:
+    """Return the particles sorted on a mesh that is refined where the rule asks for it. Collective.
+
+    What is refined already stays while the rule asks for it with thresholds down to `hysteresis` of themselves. Tags reach
+    one level up at a time, and what cells hold changes with the mesh, so it goes on until the mesh stays.
+    """
+    with seen.plan.clock("regrid"):
+        for _ in range(2 * seen.plan.scene.refinement.levels):  # not for ever, where a rule goes round in circles
+            made = _refined(seen, hysteresis)
+            if made is seen.hierarchy:
+                break
+            seen = seen.on(made)
+    return seen
+
+
+def outrun(seen: Quantities) -> bool:
+    """Return whether more particles than the scene allows lie in cells that the rule wants finer than they are. Collective."""
+    plan, refinement = seen.plan, seen.plan.scene.refinement
+    if refinement.regrid_outrun is None:
+        return False
+    with plan.clock("regrid"):
+        tags = tags_of(refinement.rule, seen)
+        where = cells_of_particles(seen.particles, seen.hierarchy)[: refinement.levels]
+        slow = sum(int(np.count_nonzero(tags[level][cells])) for level, (_, cells) in enumerate(where))
+        behind, all_ = plan.comm.allreduce(np.array([slow, len(seen.particles)]))
+    return bool(behind > refinement.regrid_outrun * all_)
+
+
+def _refined(seen: Quantities, hysteresis: float) -> Hierarchy:
+    """Return the hierarchy that the rule asks for, its boxes shared out by cells and particles. Collective."""
+    plan, hierarchy, refinement = seen.plan, seen.hierarchy, seen.plan.scene.refinement
+    rule, static = apart(refinement.rule)
+    tags = [] if rule is None else tags_of(rule, seen)
+    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, seen, hysteresis)
+    if rule is not None:
+        _remark_on_tags(tags, seen)
+    settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
+    made = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
+    if made is hierarchy:
+        return hierarchy
+    boxes = [made.boxes(level) for level in range(made.levels)]
+    require_room(plan.comm, plan.scene, boxes, seen.particles.global_count(plan.comm), "the refined hierarchy")
+    return balance(made, particles_per_box(seen.particles, made))
+
+
+def _remark_on_tags(tags: Tags, seen: Quantities) -> None:
+    plan, count = seen.plan, tagged(seen.plan.comm, tags)[0]
+    rule, unless = "refinement.rule tags", "its thresholds if that is not meant"
+    if count == 0 and seen.particles.global_count(plan.comm) > 0:
+        plan.remark(f"{rule} no cell, so nothing is refined; lower {unless}")
+    elif count == seen.hierarchy.cells(0):
+        plan.remark(f"{rule} every cell, so all of the domain is refined; raise {unless}")

@@ -1,0 +1,139 @@
+"""What a run would take, and what the machine has: checked before anything is allocated."""
+
+from __future__ import annotations
+
+import math
+import resource
+from collections.abc import Sequence
+from pathlib import Path, PurePath
+
+from mpi4py import MPI
+
+from ..errors import SceneError
+from ..mesh.boxes import Array, cells_of
+from ..scene.domain import LARGEST_INDEX
+from ..scene.scene import Scene
+from .memory import base_boxes, run_memory
+
+
+def available_memory() -> int:
+    """Return the bytes that processes on this machine may still take, as its memory and its control groups allow."""
+    fields = dict(line.split(":", 1) for line in Path("/proc/meminfo").read_text().splitlines())
+    free = int(fields["MemAvailable"].split()[0]) * 1024
+    return min([free, *_control_group_room()])
+
+
+def machine_memory(comm: MPI.Comm) -> int:
+    """Return the bytes that all ranks together may use, what they hold already included. Collective."""
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    free = available_memory() if node.rank == 0 else 0
+    node.Free()
+    return comm.allreduce(free + _resident())
+
+
+def memory_error(
+    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, available: int, where: str = "the hierarchy"
+) -> str | None:
+    """Return why a run with these boxes per level does not fit into memory, None if it does."""
+    need = sum(run_memory(scene, boxes, particles, ranks).values())
+    if need <= available:
+        return None
+    return (
+        f"{where}: {_cells(boxes)} cells and {particles} particles on {ranks} ranks take about {need / 2**30:.3g} GiB of "
+        f"memory, and {available / 2**30:.3g} GiB are free; use fewer cells or particles, or more machines"
+    )
+
+
+def rank_cells_error(cells: int, ranks: int, where: str = "domain.cells") -> str | None:
+    """Return why so many cells cannot be counted in 32 bits on each rank, None if they can."""
+    if cells / ranks <= LARGEST_INDEX:
+        return None
+    return (
+        f"{where}: {cells} cells on {ranks} ranks are more per rank than the {LARGEST_INDEX} that 32 bits count; "
+        f"use fewer cells, or at least {math.ceil(cells / LARGEST_INDEX)} ranks"
+    )
+
+
+def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
+    """Raise SceneError if files of a scene are missing, or its base level and particles cannot be held by so many ranks.
+
+    Refined levels are not known yet; a run looks at them when they are.
+    """
+    for number, bunch in enumerate(scene.bunches):
+        if bunch.source is not None and not Path(bunch.source).exists():
+            raise SceneError(
+                f"{scene.name}: bunches.{number}.file ({bunch.source}) does not exist; mend the path (relative ones start "
+                "at the scene file)"
+            )
+    _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
+
+
+def require_room(comm: MPI.Comm, scene: Scene, boxes: Sequence[Array], particles: int, where: str) -> None:
+    """Raise SceneError on all ranks if the machines cannot hold these boxes per level and particles. Collective."""
+    _refuse(scene, boxes, particles, comm.size, machine_memory(comm), where)
+
+
+def _refuse(
+    scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, available: int | None, where: str
+) -> None:
+    free = available_memory() if available is None else available
+    problem = rank_cells_error(_cells(boxes), ranks, where)
+    problem = problem or memory_error(scene, boxes, particles, ranks, free, where)
+    if problem is not None:
+        raise SceneError(f"{scene.name}: {problem}")
+
+
+def _cells(boxes: Sequence[Array]) -> int:
+    return sum(int(cells_of(level).sum()) for level in boxes)
+
+
+def _resident() -> int:
+    """Bytes that this process holds."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * resource.getpagesize()
+
+
+def _control_group_room() -> list[int]:
+    """Bytes left below the memory limits of this process's control groups and those around them, versions 1 and 2."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text().splitlines()
+    except OSError:
+        return []
+    room = []
+    for _, controllers, name in (line.split(":", 2) for line in lines):
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        root = Path("/sys/fs/cgroup", "memory" if controllers else "")
+        group = PurePath(name.lstrip("/"))
+        for folder in (root / inside for inside in (group, *group.parents)):
+            room += _room_in(folder)
+    return room
+
+
+def _room_in(folder: Path) -> list[int]:
+    for limit, usage, cache in (
+        ("memory.max", "memory.current", "inactive_file"),
+        ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ):
+        most, used = _number(folder / limit), _number(folder / usage)
+        if most is not None and used is not None:
+            # Pages of files that nobody uses count as used, but make room when it is needed.
+            return [max(most - used + _counter(folder / "memory.stat", cache), 0)]
+    return []
+
+
+def _counter(path: Path, name: str) -> int:
+    try:
+        return int(dict(line.split() for line in path.read_text().splitlines())[name])
+    except (OSError, ValueError, KeyError):
+        return 0
+
+
+def _number(path: Path) -> int | None:
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):
+        return None

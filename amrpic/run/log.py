@@ -1,0 +1,88 @@
+"""The run log: one plain line per step, each warning once. The only place that prints while a run goes on."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Mapping
+from datetime import timedelta
+from types import TracebackType
+from typing import TextIO
+
+from mpi4py import MPI
+
+MEMORY_OF_PACE = 0.2  # weight of the newest step in the smoothed seconds per step
+
+
+class RunLog:
+    """Prints on rank 0 and is silent on all others. A context manager, in which Python's warnings come here as well.
+
+    Plain lines in any case: under MPI every rank believes that it writes to a terminal. Steps go to `out`, warnings to
+    `err`, which are standard output and standard error by default.
+    """
+
+    def __init__(self, comm: MPI.Comm, last_step: int, out: TextIO | None = None, err: TextIO | None = None) -> None:
+        self._prints = comm.rank == 0
+        self._last_step = last_step
+        self._out, self._err = out, err
+        self._pace = 0.0  # s per step
+        self._lines = 0
+        self._warned: Counter[str] = Counter()
+        self._catching = warnings.catch_warnings()
+
+    def __enter__(self) -> RunLog:
+        self._catching.__enter__()
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_args, **_options: self.warn(str(message))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._catching.__exit__(kind, value, trace)
+        for text, times in self._warned.items():
+            if times > 1:
+                self._print(f"warning, {times} times in all: {text}", self._err or sys.stderr)
+
+    def step(self, row: Mapping[str, float]) -> None:
+        """Print the line of a step, from its row of the time series."""
+        seconds = row["seconds"]
+        # the first line's seconds hold the set-up, so the second one starts the pace anew
+        share = MEMORY_OF_PACE if self._lines >= 2 else 1.0
+        self._pace += share * (seconds - self._pace)
+        self._lines += 1
+        left = max(self._last_step - int(row["step"]), 0) * self._pace
+        self._print(step_line(row, self._last_step, left), self._out or sys.stdout)
+
+    def note(self, text: str) -> None:
+        """Print a line that belongs to no step."""
+        self._print(text, self._out or sys.stdout)
+
+    def warn(self, text: str) -> None:
+        """Print a warning when it comes up first; how often it did is told at the end."""
+        self._warned[text] += 1
+        if self._warned[text] == 1:
+            self._print(f"warning: {text}", self._err or sys.stderr)
+
+    def _print(self, line: str, stream: TextIO) -> None:
+        if self._prints:
+            print(line, file=stream, flush=True)
+
+
+def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> str:
+    """Return the line of a step: where it stands, the mesh, the particles, the solve, the pace."""
+    cells = [value for name, value in row.items() if name.startswith("cells_")]
+    width = len(str(last_step))
+    return "  ".join(
+        [
+            f"step {row['step']:{width}.0f}/{last_step}",
+            f"t {row['time']:.4e} s",
+            f"{len(cells)} levels {row['boxes']:.0f} boxes {sum(cells):.0f} cells",
+            f"{row['particles']:.0f} particles {row['lost_particles']:.0f} lost",
+            f"{row['cycles']:.0f} cycles {row['residual']:.1e}",
+            f"{row['seconds']:.3g} s/step",
+            f"ETA {timedelta(seconds=round(seconds_left))}",
+            f"{row['memory'] / 2**20:.0f} MiB",
+        ]
+    )

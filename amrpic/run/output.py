@@ -1,0 +1,222 @@
+"""What a run writes, and when: series, field dumps, particles, checkpoints, pictures, and a line per step."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from mpi4py import MPI
+
+from .. import isa
+from ..errors import OutputError, SolverError
+from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
+from ..io.time_series import Series
+from ..mesh.field import Field, VectorField
+from ..parallel import together
+from ..scene.scene import Scene
+from ..stages.diagnostics import Quantity, measure, moments, quantities
+from .log import RunLog
+from .plan import Plan
+from .restart import about, snapshot
+from .step import State, kicked
+
+SERIES = "series.csv"
+RESIDUALS = "residuals.csv"
+NUMBERED = re.compile(r"(?:checkpoint|fields|particles)_(\d+)")  # what the files of a step begin with
+HISTORY = (  # of the solves: a row for each guess and each cycle
+    Quantity("step", counts=True),
+    Quantity("time", "s"),
+    Quantity("solve", counts=True),  # of the step: more than one where the field decides on the mesh
+    Quantity("cycle", counts=True),
+    Quantity("residual"),  # in the solver's norm, relative to that of a zero potential
+)
+
+
+def prepare(comm: MPI.Comm, scene: Scene) -> None:
+    """Make the folder that a scene writes into. Collective; OutputError on all ranks if that is not possible."""
+    directory = scene.directory
+    problem = None
+    if comm.rank == 0:
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            trial = directory / f".trial_{os.getpid()}"
+            trial.touch()
+            trial.unlink()
+        except OSError as reason:
+            problem = reason.strerror
+    problem = comm.bcast(problem)
+    if problem is not None:
+        raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
+
+
+def left_behind(directory: Path, last_step: int) -> str | None:
+    """Return a sentence on what an earlier run left of steps that a run up to `last_step` does not come to, if anything."""
+    steps = [int(found[1]) for path in directory.iterdir() if (found := NUMBERED.match(path.name))]
+    if max(steps, default=0) <= last_step:
+        return None
+    return (
+        f"{directory} holds files of an earlier run, up to step {max(steps)}; those beyond step {last_step} stay as they are: "
+        "remove them, or choose another folder by --output"
+    )
+
+
+class Recorder:
+    """Writes the states of one run into its folder; a context manager. Collective to make, and in all that it does.
+
+    `resumed`: the first state is recorded there already, and whatever came after it is to be written anew.
+    """
+
+    def __init__(self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool) -> None:
+        scene = plan.scene
+        self._comm, self._scene, self._plan, self._clock = comm, scene, plan, plan.clock
+        self._wanted = set(scene.output.write)
+        self._about = about(scene)
+        self._levels = scene.refinement.levels + 1
+        self._written: dict[str, int] = {}  # the latest step of each kind of output
+        self._told: set[str] = set()
+        self._since = time.perf_counter() - sum(state.seconds.values())
+        prepare(comm, scene)
+        self._step, self._time = state.step, state.time
+        keep = state.step if resumed else None
+        self._series = self._open(SERIES, quantities(self._levels), keep)
+        self._residuals = self._open(RESIDUALS, HISTORY, keep)
+        self._log = RunLog(comm, scene.schedule.last_step)
+        self._log.note(f"kernels: {isa.description()}")
+        for note in () if resumed else plan.notes:
+            self._log.note(note)
+        if comm.rank == 0 and not resumed and (sentence := left_behind(scene.directory, scene.schedule.last_step)):
+            self._log.warn(sentence)
+
+    def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
+        if "series" not in self._wanted:
+            return None
+        return Series(self._comm, self._scene.directory / name, columns, self._about, keep_to_step)
+
+    def __enter__(self) -> Recorder:
+        self._log.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None and issubclass(kind, SolverError):  # on all ranks, and of interest most of all
+            self._write_history(self._step + 1, self._time + self._plan.dt)
+        for series in (self._series, self._residuals):
+            if series is not None:
+                series.close()
+        self._log.__exit__(kind, value, trace)
+
+    def state(self, state: State, remarks: list[str]) -> None:
+        """Record a state: its row and line, the solves that led to it, and the files that are due."""
+        with self._clock("output"):
+            row = self._row(state)
+            if self._series is not None:
+                self._series.append(row)
+            self._step, self._time = state.step, state.time
+            self._write_history(state.step, state.time)
+            self._log.step(row)
+            if row["particles"] == 0 and row["lost_particles"] > 0:
+                self._log.warn("all particles have left the domain; enlarge it, or shorten the run or its steps")
+            for remark in remarks:
+                if remark not in self._told:
+                    self._told.add(remark)
+                    self._log.warn(remark)
+            output = self._scene.output
+            if "fields" in self._wanted and output.fields_every and state.step % output.fields_every == 0:
+                self._write_fields(state)
+            particles_due = output.particles_every and state.step % output.particles_every == 0
+            checkpoint_due = output.checkpoint_every and state.step > 0 and state.step % output.checkpoint_every == 0
+            if ("particles" in self._wanted and particles_due) or ("checkpoint" in self._wanted and checkpoint_due):
+                state = kicked(state, self._plan)
+            if particles_due:
+                self._write_particles(state)
+            if checkpoint_due:
+                self._write_checkpoint(state)
+
+    def end(self, state: State) -> None:
+        """Write what the end of a run leaves; the momenta are to be of its time."""
+        if self._wanted & {"fields", "pictures"}:
+            self._write_fields(state)
+        self._write_particles(state)
+        self._write_checkpoint(state)
+        if "pictures" in self._wanted:
+            self._draw(state)
+
+    def stopped(self, state: State, reason: str) -> None:
+        """Write what a run needs to go on later; the momenta are to be of its time."""
+        self._write_checkpoint(state)
+        self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
+
+    def _row(self, state: State) -> dict[str, float]:
+        now = time.perf_counter()
+        seconds, self._since = now - self._since, now
+        beam = moments(self._comm, state.particles, state.moved, state.share)
+        measured = measure(
+            state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds
+        )
+        residuals = state.report.residuals
+        return {
+            **measured,
+            "step": state.step,
+            "time": state.time,
+            "regridded": int(state.regridded),
+            "cycles": state.report.cycles,
+            "residual": residuals[-1] if residuals else 0.0,
+            "seconds": seconds,
+        }
+
+    def _write_history(self, step: int, now: float) -> None:
+        solves = enumerate(self._plan.take_solves())
+        if self._residuals is not None:
+            self._residuals.append(
+                *(
+                    {"step": step, "time": now, "solve": solve, "cycle": cycle, "residual": residual}
+                    for solve, report in solves
+                    for cycle, residual in enumerate(report.residuals)
+                )
+            )
+
+    def _write_fields(self, state: State) -> None:
+        if self._written.get("fields") == state.step:
+            return
+        self._written["fields"] = state.step
+        content: dict[str, Field | VectorField] = {
+            "rho": state.rho,
+            "phi": state.phi,
+            "E": state.efield.with_components(),
+        }
+        path = vtkhdf_writer.path_of(self._scene.directory, state.step)
+        vtkhdf_writer.write(
+            path, state.hierarchy, content, state.step, state.time, self._about, self._scene.output.writers
+        )
+
+    def _write_particles(self, state: State) -> None:
+        if "particles" not in self._wanted or self._written.get("particles") == state.step:
+            return
+        self._written["particles"] = state.step
+        path = openpmd_writer.path_of(self._scene.directory, state.step)
+        openpmd_writer.write(self._comm, path, state.particles, state.step, state.time, self._about)
+
+    def _draw(self, state: State) -> None:
+        """Draw the field dump of a state."""
+        with together(self._comm, OutputError):
+            if self._comm.rank == 0:
+                from ..view.plot import plot
+
+                plot(vtkhdf_writer.path_of(self._scene.directory, state.step))
+
+    def _write_checkpoint(self, state: State) -> None:
+        if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:
+            return
+        self._written["checkpoint"] = state.step
+        for series in (self._series, self._residuals):
+            if series is not None:
+                series.sync()  # a restart from the checkpoint relies on the rows before it
+        directory, output = self._scene.directory, self._scene.output
+        path = checkpoint_writer.path_of(directory, state.step)
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._scene), output.writers)
+        checkpoint_writer.prune(self._comm, directory, output.keep)

@@ -1,0 +1,105 @@
+"""What steps need that does not change with them: the scene, the solver of the present mesh, and a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import SolverError
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
+from ..particles.particles import Particles
+from ..scene.motion import Leapfrog
+from ..scene.scene import Scene
+from ..stages.diagnostics import moments
+from ..stages.poisson import PoissonSolver, SolveReport
+from .clock import Clock
+
+
+class Plan:
+    """The scene, and a solver that lasts as long as its hierarchy."""
+
+    def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
+        self.comm = comm
+        self.scene = scene
+        self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
+        self.clock = Clock()
+        self.remarks: list[str] = []
+        self.notes: list[str] = []  # what the run settled by itself, for its log
+        self._solves: list[SolveReport] = []
+        self._solver: PoissonSolver | None = None
+        self._potential, self._slope = scene.domain.wall_functions()
+
+    def poisson(self, hierarchy: Hierarchy) -> PoissonSolver:
+        """Return the solver of a hierarchy, set up at the first call. Collective."""
+        if self._solver is None or self._solver.hierarchy is not hierarchy:
+            options = self.scene.solver
+            kept = self._solver.base_setup if self._solver is not None and options.reuse else None
+            self._solver = None  # the old operators go before the new ones come
+            self._solver = PoissonSolver(
+                hierarchy,
+                options=options,
+                background="neutralizing" if self.scene.background == "neutralizing" else None,
+                reuse=kept,
+            )
+        return self._solver
+
+    def solve(self, rho: Field, guess: Field | None) -> tuple[Field, SolveReport]:
+        """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge."""
+        phi, report = self.poisson(rho.hierarchy).solve(
+            rho, guess=guess, boundary_values=self._potential, boundary_flux=self._slope
+        )
+        self._solves.append(report)
+        if not report.converged:
+            reached = report.residuals[-1] if report.residuals else float("nan")
+            raise SolverError(
+                f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance} "
+                f"({report.reason}); raise solver.tolerance or solver.max_cycles"
+            )
+        if report.floor > 0:
+            self.remark(
+                f"solver.tolerance {self.scene.solver.tolerance} lies below what rounding leaves of the residual, about "
+                f"{report.residuals[-1]:.0e}; solves stop there"
+            )
+        return phi, report
+
+    def take_solves(self) -> list[SolveReport]:
+        """Return how the solves since the latest call went, and forget them."""
+        solves, self._solves = self._solves, []
+        return solves
+
+    @property
+    def clouds(self) -> Clouds:
+        """The clouds of the particles."""
+        particles = self.scene.particles
+        return Clouds(particles.shape, matched=particles.interface == "matched")
+
+    def settle_interface(self, bunches: Sequence[Particles]) -> None:
+        """Put into the scene what `interface = "auto"` means for these bunches, and note it. Collective."""
+        scene, levels = self.scene, self.scene.refinement.levels
+        if scene.particles.interface != "auto":
+            return
+        few = levels > 0 and any(self._is_small(bunch, scene.domain.value.spacing / 2**levels) for bunch in bunches)
+        self.scene = scene.with_interface("matched" if few else "own-level")
+        if levels > 0:
+            why = "a bunch has at most" if few else "every bunch has more than"
+            taken = self.scene.particles.interface
+            self.notes.append(f"particles.interface: {taken} clouds, because {why} {EQUAL_PARTICLES} (σ/h)² particles")
+
+    def _is_small(self, bunch: Particles, widths: np.ndarray) -> bool:
+        """Whether a bunch is better off with matched clouds where cells have these widths (m). Collective."""
+        total, square = self.comm.allreduce(np.array([bunch.weight.sum(), bunch.weight @ bunch.weight]))
+        return bool(total > 0) and matched_pays(total**2 / square, moments(self.comm, bunch).rms / widths)
+
+    def regrids_at(self, step: int) -> bool:
+        """Whether the mesh follows the particles in this step, whatever they do."""
+        refinement = self.scene.refinement
+        return refinement.follows and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
+
+    def remark(self, sentence: str) -> None:
+        """Note something that is legal and yet may not be meant, once."""
+        if sentence not in self.remarks:
+            self.remarks.append(sentence)

@@ -1,0 +1,154 @@
+"""A state as a checkpoint holds it, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import InputError
+from ..io.checkpoint_manifest import Header
+from ..io.checkpoint_reader import read, verify
+from ..io.checkpoint_writer import Snapshot
+from ..io.provenance import Provenance
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..particles.arrays import repeated
+from ..particles.particles import Particles
+from ..particles.species import SpeciesTable
+from ..scene.scene import Scene
+from ..stages.migrate import migrate
+from ..stages.poisson import SolveReport
+from .limits import require_room
+from .step import Lost, State
+
+COLUMNS = ("position", "momentum", "weight", "id")
+# Parts of a scene that a restart follows from the next step on.
+FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion")
+
+
+def about(scene: Scene) -> Provenance:
+    """Return what every output says about the run."""
+    return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
+
+
+def snapshot(state: State, scene: Scene) -> Snapshot:
+    """Return the whole state as a checkpoint takes it: arrays shared, not copied."""
+    hierarchy, particles, report = state.hierarchy, state.particles, state.report
+    header = Header(
+        step=state.step,
+        time=state.time,
+        domain=scene.domain.model_dump(mode="json"),
+        boxes=[hierarchy.boxes(level) for level in range(hierarchy.levels)],
+        owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
+        weights=hierarchy.weights,
+        about=about(scene),
+        extra={"species": particles.species.to_dict(), "report": vars(report)},
+    )
+    fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
+    tables = {"particles": _columns(particles), "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
+    return Snapshot(header, fields, tables)
+
+
+def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Scene, list[str]]:
+    """Return the state in a checkpoint, its scene and remarks on it; any number of ranks. Collective; InputError on all ranks.
+
+    `scene` may replace that of the checkpoint if its mesh is the same. The field at the particles is left to the caller.
+    """
+    manifest = verify(comm, path)
+    header = manifest.header
+    scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
+    if scene.particles.interface == "auto":
+        scene = scene.with_interface(header.about.scene["particles"]["interface"])
+    _require_same_mesh(scene, header, path)
+    require_room(comm, scene, header.boxes, sum(manifest.rows["particles"]), f"checkpoint {path}")
+    refinement = scene.refinement
+    sizes = refinement.max_grid_size, refinement.blocking_factor
+    hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
+    held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
+    return _state(held, hierarchy), scene, _remarks(scene, header.about.scene)
+
+
+def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
+    extra, lost = held.header.extra, held.tables["lost"]
+    species = SpeciesTable.from_dict(extra["species"])
+    particles, _ = migrate(_particles(held.tables["particles"], species), hierarchy)
+    units = {"rho": "C/m^3", "phi": "V"}
+    fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
+    for name, field in fields.items():
+        for level, values in enumerate(held.fields[name]):
+            field.array(level)[:] = values
+    return State(
+        particles=particles,
+        hierarchy=hierarchy,
+        rho=fields["rho"],
+        phi=fields["phi"],
+        efield=VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"]),
+        moved=None,
+        lost=Lost(_particles(lost, species), lost["time"]),
+        step=held.header.step,
+        time=held.header.time,
+        report=SolveReport(**extra["report"]),
+    )
+
+
+def _fields(state: State) -> dict[str, Field]:
+    efield = state.efield.with_components()
+    # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
+    return {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
+
+
+def _columns(particles: Particles) -> dict[str, np.ndarray]:
+    return {name: getattr(particles, name) for name in COLUMNS}
+
+
+def _particles(columns: Mapping[str, np.ndarray], species: SpeciesTable) -> Particles:
+    position, momentum, weight, number = (columns[name] for name in COLUMNS)
+    return Particles(position, momentum, repeated(weight), number, species)
+
+
+def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
+    """Return what a restart cannot follow of a scene, and what it follows from now on; `made_from` made the checkpoint."""
+    now, out = scene.to_dict(), []
+    if now["bunches"] != made_from["bunches"]:
+        out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
+    changed = [
+        f"{path} is {_told(value)}, before {_told(before)}"
+        for part in FOLLOWED
+        for path, value, before in _differences(now.get(part), made_from.get(part), part)
+    ]
+    if changed:
+        out.append(f"the run goes on otherwise than up to the checkpoint: {'; '.join(changed)}")
+    return out
+
+
+def _differences(now: Any, before: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
+    """The settings that differ: where, the value now, the value before; None where there is none."""
+    if isinstance(now, dict) and isinstance(before, dict):
+        for key in {**before, **now}:
+            yield from _differences(now.get(key), before.get(key), f"{path}.{key}")
+    elif now != before:
+        yield path, now, before
+
+
+def _told(value: Any) -> str:
+    return "not given" if value is None else str(value)
+
+
+def _require_same_mesh(scene: Scene, header: Header, path: Path) -> None:
+    kept: dict[str, Any] = dict(header.about.scene["refinement"])
+    changed = [
+        f"refinement.{key} is {getattr(scene.refinement, key)} instead of {kept[key]}"
+        for key in ("max_grid_size", "blocking_factor")
+        if getattr(scene.refinement, key) != kept[key]
+    ]
+    if scene.domain.model_dump(mode="json") != dict(header.domain):
+        changed.append("the domain is another one")
+    if changed:
+        raise InputError(
+            f"{scene.name} cannot go on from checkpoint {path}: {changed[0]}; restore that, or start afresh in another folder"
+        )

@@ -1,0 +1,151 @@
+"""The run: from a first state step by step to the last, stopped early if need be, and started again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+from mpi4py import MPI
+
+from ..io import checkpoint_writer
+from ..io.openpmd_writer import write as write_particles
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import install_abort_hook
+from ..particles.particles import Particles
+from ..scene.scene import Scene
+from ..stages.poisson import SolveReport
+from .output import Recorder
+from .plan import Plan
+from .restart import about, load, snapshot
+from .step import Lost, State, accelerated, advance, begin, kicked
+from .stop import Stop
+
+
+class Simulation:
+    """A scene in motion on the ranks of a communicator. Collective to make: the first field is solved then.
+
+    The attributes are those of the present state; they are values, and a later step makes new ones.
+    """
+
+    def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
+        install_abort_hook(comm)  # a script whose callback fails on one rank must not leave the others waiting
+        plan = Plan(comm, scene)
+        self._hold(plan, begin(plan))
+
+    def _hold(self, plan: Plan, state: State) -> None:
+        self.comm, self.scene = plan.comm, plan.scene
+        self.state = state
+        self._plan = plan
+        self._callbacks: list[Callable[[Simulation], None]] = []
+        self._recorded = False  # whether the outputs hold the present state already
+
+    @classmethod
+    def restart(cls, comm: MPI.Comm, path: str | Path, scene: Scene | None = None) -> Self:
+        """Return the run that a checkpoint holds, on any number of ranks. Collective; InputError on all ranks.
+
+        `scene` takes the place of the one in the checkpoint, to go on for longer or write something else; its domain and box
+        sizes must be those of the checkpoint. On as many ranks as wrote it, the run goes on bit by bit as it would have.
+        """
+        install_abort_hook(comm)
+        state, scene, remarks = load(comm, Path(path), scene)
+        run = cls.__new__(cls)
+        plan = Plan(comm, scene)
+        for remark in remarks:
+            plan.remark(remark)
+        run._hold(plan, accelerated(state, plan, 0.0))
+        plan.clock.take()
+        run._recorded = True
+        return run
+
+    def on_step(self, callback: Callable[[Simulation], None]) -> None:
+        """Have `callback` called with this simulation after each step, on all ranks."""
+        self._callbacks.append(callback)
+
+    def run(self, walltime: float | None = None) -> str | None:
+        """Go on to the last step of the scene and write what it asks for. Collective.
+
+        Return None at the end; or, when a signal came or `walltime` (s since the start of the process) is nearly over, why
+        the run stopped after a checkpoint.
+        """
+        resumed, self._recorded = self._recorded, True
+        with (
+            Stop(self.comm, walltime) as stop,
+            Recorder(self.comm, self.state, self._plan, resumed) as record,
+        ):
+            if not resumed:
+                record.state(self.state, self.remarks)
+            while self.step < self.scene.schedule.last_step:
+                if (reason := stop.reason()) is not None:
+                    self.state = kicked(self.state, self._plan)
+                    record.stopped(self.state, reason)
+                    return reason
+                self.state = advance(self.state, self._plan)
+                record.state(self.state, self.remarks)
+                for callback in self._callbacks:
+                    callback(self)
+            self.state = kicked(self.state, self._plan)
+            record.end(self.state)
+        return None
+
+    def checkpoint(self, path: str | Path) -> None:
+        """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
+        state = kicked(self.state, self._plan)
+        checkpoint_writer.write(self.comm, Path(path), snapshot(state, self.scene), self.scene.output.writers)
+
+    def write_particles(self, path: str | Path) -> None:
+        """Write all particles into the openPMD file `path` for BeamPhysics and others. Collective; OutputError on all ranks."""
+        state = kicked(self.state, self._plan)
+        write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is legal in this run and yet may not be meant, one sentence each."""
+        return [*self.scene.remarks(), *self._plan.remarks]
+
+    @property
+    def hierarchy(self) -> Hierarchy:
+        return self.state.hierarchy
+
+    @property
+    def particles(self) -> Particles:
+        """This rank's particles; momenta belong to the same time as positions.
+
+        In the midst of a run these are made at each call, to rounding those of a checkpoint; at its end they are those.
+        """
+        return self.state.synchronized
+
+    @property
+    def rho(self) -> Field:
+        """Charge density of the particles, C/m³."""
+        return self.state.rho
+
+    @property
+    def phi(self) -> Field:
+        """Potential, V; read-only, since the field follows from it."""
+        return self.state.phi
+
+    @property
+    def efield(self) -> VectorField:
+        """Electric field, V/m; read-only."""
+        return self.state.efield
+
+    @property
+    def step(self) -> int:
+        return self.state.step
+
+    @property
+    def time(self) -> float:
+        """Time, s."""
+        return self.state.time
+
+    @property
+    def report(self) -> SolveReport:
+        """How the latest solve went."""
+        return self.state.report
+
+    @property
+    def lost(self) -> Lost:
+        """This rank's particles that left the domain, and when."""
+        return self.state.lost

@@ -1,0 +1,98 @@
+"""The rules of a scene applied to what the cells hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..mesh.domain import Domain
+from ..scene.refinement import (
+    AllRule,
+    AnyRule,
+    CallableRule,
+    ChargeDensityRule,
+    FieldStrengthRule,
+    MomentumRule,
+    ParticlesRule,
+    PotentialRule,
+    RuleKind,
+    StaticRule,
+    Threshold,
+)
+from ..stages import tag
+from ..stages.tag import Tags
+from .particle_fields import Quantities
+
+
+def tags_of(rule: RuleKind, seen: Quantities, part: float = 1.0) -> Tags:
+    """Return the cells that a rule tags if its thresholds are taken `part` as strict. Collective."""
+    tags = _tags(rule, seen, part)
+    levels = None if isinstance(rule, StaticRule) else rule.levels
+    return tags if levels is None else tag.on_levels(tags, levels)
+
+
+def _tags(rule: RuleKind, seen: Quantities, part: float) -> Tags:
+    match rule:
+        case StaticRule():
+            return tag.inside(seen.hierarchy, index_boxes([rule], seen.hierarchy.domain))
+        case AnyRule():
+            return tag.either(*(tags_of(one, seen, part) for one in rule.of))
+        case AllRule():
+            return tag.both(*(tags_of(one, seen, part) for one in rule.of))
+        case ParticlesRule():
+            at_least = part * (rule.at_least or 0)
+            return tag.between(seen.particles_per_cell, at_least, (rule.at_most or math.inf) / part)
+        case CallableRule():
+            given = {name: getattr(seen, name) for name in _MADE if name in rule.arguments}
+            return tag.by_function(
+                seen.hierarchy, rule.function, rule.name, rule.arguments, {**given, "hysteresis": part}
+            )
+        case MomentumRule():
+            most = tag.fastest(seen.particles, seen.hierarchy)
+            return tag.by_momentum(seen.particles, seen.hierarchy, part * _thresholds(rule, most))
+        case ChargeDensityRule():
+            values = tag.magnitude(seen.rho, "charge density")
+        case PotentialRule():
+            values = tag.magnitude(seen.phi, "potential")
+        case FieldStrengthRule():
+            values = tag.magnitude(seen.efield, "field")
+    return tag.beyond(values, part * _thresholds(rule, tag.largest(seen.hierarchy.comm, values)))
+
+
+_MADE = ("rho", "phi", "efield", "particles_per_cell")
+
+
+def _thresholds(rule: Threshold, most: np.ndarray) -> np.ndarray:
+    """Return the threshold of each level, given the largest magnitude on each."""
+    if rule.relative is None:
+        return np.full(len(most), rule.absolute)
+    return rule.relative * (most if rule.relative_to == "level" else np.full(len(most), most.max()))
+
+
+def apart(rule: RuleKind) -> tuple[RuleKind | None, list[StaticRule]]:
+    """Return what a rule tags by what cells hold, None if nothing, and the static boxes that it adds to that.
+
+    Boxes that are added exist at once and exactly; those below `all` bound tags, and so come with a buffer like these.
+    """
+    match rule:
+        case StaticRule():
+            return None, [rule]
+        case AnyRule(levels=None):
+            parts = [apart(one) for one in rule.of]
+            rest = [one for one, _ in parts if one is not None]
+            return rule.model_copy(update={"of": rest}) if rest else None, [box for _, boxes in parts for box in boxes]
+    return rule, []
+
+
+def index_boxes(rules: Sequence[StaticRule], domain: Domain) -> list[np.ndarray]:
+    """Return the boxes of static rules as index boxes (n, 6) per refined level."""
+    boxes = [box for rule in rules for box in rule.boxes]
+    in_metres = [(b.level, b.lower, b.upper) for b in boxes if b.lower is not None and b.upper is not None]
+    in_cells = [(b.level, [*b.first, *b.last]) for b in boxes if b.first is not None and b.last is not None]
+    levels = tag.static_boxes(domain, in_metres)
+    levels += [np.empty((0, 6), np.int32)] * (max((box.level for box in boxes), default=0) - len(levels))
+    for level, box in in_cells:
+        levels[level - 1] = np.concatenate([levels[level - 1], np.array([box], np.int32)])
+    return levels

@@ -1,0 +1,217 @@
+"""The bunches of a scene: how many particles of which charge there are, in which places, and how they move."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..particles.phase_space import Plane
+from ..particles.sampling import BITS, Sampling
+from ..particles.species import SPECIES
+from ..units import SPEED_OF_LIGHT
+from .complaints import complaint
+from .section import Section, refuse_negative
+from .species import Species
+from .units import Charge, Index3, Length3, Momentum3, Velocity3
+
+
+class Bunch(Section):
+    """What all bunches have."""
+
+    name: str = Field(default="", description="A name of your own, kept in the outputs.")
+
+    @property
+    def number(self) -> int:
+        """Macroparticles of one bunch; 0 if that is known only once a file is read."""
+        raise NotImplementedError
+
+    @property
+    def source(self) -> str | None:
+        """The file that the particles are yet to be read from, if they are in one."""
+        return None
+
+    @property
+    def bunch_charge(self) -> float:
+        """Charge of one bunch in C; 0 if that is known only once a file is read."""
+        return 0.0
+
+    def places(self) -> list[tuple[float, float, float]]:
+        """Centres of the bunches of the train in m."""
+        return []
+
+    @property
+    def copies(self) -> int:
+        """Bunches of this kind."""
+        return max(len(self.places()), 1)
+
+    def zero_size(self) -> bool:
+        """Whether all particles of a bunch sit in one point, line or plane."""
+        return False
+
+
+class DescribedBunch(Bunch):
+    """A bunch of which the scene tells species, charge and mean momentum."""
+
+    species: Species = Field(
+        default=SPECIES["proton"],
+        description="A name, or charge (C) and mass (kg) of one real particle. The default is a proton: "
+        "only motion depends on the species, the field on the charge of the bunch alone.",
+    )
+    charge: Charge | None = Field(default=None, description="Charge of one bunch, C; has the sign of the species.")
+    particle_charge: Charge | None = Field(
+        default=None, description="Charge of one macroparticle, C, in place of the charge of the bunch."
+    )
+    momentum: Momentum3 | None = Field(default=None, description="Mean momentum of one real particle, kg m/s.")
+    velocity: Velocity3 | None = Field(default=None, description="Mean velocity, m/s, in place of the momentum.")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.momentum is not None and self.velocity is not None:
+            raise complaint("is given as well as momentum", "keep one of the two", path="velocity", found=self.velocity)
+        speed = math.hypot(*(self.velocity or (0.0,)))
+        if speed >= SPEED_OF_LIGHT:
+            raise complaint(
+                f"is {speed / SPEED_OF_LIGHT:.3g} c",
+                "stay below c, or give a momentum",
+                path="velocity",
+                found=self.velocity,
+            )
+        if self.charge is not None and self.particle_charge is not None:
+            raise complaint(
+                "is given as well as charge", "keep one of the two", path="particle_charge", found=self.particle_charge
+            )
+        key = "charge" if self.particle_charge is None else "particle_charge"
+        given = getattr(self, key)
+        if given is not None and given * self.species.charge < 0:
+            raise complaint(
+                f"has the other sign than the {self.species.charge:g} C of its species",
+                f"write {-given:g} or change the species",
+                path=key,
+                found=given,
+            )
+        if given is not None and self.number > 0 and (given == 0 or self.species.charge == 0):
+            where = key if given == 0 else "species.charge"
+            raise complaint(
+                "makes every particle's charge zero", "give a charge, or particles = 0", path=where, found=0.0
+            )
+        return self
+
+    @property
+    def bunch_charge(self) -> float:
+        """Charge of one bunch in C."""
+        return self.charge_of(self.number)
+
+    def charge_of(self, number: int) -> float:
+        """Charge in C of a bunch of so many macroparticles."""
+        return self.particle_charge * number if self.particle_charge is not None else self.charge or 0.0
+
+    @property
+    def mean_momentum(self) -> tuple[float, float, float]:
+        """Mean momentum of one real particle in kg m/s."""
+        if self.momentum is not None:
+            return self.momentum
+        x, y, z = self.velocity or (0.0, 0.0, 0.0)
+        return (x * self.species.mass, y * self.species.mass, z * self.species.mass)
+
+
+class Train(DescribedBunch):
+    """A bunch with a centre, or several of them."""
+
+    particles: int = Field(ge=0, description="Macroparticles per bunch; the noise of ρ falls with its root.")
+    centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Centre of the bunch or the train, m.")
+    count: int = Field(default=1, ge=1, description="Bunches in the train, symmetric about the centre.")
+    spacing: Length3 | None = Field(default=None, description="From one bunch of the train to the next, m.")
+    centres: list[Length3] | None = Field(
+        default=None, min_length=1, description="Centres one by one, m, in place of a train."
+    )
+    momentum_spread: Momentum3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Standard deviation of the momentum per axis, kg m/s; 0 is cold.",
+    )
+
+    sampling: Sampling = Field(
+        default="random",
+        description="How particles are drawn: at random, or quiet by the quasi-random numbers of sobol (best for a power of "
+        "two particles) or halton, whose noise falls about as 1/N. Random is the default because real bunches are noisy.",
+    )
+
+    @model_validator(mode="after")
+    def _train(self) -> Self:
+        for axis, spread in enumerate(self.momentum_spread):
+            refuse_negative(f"momentum_spread.{axis}", spread, "kg m/s")
+        if self.sampling == "sobol" and self.particles > 2**BITS:
+            raise complaint(
+                f"are more than the {2**BITS} that Sobol numbers tell apart",
+                'use fewer, or sampling = "halton"',
+                path="particles",
+                found=self.particles,
+            )
+        if self.charge is None and self.particle_charge is None:
+            raise complaint(
+                "is missing", 'add the charge of one bunch, such as charge = "10 pC"', path="charge", found="nothing"
+            )
+        if self.count > 1 and self.spacing is None:
+            raise complaint(
+                "is missing for a train", "add the step from bunch to bunch", path="spacing", found="nothing"
+            )
+        if self.centres is not None and (self.count > 1 or self.spacing is not None):
+            raise complaint(
+                "is given as well as count and spacing", "keep one of the two", path="centres", found=self.centres
+            )
+        return self
+
+    @property
+    def number(self) -> int:
+        return self.particles
+
+    def places(self) -> list[tuple[float, float, float]]:
+        if self.centres is not None:
+            return list(self.centres)
+        step = self.spacing or (0.0, 0.0, 0.0)
+        middle = (self.count - 1) / 2
+        return [tuple(self.centre[d] + (b - middle) * step[d] for d in range(3)) for b in range(self.count)]  # type: ignore[misc]
+
+    @property
+    def planes(self) -> tuple[Plane, Plane, Plane]:
+        """Size and momenta of a bunch along x, y, z."""
+        raise NotImplementedError
+
+    def unit(self, u: np.ndarray) -> np.ndarray:
+        """The distribution in unit form: see `distributions`."""
+        raise NotImplementedError
+
+    @property
+    def rms(self) -> tuple[float, float, float]:
+        """Rms size of a bunch along x, y, z in m."""
+        x, y, z = (plane.size for plane in self.planes)
+        return (x, y, z)
+
+    def zero_size(self) -> bool:
+        return self.particles > 0 and min(self.rms) == 0
+
+
+class LatticeBunch(DescribedBunch):
+    """Particles on a regular lattice that fills the domain, shifted by a sine wave: a cold plasma without noise."""
+
+    distribution: Literal["lattice"]
+    per_axis: Index3 = Field(description="Particles per axis; a multiple of the cells gives each cell as many.")
+    displacement: Length3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Amplitude of the shift, m, along each axis, by a sine along that axis.",
+    )
+    waves: Index3 = Field(default=(1, 1, 1), description="Wavelengths of the sine across the domain, per axis.")
+
+    @model_validator(mode="after")
+    def _lattice(self) -> Self:
+        for axis, number in enumerate(self.per_axis):
+            refuse_negative(f"per_axis.{axis}", number, "particles")
+        if self.charge is None and self.particle_charge is None:
+            raise complaint("is missing", "add the charge of all particles together", path="charge", found="nothing")
+        return self
+
+    @property
+    def number(self) -> int:
+        return int(np.prod([int(n) for n in self.per_axis], dtype=object))

@@ -1,0 +1,115 @@
+"""One sentence per mistake in a scene: what is wrong, where, the value found, and what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+
+def close_match(word: str, known: Iterable[str]) -> str:
+    """Return the remedy for a word that is not among the known ones."""
+    choices = list(known)
+    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.6)
+    return f'did you mean "{close[0]}"?' if close else f"use one of {', '.join(choices)}"
+
+
+class Mistake(NamedTuple):
+    """What is wrong with one value of a model, and what to do about it."""
+
+    path: str
+    found: Any  # "" where there is nothing to show
+    what: str
+    remedy: str
+
+
+def mistakes(refused: ValidationError, model: type[BaseModel]) -> list[Mistake]:
+    """Return the mistakes that made a model refuse its input."""
+    schema = model.model_json_schema()
+    return [_mistake(error, schema) for error in refused.errors(include_url=False)]
+
+
+def sentences(refused: ValidationError, source: str, model: type[BaseModel]) -> list[str]:
+    """Return a sentence for each error of a model; `source` names the file or object that was to be read."""
+    return [_sentence(source, *mistake) for mistake in mistakes(refused, model)]
+
+
+def _sentence(source: str, path: str, found: Any, what: str, remedy: str) -> str:
+    value = "" if found == "" else f" ({_brief(found)})"
+    return f"{source}: {path or 'the scene'}{value} {what}; {remedy}"
+
+
+def _mistake(error: ErrorDetails, schema: dict[str, Any]) -> Mistake:
+    context = error.get("ctx") or {}
+    path = ".".join([*_keys(error["loc"], schema), context.get("path", "")]).strip(".")
+    found = context.get("found") if error["type"] == "amrpic" else None
+    found = error["input"] if found is None else found
+    if error["type"] == "amrpic":
+        return Mistake(path, found, context["what"], context["remedy"])
+    what, remedy, found = _pydantic(error, path, found)
+    return Mistake(path, found, what, remedy)
+
+
+def _keys(place: tuple[str | int, ...], schema: dict[str, Any]) -> Iterator[str]:
+    """Yield the keys of a place as users wrote them: without the names of union members that pydantic puts in between."""
+    node: dict[str, Any] = schema
+    for part in place:
+        here = list(_resolved(node, schema))
+        members = [one["discriminator"]["mapping"].get(part) for one in here if "discriminator" in one]
+        if any(members):
+            node = {"$ref": next(filter(None, members))}
+            continue
+        yield str(part)
+        below = (one.get("items") if isinstance(part, int) else one.get("properties", {}).get(part) for one in here)
+        node = next(filter(None, below), {})
+
+
+def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield a part of a schema, or those that it names, references followed."""
+    if "$ref" in node:
+        node = schema["$defs"][node["$ref"].removeprefix("#/$defs/")]
+    yield node
+    for part in [*node.get("anyOf", []), *node.get("allOf", [])]:
+        yield from _resolved(part, schema)
+
+
+def _pydantic(error: ErrorDetails, path: str, found: Any) -> tuple[str, str, Any]:
+    """Return what is wrong, the remedy and the value to show for an error of pydantic's own."""
+    kind, context = error["type"], error.get("ctx") or {}
+    key = path.rpartition(".")[2]
+    if kind == "missing":
+        return "is missing", f"add {key} = …", ""
+    if kind == "union_tag_not_found":
+        chooser = str(context["discriminator"]).strip("'")
+        return f"has no {chooser}", f'add {chooser} = "…" to it', ""
+    if kind == "union_tag_invalid":
+        chooser = str(context["discriminator"]).strip("'")
+        tags = [tag.strip("' ") for tag in str(context["expected_tags"]).split(",")]
+        return f"has an unknown {chooser}", close_match(str(context["tag"]), tags), context["tag"]
+    if kind == "literal_error":
+        choices = [choice.strip("' ") for choice in str(context["expected"]).replace(" or ", ",").split(",")]
+        return "is not one of the choices", close_match(str(found), choices), found
+    message = error["msg"][0].lower() + error["msg"][1:]
+    for opening in ("input should be ", "value should be "):
+        if message.startswith(opening):
+            return f"is not {message.removeprefix(opening)}", f"change {key}", found
+    return f"is refused: {message}", f"change {key}", found
+
+
+def _brief(value: Any) -> str:
+    text = str(value) if isinstance(value, (int, float)) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "…"
+
+
+def complaint(what: str, remedy: str, *, path: str = "", found: Any = None) -> PydanticCustomError:
+    """Return a validation error that already knows its wording: what is wrong, and what to do about it.
+
+    `path` is relative to the section that is being validated; `found` replaces the value that pydantic would report.
+    """
+    # Braces in the message would be read as placeholders by pydantic, so the words travel as context.
+    return PydanticCustomError(
+        "amrpic", "{what}; {remedy}", {"what": what, "remedy": remedy, "path": path, "found": found}
+    )

@@ -1,0 +1,107 @@
+"""The section [domain] of a scene: the cuboid, its base cells and what holds at its faces."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+
+from ..errors import HierarchyError
+from ..mesh.domain import AXES, BOUNDARIES, Domain
+from .boundary_values import Function, Potentials, Slopes, require_kind, wall_function
+from .complaints import close_match, complaint
+from .section import Section
+from .units import Index3, Length3
+
+LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
+_FACE = {"enum": list(BOUNDARIES)}
+_FACES = {"anyOf": [_FACE, {"type": "array", "items": _FACE, "minItems": 2, "maxItems": 2}]}
+BOUNDARY_SCHEMA = {
+    "anyOf": [
+        _FACE,
+        {"type": "object", "properties": dict.fromkeys(AXES, _FACES), "additionalProperties": False},
+    ]
+}
+
+
+class DomainSection(Section):
+    """The cuboid that is computed, its base cells and what holds at its faces."""
+
+    lower: Length3 = Field(description="Lower corner, m.")
+    upper: Length3 = Field(description="Upper corner, m; above the lower one along each axis.")
+    cells: Index3 = Field(description="Base cells per axis, at least 2; any number will do.")
+    boundary: Annotated[
+        dict[str, tuple[str, str]],
+        BeforeValidator(lambda value: _per_face(value)),
+        WithJsonSchema(BOUNDARY_SCHEMA),
+    ] = Field(
+        default=dict.fromkeys(AXES, ("open", "open")),
+        description="open, dirichlet (0 V), neumann (no flux) or periodic: one for all faces, or per axis one or a "
+        "pair (lower, upper). Open, φ(∞) = 0, is the default because a bunch in free space is the usual case.",
+    )
+    potential: Potentials = Field(
+        default={},
+        description='Potential of Dirichlet faces, V, per axis one or a pair (lower, upper): numbers, strings such as "5 kV", '
+        'or formulas in x, y and z (m) such as "1e6*(x^2 - y^2)". Faces without one are at 0 V.',
+    )
+    slope: Slopes = Field(
+        default={},
+        description="Outward derivative of φ on Neumann faces, V/m, per axis one or a pair (lower, upper), as for "
+        "potential; the flux of E out of the face is minus this. Faces without one have none.",
+    )
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        try:
+            domain = self.value
+        except HierarchyError as refused:
+            what, _, remedy = str(refused).partition("; ")
+            raise complaint(f"is refused: {what}", remedy, found="") from None
+        if any("open" in pair for pair in domain.boundary) and any(domain.periodic):
+            raise complaint(
+                "mixes open and periodic faces, for which there is no method yet",
+                "make all faces open, or the open ones dirichlet or neumann with room around the charge",
+                path="boundary",
+                found=domain.boundary,
+            )
+        require_kind(self.potential, self.boundary, "dirichlet", "potential")
+        require_kind(self.slope, self.boundary, "neumann", "slope")
+        return self
+
+    def wall_functions(self) -> tuple[Function | None, Function | None]:
+        """The potential on Dirichlet faces and the slope on Neumann faces, as functions of x, y and z; None where zero."""
+        return (
+            wall_function(self.potential, self.lower, self.upper, "domain.potential"),
+            wall_function(self.slope, self.lower, self.upper, "domain.slope"),
+        )
+
+    @property
+    def value(self) -> Domain:
+        """The domain that hierarchies are made of."""
+        return Domain(self.lower, self.upper, self.cells, self.boundary)
+
+
+def _per_face(value: Any) -> Any:
+    if isinstance(value, str):
+        value = dict.fromkeys(AXES, value)
+    if not isinstance(value, Mapping):
+        raise complaint("is no boundary", f"write one of {', '.join(BOUNDARIES)}, or one per axis")
+    pairs = {axis: tuple(face) if isinstance(face, list | tuple) else (face, face) for axis, face in value.items()}
+    for axis in pairs:
+        if axis not in AXES:
+            raise complaint("is not an axis", "use x, y and z", path=str(axis))
+    for axis, pair in pairs.items():
+        for name in pair:
+            if name not in BOUNDARIES:
+                raise complaint(
+                    "is not a boundary condition", close_match(str(name), BOUNDARIES), path=axis, found=name
+                )
+        if len(pair) != 2 or ("periodic" in pair and pair != ("periodic", "periodic")):
+            raise complaint(
+                "does not fit the two faces of an axis",
+                "write one condition or a pair (lower, upper), periodic on both or on none",
+                path=axis,
+                found=value[axis],
+            )
+    return {axis: pairs.get(axis, ("open", "open")) for axis in AXES}

@@ -1,0 +1,84 @@
+"""Formulas in x, y and z, as scene files hold them."""
+
+from __future__ import annotations
+
+import ast
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .complaints import complaint
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: getattr(np, name)
+    for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "sinh", "cosh", "tanh", "arctan2", "hypot")
+} | {"abs": np.abs, "min": np.minimum, "max": np.maximum}
+CONSTANTS = {"pi": np.pi}
+COORDINATES = ("x", "y", "z")
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {ast.UAdd: operator.pos, ast.USub: operator.neg}
+
+Value = np.ndarray | float
+
+
+def formula(text: str) -> Callable[[np.ndarray, np.ndarray, np.ndarray], Value]:
+    """Return the function of x, y and z (arrays, m) that a formula such as "1e6*(x^2 - y^2)" means.
+
+    Nothing but arithmetic, `pi` and the functions of `FUNCTIONS` is understood; anything else is a complaint.
+    """
+    try:
+        tree = ast.parse(text.replace("^", "**"), mode="eval").body
+    except (SyntaxError, ValueError):
+        raise complaint("is no formula", 'write one such as "1e6*(x^2 - y^2)"', found=text) from None
+    _check(tree, text)
+    return lambda x, y, z: _value(tree, {**CONSTANTS, "x": x, "y": y, "z": z})
+
+
+def _check(node: ast.expr, text: str) -> None:
+    match node:
+        case ast.Constant(value=int() | float()):
+            return
+        case ast.Name(id=name) if name in CONSTANTS or name in COORDINATES:
+            return
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            parts = [left, right]
+        case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
+            parts = [operand]
+        case ast.Call(func=ast.Name(id=name), args=parts, keywords=[]) if name in FUNCTIONS:
+            expected = 2 if name in ("min", "max", "arctan2", "hypot") else 1
+            if len(parts) != expected:
+                raise complaint(
+                    f"gives {name} {len(parts)} values", f"{name} takes {expected}; mend the formula", found=text
+                )
+        case _:
+            known = ", ".join([*COORDINATES, *CONSTANTS, *FUNCTIONS])
+            raise complaint(
+                f'holds "{ast.unparse(node)}", which no formula knows',
+                f"use numbers, + - * / ^ and {known}",
+                found=text,
+            )
+    for part in parts:
+        _check(part, text)
+
+
+def _value(node: ast.expr, names: dict[str, Value]) -> Value:
+    match node:
+        case ast.Constant(value=number):
+            return float(number)  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return names[name]
+        case ast.BinOp(left=left, op=op, right=right):
+            return _BINARY[type(op)](_value(left, names), _value(right, names))
+        case ast.UnaryOp(op=op, operand=operand):
+            return _UNARY[type(op)](_value(operand, names))
+        case ast.Call(func=ast.Name(id=name), args=parts):
+            return FUNCTIONS[name](*(_value(part, names) for part in parts))
+    raise AssertionError(ast.dump(node))

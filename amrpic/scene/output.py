@@ -1,0 +1,32 @@
+"""The section [output] of a scene: what a run writes, and when."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from .section import Section
+
+
+class Output(Section):
+    """What a run leaves behind."""
+
+    directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
+    write: list[Literal["checkpoint", "fields", "particles", "series", "pictures"]] = Field(
+        default=["checkpoint", "fields", "series", "pictures"],
+        description="The kinds of output wanted; particles are openPMD files, which a restart does without.",
+    )
+    checkpoint_every: int = Field(
+        default=10, ge=0, description="Steps between checkpoints; 0 writes the last one only."
+    )
+    keep: int = Field(
+        default=2, ge=1, description="Newest checkpoints kept: two, so that one remains if a disk fails the last."
+    )
+    writers: int = Field(
+        default=1, ge=0, description="Ranks that write a checkpoint, each a part of its own; 0 lets all of them."
+    )
+    fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
+    particles_every: int = Field(
+        default=0, ge=0, description="Steps between particle files; 0 writes the last one only."
+    )

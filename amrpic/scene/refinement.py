@@ -1,0 +1,350 @@
+"""The part of the scene that says where finer levels lie, by which rules, and when they follow the particles."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .complaints import close_match, complaint
+from .section import Section
+from .units import ChargeDensity, FieldStrength, Index3, Length3, Momentum, Potential
+
+#: What a function that tags cells may ask for by the names of its parameters; arrays are of one box.
+ARGUMENTS = {
+    "level": "number of the level, 0 the base",
+    "x": "centres of the cells along x, m; x, y and z broadcast to (nx, ny, nz)",
+    "y": "along y, m",
+    "z": "along z, m",
+    "rho": "charge density, C/m³, (nx, ny, nz)",
+    "phi": "potential, V",
+    "efield": "electric field, V/m, three arrays",
+    "particles_per_cell": "macroparticles in each cell",
+    "hysteresis": "1 for what shall be refined, refinement.hysteresis for what may stay so: a factor for thresholds",
+}
+
+
+class Rule(Section):
+    """Tags cells that shall be refined."""
+
+    levels: list[Annotated[int, Field(ge=0)]] | None = Field(
+        default=None, min_length=1, description="Levels whose cells it tags, 0 the base; all if left out."
+    )
+
+
+class Threshold(Rule):
+    """Tag where the magnitude of a quantity exceeds a threshold."""
+
+    absolute: float | None = Field(default=None, ge=0, description="Threshold.")
+    relative: float | None = Field(default=None, ge=0, description="Threshold as a part of the largest magnitude.")
+    relative_to: Literal["whole", "level"] = Field(
+        default="whole",
+        description="Where that largest magnitude is looked for: on the whole mesh, or on the level of the cell. "
+        "They differ for what grows as cells shrink, such as the density of few particles.",
+    )
+
+    @model_validator(mode="after")
+    def _one_threshold(self) -> Self:
+        if self.absolute is None and self.relative is None:
+            raise complaint("must be given, or else absolute", "add one of the two", path="relative", found="")
+        if self.absolute is not None and self.relative is not None:
+            raise complaint("is given as well as absolute", "keep one of the two", path="relative", found=self.relative)
+        if self.absolute is not None and self.relative_to == "level":
+            raise complaint(
+                "has no meaning beside absolute", "leave it out, or give relative", path="relative_to", found="level"
+            )
+        return self
+
+
+class ChargeDensityRule(Threshold):
+    """Refine where |ρ| is large: there is the source of the field."""
+
+    kind: Literal["charge-density"] = "charge-density"
+    absolute: ChargeDensity | None = Field(ge=0, default=None, description="Threshold, C/m³.")
+
+
+class PotentialRule(Threshold):
+    """Refine where |φ| is large; costs a solve for each level that is made at the start."""
+
+    kind: Literal["potential"] = "potential"
+    absolute: Potential | None = Field(ge=0, default=None, description="Threshold, V.")
+
+
+class FieldStrengthRule(Threshold):
+    """Refine where |E| is large; costs a solve for each level that is made at the start."""
+
+    kind: Literal["field-strength"] = "field-strength"
+    absolute: FieldStrength | None = Field(ge=0, default=None, description="Threshold, V/m.")
+
+
+class MomentumRule(Threshold):
+    """Refine the cells that hold a particle whose |p| is large, compared with the particles of all ranks."""
+
+    kind: Literal["momentum"] = "momentum"
+    absolute: Momentum | None = Field(ge=0, default=None, description="Threshold, kg m/s, of one real particle.")
+
+
+class ParticlesRule(Rule):
+    """Refine the cells with at least, or at most, so many macroparticles; empty cells never.
+
+    A cell that is refined already counts the particles of its children.
+    """
+
+    kind: Literal["particles-per-cell"] = "particles-per-cell"
+    at_least: int | None = Field(default=None, ge=1, description="Fewest particles of a cell that is refined.")
+    at_most: int | None = Field(default=None, ge=1, description="Most particles of a cell that is refined.")
+
+    @model_validator(mode="after")
+    def _some_bound(self) -> Self:
+        if self.at_least is None and self.at_most is None:
+            raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
+        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
+            raise complaint(
+                f"lies above at_most = {self.at_most}, so that no cell fits",
+                "swap them",
+                path="at_least",
+                found=self.at_least,
+            )
+        return self
+
+
+class CallableRule(Rule):
+    """Refine where a Python function says so; from Python only, as files and checkpoints keep nothing but its name.
+
+    It is called for each box with the arguments that its parameters name, such as `lambda x, y, z, rho: …`, and returns a
+    bool per cell, or what broadcasts to that. `amrpic.scene.refinement.ARGUMENTS` lists the names.
+    """
+
+    kind: Literal["callable"] = "callable"
+    function: Any = Field(default=None, exclude=True, repr=False, description="The function.")
+    name: str = Field(default="", description="Name of the function; filled in.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _note_name(cls, data: Any) -> Any:
+        if isinstance(data, dict) and callable(data.get("function")):
+            function = data["function"]
+            return {**data, "name": getattr(function, "__qualname__", type(function).__qualname__)}
+        return data
+
+    @model_validator(mode="after")
+    def _can_be_called(self) -> Self:
+        if self.function is None:
+            raise complaint(
+                f"is missing: {self.name or 'it'} is a Python function, which no file or checkpoint keeps",
+                "pass the scene from Python with function=…, at a restart by Simulation.restart(comm, path, scene)",
+                path="function",
+                found="",
+            )
+        if not callable(self.function):
+            raise complaint("is not a function", "give one", path="function", found=self.function)
+        for parameter in _parameters(self.function):
+            if parameter.name not in ARGUMENTS and parameter.default is parameter.empty:
+                raise complaint(
+                    f"has the parameter {parameter.name}, which names nothing that can be passed",
+                    close_match(parameter.name, ARGUMENTS),
+                    path="function",
+                    found=self.name,
+                )
+        return self
+
+    @property
+    def arguments(self) -> list[str]:
+        """What the function asks for."""
+        return [parameter.name for parameter in _parameters(self.function) if parameter.name in ARGUMENTS]
+
+
+def _parameters(function: Any) -> list[inspect.Parameter]:
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:
+        raise complaint(
+            "does not tell its parameters", "wrap it, as in lambda x, y, z: …", path="function", found=str(function)
+        ) from None
+    return [p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+
+
+class StaticBox(Section):
+    """A cuboid to refine, in metres or in cells."""
+
+    level: int = Field(ge=1, description="Level of the cells inside the box; 1 is the first refined one.")
+    lower: Length3 | None = Field(default=None, description="Lower corner, m; rounded outwards to the blocking factor.")
+    upper: Length3 | None = Field(default=None, description="Upper corner, m.")
+    first: Index3 | None = Field(
+        default=None, description="First cell per axis in the index space of the level, exact."
+    )
+    last: Index3 | None = Field(default=None, description="Last cell per axis, inclusive.")
+
+    @model_validator(mode="after")
+    def _one_pair(self) -> Self:
+        metres: tuple[Any, Any] = (self.lower, self.upper)
+        cells: tuple[Any, Any] = (self.first, self.last)
+        pairs = [pair for pair in (metres, cells) if pair != (None, None)]
+        if len(pairs) != 1 or None in pairs[0]:
+            raise complaint("needs its corners", "give lower and upper in metres, or first and last in cells", found="")
+        if (
+            any(a >= b for a, b in zip(*metres, strict=True))
+            if metres[0]
+            else any(a > b for a, b in zip(*cells, strict=True))
+        ):
+            raise complaint("has no volume", "put its upper corner above the lower one", found=pairs[0])
+        return self
+
+
+class StaticRule(Section):
+    """Refine given boxes, and keep them. Below `all` they bound where the other rules refine."""
+
+    kind: Literal["static"] = "static"
+    boxes: list[StaticBox] = Field(min_length=1, description="The boxes of all refined levels.")
+
+
+class Combination(Rule):
+    """A rule made of others."""
+
+    of: list[RuleKind] = Field(description="The rules.")
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> Self:
+        if not self.of:
+            raise complaint(
+                "names no rule", 'list some, such as { kind = "charge-density", relative = 1e-3 }', path="of", found=[]
+            )
+        return self
+
+
+class AnyRule(Combination):
+    """Refine the cells that any of the rules tags."""
+
+    kind: Literal["any"] = "any"
+
+
+class AllRule(Combination):
+    """Refine the cells that all of the rules tag."""
+
+    kind: Literal["all"] = "all"
+
+
+RuleKind = Annotated[
+    ChargeDensityRule
+    | PotentialRule
+    | FieldStrengthRule
+    | MomentumRule
+    | ParticlesRule
+    | CallableRule
+    | StaticRule
+    | AnyRule
+    | AllRule,
+    Field(discriminator="kind"),
+]
+
+
+def every_rule(rule: RuleKind, path: str = "rule") -> Iterator[tuple[str, RuleKind]]:
+    """Yield a rule and all that it is made of, each with its path in the section."""
+    yield path, rule
+    if isinstance(rule, Combination):
+        for number, part in enumerate(rule.of):
+            yield from every_rule(part, f"{path}.of.{number}")
+
+
+class Refinement(Section):
+    """Where finer levels lie and how they are cut into boxes."""
+
+    levels: int = Field(
+        default=0, ge=0, le=20, description="Refined levels above the base, each of half the cell width."
+    )
+    max_grid_size: int = Field(
+        default=32,
+        ge=2,
+        description="Most cells of a box along an axis, and one more where a single layer of cells would be left at the "
+        "domain's upper face: small boxes balance the ranks, large ones are faster.",
+    )
+    blocking_factor: int = Field(
+        default=8,
+        ge=2,
+        description="Boxes begin at multiples of it, and end there or at the domain's upper face, where the last one may "
+        "be shorter; a power of two, so that they coarsen.",
+    )
+    rule: RuleKind = Field(
+        default=ChargeDensityRule(relative=1e-3),
+        description="What is refined. The default follows a Gaussian bunch out to 3.7 σ.",
+    )
+    hysteresis: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="Part of its thresholds down to which the rule keeps what is refined already (for at_most, the "
+        "multiple up to 1 over it), so that the mesh does not flicker with the noise of the particles; 1: none.",
+    )
+    regrid_every: int = Field(default=5, ge=0, description="Steps between regrids; 0: not by the number of steps.")
+    regrid_outrun: float | None = Field(
+        default=None,
+        ge=0,
+        lt=1,
+        description="Regrid in any step in which more than this part of the particles lies in cells that the rule wants "
+        "finer than they are: particles that have outrun their level. With 0, and regrid_every = 0, exactly when needed. "
+        "Costs a look at the tags in each step; potential and field are then those of the step before.",
+    )
+    buffer: int = Field(
+        default=2,
+        ge=0,
+        description="Cells around tagged ones that are refined too: 2 keep dense charge 4 fine cells off the faces.",
+    )
+    efficiency: float = Field(default=0.7, gt=0, le=1, description="Least part of a clustered box that is tagged.")
+    nesting: int = Field(default=2, ge=1, description="Least cells of a level around the next finer one.")
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        block, size = self.blocking_factor, self.max_grid_size
+        if block & (block - 1):
+            below = 2 ** (block.bit_length() - 1)
+            raise complaint("is not a power of two", f"use {below} or {2 * below}", path="blocking_factor", found=block)
+        if size % block:
+            near = f"{size // block * block} or {(size // block + 1) * block}" if size > block else f"{block}"
+            raise complaint(
+                f"is not a multiple of the blocking factor {block}", f"use {near}", path="max_grid_size", found=size
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _levels_exist(self) -> Self:
+        for path, rule in every_rule(self.rule):
+            if isinstance(rule, StaticRule):
+                for index, box in enumerate(rule.boxes):
+                    if box.level > self.levels:
+                        raise complaint(
+                            f"lies above the {self.levels} refined levels of the scene",
+                            f"set refinement.levels to {box.level} or more, or leave the box out",
+                            path=f"{path}.boxes.{index}.level",
+                            found=box.level,
+                        )
+            elif rule.levels is not None and max(rule.levels) >= self.levels:
+                raise complaint(
+                    f"names a level whose cells nothing refines: the scene has {self.levels} refined levels",
+                    f"name levels below {self.levels}, or set refinement.levels to {max(rule.levels) + 1} or more",
+                    path=f"{path}.levels",
+                    found=rule.levels,
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _something_to_outrun(self) -> Self:
+        if self.regrid_outrun is not None and not self.follows:
+            raise complaint(
+                "has no meaning for a mesh that never changes",
+                "leave it out, or choose a rule other than static, and levels of 1 or more",
+                path="regrid_outrun",
+                found=self.regrid_outrun,
+            )
+        return self
+
+    @property
+    def follows(self) -> bool:
+        """Whether the mesh can follow the particles: it is refined, and not by static boxes alone."""
+        parts = [rule for _, rule in every_rule(self.rule) if not isinstance(rule, Combination)]
+        return self.levels > 0 and not all(isinstance(rule, StaticRule) for rule in parts)
+
+
+for model in (AnyRule, AllRule, Refinement):
+    model.model_rebuild()

@@ -1,0 +1,239 @@
+"""The scene: everything that a run depends on, as one frozen model that TOML files and Python share."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from ..errors import SceneError
+from ..mesh.domain import AXES
+from . import toml
+from .bunch_files import ArrayBunch, OpenPMDBunch
+from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
+from .bunches import LatticeBunch
+from .complaints import complaint, sentences
+from .domain import LARGEST_INDEX, DomainSection
+from .motion import Leapfrog, NoMotion, RandomWalk
+from .output import Output
+from .particles import ParticlesSection
+from .refinement import Refinement, StaticBox, StaticRule, every_rule
+from .schedule import Schedule
+from .section import Section
+from .solver_options import SolverSection
+
+LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
+
+
+class RefusedScene(SceneError):
+    """A scene with mistakes: the message tells the first, `problems` has a sentence for each."""
+
+    def __init__(self, message: str, problems: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.problems = list(problems) or [message]
+
+
+class Scene(Section):
+    """A run, described: where, what charge, how refined, how solved, how moved, how long, what written."""
+
+    name: str = Field(default="scene", min_length=1, description="Name of the scene and of its output folder.")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="Of all random numbers; the same seed gives the same run.")
+    background: Literal["none", "neutralizing"] = Field(
+        default="none", description="neutralizing: a uniform density that cancels the net charge, for periodic scenes."
+    )
+    domain: DomainSection
+    bunches: list[
+        Annotated[
+            GaussianBunch
+            | SphereBunch
+            | WaterbagBunch
+            | KVBunch
+            | ParabolicBunch
+            | HollowBunch
+            | HaloBunch
+            | LatticeBunch
+            | ArrayBunch
+            | OpenPMDBunch,
+            Field(discriminator="distribution"),
+        ]
+    ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
+    refinement: Refinement = Refinement()
+    particles: ParticlesSection = ParticlesSection()
+    solver: SolverSection = SolverSection()
+    motion: Annotated[NoMotion | Leapfrog | RandomWalk, Field(discriminator="kind")] = NoMotion()
+    schedule: Schedule = Schedule()
+    output: Output = Output()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if "/" in self.name or self.name in (".", ".."):
+            raise complaint(
+                "is a path", "give a plain name, and the folder as output.directory", path="name", found=self.name
+            )
+        self._check_cells()
+        self._check_boxes()
+        self._check_places()
+        self._check_balance()
+        self._check_stretch()
+        self._check_screening()
+        return self
+
+    def _check_cells(self) -> None:
+        cells = self.domain.cells
+        for axis, number in enumerate(cells):
+            if number * 2**self.refinement.levels > LARGEST_INDEX:
+                raise complaint(
+                    f"makes {number * 2**self.refinement.levels} cells on the finest level, more than 32 bits count",
+                    "use fewer base cells or levels",
+                    path=f"domain.cells.{axis}",
+                    found=number,
+                )
+        if (rows := int(cells[0]) * int(cells[1]) * int(cells[2])) > LARGEST_ROW:
+            raise complaint(
+                f"makes {rows} equations, more than the {LARGEST_ROW} that 64-bit row numbers count",
+                "use fewer base cells",
+                path="domain.cells",
+                found=list(cells),
+            )
+
+    def _check_boxes(self) -> None:
+        for path, rule in every_rule(self.refinement.rule, "refinement.rule"):
+            for number, box in enumerate(rule.boxes if isinstance(rule, StaticRule) else ()):
+                self._check_box(box, f"{path}.boxes.{number}")
+
+    def _check_box(self, box: StaticBox, path: str) -> None:
+        for axis in range(3):
+            last = self.domain.cells[axis] * 2**box.level - 1
+            outside = box.first and box.last and (box.first[axis] < 0 or box.last[axis] > last)
+            if outside and not self.domain.value.periodic[axis]:
+                raise complaint(
+                    f"leaves the domain, whose cells of level {box.level} reach from 0 to {last} along {AXES[axis]}",
+                    "move it inside",
+                    path=path,
+                    found=[box.first, box.last],
+                )
+
+    def _check_places(self) -> None:
+        for number, bunch in enumerate(self.bunches):
+            for place in bunch.places():
+                for axis in range(3):
+                    if not self.domain.lower[axis] <= place[axis] <= self.domain.upper[axis]:
+                        raise complaint(
+                            f"puts a bunch outside the domain, at {AXES[axis]} = {place[axis]:g} m where it reaches "
+                            f"from {self.domain.lower[axis]:g} to {self.domain.upper[axis]:g} m",
+                            "move the bunch or enlarge the domain",
+                            path=f"bunches.{number}.centre",
+                            found=list(place),
+                        )
+
+    def _check_balance(self) -> None:
+        singular = self.domain.value.singular and self.solver.screening == 0
+        if self.background == "neutralizing" and not singular:
+            raise complaint(
+                "needs a domain whose faces are all periodic or neumann, and no screening",
+                "change domain.boundary or solver.screening, or leave the background out",
+                path="background",
+                found=self.background,
+            )
+        charges = [bunch.bunch_charge * bunch.copies for bunch in self.bunches]
+        scale = sum(abs(charge) for charge in charges)
+        if singular and not self.domain.slope and self.background == "none" and abs(sum(charges)) > 1e-12 * scale:
+            raise complaint(
+                f"has no solution: all faces are periodic or neumann, and the net charge is {sum(charges):g} C",
+                'set background = "neutralizing", or charges that add up to zero',
+                path="background",
+                found=self.background,
+            )
+
+    def _check_stretch(self) -> None:
+        if isinstance(self.motion, Leapfrog) and self.solver.stretch != (1.0, 1.0, 1.0):
+            raise complaint(
+                "asks for the field of a relativistic bunch, but the leapfrog knows no magnetic force",
+                "leave stretch out, or the motion",
+                path="solver.stretch",
+                found=list(self.solver.stretch),
+            )
+
+    def _check_screening(self) -> None:
+        if refused := self.solver.screening_refusal(self.domain.value):
+            raise complaint(*refused, path="solver.screening", found=self.solver.screening)
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
+        """Return the scene of a TOML file, with `key.path=value` overrides.
+
+        Raises SceneError in one sentence; paths in the file are relative to it.
+        """
+        path = Path(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as reason:
+            raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+            raise SceneError(f"scene file {path} is not TOML: {reason}; mend that line") from None
+        toml.override(data, overrides)
+        data.setdefault("name", path.stem)
+        _anchor_files(data, path.parent)
+        return cls.from_dict(data, source=str(path))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: str = "scene") -> Self:
+        """Return the scene of nested mappings and lists, as TOML and JSON hold. Raises SceneError in one sentence."""
+        try:
+            return cls.model_validate(data)
+        except ValidationError as refused:
+            problems = sentences(refused, source, cls)
+            more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
+            raise RefusedScene(problems[0] + more, problems) from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the resolved scene, all defaults filled in, as plain values; `from_dict` gives the scene back."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def to_toml(self) -> str:
+        """Return the resolved scene as the text of a TOML file."""
+        return toml.dumps(self.to_dict())
+
+    def with_interface(self, interface: str) -> Self:
+        """Return the scene with `particles.interface` as given."""
+        return self.model_copy(update={"particles": self.particles.model_copy(update={"interface": interface})})
+
+    @property
+    def directory(self) -> Path:
+        """Where the run writes."""
+        return Path(self.output.directory) if self.output.directory is not None else Path("runs") / self.name
+
+    def particle_count(self) -> int:
+        """Macroparticles of the whole scene at its start."""
+        return sum(bunch.number * bunch.copies for bunch in self.bunches)
+
+    def summary(self) -> str:
+        """Return in one line what the scene is."""
+        cells = "x".join(map(str, self.domain.cells))
+        bunches = sum(bunch.copies for bunch in self.bunches)
+        more = " and those in files" if any(bunch.source for bunch in self.bunches) else ""
+        return (
+            f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} bunches of "
+            f"{self.particle_count()} particles in all{more}, {self.schedule.last_step} steps after the first solve"
+        )
+
+    def remarks(self) -> list[str]:
+        """Return one sentence for each thing that is legal and yet may not be meant."""
+        out = []
+        if self.particle_count() == 0 and not any(bunch.source for bunch in self.bunches):
+            out.append("the scene has zero particles; the field is that of the boundary alone")
+        flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
+        if flat:
+            out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")
+        return out
+
+
+def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
+    bunches = data.get("bunches")
+    for bunch in bunches if isinstance(bunches, list) else []:
+        if isinstance(bunch, dict) and isinstance(bunch.get("file"), str):
+            bunch["file"] = str(folder / bunch["file"])

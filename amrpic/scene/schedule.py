@@ -1,0 +1,28 @@
+"""The section [schedule] of a scene: how long a run is."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from .complaints import complaint
+from .section import Section
+
+
+class Schedule(Section):
+    """How long a run is. The first solve comes before the first step."""
+
+    steps: int | None = Field(default=None, ge=0, description="Steps after the first solve.")
+    solves: int | None = Field(default=None, ge=1, description="Solves in all, in place of steps: one more than steps.")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if self.steps is not None and self.solves is not None:
+            raise complaint("is given as well as steps", "keep one of the two", path="solves", found=self.solves)
+        return self
+
+    @property
+    def last_step(self) -> int:
+        """Number of the step that ends the run."""
+        return self.steps if self.steps is not None else (self.solves or 1) - 1

@@ -1,0 +1,57 @@
+"""The sections of a scene share their manners: frozen, strict about keys, plain about mistakes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, model_validator
+from pydantic_core import CoreSchema
+
+from .complaints import close_match, complaint
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, str | bool):
+        raise complaint("is not a number", "write one, without quotes and without a unit")
+    return value
+
+
+REFUSAL = {"type": "no-info", "function": _number}
+
+
+def _without_coercion(schema: Any) -> Any:
+    """Return a validation schema in which "3" and true are no numbers, as for every JSON schema and editor."""
+    if isinstance(schema, list):
+        return [_without_coercion(member) for member in schema]
+    if not isinstance(schema, dict) or schema.get("function") == REFUSAL:
+        return schema
+    if schema.get("type") in ("int", "float"):
+        return {"type": "function-before", "function": REFUSAL, "schema": schema}
+    return {key: _without_coercion(member) for key, member in schema.items()}
+
+
+class Section(BaseModel):
+    """A part of the scene: frozen, and strict about its keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return _without_coercion(handler(source))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys(cls, data: Any) -> Any:
+        if isinstance(data, Mapping):
+            for key in data:
+                if key not in cls.model_fields:
+                    raise complaint(
+                        "is an unknown key", close_match(str(key), cls.model_fields), path=str(key), found=data[key]
+                    )
+        return data
+
+
+def refuse_negative(path: str, value: float, unit: str) -> None:
+    if value < 0:
+        raise complaint("is negative", f"give 0 or more {unit}", path=path, found=value)

@@ -1,0 +1,152 @@
+"""What is measured of a state: pure reductions over all ranks."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import _native
+from ..mesh.domain import AXES
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import global_max
+from ..particles.particles import Particles
+from ..units import VACUUM_PERMITTIVITY
+
+STAGES = ("beam", "push", "migrate", "regrid", "deposit", "solve", "gather", "output")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of the time series: its name, its unit, and whether it counts something."""
+
+    name: str
+    unit: str = ""
+    counts: bool = False
+
+
+def quantities(levels: int) -> list[Quantity]:
+    """Return what `measure` gives for hierarchies of up to `levels` levels, in the order of the time series."""
+    return [
+        Quantity("step", counts=True),
+        Quantity("time", "s"),
+        *(Quantity(f"cells_{level}", counts=True) for level in range(levels)),
+        Quantity("boxes", counts=True),
+        Quantity("regridded", counts=True),  # 1 where the step changed the mesh
+        Quantity("particles", counts=True),
+        Quantity("lost_particles", counts=True),
+        Quantity("charge", "C"),
+        Quantity("lost_charge", "C"),
+        Quantity("field_energy", "J"),
+        Quantity("potential_energy", "J"),
+        Quantity("kinetic_energy", "J"),
+        *(Quantity(f"momentum_{axis}", "kg m/s") for axis in AXES),
+        *(Quantity(f"mean_{axis}", "m") for axis in AXES),
+        *(Quantity(f"rms_{axis}", "m") for axis in AXES),
+        *(Quantity(f"emittance_{axis}", "m rad") for axis in AXES),
+        Quantity("cycles", counts=True),
+        Quantity("residual"),
+        Quantity("memory", "B", counts=True),
+        Quantity("seconds", "s"),
+        *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
+    ]
+
+
+def measure(
+    particles: Particles,
+    beam: Moments,
+    lost: Particles,
+    rho: Field,
+    phi: Field,
+    efield: VectorField,
+    seconds: Mapping[str, float],
+) -> dict[str, float]:
+    """Return what can be measured of particles, whose moments are known, and fields at one time. Collective.
+
+    `charge` is that of the composite grid. `seconds` per stage are those of the slowest rank; levels that do not exist
+    have no entry.
+    """
+    hierarchy = rho.hierarchy
+    comm = hierarchy.comm
+    return {
+        **{f"cells_{level}": hierarchy.cells(level) for level in range(hierarchy.levels)},
+        "boxes": box_count(hierarchy),
+        "particles": particles.global_count(comm),
+        "lost_particles": lost.global_count(comm),
+        "charge": rho.integral(),
+        "lost_charge": lost.total_charge(comm),
+        "field_energy": field_energy(efield),
+        "potential_energy": potential_energy(rho, phi),
+        "kinetic_energy": beam.kinetic_energy,
+        **{f"momentum_{axis}": beam.momentum[i] for i, axis in enumerate(AXES)},
+        **{f"mean_{axis}": beam.mean[i] for i, axis in enumerate(AXES)},
+        **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
+        **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
+        "memory": peak_memory(comm),
+        **{f"seconds_{stage}": value for stage, value in slowest(comm, seconds, STAGES).items()},
+    }
+
+
+def box_count(hierarchy: Hierarchy) -> int:
+    """Return the number of boxes of all levels."""
+    return sum(len(hierarchy.boxes(level)) for level in range(hierarchy.levels))
+
+
+def field_energy(efield: VectorField) -> float:
+    """Return ½ ε₀ ∫ E² dV over the domain in J. Collective.
+
+    What the field holds outside an open domain is not in it.
+    """
+    return 0.5 * VACUUM_PERMITTIVITY * efield.integral_of_square()
+
+
+def potential_energy(rho: Field, phi: Field) -> float:
+    """Return ½ ∫ ρ φ dV in J, which in free space is the energy of the field in all of it. Collective."""
+    return 0.5 * rho.integral(phi)
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What is measured of a beam, in which each particle counts as the real ones that it stands for.
+
+    Mean position, rms size about it (m) and normalised rms emittance (m rad) along x, y, z, nan without particles; total
+    momentum (kg m/s) and kinetic energy (J).
+    """
+
+    mean: np.ndarray
+    rms: np.ndarray
+    emittance: np.ndarray
+    momentum: np.ndarray
+    kinetic_energy: float
+
+
+def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None, share: float = 0.0) -> Moments:
+    """Return the moments of all particles, which are read once. Collective.
+
+    With momenta a `share` of the way to those of the same particles `later`, if that is given.
+    """
+    to = particles if later is None else later
+    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, share)
+    totals = np.array(sums.momentum), sums.kinetic_energy
+    if not sums.weight > 0:
+        nothing = np.full(3, np.nan)
+        return Moments(nothing, nothing, nothing, *totals)
+    xx, uu, xu = (np.array(products) / sums.weight for products in (sums.xx, sums.uu, sums.xu))
+    return Moments(np.array(sums.mean_x), np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *totals)
+
+
+def peak_memory(comm: MPI.Comm) -> int:
+    """Return the most memory in bytes that any rank has used at a time. Collective."""
+    return int(global_max(comm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024))
+
+
+def slowest(comm: MPI.Comm, seconds: Mapping[str, float], stages: Sequence[str]) -> dict[str, float]:
+    """Return for each stage the most seconds that any rank spent; zero for stages that did not run. Collective."""
+    mine = np.array([seconds.get(stage, 0.0) for stage in stages])
+    most = np.empty_like(mine)
+    comm.Allreduce(mine, most, op=MPI.MAX)
+    return dict(zip(stages, most.tolist(), strict=True))

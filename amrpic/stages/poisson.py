@@ -1,0 +1,345 @@
+"""The Poisson solver: charge density in, potential and electric field out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ValidationError
+from scipy import sparse
+
+from .. import _native
+from ..errors import SolverError
+from ..mesh.domain import BOUNDARIES
+from ..mesh.field import Field, Function, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import together
+from ..scene.complaints import mistakes
+from ..scene.solver_options import SolverOptions
+
+COVERED = ("mean", "difference")
+DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """How a solve went."""
+
+    converged: bool  # the tolerance was met, or lies below the rounding floor and the floor was reached
+    cycles: int
+    residuals: list[float]  # before the first cycle and after each, relative to the right-hand side
+    seconds: dict[str, float]  # per stage, of this rank
+    reason: str  # why the solve stopped
+    floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
+    discretization_error: float = 0.0  # estimate of the largest error of φ that the mesh makes, V; 0 unless asked for
+
+
+class PoissonSolver:
+    """Solves Δφ = −ρ/ε₀ over all levels of a hierarchy at once. Collective; set up once, solved many times.
+
+    `tolerance` bounds the residual over the right-hand side (its boundary part included) in `norm`: "max", or "l1" or "l2"
+    weighted by volume, over uncovered cells; `absolute_tolerance` bounds the residual itself, in V/m² (times m³ for "l1",
+    m^1.5 for "l2"). With `tolerance="discretization"` a solve ends where the error left in φ is a tenth of what the mesh
+    makes by an estimate: the Laplacian of each next coarser level, applied to φ, shows the truncation error, and one cycle
+    with that the error of φ. `background="neutralizing"` takes the mean charge away where all faces are periodic or Neumann.
+    With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
+    that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
+    With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
+
+    A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
+    coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of
+    boxes, by `kernels` "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs"
+    holds the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
+    `coarse_levels`, `bottom` methods and `krylov` accelerations. `reuse` is the `base_setup` of the solver of an earlier
+    hierarchy on the same domain.
+
+    `SolverOptions` describes each of these choices, which are its fields; `options` gives all of them as one.
+
+    Raises SolverError for an option out of range, or one that does not go with the others or the hierarchy.
+    """
+
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        tolerance: float | Literal["discretization"] | None = None,
+        norm: str | None = None,
+        backend: str | None = None,
+        *,
+        options: SolverOptions | None = None,
+        background: str | None = None,
+        reuse: BaseSetup | None = None,
+        **choices: Any,
+    ) -> None:
+        named = {"tolerance": tolerance, "norm": norm, "backend": backend}
+        self.options = _options(options, {**{k: v for k, v in named.items() if v is not None}, **choices})
+        if background is not None:
+            _one_of("background", background, ("neutralizing",))
+        self.hierarchy = hierarchy
+        chosen = self.options
+        if refused := chosen.screening_refusal(hierarchy.domain):
+            raise SolverError(f"screening is {chosen.screening:g}, which {refused[0]}; {refused[1]}")
+        of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
+        self._base = hierarchy.comm, hierarchy.domain, *of_bottom
+        if reuse is not None and reuse.base != self._base:
+            raise SolverError(
+                "reuse comes from a solver of another domain, stretch, screening or bottom; make this one without it"
+            )
+        self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
+        native = native_options(chosen)
+        native.neutralize = background is not None
+        kept = reuse.native if reuse is not None else _native.Reusable()
+        try:
+            self.native = _native.PoissonSolver(hierarchy.native, native, kept)
+        except _native.SolverError as refused:
+            raise SolverError(str(refused)) from None
+
+    def solve(
+        self,
+        rho: Field,
+        guess: Field | None = None,
+        boundary_values: Function | None = None,
+        boundary_flux: Function | None = None,
+    ) -> tuple[Field, SolveReport]:
+        """Return the potential in V and how the solve went. Collective.
+
+        `rho` is in C/m³; what it holds in covered cells is ignored. `guess` is a potential to start from.
+        `boundary_values(x, y, z)` gives V on Dirichlet faces, `boundary_flux(x, y, z)` the outward derivative of φ in V/m on
+        Neumann faces; both are called with arrays of face centres in m, and are zero by default.
+
+        Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
+        no potential can balance, for a right-hand side that is not finite, and for fields of another hierarchy.
+        """
+        self._require_home("rho", rho)
+        if guess is not None:
+            self._require_home("guess", guess)
+        self._set_walls(boundary_values, boundary_flux)
+        phi = guess.copy() if guess is not None else Field(self.hierarchy)
+        phi.unit = "V"
+        try:
+            report = self.native.solve(rho.native, phi.native, guess is None)
+        except _native.SolverError as refused:
+            raise SolverError(str(refused)) from None
+        return phi, SolveReport(
+            report.converged,
+            report.cycles,
+            report.residuals,
+            report.seconds,
+            report.reason,
+            report.floor,
+            report.discretisation_error,
+        )
+
+    @property
+    def base_setup(self) -> BaseSetup:
+        """What the solver of another hierarchy on the same domain may `reuse`: the operators of levels that stay as they are
+        between the same neighbours, the set-up of the bottom, if the coarsest level comes out the same, and the tables of
+        free space. Operators go to the first that takes them."""
+        return BaseSetup(self._base, self.native.reusable)
+
+    def electric_field(self, phi: Field, covered: str = "mean") -> VectorField:
+        """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces; stretched as the equation. Collective.
+
+        Walls count with the data of the latest solve. In cells that a finer level covers stands the mean of the children, or,
+        for `covered="difference"`, the central difference of the mean potentials, as matched clouds need it (see `Clouds`).
+        """
+        return self._field(phi, covered).with_components()
+
+    def deferred_field(self, phi: Field, covered: str = "mean") -> VectorField:
+        """Return what `electric_field` would, with components that are made when they are asked for. Collective.
+
+        Gather, push and the energy of the field do without them, in less memory and time. The field follows from `phi` as
+        long as it lives, so `phi` is locked: its arrays are read-only from now on.
+        """
+        field = self._field(phi, covered)
+        phi.lock()
+        return field
+
+    def _field(self, phi: Field, covered: str) -> VectorField:
+        self._require_home("phi", phi)
+        _one_of("covered", covered, COVERED)
+        native = self.native.electric_field(phi.native, getattr(_native.CoveredField, covered))
+        return VectorField.deferred(native, self.hierarchy, "V/m")
+
+    def operators(self, level: int) -> LevelOperators:
+        """The eight operators of a level, to look at. Collective at the first call."""
+        return LevelOperators(self, self.hierarchy._checked(level))
+
+    def _require_home(self, name: str, field: Field) -> None:
+        if field.hierarchy is not self.hierarchy:
+            raise SolverError(
+                f"{name} lives on another hierarchy than the solver; make a solver for it, or carry it over"
+            )
+
+    def _set_walls(self, values: Function | None, flux: Function | None) -> None:
+        if (values, flux) == (None, None) == self._walls:
+            return  # all of it is zero already
+        self._walls = None  # until all of them are set
+        with together(self.hierarchy.comm, SolverError):
+            for level in range(self.hierarchy.levels):
+                kinds, axes, points = self.native.wall_faces(level)
+                data = self.native.wall_data(level)
+                for kind, function in ((DIRICHLET, values), (NEUMANN, flux)):
+                    faces = kinds == kind
+                    data[faces] = 0.0 if function is None else function(*points[faces].T)
+                # the native side works in stretched coordinates
+                data[kinds == NEUMANN] /= np.array(self.options.stretch)[axes[kinds == NEUMANN]]
+        self._walls = values, flux
+
+
+@dataclass(frozen=True)
+class BaseSetup:
+    """What a solver hands on to the next one on its domain."""
+
+    base: tuple  # communicator, domain, bottom and its preconditioner, stretch, screening
+    native: _native.Reusable
+
+
+def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> SolverOptions:
+    """Return the options that are given as a whole or one by one. Raises SolverError."""
+    if options is not None:
+        if choices:
+            raise SolverError(f"options are given as well as {', '.join(choices)}; keep one of the two")
+        return options
+    try:
+        return SolverOptions(**{name: _plain(value) for name, value in choices.items()})
+    except ValidationError as refused:
+        path, found, what, remedy = mistakes(refused, SolverOptions)[0]
+        raise SolverError(f"{path} is {found!r}, which {what}; {remedy}") from None
+
+
+def _plain(value: Any) -> Any:
+    """Return a value without NumPy's types, which the model does not take for numbers."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
+
+
+def native_options(options: SolverOptions) -> _native.SolverOptions:
+    """Return the options as the native struct; the names of choices become members of its enumerations."""
+    native = _native.SolverOptions()
+    for name, value in options.native_values().items():
+        if isinstance(value, str):
+            value = getattr(type(getattr(native, name)), value.replace("-", "_"))
+        setattr(native, name, value)
+    return native
+
+
+def _one_of(name: str, value: str, allowed: Sequence[str]) -> None:
+    if value not in allowed:
+        raise SolverError(f"{name} is {value!r}; use one of {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class Operator:
+    """One sparse operator between the cells of two levels; in the native module, or `entries` of its own."""
+
+    hierarchy: Hierarchy
+    shape: tuple[int, int]
+    entries: tuple[np.ndarray, np.ndarray, np.ndarray]  # this rank's rows: row starts, global columns, values
+    source: tuple[_native.LevelOperators, str, _native.LevelOperators, int] | None = None
+    first_column: int = 0  # of this rank's cells of the column level, where there is no source
+
+    def to_scipy(self) -> sparse.csr_array | None:
+        """The whole operator on rank 0, None elsewhere; rows and columns in the order of the levels' cells. Collective."""
+        parts = self.hierarchy.comm.gather(self.entries, root=0)
+        if parts is None:
+            return None
+        lengths = np.concatenate([np.diff(start) for start, _, _ in parts])
+        start = np.concatenate([[0], np.cumsum(lengths)])
+        columns = np.concatenate([column for _, column, _ in parts])
+        values = np.concatenate([value for _, _, value in parts])
+        return sparse.csr_array((values, columns, start), shape=self.shape)
+
+    def multiply(self, values: np.ndarray) -> np.ndarray:
+        """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective.
+
+        For looking and testing: the matrix is made anew for each call.
+        """
+        if self.source is None:
+            start, columns, own = self.entries
+            local = sparse.csr_array((own, columns - self.first_column, start), shape=(len(start) - 1, len(values)))
+            return local @ values
+        operators, name, other, axis = self.source
+        return operators.multiply_by_tpetra(name, other, axis, self.hierarchy.comm.py2f(), np.ascontiguousarray(values))
+
+
+@dataclass(frozen=True)
+class GradientAxis:
+    """One component of E = −∇φ: own φ_l + coarse φ_{l−1} + fine φ_{l+1}, in uncovered cells."""
+
+    own: Operator
+    coarse: Operator
+    fine: Operator
+
+
+class LevelOperators:
+    """The eight operators of a level; operators towards a level that does not exist have no columns."""
+
+    def __init__(self, solver: PoissonSolver, level: int) -> None:
+        self.hierarchy, self.level = solver.hierarchy, level
+        self._native = solver.native.operators(level)
+        self._coarse = solver.native.operators(level - 1) if level > 0 else None
+        self._fine = solver.native.operators(level + 1) if level + 1 < self.hierarchy.levels else None
+
+    @property
+    def no_fine(self) -> Operator:
+        """Laplacian of the level as if nothing finer existed; in covered cells, which hold corrections alone, what lies
+        behind an open wall vanishes where the finest level's ghosts are."""
+        return self._operator("no_fine", self._native)
+
+    @property
+    def composite(self) -> Operator:
+        """Laplacian in uncovered cells, with the fluxes of the finer level."""
+        return self._operator("composite", self._native)
+
+    @property
+    def coarse_boundary(self) -> Operator:
+        """What the ghosts around the level take from the next coarser one."""
+        return self._operator("coarse_boundary", self._coarse)
+
+    @property
+    def fine_boundary(self) -> Operator:
+        """What the mean fine fluxes take from the next finer level."""
+        return self._operator("fine_boundary", self._fine)
+
+    @property
+    def restriction(self) -> Operator:
+        """Mean of the children, in rows of covered cells."""
+        return self._operator("restriction", self._fine)
+
+    @property
+    def prolongation(self) -> Operator:
+        """Values from the next coarser level."""
+        return self._operator("prolongation", self._coarse)
+
+    @property
+    def uncovered(self) -> Operator:
+        """1 on the diagonal where no finer level covers the cell."""
+        ones = self._native.uncovered().astype(bool)
+        start = np.concatenate([[0], np.cumsum(ones)])
+        columns = self._native.first_row + np.flatnonzero(ones)
+        size = self._native.rows
+        entries = start, columns, np.ones(len(columns))
+        return Operator(self.hierarchy, (size, size), entries, first_column=self._native.first_row)
+
+    @property
+    def gradient(self) -> tuple[GradientAxis, ...]:
+        """E = −∇φ along x, y and z."""
+        return tuple(
+            GradientAxis(
+                self._operator("gradient_own", self._native, axis),
+                self._operator("gradient_coarse", self._coarse, axis),
+                self._operator("gradient_fine", self._fine, axis),
+            )
+            for axis in range(3)
+        )
+
+    def _operator(self, name: str, columns: _native.LevelOperators | None, axis: int = 0) -> Operator:
+        if columns is None:
+            empty = np.zeros(self._native.local_rows + 1, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0)
+            return Operator(self.hierarchy, (self._native.rows, 0), empty)
+        shape = self._native.rows, columns.rows
+        entries = self._native.rows_of(name, columns, axis)
+        return Operator(self.hierarchy, shape, entries, (self._native, name, columns, axis))

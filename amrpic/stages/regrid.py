@@ -1,0 +1,125 @@
+"""A new hierarchy from tags, the fields carried over to it, and the work spread anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import _native
+from ..errors import HierarchyError
+from ..mesh.boxes import cells_of
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import raise_together
+
+
+@dataclass(frozen=True)
+class Regridding:
+    """How boxes are made from tags."""
+
+    max_levels: int = 2  # most levels, the base included
+    buffer: int = 2  # cells around a tagged one that are refined with it: what moves stays inside until the next regrid
+    nesting: int = 2  # cells of a level around the next finer one; 1 is enough for the operators
+    efficiency: float = 0.7  # least share of a box's blocks that must be wanted, unless it is a single block
+
+    def __post_init__(self) -> None:
+        for name, least in ("max_levels", 1), ("buffer", 0), ("nesting", 1):
+            if getattr(self, name) < least:
+                raise HierarchyError(f"{name} of the regridding is {getattr(self, name)}; it must be at least {least}")
+        if not 0 < self.efficiency <= 1:
+            raise HierarchyError(f"efficiency of the regridding is {self.efficiency}; it must lie in (0, 1]")
+
+
+def regrid(
+    hierarchy: Hierarchy,
+    tags: Sequence[np.ndarray],
+    settings: Regridding,
+    static: Sequence[np.ndarray] = (),
+    kept: Sequence[np.ndarray] = (),
+) -> Hierarchy:
+    """Return the hierarchy that refines all tagged cells; `hierarchy` itself if its boxes are those. Collective.
+
+    `tags[l]` is a bool per cell of this rank on level l, in the order of `Field.array(l)`; levels left out are not
+    tagged. Of what `kept`, tags as well, would refine, that stays which is refined already. `static[k]` lists index boxes
+    (n, 6) of level k + 1 that must exist in any case; they are aligned outward to the blocking factor, wrapped where
+    periodic and clipped at walls. Tags add one level per call; static boxes come at once. The refined region depends
+    neither on the number of ranks nor on `max_grid_size`.
+
+    Raises HierarchyError, alike on all ranks, for tags that do not fit the cells and for static boxes that are empty or
+    of a level above `max_levels`.
+    """
+    for given in tags, kept:
+        raise_together(hierarchy.comm, _misfit(hierarchy, given), HierarchyError)
+    if len(static) >= settings.max_levels:
+        raise HierarchyError(
+            f"static boxes are given for level {len(static)}, but max_levels is {settings.max_levels}, the base "
+            f"included; raise it to {len(static) + 1}"
+        )
+    for level, boxes in enumerate(static, start=1):
+        for box in np.asarray(boxes).reshape(-1, 6):
+            if np.any(box[3:] < box[:3]):
+                raise HierarchyError(f"static box {box.tolist()} of level {level} is empty; swap its corners")
+    fixed = [np.ascontiguousarray(boxes, dtype=np.int32).reshape(-1, 6) for boxes in static]
+    marks = _marks(tags, kept)
+    try:
+        levels = _native.refine(
+            hierarchy.native, marks, fixed, settings.max_levels, settings.buffer, settings.nesting, settings.efficiency
+        )
+    except _native.HierarchyError as refused:
+        raise HierarchyError(str(refused)) from None
+    made = Hierarchy(hierarchy.comm, hierarchy.domain, levels, hierarchy.max_grid_size, hierarchy.blocking_factor)
+    return hierarchy if made.same_mesh(hierarchy) else made
+
+
+def _marks(tags: Sequence[np.ndarray], kept: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return a byte per cell: bit 0 for tagged, bit 1 for kept cells."""
+    if not kept:
+        return [np.ascontiguousarray(level, dtype=bool).view(np.uint8) for level in tags]
+    return [
+        np.asarray(wanted, dtype=np.uint8) + 2 * np.asarray(stays, dtype=np.uint8)
+        for wanted, stays in zip(tags, kept, strict=True)
+    ]
+
+
+def _misfit(hierarchy: Hierarchy, tags: Sequence[np.ndarray]) -> str | None:
+    if len(tags) > hierarchy.levels:
+        return f"tags are given for {len(tags)} levels, but the hierarchy has {hierarchy.levels}; give at most as many"
+    for level, values in enumerate(tags):
+        local = hierarchy.local_boxes(level)
+        cells = int(cells_of(hierarchy.boxes(level)[local.start : local.stop]).sum())
+        if values.shape != (cells,):
+            return (
+                f"tags of level {level} on rank {hierarchy.comm.rank} have the shape {values.shape}, not ({cells},); "
+                "give one per cell of this rank"
+            )
+    return None
+
+
+def carry_over(field: Field, hierarchy: Hierarchy) -> Field:
+    """Return the field on another hierarchy of the same domain. Collective.
+
+    Cells that both have are copied. Newly refined ones are interpolated by parabolas that keep the mean of the parent,
+    so the integral stays what it was; newly uncovered ones hold the mean of their former children already.
+    """
+    if field.hierarchy.domain != hierarchy.domain:
+        raise HierarchyError("the field lives on another domain than the new hierarchy; make both on one domain")
+    out = Field(hierarchy, field.unit)
+    _native.carry_over(field.native, out.native)
+    return out
+
+
+def balance(hierarchy: Hierarchy, particles_per_box: Sequence[np.ndarray], cost_per_particle: float = 1.0) -> Hierarchy:
+    """Return the same boxes on the owners that share out cells and particles; itself if no owner changes. Collective.
+
+    `particles_per_box[l]` counts the particles of all ranks in each box of level l; the cost of one is in units of that
+    of a cell. Each level is shared out by itself.
+    """
+    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
+    weights = [cells_of(b) + cost_per_particle * np.asarray(p) for b, p in zip(boxes, particles_per_box, strict=True)]
+    made = Hierarchy(
+        hierarchy.comm, hierarchy.domain, boxes[1:], hierarchy.max_grid_size, hierarchy.blocking_factor, weights
+    )
+    same = all(np.array_equal(made.owners(level), hierarchy.owners(level)) for level in range(hierarchy.levels))
+    return hierarchy if same else made

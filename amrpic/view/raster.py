@@ -1,0 +1,215 @@
+"""Numbers for pictures: planes, projections and lines through a field dump, always from the finest cells.
+
+Cell values are taken as they are, constant in each cell: what a picture shows is what was computed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..io.field_reader import Dump
+
+Array = NDArray[Any]
+
+MOST_PIXELS = 1600  # along the longer side; a raster has a pixel per finest cell if that is less
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Values at the centres of a regular grid of pixels in the plane normal to `axis`."""
+
+    values: Array  # (pixels along the first axis of the plane, along the second)
+    axis: int
+    axes: tuple[int, int]  # of the plane, the longer side of the domain first
+    position: float | None  # m along `axis`; None: the whole depth was summed up
+    lower: Array  # (2,) m
+    upper: Array
+
+
+def others(axis: int) -> tuple[int, int]:
+    """Return the two axes normal to `axis`, in ascending order."""
+    first, second = (d for d in range(3) if d != axis)
+    return first, second
+
+
+def slice_through(dump: Dump, name: str, axis: int, position: float, level: int | None = None) -> Raster:
+    """Return a scalar in the plane normal to `axis` at `position` (m): from the finest cells, or those of one level.
+
+    A plane between two cells shows the upper ones. Where a level has no cells, the raster holds nan.
+    """
+    grid = _Pixels(dump, axis, level)
+    values = np.full(grid.shape, np.nan)
+    for number in range(len(dump.levels)) if level is None else [level]:
+        index = cell_at(dump, number, axis, position)
+        for box in cut_by(dump, number, axis, position):
+            cut = dump.values(name, number, box).take(index - dump.levels[number].boxes[box, axis], axis=axis)
+            window, inside = grid.locate(number, box)
+            values[window] = cut[inside]
+    return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
+
+
+def projection(dump: Dump, name: str, axis: int, level: int | None = None) -> Raster:
+    """Return the integral of a scalar along `axis`: each place once, on its finest level, or all cells of one level.
+
+    Where a level has no cells, the raster holds nan.
+    """
+    grid = _Pixels(dump, axis, level)
+    values = np.zeros(grid.shape)
+    seen = np.zeros(grid.shape, dtype=bool)
+    for number in range(len(dump.levels)) if level is None else [level]:
+        for box in range(len(dump.levels[number].boxes)):
+            cells = dump.values(name, number, box)
+            if level is None:
+                cells = np.where(dump.covered(number, box), 0.0, cells)
+            window, inside = grid.locate(number, box)
+            values[window] += (cells.sum(axis=axis) * dump.levels[number].spacing[axis])[inside]
+            seen[window] = True
+    return Raster(grid.shown(np.where(seen, values, np.nan)), axis, grid.axes, None, *grid.corners)
+
+
+def cut_by(dump: Dump, level: int, axis: int, position: float) -> Array:
+    """Return the numbers of the boxes of a level that a plane cuts."""
+    boxes, index = dump.levels[level].boxes, cell_at(dump, level, axis, position)
+    return np.flatnonzero((boxes[:, axis] <= index) & (index <= boxes[:, 3 + axis]))
+
+
+def cell_at(dump: Dump, level: int, axis: int, position: float) -> int:
+    """Return the index of the cells of a level at a place along an axis; those at the wall for places outside."""
+    spacing = dump.levels[level].spacing[axis]
+    last = round((dump.upper[axis] - dump.lower[axis]) / spacing) - 1
+    return int(np.clip(np.floor((position - dump.lower[axis]) / spacing), 0, last))
+
+
+class _Pixels:
+    """The pixels of the plane normal to an axis, over the whole domain."""
+
+    def __init__(self, dump: Dump, axis: int, level: int | None) -> None:
+        self._dump = dump
+        self._axes = list(others(axis))
+        extent = (dump.upper - dump.lower)[self._axes]
+        self.axes = others(axis) if extent[0] >= extent[1] else others(axis)[::-1]
+        finest = np.rint(extent / dump.levels[-1 if level is None else level].spacing[self._axes])
+        self.shape = tuple(np.maximum(finest * min(1.0, MOST_PIXELS / finest.max()), 1).astype(int))
+        self._widths = extent / self.shape
+
+    def shown(self, values: Array) -> Array:
+        """Return the values with the longer side of the domain first."""
+        return values if list(self.axes) == self._axes else values.T
+
+    @property
+    def corners(self) -> tuple[Array, Array]:
+        """Lower and upper corner of the plane in m, in the order of `axes`."""
+        return self._dump.lower[list(self.axes)], self._dump.upper[list(self.axes)]
+
+    def locate(self, level: int, box: int | np.integer[Any]) -> tuple[tuple[slice, ...], tuple[Array, ...]]:
+        """Return the window of pixels whose centres lie in a box, and for them the cells of the box to index."""
+        cells = self._dump.levels[level]
+        window, inside = [], []
+        for k, axis in enumerate(self._axes):
+            first, last = cells.boxes[box, axis], cells.boxes[box, 3 + axis]
+            per_cell = cells.spacing[axis] / self._widths[k]
+            # Pixel p has its centre at p + 1/2 pixels. The rounding keeps exact hits on cell faces on one side.
+            start, stop = (int(np.ceil(round(edge * per_cell, 6) - 0.5)) for edge in (first, last + 1))
+            pixels = np.arange(max(start, 0), min(stop, self.shape[k]))
+            window.append(slice(max(start, 0), min(stop, self.shape[k])))
+            inside.append(np.clip(np.floor((pixels + 0.5) / per_cell).astype(int) - first, 0, last - first))
+        return tuple(window), np.ix_(*inside)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A straight line through the domain and where to sample it."""
+
+    centre: Array  # (3,) m
+    direction: Array  # (3,), of length one
+    along: Array  # (n,) m from the centre
+
+    @property
+    def points(self) -> Array:
+        """The sampled places, (n, 3) m."""
+        return self.centre + self.along[:, None] * self.direction
+
+
+def line_values(dump: Dump, name: str, line: Line, level: int | None = None) -> Array:
+    """Return a field along a line, in the finest cells or those of one level: (n,), or (n, 3) of a vector; else nan."""
+    points = line.points
+    vector = dump.values(name, 0, 0).ndim == 4
+    out = np.full((len(points), 3) if vector else len(points), np.nan)
+    for number in range(len(dump.levels)) if level is None else [level]:
+        description = dump.levels[number]
+        shape = np.rint((dump.upper - dump.lower) / description.spacing).astype(np.int64)
+        index = np.clip(np.floor((points - dump.lower) / description.spacing).astype(np.int64), 0, shape - 1)
+        first, last = index.min(axis=0), index.max(axis=0)
+        near = np.all((description.boxes[:, :3] <= last) & (first <= description.boxes[:, 3:]), axis=1)
+        for box in np.flatnonzero(near):
+            lower, upper = description.boxes[box, :3], description.boxes[box, 3:]
+            inside = np.all((index >= lower) & (index <= upper), axis=1)
+            if inside.any():
+                out[inside] = dump.values(name, number, box)[tuple((index[inside] - lower).T)]
+    return out
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where the charge lies: total magnitude (C), centre (m) and covariance (m²), by the magnitude of the density."""
+
+    charge: float
+    centre: Array
+    covariance: Array
+
+
+def spread_of(dump: Dump, name: str = "rho") -> Spread:
+    """Return where a density is, the middle of the domain if it is zero."""
+    charge, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    middle = (dump.lower + dump.upper) / 2
+    for level, description in enumerate(dump.levels):
+        volume = float(np.prod(description.spacing))
+        for box, corners in enumerate(description.boxes):
+            cells = np.abs(dump.values(name, level, box)) * volume
+            cells[dump.covered(level, box)] = 0.0
+            axes = [
+                dump.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d] - middle[d]
+                for d in range(3)
+            ]
+            charge += float(cells.sum())
+            sums = [cells.sum(axis=others(d)) for d in range(3)]
+            first += [sums[d] @ axes[d] for d in range(3)]
+            second += np.diag([sums[d] @ axes[d] ** 2 for d in range(3)])
+            for a, b in ((0, 1), (0, 2), (1, 2)):
+                mixed = axes[a] @ cells.sum(axis=3 - a - b) @ axes[b]
+                second[a, b] += mixed
+                second[b, a] += mixed
+    if charge == 0.0:
+        return Spread(0.0, middle, np.zeros((3, 3)))
+    mean = first / charge
+    return Spread(charge, middle + mean, second / charge - np.outer(mean, mean))
+
+
+LONG = 3.0  # variance along a train over that across it, from which on its own direction is taken
+
+
+def line_through(dump: Dump, spread: Spread, axis: int | None = None) -> Line:
+    """Return the line through the middle of the charge: along an axis, or along a train of bunches, or else along x."""
+    direction = direction_of(spread) if axis is None else np.eye(3)[axis]
+    with np.errstate(divide="ignore"):
+        walls = np.stack([dump.lower - spread.centre, dump.upper - spread.centre]) / direction
+    walls = np.where(direction == 0, [[-np.inf], [np.inf]], np.sort(walls, axis=0))
+    start, stop = walls[0].max(), walls[1].min()
+    step = 0.5 * float(dump.levels[-1].spacing.min())
+    count = int(np.clip((stop - start) / step, 2, 20_000))
+    return Line(spread.centre, direction, start + (np.arange(count) + 0.5) * (stop - start) / count)
+
+
+def direction_of(spread: Spread) -> Array:
+    """Return the direction of a train of bunches, or x."""
+    sizes, directions = np.linalg.eigh(spread.covariance)
+    direction = np.array([1.0, 0.0, 0.0])
+    if sizes[2] > LONG * max(sizes[1], 0.0) and sizes[2] > 0:
+        direction = directions[:, 2] * np.sign(directions[np.argmax(np.abs(directions[:, 2])), 2])
+        direction[np.abs(direction) < 1e-3] = 0.0  # bunches of particles are never quite straight
+        direction /= np.linalg.norm(direction)
+    return direction

@@ -1,0 +1,336 @@
+"""Bad input: one sentence, said once and alike on all ranks, a failing exit status, no hang, and nothing written lost.
+
+What is legal although it looks odd runs to its end, with one warning.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import mpi_batch
+
+SCENE = """
+[domain]
+lower = -0.1
+upper = 0.1
+cells = 16
+boundary = "dirichlet"
+
+[[bunches]]
+distribution = "gaussian"
+sigma = "10 mm"
+charge = "10 pC"
+particles = 500
+
+[motion]
+kind = "random-walk"
+amplitude = "1 mm"
+
+[schedule]
+steps = 1
+
+[output]
+write = ["checkpoint"]
+"""
+
+
+def scene_file(folder: Path) -> str:
+    """A small scene that can run, in a file of its own."""
+    path = folder / "small.toml"
+    path.write_text(SCENE)
+    return str(path)
+
+
+def ended(comm: Any, *arguments: str) -> tuple[int, str]:
+    """Exit status and standard error of a command, checked to be a failure or success of all ranks, told by rank 0 alone."""
+    from amrpic.commands.main import main
+
+    comm.Barrier()
+    errors = io.StringIO()
+    with (
+        contextlib.redirect_stderr(errors),
+        contextlib.redirect_stdout(io.StringIO()),
+        pytest.raises(SystemExit) as end,
+    ):
+        main(arguments)
+    told = comm.allgather((end.value.code, errors.getvalue()))
+    assert len({status for status, _ in told}) == 1
+    assert all(text == "" for _, text in told[1:])
+    return told[0]
+
+
+def refusal(comm: Any, *arguments: str, status: int = 2) -> str:
+    """The one sentence of a command that must fail."""
+    code, text = ended(comm, *arguments)
+    assert code == status
+    assert text.count("\n") == 1 and text.startswith("amrpic: ")
+    assert "; " in text and "Traceback" not in text
+    return text
+
+
+RULE = "refinement.rule={kind='charge-density',relative=1e-3}"
+
+REFUSED_SCENES = {
+    "unknown key": (["refinement.levles=1"], ["refinement.levles", 'did you mean "levels"']),
+    "wrong unit": (["bunches.0.sigma=2.5 pC"], ["bunches.0.sigma", "pC", "mm"]),
+    "bunch outside": (["bunches.0.centre=[1,0,0]"], ["bunches.0.centre", "outside the domain"]),
+    "negative size": (["bunches.0.sigma=[1e-3,-1e-3,1e-3]"], ["bunches.0.sigma.1", "-0.001", "negative"]),
+    "zero charge": (["bunches.0.charge=0"], ["bunches.0.charge", "zero"]),
+    "a single cell": (["domain.cells=[16,1,16]"], ["domain.cells along y is 1", "at least 2"]),
+    "too many for 32 bits": (["domain.cells=2048"], ["domain.cells", "2147483647", "at least"]),
+    "too many for 64 bits": (["domain.cells=4194304"], ["domain.cells", "9223372036854775807"]),
+    "too much memory": (["domain.cells=1536"], ["domain.cells", "GiB of memory", "GiB are free"]),
+    "unbalanced charge": (["domain.boundary=periodic"], ["background", "1e-11 C", "neutralizing"]),
+    "unbalanced charge, neumann": (["domain.boundary=neumann"], ["background", "1e-11 C", "neutralizing"]),
+    "open and periodic": (["domain.boundary={x='periodic'}"], ["domain.boundary", "open", "periodic"]),
+    "two mistakes": (["solver.tolerance=0", "seed=-1"], ["1 more"]),
+    "override of nothing": (["bunches.4.sigma=1"], ["--set bunches.4.sigma"]),
+}
+
+
+@pytest.mark.mpi(ranks=2)
+@pytest.mark.parametrize("name", REFUSED_SCENES)
+def test_scene_is_refused(comm, tmp_path, name):
+    overrides, words = REFUSED_SCENES[name]
+    flags = [flag for override in overrides for flag in ("--set", override)]
+    text = refusal(comm, "run", scene_file(tmp_path), *flags, "--output", str(tmp_path / "out"))
+    for word in words:
+        assert word in text
+    assert not list(tmp_path.glob("out/*"))
+
+
+@pytest.mark.mpi(ranks=2)
+@pytest.mark.parametrize(
+    "given", [("rnu",), ("run",), ("run", "x", "--setup", "a=1"), ("run", "x", "--walltime", "soon")]
+)
+def test_command_line_is_refused(comm, tmp_path, given):
+    arguments = [scene_file(tmp_path) if argument == "x" else argument for argument in given]
+    text = refusal(comm, *arguments)
+    assert "--help" in text or "90 min" in text
+
+
+@pytest.mark.mpi(ranks=2)
+def test_missing_files(comm, tmp_path):
+    assert "nowhere.toml" in refusal(comm, "run", str(tmp_path / "nowhere.toml"))
+    scene = scene_file(tmp_path)
+    out = ["--output", str(tmp_path / "out")]
+    assert "nowhere" in refusal(comm, "run", scene, *out, "--restart", str(tmp_path / "nowhere"))
+    bunch = "bunches=[{distribution='arrays',file='nowhere.npz',charge=1e-12}]"
+    assert "nowhere.npz" in refusal(comm, "run", scene, *out, "--set", bunch)
+
+
+@pytest.mark.mpi(ranks=2)
+def test_scene_that_is_not_toml(comm, tmp_path):
+    (tmp_path / "broken.toml").write_text("[domain\nlower = 1")
+    assert "broken.toml" in refusal(comm, "run", str(tmp_path / "broken.toml"))
+
+
+@pytest.mark.mpi(ranks=2)
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_positions_that_are_not_finite(comm, tmp_path, bad):
+    position = np.zeros((6, 3))
+    position[4, 1] = bad
+    if comm.rank == 0:
+        np.savez(tmp_path / "beam.npz", position=position)
+    bunch = "bunches=[{distribution='arrays',file='beam.npz',charge=1e-12}]"
+    text = refusal(comm, "run", scene_file(tmp_path), "--output", str(tmp_path / "out"), "--set", bunch)
+    assert "position of 1 particles" in text and "beam.npz" in text
+
+
+@pytest.mark.mpi(ranks=2)
+def test_all_particles_outside(comm, tmp_path):
+    if comm.rank == 0:
+        np.savez(tmp_path / "beam.npz", position=np.ones((6, 3)))
+    bunch = "bunches=[{distribution='arrays',file='beam.npz',charge=1e-12}]"
+    text = refusal(comm, "run", scene_file(tmp_path), "--output", str(tmp_path / "out"), "--set", bunch)
+    assert "6 particles" in text and "outside the domain" in text
+
+
+@pytest.mark.mpi(ranks=2)
+def test_foreign_particle_file(comm, tmp_path):
+    (tmp_path / "beam.npz").write_text("not an archive")
+    bunch = "bunches=[{distribution='arrays',file='beam.npz',charge=1e-12}]"
+    text = refusal(comm, "run", scene_file(tmp_path), "--output", str(tmp_path / "out"), "--set", bunch)
+    assert "beam.npz" in text and "np.savez" in text
+
+
+@pytest.mark.mpi(ranks=2)
+def test_folder_that_cannot_be_written(comm, tmp_path):
+    (tmp_path / "file").write_text("")
+    text = refusal(comm, "run", scene_file(tmp_path), "--output", str(tmp_path / "file" / "out"), status=1)
+    assert "file/out" in text and "--output" in text
+
+
+@pytest.mark.mpi(ranks=2)
+def test_damaged_and_foreign_checkpoints(comm, tmp_path):
+    scene, out = scene_file(tmp_path), tmp_path / "out"
+    assert ended(comm, "run", scene, "--output", str(out)) == (0, "")
+    good = out / "checkpoint_00000001"
+
+    def attempt(name: str) -> str:
+        return refusal(comm, "run", scene, "--output", str(tmp_path / "other"), "--restart", str(tmp_path / name))
+
+    def copy(name: str) -> Path:
+        if comm.rank == 0:
+            shutil.copytree(good, tmp_path / name)
+        comm.Barrier()
+        return tmp_path / name
+
+    part = copy("truncated") / "part_0000.h5"
+    if comm.rank == 0:
+        part.write_bytes(part.read_bytes()[:1000])
+    assert "part_0000.h5" in attempt("truncated")
+    part = copy("flipped") / "part_0000.h5"
+    if comm.rank == 0:
+        data = bytearray(part.read_bytes())
+        data[len(data) // 2] ^= 1
+        part.write_bytes(data)
+    assert "part_0000.h5" in attempt("flipped")
+    part = copy("foreign") / "part_0000.h5"
+    if comm.rank == 0:
+        with h5py.File(part, "w") as file:
+            file["x"] = [1, 2, 3]
+    assert "part_0000.h5" in attempt("foreign")
+    manifest = copy("garbled") / "manifest.json"
+    manifest.write_text(json.dumps({"format": "something else"}))
+    assert "manifest.json" in attempt("garbled")
+    (tmp_path / "empty").mkdir(exist_ok=True)
+    assert "manifest.json" in attempt("empty")
+    assert ended(comm, "run", scene, "--output", str(out), "--restart", str(good)) == (
+        0,
+        "",
+    )  # the good one is still good
+
+
+@pytest.mark.mpi(ranks=2)
+def test_checkpoint_of_another_mesh(comm, tmp_path):
+    scene, out = scene_file(tmp_path), tmp_path / "out"
+    assert ended(comm, "run", scene, "--output", str(out)) == (0, "")
+    restart = ["--output", str(out), "--restart", str(out / "checkpoint_00000001")]
+    assert "the domain is another one" in refusal(comm, "run", scene, *restart, "--set", "domain.upper=0.2")
+    assert "max_grid_size" in refusal(comm, "run", scene, *restart, "--set", "refinement.max_grid_size=16")
+
+
+def test_plot_of_foreign_files(comm, tmp_path):
+    (tmp_path / "text.vtkhdf").write_text("not HDF5")
+    with h5py.File(tmp_path / "foreign.vtkhdf", "w") as file:
+        file["x"] = [1, 2, 3]
+    for name in "text.vtkhdf", "foreign.vtkhdf", "missing.vtkhdf":
+        assert name in refusal(comm, "plot", str(tmp_path / name))
+
+
+# ---- one rank alone ----
+
+ALONE = {
+    "python": "raise ValueError('this rank has had enough')",
+    "native": "amrpic.Hierarchy(MPI.COMM_SELF, simulation.hierarchy.domain, [[((1, 1, 1), (2, 2, 2))]])",
+    "own error": "raise amrpic.errors.ParticleError('this rank alone lost its particles; shorten dt')",
+}
+
+SCRIPT = """
+import amrpic, amrpic.errors
+from mpi4py import MPI
+from amrpic.commands import main, run
+
+def fail(simulation):
+    if simulation.step == 3 and simulation.comm.rank == 1:
+        {failure}
+
+class Failing(run.Simulation):
+    def run(self, walltime=None):
+        self.on_step(fail)
+        return super().run(walltime)
+
+run.Simulation = Failing
+main.main(["run", {scene!r}, "--output", {out!r}, "--set", "schedule.steps=6", "--set", "output.checkpoint_every=2"])
+"""
+
+
+PROGRAM = str(Path(sys.executable).with_name("amrpic"))
+
+
+def mpiexec(*command: str, ranks: int = 2) -> subprocess.CompletedProcess[str]:
+    """What becomes of a command on some ranks."""
+    return subprocess.run(
+        ["mpiexec", "-n", str(ranks), *command],
+        env=mpi_batch.ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize("kind", ALONE)
+def test_failure_of_one_rank_ends_all(tmp_path, kind):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(failure=ALONE[kind], scene=scene_file(tmp_path), out=str(tmp_path / "out")))
+    end = mpiexec(sys.executable, str(script))
+    assert end.returncode != 0
+    assert end.stderr.count("amrpic: ") == 1
+    assert "(on rank 1 of 2 alone)" in end.stderr
+    assert "Traceback" not in end.stderr
+    assert (tmp_path / "out" / "checkpoint_00000002" / "manifest.json").exists()
+    again = mpiexec(PROGRAM, "run", scene_file(tmp_path), "--output", str(tmp_path / "out"), "--restart", "auto")
+    assert again.returncode == 0  # what was written before is still of use
+
+
+def test_failure_in_a_script_ends_all(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from mpi4py import MPI\n"
+        "from amrpic import Scene, Simulation\n"
+        f"run = Simulation(MPI.COMM_WORLD, Scene.from_toml({scene_file(tmp_path)!r}, ['output.write=[]']))\n"
+        "run.on_step(lambda s: 1 / s.comm.rank)\n"
+        f"run.scene.output.write or run.run()\n"
+    )
+    end = mpiexec(sys.executable, str(script))
+    assert end.returncode != 0
+    assert "ZeroDivisionError" in end.stderr and "rank 0 of 2" in end.stderr
+
+
+def test_exit_status_reaches_the_shell(tmp_path):
+    end = mpiexec(
+        PROGRAM, "run", scene_file(tmp_path), "--set", "solver.tolerance=0", "--output", str(tmp_path / "out")
+    )
+    assert end.returncode == 2
+    assert end.stderr.count("amrpic: ") == 1
+
+
+# ---- legal, and worth a word ----
+
+REFINE = ["refinement.levels=1", "refinement.regrid_every=1"]
+
+ODD = {
+    "no bunches": (["bunches=[]"], "zero particles"),
+    "zero particles": (["bunches.0.particles=0", *REFINE], "zero particles"),
+    "zero size": (["bunches.0.sigma=0", *REFINE], "zero size"),
+    "zero size along x": (["bunches.0.sigma=[0,0.01,0.01]"], "zero size"),
+    "tags nothing": ([*REFINE, "refinement.rule={kind='charge-density',absolute=1e9}"], "tags no cell"),
+    "tags everything": (
+        [*REFINE, "refinement.rule={kind='field-strength',absolute=0}", "bunches.0.sigma=0.02"],
+        "tags every cell",
+    ),
+}
+
+
+@pytest.mark.mpi(ranks=2)
+@pytest.mark.parametrize("name", ODD)
+def test_legal_oddity_runs_with_one_warning(comm, tmp_path, name):
+    overrides, word = ODD[name]
+    flags = [flag for override in overrides for flag in ("--set", override)]
+    status, text = ended(comm, "run", scene_file(tmp_path), *flags, "--output", str(tmp_path / "out"))
+    assert status == 0, text
+    assert text.count("\n") == 1 and text.startswith("warning: ")
+    assert word in text
+    assert (tmp_path / "out" / "checkpoint_00000001" / "manifest.json").exists()

@@ -1,0 +1,96 @@
+"""The ten bunches give the same answer on any number of ranks and for any size of boxes.
+
+An ordinary run of the tests takes a smaller scene; with AMRPIC_TEST_LONG=1 (`make verify`) it is the example itself.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from amrpic import Scene
+from amrpic.run.plan import Plan
+from amrpic.run.step import advance, begin
+
+LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
+SCENE = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
+SMALLER = [
+    "domain.cells=48",
+    "refinement.levels=2",
+    "bunches.0.particles=3000",
+    "schedule.solves=4",
+    "refinement.regrid_every=2",
+]
+POINTS = np.random.default_rng(7).uniform(-0.15, 0.15, (1000, 3))
+
+
+@dataclass
+class Outcome:
+    """What a run leaves, on rank 0 of it."""
+
+    boxes: list[list[np.ndarray]]  # per step and level, uncut by the size of boxes where it is the same region
+    region: list[list[int]]  # cells per step and level
+    cycles: list[int]
+    phi: np.ndarray  # at the probe points, after the last step
+    largest: float
+    charge: float
+
+
+def run(comm: MPI.Comm, *changes: str) -> Outcome:
+    """Run the scene to its end without writing anything."""
+    scene = Scene.from_toml(SCENE, ["solver.tolerance=1e-10", *([] if LONG else SMALLER), *changes])
+    plan = Plan(comm, scene)
+    state = begin(plan)
+    out = Outcome([], [], [], np.zeros(0), 0.0, 0.0)
+    while True:
+        levels = range(state.hierarchy.levels)
+        out.boxes.append([state.hierarchy.boxes(level) for level in levels])
+        out.region.append([state.hierarchy.cells(level) for level in levels])
+        out.cycles.append(state.report.cycles)
+        if state.step == scene.schedule.last_step:
+            break
+        state = advance(state, plan)
+    out.phi, out.largest, out.charge = state.phi.sample(POINTS), state.phi.max_abs(), state.rho.integral()
+    return out
+
+
+def on_some(comm: MPI.Comm, ranks: int, *changes: str) -> Outcome | None:
+    """Run on the first ranks while the others wait; the outcome on rank 0."""
+    part = comm.Split(color=0 if comm.rank < ranks else MPI.UNDEFINED)
+    outcome = run(part, *changes) if part != MPI.COMM_NULL else None
+    if part != MPI.COMM_NULL:
+        part.Free()
+    comm.Barrier()
+    return outcome
+
+
+@pytest.mark.mpi(ranks=(4,), timeout=3000 if LONG else 240)
+def test_one_to_four_ranks_give_the_same_mesh_cycles_potential_and_charge(comm):
+    outcomes = [found for ranks in (1, 2, 3, 4) if (found := on_some(comm, ranks)) is not None]
+    if comm.rank != 0:
+        return
+    alone = outcomes[0]
+    assert len(outcomes) == 4
+    assert len(set(map(tuple, alone.region))) > 1, "the mesh never followed the particles"
+    for other in outcomes[1:]:
+        for mine, theirs in zip(alone.boxes, other.boxes, strict=True):
+            for a, b in zip(mine, theirs, strict=True):
+                assert np.array_equal(a, b)
+        assert other.cycles == alone.cycles
+        assert np.abs(other.phi - alone.phi).max() <= 1e-8 * alone.largest
+        assert other.charge == pytest.approx(alone.charge, rel=1e-13, abs=0)
+
+
+@pytest.mark.mpi(ranks=(2,), timeout=3000 if LONG else 240)
+def test_boxes_of_16_24_and_32_cells_give_the_same_cycles_and_potential(comm):
+    outcomes = [run(comm, f"refinement.max_grid_size={size}") for size in (16, 24, 32)]
+    for other in outcomes[1:]:
+        assert other.region == outcomes[0].region
+        assert other.cycles == outcomes[0].cycles
+        assert np.abs(other.phi - outcomes[0].phi).max() <= 1e-8 * outcomes[0].largest
+        assert other.charge == pytest.approx(outcomes[0].charge, rel=1e-13, abs=0)

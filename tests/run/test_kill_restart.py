@@ -1,0 +1,240 @@
+"""Runs that are killed go on from the newest checkpoint that is whole, and end as if nothing had happened.
+
+`AMRPIC_KILLS=20 pytest tests/run/test_kill_restart.py` kills more often than the few times of an ordinary test run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
+from amrpic.io.checkpoint_writer import Snapshot
+from mpi_batch import ENVIRONMENT
+
+KILLS = int(os.environ.get("AMRPIC_KILLS", "3"))  # of each motion
+LAST = 12
+TIMEOUT = 120.0
+SCENE = """
+[domain]
+lower = "-20 mm"
+upper = "20 mm"
+cells = 16
+boundary = "open"
+
+[[bunches]]
+distribution = "gaussian"
+species = "electron"
+sigma = "2 mm"
+charge = "-20 pC"
+particles = 4000
+
+[refinement]
+levels = 2
+max_grid_size = 16
+blocking_factor = 4
+regrid_every = 3
+
+[schedule]
+steps = {last}
+
+[output]
+write = ["checkpoint", "fields", "series"]
+checkpoint_every = 1
+fields_every = 4
+writers = 0
+
+[motion]
+{motion}
+"""
+MOTIONS = {
+    "leapfrog": 'kind = "leapfrog"\ndt = "0.2 ns"',
+    "random-walk": 'kind = "random-walk"\namplitude = "1 mm"',
+}
+
+
+def command(ranks: int, folder: Path) -> list[str]:
+    """What runs the scene beside a folder into it."""
+    program = str(Path(sys.executable).with_name("amrpic"))
+    scene = str(folder.parent / "scene.toml")
+    return ["mpiexec", "-n", str(ranks), program, "run", scene, "--output", str(folder), "--restart", "auto"]
+
+
+@contextlib.contextmanager
+def running(ranks: int, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A run that has begun, and is over afterwards whatever happens."""
+    with (folder.parent / "log").open("ab") as log:
+        process = subprocess.Popen(command(ranks, folder), env=ENVIRONMENT, stdout=log, stderr=log)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            kill(process)
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill all ranks of a run at once, as a lost node does, and mpiexec after them."""
+    for pid in [*children(process.pid), process.pid]:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    process.wait()
+
+
+def children(parent: int) -> list[int]:
+    """Ids of the processes that a process has started and that still live."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            if int(stat.read_text().rpartition(")")[2].split()[1]) == parent:
+                found.append(int(stat.parent.name))
+    return found
+
+
+def finish(ranks: int, folder: Path) -> None:
+    """Let a run go on to its end."""
+    with running(ranks, folder) as process:
+        status = process.wait(TIMEOUT)
+    assert status == 0, (folder.parent / "log").read_text()
+
+
+def killed_when(moment: Callable[[], bool], ranks: int, folder: Path) -> bool:
+    """Begin a run and kill it at a moment; return whether it came before the end of the run."""
+    deadline = time.monotonic() + TIMEOUT
+    with running(ranks, folder) as process:
+        while not moment():
+            if process.poll() is not None:
+                return False
+            assert time.monotonic() < deadline
+        kill(process)
+    return True
+
+
+def steps_recorded(folder: Path) -> int:
+    """Rows of a run's time series so far."""
+    with contextlib.suppress(FileNotFoundError):
+        return sum(line[:1].isdigit() for line in (folder / "series.csv").read_text().splitlines())
+    return 0
+
+
+def after_steps(folder: Path, steps: int, seconds: float) -> Callable[[], bool]:
+    """The moment so many seconds after so many more steps were recorded: progress, for clocks run unevenly under load."""
+    goal, end = steps_recorded(folder) + steps, math.inf
+
+    def come() -> bool:
+        nonlocal end
+        time.sleep(0.001)
+        if end == math.inf and steps_recorded(folder) >= goal:
+            end = time.monotonic() + seconds
+        return time.monotonic() >= end
+
+    return come
+
+
+def while_writing(folder: Path, which: int) -> Callable[[], bool]:
+    """A moment at which a checkpoint is being written: that of the `which`-th one since the run began."""
+    seen: set[str] = set()
+
+    def come() -> bool:
+        with contextlib.suppress(FileNotFoundError):
+            seen.update(name for name in os.listdir(folder) if name.startswith("checkpoint_") and name.endswith(".tmp"))
+        time.sleep(1e-4)  # a checkpoint takes some milliseconds; the ranks need the processor
+        return len(seen) >= which
+
+    return come
+
+
+def last_state(folder: Path) -> Snapshot:
+    """The state at the end of a run, of all ranks."""
+    from mpi4py import MPI
+
+    path = checkpoint_writer.path_of(folder, LAST)
+    checkpoint_reader.verify(MPI.COMM_SELF, path)
+    return checkpoint_reader.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
+
+
+def arrays(state: Snapshot) -> dict[str, np.ndarray]:
+    tables = {f"{t}/{c}": values for t, columns in state.tables.items() for c, values in columns.items()}
+    return tables | {f"{name}/{l}": v for name, levels in state.fields.items() for l, v in enumerate(levels)}
+
+
+def rows(folder: Path) -> dict[str, np.ndarray]:
+    """The time series and the residuals, without what depends on the machine's mood."""
+    columns: dict[str, np.ndarray] = {}
+    for file in ("series.csv", "residuals.csv"):
+        table = time_series.read(folder / file)
+        columns |= {f"{file}/{name}": table[name] for name in table.dtype.names or ()}
+    return {name: c for name, c in columns.items() if not name.startswith(("series.csv/seconds", "series.csv/memory"))}
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+def assert_same(folder: Path, reference: Path) -> None:
+    """Two runs left the same, bit by bit."""
+    found, expected = arrays(last_state(folder)), arrays(last_state(reference))
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+    for name, values in rows(reference).items():
+        np.testing.assert_array_equal(rows(folder)[name], values, err_msg=name)
+    assert names(folder) == names(reference)  # and nothing half written
+
+
+@pytest.fixture(scope="module", params=MOTIONS)
+def undisturbed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run on two ranks that nobody disturbed."""
+    folder = tmp_path_factory.mktemp(request.param)
+    (folder / "scene.toml").write_text(SCENE.format(last=LAST, motion=MOTIONS[request.param]))
+    finish(2, folder / "undisturbed")
+    return folder / "undisturbed"
+
+
+def test_killed_at_random_moments_it_ends_bit_by_bit_as_undisturbed(undisturbed):
+    reference = undisturbed
+    folder = reference.parent / "killed"
+    random.seed(KILLS)
+    kills = 0
+    while kills < KILLS:
+        often = random.randint(1, 4)
+        writing = kills % 2 == 1
+        moment = while_writing(folder, often) if writing else after_steps(folder, often, random.uniform(0, 0.2))
+        if killed_when(moment, 2, folder):
+            kills += 1
+        else:  # it came to its end before; the next kill needs a run to disturb
+            assert_same(folder, reference)
+            shutil.rmtree(folder)
+    finish(2, folder)
+    assert_same(folder, reference)
+
+
+@pytest.mark.parametrize("ranks", [1, 3])
+@pytest.mark.parametrize("undisturbed", ["leapfrog"], indirect=True)  # whose particles depend on the field
+def test_killed_it_ends_alike_on_another_number_of_ranks(undisturbed, ranks):
+    reference = undisturbed
+    folder = reference.parent / f"killed{ranks}"
+    assert killed_when(while_writing(folder, LAST // 2), 2, folder)
+    finish(ranks, folder)
+    found, expected = last_state(folder), last_state(reference)
+    for left, right in zip(found.header.boxes, expected.header.boxes, strict=True):
+        np.testing.assert_array_equal(left, right)
+    for name in ("phi", "rho"):
+        scale = max(np.abs(values).max() for values in expected.fields[name])
+        for left, right in zip(found.fields[name], expected.fields[name], strict=True):
+            np.testing.assert_allclose(left, right, rtol=0, atol=1e-8 * scale, err_msg=name)
+    order, expected_order = (np.argsort(s.tables["particles"]["id"]) for s in (found, expected))
+    for column in ("id", "position", "momentum", "weight"):
+        left, right = (s.tables["particles"][column] for s in (found, expected))
+        np.testing.assert_allclose(left[order], right[expected_order], rtol=0, atol=1e-8 * np.abs(right).max(initial=0))

@@ -1,0 +1,298 @@
+"""The verification itself: its exact answers, and that it can fail."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from amrpic.commands.main import main
+from amrpic.errors import InputError
+from amrpic.run.initial_particles import make_particles
+from amrpic.scene import solver_options
+from amrpic.scene.scene import Scene
+from amrpic.stages.poisson import PoissonSolver
+from amrpic.units import VACUUM_PERMITTIVITY as EPS0
+from amrpic.verify import TOPICS, backends, conservation, convergence, pareto, verify, write
+from amrpic.verify.described import Cylinder, Lattice, density_of, exact_field
+from amrpic.verify.hard import CASES
+from amrpic.verify.meshes import MESHES
+from amrpic.verify.sources import Gaussian, Layer, Plummer, Product, Sphere, Together, Wave
+from amrpic.verify.table import Goal, Table
+
+SOURCES = {
+    "sphere": Sphere(0.2, (0.05, 0, 0)),
+    "round": Gaussian((0.05,) * 3),
+    "ellipsoid": Gaussian((0.03, 0.08, 0.2)),
+    "plummer": Plummer(0.1),
+    "product": Product((Wave(3.0), Layer(0.3), Wave(2.0, 1.0))),
+    "pair": Together((Gaussian((0.03, 0.03, 0.1), (0.1, 0, 0)), Gaussian((0.05,) * 3, (-0.1, 0, 0), -EPS0))),
+}
+EXAMPLES = Path(__file__).parents[2] / "examples"
+LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+@pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
+def test_field_is_minus_the_gradient_of_the_potential(source):
+    points, step = np.random.default_rng(1).uniform(-0.5, 0.5, (3, 100)), 1e-4
+    for axis in range(3):
+        shift = step * (np.arange(3) == axis)[:, None]
+        slope = (source.potential(*(points + shift)) - source.potential(*(points - shift))) / (2 * step)
+        assert source.field(*points)[axis] == pytest.approx(-slope, abs=1e-5 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
+def test_mean_density_is_the_flux_out_of_the_cell(source):
+    """Gauss's law for one cell, its faces integrated by quadrature."""
+    centre, width = np.array([0.1, 0.05, -0.07]), 0.02
+    flux = 0.0
+    for axis in range(3):
+        for side in (-1, 1):
+            place = [c + width / 2 * n for c, n in zip(centre, np.meshgrid(*[NODES] * 3, indexing="ij"), strict=True)]
+            place[axis] = np.full_like(place[axis], centre[axis] + side * width / 2)
+            weight = np.ones((8, 8, 8))
+            for d in range(3):
+                shape = [8 if d == e else 1 for e in range(3)]
+                weight = weight * (np.ones(8) / 4 if d == axis else WEIGHTS * width / 2).reshape(shape)
+            flux += side * np.sum(source.field(*place)[axis] * weight) / 2
+    mean = source.mean(*(np.array([c - width / 2, c + width / 2]) for c in centre))
+    assert EPS0 * flux / width**3 == pytest.approx(float(np.squeeze(mean)), rel=1e-6)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_meshes_exist_at_every_multiple_of_eight(mesh):
+    for cells in (16, 24, 40):
+        assert MESHES[mesh].hierarchy(MPI.COMM_SELF, cells, "dirichlet").levels == 1 + len(MESHES[mesh].levels)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.parametrize("case", ["checkerboard of blocks of 4", "level without charge", "tolerance 0", "one particle"])
+def test_hard_cases_come_out_alike_on_any_number_of_ranks(comm, case):
+    alone, together = (CASES[case](c) for c in (MPI.COMM_SELF, comm))
+    for (what, value), (same, other) in zip(alone, together, strict=True):
+        assert isinstance(value, Goal) and isinstance(other, Goal)
+        assert value.met and other.met
+        if "floor" not in what and "reason" not in what:
+            assert what == same and other.measured == pytest.approx(value.measured, rel=1e-6)
+
+
+def test_a_missed_goal_is_marked_and_fails_the_command(monkeypatch, capsys, tmp_path):
+    good, bad = Goal(2.0, 1.9, least=True), Goal(float("nan"), 1e-3)
+    rows: list[list[str | float | Goal]] = [["here", good], ["there", bad]]
+    table = Table("Odd", "Nothing.", ("case", "value"), rows, {"here": ([8, 16], [0.1, 0.025])}, upwards="E")
+    assert not table.met and good.met and not bad.met
+    monkeypatch.setitem(TOPICS, "odd", lambda comm: iter([table]))
+    with pytest.raises(SystemExit) as exit_:
+        main(["verify", "odd", "--output", str(tmp_path)])
+    assert exit_.value.code == 1
+    assert "| there | nan (≤ 1.0e-03) MISSED |" in capsys.readouterr().out
+    assert "MISSED" in (tmp_path / "verification.md").read_text()
+    assert (tmp_path / "pictures" / "verify_odd.png").stat().st_size > 1000
+
+
+def test_an_unknown_topic_is_told():
+    with pytest.raises(InputError, match="knows no topic"):
+        list(verify(MPI.COMM_SELF, ["everything"]))
+
+
+def test_what_was_not_measured_now_stays_in_the_document(tmp_path):
+    tables = {title: Table(title, "About it.", ("case", "value"), [["here", 1.0]]) for title in ("One", "Two")}
+    write([("odd", table) for table in tables.values()], tmp_path)
+    path = write([("odd", replace(tables["Two"], rows=[["there", 2.0]]))], tmp_path)
+    text = path.read_text()
+    assert text.index("## One") < text.index("## Two") and text.count("## ") == 2
+    assert "| here | 1     |" in text and "| there | 2     |" in text
+    write([("odd", tables["Two"])], tmp_path, afresh=True)
+    assert "## One" not in path.read_text()
+
+
+# ---- the same tables on any number of ranks ----
+
+ROUNDING = 1e-9  # what is smaller may be nothing but rounding
+OF_THIS_RUN = ("memory", "floor", "reason")  # rows that show a process, not a solution
+
+
+def value(cell):
+    return cell.measured if isinstance(cell, Goal) else float(cell)
+
+
+def assert_same(found, wanted, rel):
+    assert found.title == wanted.title and len(found.rows) == len(wanted.rows)
+    for row, expected in zip(found.rows, wanted.rows, strict=True):
+        if any(isinstance(cell, str) and word in cell for cell in row for word in OF_THIS_RUN):
+            continue
+        for cell, other in zip(row, expected, strict=True):
+            assert cell == other or value(cell) == pytest.approx(value(other), rel=rel, abs=ROUNDING), (
+                found.title,
+                expected[0],
+            )
+
+
+def some_of_convergence(comm):
+    cases = dict(convergence._faces())
+    names = ("smooth, Neumann", "smooth, periodic along x", "boundary layer, Dirichlet and Neumann")
+    yield convergence._table(comm, "Faces", "", {name: replace(cases[name], cells=(16, 24)) for name in names})
+
+
+def some_of_conservation(comm):
+    yield from itertools.islice(conservation.tables(comm), 1)
+
+
+Tables = Callable[[MPI.Comm], Iterator[Table]]
+SOME: dict[str, Tables] = {"convergence": some_of_convergence, "conservation": some_of_conservation}
+ALL: dict[str, Tables] = {
+    **{
+        name: TOPICS[name]
+        for name in ("open-boundary", "self-force", "stopping", "conservation", "hard-cases", "backends")
+    },
+    "convergence": partial(convergence.tables, resolutions=2),
+}
+
+
+@pytest.mark.mpi(ranks=(3,), timeout=2000 if LONG else 120)
+@pytest.mark.parametrize("topic", ALL if LONG else SOME)
+def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
+    """The first rank by itself and, at the same time, the two others together; then all three."""
+    tables = (ALL if LONG else SOME)[topic]
+    apart = list(tables(comm.Split(comm.rank > 0)))
+    together = list(tables(comm))
+    assert len(apart) == len(together)
+    for found, wanted in zip(apart, together, strict=True):
+        # a solve that stops at a tenth of an error is told apart by the rounding of its single-precision corrections
+        assert_same(found, wanted, 1e-3 if topic == "stopping" else 1e-4)
+
+
+# ---- backends ----
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_backends_are_compared_as_soon_as_there_are_two(comm):
+    found = list(backends.tables(comm))
+    assert len(found) == len(get_args(solver_options.Backend)) - 1
+    assert all(table.met and len(table.rows) == 4 * len(MESHES) for table in found)
+
+
+def test_an_unknown_backend_is_told():
+    with pytest.raises(InputError, match='no backend "abacus"'):
+        list(verify(MPI.COMM_SELF, ["stopping"], backend="abacus"))
+
+
+def test_all_solvers_take_the_backend_that_is_asked_for(monkeypatch):
+    taken = []
+
+    class Spy(PoissonSolver):
+        def __init__(self, *args, **options):
+            taken.append(options.pop("backend"))
+            raise InterruptedError
+
+    monkeypatch.setattr("amrpic.verify.chosen.PoissonSolver", Spy)
+    for topic in ("convergence", "open-boundary", "peers", "stopping", "hard-cases"):
+        with pytest.raises(InterruptedError):
+            list(verify(MPI.COMM_SELF, [topic], backend=get_args(solver_options.Backend)[-1]))
+    assert taken == [get_args(solver_options.Backend)[-1]] * 5
+
+
+# ---- speed against error ----
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_density_of_an_example_is_that_of_its_particles(path):
+    """Charge and second moments of cells all over the domain, against those of the particles: within five standard errors."""
+    scene = Scene.from_toml(path)
+    edges = [np.linspace(a, b, 65) for a, b in zip(scene.domain.lower, scene.domain.upper, strict=True)]
+    volume = np.prod([np.diff(e)[0] for e in edges])
+    charge = density_of(scene).mean(*edges) * volume
+    particles = make_particles(MPI.COMM_SELF, scene)
+    weight = particles.weight * particles.charge
+    assert charge.sum() == pytest.approx(weight.sum(), rel=1e-4)
+    centres = [(e[1:] + e[:-1]) / 2 for e in edges]
+    for axis in range(3):
+        share = charge.sum(axis=tuple({0, 1, 2} - {axis})) / charge.sum()
+        counts = np.histogram(particles.position[:, axis], edges[axis], weights=weight / weight.sum())[0]
+        assert np.abs(share - counts).max() < 5 / np.sqrt(len(particles)) * np.sqrt(share.max()), axis
+        assert share @ centres[axis] == pytest.approx(counts @ centres[axis], abs=0.01 * np.ptp(edges[axis]))
+
+
+def test_field_of_shifted_sheets_obeys_gauss():
+    lattice = Lattice((0, 0, 0), (1, 1, 1), (0.05, 0, 0), (2, 1, 1), EPS0)
+    x = np.linspace(0.0, 1.0, 41)
+    y = np.array([0.0, 1.0])
+    flux = lattice.field(x[:, None, None], np.zeros((1, 1, 1)), np.zeros((1, 1, 1)))[0].ravel()
+    density = lattice.mean(x, y, y).ravel()
+    assert np.diff(flux) == pytest.approx((density / EPS0 - 1) * np.diff(x), abs=1e-13)
+    assert np.ptp(density) > 0.5 * EPS0
+
+
+def test_cylinder_holds_its_charge_whatever_the_cells():
+    for normal in (False, True):
+        cylinder = Cylinder((0.04, 0.06, 0.1), (0.5, 0.45, 0.5), 3.0, normal)
+        edges = [np.linspace(-1, 2, 301)] * 3
+        density = cylinder.mean(*edges)
+        assert density.sum() * 1e-6 == pytest.approx(3.0, rel=1e-4)
+        middle = density[150, 145, 150]
+        expected = 3.0 / (np.pi * 0.08 * 0.12) / (np.sqrt(2 * np.pi) * 0.1 if normal else 2 * np.sqrt(3) * 0.1)
+        assert middle == pytest.approx(expected, rel=2e-3)
+
+
+def test_scenes_without_a_formula_are_refused():
+    domain = {"lower": -1, "upper": 1, "cells": 16}
+    bunch = {"distribution": "waterbag", "sigma": 0.1, "charge": 1e-9, "particles": 100}
+    for bunches, told in (
+        ([], "has no bunches"),
+        ([bunch], "bunches.0 is a waterbag bunch, whose density has no formula"),
+        ([{**bunch, "distribution": "gaussian", "sigma": 0}], "bunches.0 has zero size"),
+    ):
+        with pytest.raises(InputError, match=told):
+            density_of(Scene.from_dict({"domain": domain, "bunches": bunches}))
+
+
+def test_no_exact_field_is_claimed_between_metal_walls():
+    bunch = {"distribution": "gaussian", "sigma": 0.1, "charge": 1e-9, "particles": 100}
+    for boundary, known in (("open", True), ("dirichlet", False)):
+        domain = {"lower": -1, "upper": 1, "cells": 16, "boundary": boundary}
+        scene = Scene.from_dict({"domain": domain, "bunches": [bunch]})
+        assert (exact_field(scene, density_of(scene)) is not None) == known
+
+
+def measured(cells, cycles, error, left=0.0):
+    setting = pareto.Setting((8, 8, 8), 0, 32, "discretization", False)
+    return pareto.Measured(setting, cells, cycles, 0.0, 0.0, error, left)
+
+
+def test_frontier_holds_what_nothing_beats():
+    cheap, dear, beaten, spoilt = (
+        measured(10, 1, 0.1),
+        measured(10, 4, 0.01),
+        measured(10, 9, 0.05),
+        measured(1, 1, 0.001, 0.5),
+    )
+    found = [dear, beaten, cheap, spoilt]
+    assert pareto.frontier(found) == [cheap, dear]
+    assert pareto.loss(dear, found) == 1
+    assert pareto.loss(beaten, found) == 2.0  # (90 - 10) / 40, or 0.05 / 0.01: the lesser
+    assert pareto.loss(measured(10, 2, 0.1), found) == 1  # one cycle is spared
+
+
+@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+def test_speed_against_error_of_a_scene(comm, tmp_path):
+    scene = Scene.from_toml(
+        EXAMPLES / "drift.toml", ["bunches.0.particles=5000", "domain.cells=16", "refinement.levels=1"]
+    )
+    (table,) = pareto.tables(comm, scene, quick=True)
+    columns = dict(zip(table.columns, zip(*table.rows, strict=True), strict=True))
+    levels, error = (np.array([value(cell) for cell in columns[name]]) for name in ("levels", "E error"))
+    assert table.met and any(isinstance(cell, Goal) for cell in columns["frontier"])
+    assert error[levels == 2].min() < 0.5 * error[levels == 0].min()
+    if comm.rank == 0:
+        path = write([("pareto", table)], tmp_path)
+        assert "(pictures/verify_speed_against_error_drift.png)" in path.read_text()
+        assert (tmp_path / "pictures" / "verify_speed_against_error_drift.png").stat().st_size > 1000

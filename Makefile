@@ -20,7 +20,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: stub docs help setup build run test nehalem aarch64 verify sanitize bench solvers lint format clean
+.PHONY: always stub docs help setup build run test nehalem aarch64 verify sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -94,7 +94,12 @@ setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, na
 	fi
 	@mkdir -p .venv && touch $@
 
-.venv/.packages: pyproject.toml .venv/.system
+# The package is installed by the names of its modules, and anew when these change.
+MODULES := $(sort $(wildcard amrpic/*.py amrpic/*/*.py))
+build/.modules: always
+	@mkdir -p build; echo '$(MODULES)' | cmp -s - $@ || echo '$(MODULES)' > $@
+
+.venv/.packages: pyproject.toml .venv/.system build/.modules
 	@echo "installing Python packages into .venv"
 	@[ -x $(BIN)/python ] || /usr/bin/python3 -m venv .venv
 	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \

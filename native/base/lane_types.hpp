@@ -9,9 +9,6 @@
 #include "base/intrinsics.hpp"
 #include "base/types.hpp"
 
-// How vectors are passed matters between object files built for different processors; here all is inlined.
-#pragma GCC diagnostic ignored "-Wpsabi"
-
 namespace amrpic {
 
 constexpr int lane_count = 8;

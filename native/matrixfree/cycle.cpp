@@ -72,7 +72,7 @@ Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation c
     CycleLevel level;
     Ends const ends = ends_of(stack_, open_walls, l);
     Relaxation own = relaxation;
-    own.factor = relaxation_on(*stack_.levels[l], stack_.halves_at_most(l), relaxation.factor);
+    own.factor = relaxation_on(*stack_.levels[l], shift, stack_.halves_at_most(l), relaxation.factor);
     std::vector<LevelCopy> copies;
     if (stack_.refines(l))
       copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());

@@ -41,7 +41,7 @@ class RedBlack : public Smoother {
       : operators_(operators),
         pre_sweeps_(options.pre_sweeps),
         post_sweeps_(options.post_sweeps),
-        relaxation_(relaxation_on(*operators.level, v_cycle, options.relaxation)),
+        relaxation_(relaxation_on(*operators.level, shift_of(options), v_cycle, options.relaxation)),
         colour_(colours(*operators.level)) {}
 
   void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {

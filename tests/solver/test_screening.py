@@ -17,17 +17,13 @@ BASE = 32
 
 
 def wave(boundary: str):
-    """A potential in V: along each axis one period, or half of one between grounded walls, and a second one."""
-    function = np.cos if boundary == "periodic" else np.sin
-    first, second = (WAVE, 2 * WAVE) if boundary == "periodic" else (WAVE / 2, 1.5 * WAVE)
+    """A potential in V, and −Δ of it: along each axis one period, or half of one between grounded walls."""
+    function, k = (np.cos, WAVE) if boundary == "periodic" else (np.sin, WAVE / 2)
 
     def phi(x, y, z):
-        return sum(function(k * x) * function(k * y) * function(k * z) for k in (first, second))
+        return function(k * x) * function(k * y) * function(k * z)
 
-    def minus_laplacian(x, y, z):
-        return sum(3 * k**2 * function(k * x) * function(k * y) * function(k * z) for k in (first, second))
-
-    return phi, minus_laplacian
+    return phi, lambda x, y, z: 3 * k**2 * phi(x, y, z)
 
 
 def nested(comm: MPI.Comm, n: int, boundary: str) -> amrpic.Hierarchy:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -72,6 +73,11 @@ class Hierarchy:
         self.max_grid_size = int(max_grid_size)
         self.blocking_factor = int(blocking_factor)
         self.weights = loads  # as given; none: the cells of each box
+
+    @cached_property
+    def particle_mesh(self) -> _native.ParticleMesh:
+        """Native look-ups and exchange plans for particles on the hierarchy. Collective at the first access."""
+        return _native.ParticleMesh(self.native)
 
     @property
     def levels(self) -> int:

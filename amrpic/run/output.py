@@ -18,11 +18,12 @@ from ..io.time_series import Series
 from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..scene.scene import Scene
-from ..stages.diagnostics import Quantity, measure, moments, quantities
+from ..stages.diagnostics import Quantity, measure, quantities
 from .log import RunLog
 from .plan import Plan
 from .restart import about, snapshot
-from .step import State, kicked
+from .state import State
+from .step import kicked
 
 SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
@@ -154,7 +155,7 @@ class Recorder:
     def _row(self, state: State) -> dict[str, float]:
         now = time.perf_counter()
         seconds, self._since = now - self._since, now
-        beam = moments(self._comm, state.particles, state.moved, state.share)
+        beam = state.moments()
         measured = measure(
             state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds
         )

@@ -123,8 +123,8 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
     seen, undisturbed = [], run(comm, given)
 
     def look(now: Simulation) -> None:
-        assert now.state.moved is not None
-        whole_kick = now.state.moved.momentum - now.state.particles.momentum
+        assert now.state.staggered is not None
+        whole_kick = now.state.staggered.moved.momentum - now.state.particles.momentum
         early, synchronized = now.state.particles.momentum, now.particles.momentum
         kick = np.abs(whole_kick).max(initial=0)
         assert kick > 0 and np.abs(synchronized - early - whole_kick / 2).max(initial=0) <= 1e-12 * kick

@@ -52,7 +52,7 @@ class WorkUnit:
     apply: float  # s, of the plain apply
     triad: float  # bytes per second of all ranks, out of cache
 
-    def told(self, cells: int) -> dict[str, Any]:
+    def record_fields(self, cells: int) -> dict[str, Any]:
         """The fields of a record of so many cells that belong to its unit."""
         return {"unit": self.seconds, "apply": self.apply, "triad": self.triad, "cells": cells}
 
@@ -157,7 +157,7 @@ def timed_beside_unit(
         taken, out = timed(comm, 1, work)
         seconds += taken
     unit = sorted(units, key=lambda unit: unit.seconds)[len(units) // 2]
-    return seconds, {**unit.told(cells), "dst": dst}, out
+    return seconds, {**unit.record_fields(cells), "dst": dst}, out
 
 
 @contextlib.contextmanager
@@ -222,7 +222,7 @@ def launch_or_skip(script: Path, arguments: Sequence[str], name: str, limit: flo
 
 
 def write(path: Path, records: Sequence[Record], **about: Any) -> None:
-    """Write records, and what is told about them, as JSON."""
+    """Write records, and what is known about them, as JSON."""
     content = {**about, "records": [asdict(record) for record in records]}
     path.write_text(json.dumps(content, indent=1), encoding="utf-8")
 

@@ -39,7 +39,7 @@ class Hierarchy:
 
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
 
-    Raises HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not nest.
+    Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not aligned so, or do not nest.
     """
 
     def __init__(

@@ -31,8 +31,8 @@ class Sorting:
 class Particles:
     """Macroparticles on this rank; a value that stages take and return.
 
-    Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change. Equal weights
-    take no memory if they are given as one number that is repeated, `np.broadcast_to(weight, n)`, as bunches give them.
+    Other array layouts are accepted and copied. `sorting` is set by `migrate` and no longer holds once positions change. Equal
+    weights take no memory if they are given as one number that is repeated, `np.broadcast_to(weight, n)`, as bunches give them.
     Raises ParticleError if the arrays do not fit together.
     """
 
@@ -56,7 +56,7 @@ class Particles:
 
     @staticmethod
     def allocate(count: int, species: SpeciesTable, weight: float | None = None) -> Particles:
-        """Particles whose values are yet to be set, but for the weight if all have the same."""
+        """Particles whose values are yet to be set, except the weight if all have the same."""
         return Particles(
             empty_columns(count),
             empty_columns(count),

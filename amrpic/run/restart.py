@@ -1,4 +1,4 @@
-"""A state as a checkpoint holds it, and back."""
+"""A state into a checkpoint, and back out of it on any number of ranks."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
     if now["bunches"] != made_from["bunches"]:
         out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
     changed = [
-        f"{path} is {_told(value)}, before {_told(before)}"
+        f"{path} is {_text(value)}, before {_text(before)}"
         for part in FOLLOWED
         for path, value, before in _differences(now.get(part), made_from.get(part), part)
     ]
@@ -132,7 +132,7 @@ def _differences(now: Any, before: Any, path: str) -> Iterator[tuple[str, Any, A
         yield path, now, before
 
 
-def _told(value: Any) -> str:
+def _text(value: Any) -> str:
     return "not given" if value is None else str(value)
 
 

@@ -109,7 +109,7 @@ class Simulation:
     def particles(self) -> Particles:
         """This rank's particles; momenta belong to the same time as positions.
 
-        In the midst of a run these are made at each call, to rounding those of a checkpoint; at its end they are those.
+        During a run they are made at each call and equal those of a checkpoint to rounding; at its end they are the same.
         """
         return self.state.synchronized
 

@@ -15,7 +15,7 @@ from ..stages.push import random_walk
 from .adapt import follow, make_base, outrun
 from .initial_particles import make_bunches
 from .leapfrog import kick, kick_and_drift
-from .particle_fields import Quantities
+from .particle_fields import ParticleFields
 from .plan import Plan
 from .state import Lost, Solution, State
 
@@ -27,12 +27,12 @@ def advance(state: State, plan: Plan) -> State:
         moved = _moved(state, plan)
     with plan.clock("migrate"):
         particles, gone = migrate(moved, state.hierarchy)
-    seen = Quantities(particles, state.hierarchy, plan, (state.phi, state.efield))
-    if plan.regrids_at(step) or outrun(seen):
-        seen = follow(seen, plan.scene.refinement.hysteresis)
+    fields = ParticleFields(particles, state.hierarchy, plan, (state.phi, state.efield))
+    if plan.regrids_at(step) or outrun(fields):
+        fields = follow(fields, plan.scene.refinement.hysteresis)
     lost = state.lost.joined(gone, now)
-    regridded = seen.hierarchy is not state.hierarchy
-    return state_of(plan, seen.particles, _solution(seen), lost, step, now, plan.dt / 2, regridded)
+    regridded = fields.hierarchy is not state.hierarchy
+    return state_of(plan, fields.particles, _solution(fields), lost, step, now, plan.dt / 2, regridded)
 
 
 def begin(plan: Plan) -> State:
@@ -44,9 +44,9 @@ def begin(plan: Plan) -> State:
         made = concatenate(bunches)
         particles, gone = migrate(made, base)
     _require_some_inside(plan.comm, particles, made)
-    seen = follow(Quantities(particles, base, plan))
+    fields = follow(ParticleFields(particles, base, plan))
     lost = Lost(Particles.empty(made.species), np.zeros(0)).joined(gone, 0.0)
-    return state_of(plan, seen.particles, _solution(seen), lost, 0, 0.0)
+    return state_of(plan, fields.particles, _solution(fields), lost, 0, 0.0)
 
 
 def state_of(
@@ -91,12 +91,12 @@ def _moved(state: State, plan: Plan) -> Particles:
     return state.particles
 
 
-def _solution(seen: Quantities) -> Solution:
+def _solution(fields: ParticleFields) -> Solution:
     """Return the field of the particles. Collective; SolverError if the solve does not converge."""
-    plan, rho = seen.plan, seen.rho
+    plan, rho = fields.plan, fields.rho
     with plan.clock("solve"):
-        phi, report = plan.solve(rho, seen.guess)
-        efield = plan.poisson(seen.hierarchy).deferred_field(phi, covered=plan.clouds.covered)
+        phi, report = plan.solve(rho, fields.guess)
+        efield = plan.poisson(fields.hierarchy).deferred_field(phi, covered=plan.clouds.covered)
     return Solution(rho, phi, efield, report)
 
 

@@ -1,4 +1,4 @@
-"""Charge of particles onto the mesh."""
+"""Deposit: the charge of particles onto the mesh."""
 
 from __future__ import annotations
 

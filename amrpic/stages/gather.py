@@ -1,4 +1,4 @@
-"""The field at the particles."""
+"""Gather: the field at the particles."""
 
 from __future__ import annotations
 

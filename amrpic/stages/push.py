@@ -1,4 +1,4 @@
-"""Motion of particles."""
+"""Push: the motion of particles."""
 
 from __future__ import annotations
 

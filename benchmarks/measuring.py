@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
-import inspect
 import json
 import math
 import os
@@ -25,11 +24,10 @@ from sine import Yardstick
 
 from amrpic import _native
 from amrpic.scene import solver_options
-from amrpic.stages.poisson import PoissonSolver
 
 ROOT = Path(__file__).parents[1]
 BACKENDS = get_args(solver_options.Backend)
-BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
+BACKEND: str = solver_options.SolverOptions().backend
 CORE = "share of a core"
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",

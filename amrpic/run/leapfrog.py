@@ -18,16 +18,17 @@ from .plan import Plan
 
 @dataclass(frozen=True, eq=False)
 class Staggered:
-    """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions."""
+    """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions.
 
-    moved: (
-        Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted; momenta lead the state's time by Δt/2
-    )
-    lag: float  # s: 0 or Δt/2
+    Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2.
+    """
+
+    moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted
+    lag: float  # s
 
     @property
     def weight(self) -> float:
-        """Of the momenta of `moved`, in the mean with the lagging ones that belongs to the time of positions."""
+        """Of the momenta of `moved` in the mean with the lagging ones that gives those of the state's time."""
         return 0.5 if self.lag > 0 else 0.0
 
     def synchronized(self, particles: Particles) -> Particles:

@@ -66,7 +66,7 @@ def load(name: str) -> ModuleType:
     try:
         in_use = choose(modules, processor, os.environ.get(VARIABLE, ""))
     except InstructionSetError:
-        _tell_in_one_sentence()
+        _report_in_one_sentence()
         raise
     usable = available(modules, processor)
     spec = spec_from_file_location(name, modules[in_use].origin)
@@ -86,14 +86,14 @@ def description() -> str:
     return f"{TITLES[in_use]}" + (f" ({VARIABLE} can choose {' or '.join(others)})" if others else "")
 
 
-def _tell_in_one_sentence() -> None:
-    """Let Python end without a traceback if nobody catches the error: the user can mend the environment."""
+def _report_in_one_sentence() -> None:
+    """Let Python end without a traceback if nobody catches the error: the user can change the environment."""
     before = sys.excepthook
 
-    def tell(kind: type[BaseException], value: BaseException, trace: TracebackType | None) -> None:
+    def report(kind: type[BaseException], value: BaseException, trace: TracebackType | None) -> None:
         if issubclass(kind, InstructionSetError):
             print(f"amrpic: {value}", file=sys.stderr, flush=True)
         else:
             before(kind, value, trace)
 
-    sys.excepthook = tell
+    sys.excepthook = report

@@ -1,4 +1,4 @@
-"""The communicator's few habits: shares of rows, sums over ranks, and errors that all ranks raise together."""
+"""What ranks do together: shares of rows, sums over ranks, and errors that all ranks raise together."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Each part runs in processes of its own, on the ranks that it needs. Ends with the table of goals; writes a JSON of all that was
 measured, charts, and, after a whole run, docs/performance.md. The exit status is 1 if a part failed; a goal that is missed is
-told, not an error.
+reported, not an error.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
     ]
 
 
-QUIET = 0.9  # of a core, below which a run is told to be disturbed
+QUIET = 0.9  # of a core, below which a run is reported as disturbed
 NAMES = tuple(dict.fromkeys(part.name for part in parts("", False, 1)))
 
 
@@ -121,7 +121,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="few of the cases: under 2 minutes")
     parser.add_argument("--backend", default=BACKEND, choices=BACKENDS, help="how the operators are executed")
-    parser.add_argument("--runs", type=int, default=5, help="runs of each measurement; medians are told")
+    parser.add_argument("--runs", type=int, default=5, help="runs of each measurement; it reports medians")
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, help="parts to run")
     parser.add_argument(
         "--output", type=Path, default=ROOT / "runs" / "bench", help="folder of the JSON and the charts"

@@ -27,7 +27,7 @@ import turn
 from builds import Build, build
 from goals import printed
 
-THRESHOLD = 0.03  # a relative difference that must be told from noise
+THRESHOLD = 0.03  # a relative difference that must stand out from noise
 LARGEST_ERROR = 0.01  # standard error of a figure that is decided
 CONFIDENCE = 0.99
 ERRORS = NormalDist().inv_cdf((1 + CONFIDENCE) / 2)  # standard errors to either side

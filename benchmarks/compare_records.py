@@ -90,7 +90,7 @@ def error(seconds: Sequence[float]) -> float:
     return 1.2533 * deviation / math.sqrt(len(seconds)) / middle
 
 
-def told(found: Sequence[Change], threshold: float, everything: bool = False) -> list[tuple[str, ...]]:
+def table_rows(found: Sequence[Change], threshold: float, everything: bool = False) -> list[tuple[str, ...]]:
     """Return the rows of what became slower, then faster, then (of `everything`) is as before; the largest changes first."""
     rows: list[tuple[str, ...]] = [("", "before", "after", "ratio", "what")]
     for verdict in ("slower", "faster", "as before")[: 3 if everything else 2]:
@@ -110,7 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     before, after = read(given.before), read(given.after)
     found = changes(before, after)
-    print(printed(told(found, given.threshold, given.all)))
+    print(printed(table_rows(found, given.threshold, given.all)))
     slower = sum(change.verdict(given.threshold) == "slower" for change in found)
     faster = sum(change.verdict(given.threshold) == "faster" for change in found)
     alone = len({record.name for record in before} ^ {record.name for record in after})

@@ -89,7 +89,7 @@ class Found:
 
 
 def goals(records: Sequence[Record]) -> list[Goal]:
-    """Return all goals in the order that they are told in."""
+    """Return all goals in the order of the tables."""
     found = Found(records)
     return [
         goal
@@ -175,8 +175,8 @@ def ranks(found: Found) -> Iterator[Goal]:
             if (record := found.records.get(name(case, boxes, ranks))) is not None
         }
         several = float(max(counts) - min(counts)) if counts else NAN
-        told = ", ".join(map(str, sorted(counts)))
-        yield Goal(f"{case}: spread of cycles over boxes and 1 to 4 ranks", several, 0, note=f"cycles: {told}")
+        listed = ", ".join(map(str, sorted(counts)))
+        yield Goal(f"{case}: spread of cycles over boxes and 1 to 4 ranks", several, 0, note=f"cycles: {listed}")
 
 
 def shapes(found: Found) -> Iterator[Goal]:

@@ -49,7 +49,7 @@ def steps(cells: int, particles: int, runs: int, each: int, solver: str, toleran
     simulation.finalize()
     if levels != 2:
         raise SystemExit(
-            f"ImpactX made {levels} levels instead of 2; its interface has changed, so mend impactx_peer.py"
+            f"ImpactX made {levels} levels instead of 2; its interface has changed, so impactx_peer.py must follow"
         )
     return taken[1:]
 
@@ -66,7 +66,7 @@ def main() -> int:
     given = parser.parse_args()
     output = given.output.resolve()
     with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)  # it writes what it was told into the present directory
+        os.chdir(folder)  # it writes into the present directory
         taken = steps(given.cells, given.particles, given.runs, given.each, given.solver, given.tolerance)
     output.write_text(json.dumps(taken), encoding="utf-8")
     return 0

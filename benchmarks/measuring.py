@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
-import inspect
 import json
 import math
 import os
@@ -25,11 +24,10 @@ from sine import Yardstick
 
 from amrpic import _native
 from amrpic.scene import solver_options
-from amrpic.stages.poisson import PoissonSolver
 
 ROOT = Path(__file__).parents[1]
 BACKENDS = get_args(solver_options.Backend)
-BACKEND: str = inspect.signature(PoissonSolver).parameters["backend"].default
+BACKEND: str = solver_options.SolverOptions().backend
 CORE = "share of a core"
 ENVIRONMENT = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
@@ -52,7 +50,7 @@ class WorkUnit:
     apply: float  # s, of the plain apply
     triad: float  # bytes per second of all ranks, out of cache
 
-    def told(self, cells: int) -> dict[str, Any]:
+    def record_fields(self, cells: int) -> dict[str, Any]:
         """The fields of a record of so many cells that belong to its unit."""
         return {"unit": self.seconds, "apply": self.apply, "triad": self.triad, "cells": cells}
 
@@ -157,7 +155,7 @@ def timed_beside_unit(
         taken, out = timed(comm, 1, work)
         seconds += taken
     unit = sorted(units, key=lambda unit: unit.seconds)[len(units) // 2]
-    return seconds, {**unit.told(cells), "dst": dst}, out
+    return seconds, {**unit.record_fields(cells), "dst": dst}, out
 
 
 @contextlib.contextmanager
@@ -222,7 +220,7 @@ def launch_or_skip(script: Path, arguments: Sequence[str], name: str, limit: flo
 
 
 def write(path: Path, records: Sequence[Record], **about: Any) -> None:
-    """Write records, and what is told about them, as JSON."""
+    """Write records, and what is known about them, as JSON."""
     content = {**about, "records": [asdict(record) for record in records]}
     path.write_text(json.dumps(content, indent=1), encoding="utf-8")
 

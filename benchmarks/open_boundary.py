@@ -23,7 +23,7 @@ from amrpic import _native
 from amrpic.particles.particles import concatenate
 from amrpic.run.adapt import follow, make_base
 from amrpic.run.initial_particles import make_bunches
-from amrpic.run.particle_fields import Quantities
+from amrpic.run.particle_fields import ParticleFields
 from amrpic.run.plan import Plan
 from amrpic.stages.migrate import migrate
 
@@ -37,7 +37,7 @@ def measure(
     repeats: int = 5,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> dict[str, Any]:
-    """Return what the open boundary costs in an example on base³ cells. Collective; alike on all ranks.
+    """Return what the open boundary costs in an example on base³ cells. Collective; the same on all ranks.
 
     `cells`: per level; `ghosts`: of refined cells at the walls; `work_unit`: s; `seconds` and `work_units`: of each stage and
     in `total`, the fastest of `repeats`, each as long as the slowest rank takes; `first`: s, the first time of all, with the
@@ -83,7 +83,7 @@ def density(comm: MPI.Comm, base: int, example: str, overrides: tuple[str, ...])
     bunches = make_bunches(comm, plan.scene)
     plan.settle_interface(bunches)
     particles, _ = migrate(concatenate(bunches), mesh)
-    return follow(Quantities(particles, mesh, plan)).rho
+    return follow(ParticleFields(particles, mesh, plan)).rho
 
 
 def refined_ghosts(field: amrpic.Field) -> tuple[np.ndarray, np.ndarray]:

@@ -69,7 +69,7 @@ class Beside:
         self.wanted = by_sine_transform(self.f, self.inverse)
 
     def record(self, who: str, seconds: list[float], **facts: object) -> Record:
-        return Record(peer_name(self.n, who), seconds, facts=dict(facts), **self.unit.told(self.n**3))
+        return Record(peer_name(self.n, who), seconds, facts=dict(facts), **self.unit.record_fields(self.n**3))
 
     def require_same(self, who: str, phi: Array) -> None:
         """Raise SystemExit unless a potential is the sine transform's: a peer that solves something else is no peer."""
@@ -106,9 +106,9 @@ class Beside:
                 )
                 for who, ending in (("PFMG-CG", "pfmg"), ("BoomerAMG-CG", "amg")):
                     self.require_same(f"hypre {who}", np.fromfile(f"{found}.{ending}"))
-                yield from self.told(done.stdout, ranks)
+                yield from self.records(done.stdout, ranks)
 
-    def told(self, text: str, ranks: int) -> Iterator[Record]:
+    def records(self, text: str, ranks: int) -> Iterator[Record]:
         """Yield the records of what the driver printed."""
         lines = [line.split() for line in text.splitlines()]
         for who in dict.fromkeys(line[0] for line in lines):

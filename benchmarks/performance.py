@@ -109,9 +109,9 @@ def solves(records: Sequence[Record]) -> list[tuple[str, ...]]:
             more = (in_units(known.records.get(name(case, boxes, 1, what))) for what in ("1e-06", "discretization"))
             reference = MLMG.get((case, boxes))
             cells = f"{record.cells / 1e6:.2f} M"
-            units = (in_units(record), told(record.over_dst, "×"))
+            units = (in_units(record), number(record.over_dst, "×"))
             first = (case, str(boxes), cells, f"{record.median:.3g} s", *units, str(cycles))
-            rows.append((*first, in_units(record, cycles), *more, told(reference or math.nan)))
+            rows.append((*first, in_units(record, cycles), *more, number(reference or math.nan)))
     return rows
 
 
@@ -155,7 +155,7 @@ def uniform(records: Sequence[Record]) -> list[tuple[str, ...]]:
         reference, ours = MLMG.get((f"uniform {n}", 64)), known.get(peer_name(n, "amrpic"))
         if reference is not None and ours is not None:
             scaled = f"{reference * ours.unit:.3g} s"
-            rows.append((f"{n}³", "AMReX MLMG, another run, scaled", "", scaled, told(reference), "10"))
+            rows.append((f"{n}³", "AMReX MLMG, another run, scaled", "", scaled, number(reference), "10"))
     return rows
 
 
@@ -166,7 +166,7 @@ def particles(records: Sequence[Record]) -> list[tuple[str, ...]]:
     for count, shape in sorted({tuple(one.split(", ")[2:]) for one in mine}):
         found = (mine[f"particles, {stage}, {count}, {shape}"] for stage in STAGES)
         rows.append((count, shape, *(f"{1e9 * record.median / record.particles:.1f} ns" for record in found)))
-    rows.append(("1e+07", "AMReX, cloud-in-cell", *(told(REFERENCE.get(stage, math.nan), " ns") for stage in STAGES)))
+    rows.append(("1e+07", "AMReX, cloud-in-cell", *(number(REFERENCE.get(stage, math.nan), " ns") for stage in STAGES)))
     return rows
 
 
@@ -190,7 +190,7 @@ def steps(records: Sequence[Record]) -> list[tuple[str, ...]]:
     return rows
 
 
-def told(value: float, unit: str = "") -> str:
+def number(value: float, unit: str = "") -> str:
     return "–" if math.isnan(value) else figure(value) + unit
 
 

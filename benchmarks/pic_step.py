@@ -76,7 +76,7 @@ def ours(comm: MPI.Comm, cells: int, particles: int, walls: str, backend: str, r
         "cycles": state.report.cycles,
     }
     name = step_name("amrpic", cells, particles, walls, comm.size)
-    return Record(name, taken, particles=particles, facts=facts, **unit.told(size))
+    return Record(name, taken, particles=particles, facts=facts, **unit.record_fields(size))
 
 
 def impactx(cells: int, particles: int, walls: str, runs: int) -> Record:

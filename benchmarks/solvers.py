@@ -30,8 +30,8 @@ from amrpic.run.step import begin
 from amrpic.scene import solver_options
 from amrpic.stages.poisson import BaseSetup, PoissonSolver
 
-sys.path.insert(0, str(ROOT / "tests"))
-from exact import EPS0, STATIC, static_hierarchy
+sys.path.insert(0, str(ROOT / "tests" / "support"))
+from static_case import EPS0, STATIC, static_hierarchy
 
 TOLERANCE = 1e-10
 SAME = 1e-8  # largest difference of two potentials over the largest potential that counts as none
@@ -316,10 +316,10 @@ def verdict(table: Table) -> str:
     if not table.contest:
         return ""
     (_, default), *others = table.contest
-    told = "; ".join(f"{label(options, whole=True)}: {seconds / table.unit:.0f}" for options, seconds in others)
+    listed = "; ".join(f"{label(options, whole=True)}: {seconds / table.unit:.0f}" for options, seconds in others)
     return (
         f"In turns with the three fastest other rows, best of three, the default takes {default / table.unit:.0f} work units "
-        f"({told})."
+        f"({listed})."
     )
 
 

@@ -60,7 +60,10 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
     seconds, solver = timed(comm, runs, lambda: PoissonSolver(hierarchy, tolerance=FULL, backend=backend))
     levels = {"levels": hierarchy.levels, "boxes": sum(len(hierarchy.boxes(l)) for l in range(hierarchy.levels))}
     yield Record(
-        name(case, boxes, comm.size, "set-up"), seconds, facts=levels, **work_unit(comm, given.cells).told(given.cells)
+        name(case, boxes, comm.size, "set-up"),
+        seconds,
+        facts=levels,
+        **work_unit(comm, given.cells).record_fields(given.cells),
     )
     converged = None
     for tolerance in tolerances:
@@ -82,7 +85,7 @@ def solves(given: Problem, case: str, backend: str, runs: int, tolerances: tuple
         elif tolerance == "discretization" and converged is not None and given.exact is not None:
             left, least = (errors([field], given.exact)[1] for field in (phi, converged))
             facts["error over the converged one"] = left / least
-        yield Record(name(case, boxes, comm.size, told(tolerance)), seconds, facts=facts, **beside)
+        yield Record(name(case, boxes, comm.size, tolerance_text(tolerance)), seconds, facts=facts, **beside)
 
 
 def over_dst(comm: MPI.Comm, cases: Sequence[tuple[str, int]], backend: str, runs: int) -> Iterator[Record]:
@@ -117,7 +120,7 @@ def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: i
     for case, one, unit, taken, report in zip(cases, given, units, seconds, reports, strict=True):
         facts = {"cycles": report.cycles, "converged": report.converged, "residual": report.residuals[-1]}
         label = name(case, boxes, comm.size)
-        yield Record(label, taken, facts=facts, **unit.told(one.cells))
+        yield Record(label, taken, facts=facts, **unit.record_fields(one.cells))
 
 
 def rank_by_rank(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) -> Iterator[Record]:
@@ -148,7 +151,7 @@ def _sleep_until_all_come(comm: MPI.Comm) -> None:
         time.sleep(1e-3)
 
 
-def told(tolerance: Tolerance) -> str:
+def tolerance_text(tolerance: Tolerance) -> str:
     return tolerance if isinstance(tolerance, str) else f"{tolerance:g}"
 
 
@@ -186,7 +189,7 @@ def following(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) ->
         mesh, guess, solver = follow(partial(clock.note, seconds))
     rho = amrpic.Field(mesh).fill(lambda x, y, z: given.density(x - step, y, z))
     cells = sum(mesh.cells(level) for level in range(mesh.levels))
-    common = work_unit(comm, cells).told(cells)
+    common = work_unit(comm, cells).record_fields(cells)
     cycles = {}
     assert solver is not None
     solver.solve(rho, boundary_values=given.walls)

@@ -45,7 +45,10 @@ def beside(comm: MPI.Comm, base: int, backend: str, runs: int) -> list[Record]:
             seconds, (_, report) = timed(comm, 1, partial(solvers[walls].solve, charges[walls]))
             taken[walls] += seconds
             facts[walls] = {"cycles": report.cycles, "stages": slowest(comm, report.seconds)}
-    return [Record(walls_name(base, walls), taken[walls], facts=facts[walls], **unit.told(cells)) for walls in WALLS]
+    return [
+        Record(walls_name(base, walls), taken[walls], facts=facts[walls], **unit.record_fields(cells))
+        for walls in WALLS
+    ]
 
 
 def walls_name(base: int, walls: str) -> str:

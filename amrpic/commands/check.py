@@ -13,7 +13,7 @@ from .failure import BAD_INPUT
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    check = command(commands, "check", _check, "tell whether a scene can run, without running it")
+    check = command(commands, "check", _check, "check whether a scene can run, without running it")
     scene_arguments(check)
     check.add_argument("--ranks", type=count, default=1, metavar="N", help="number of ranks it is meant for")
     check.add_argument("--resolved", action="store_true", help="print the scene with all defaults filled in, as TOML")

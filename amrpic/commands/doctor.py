@@ -1,4 +1,4 @@
-"""amrpic doctor: is this machine fit to compute? One finding per question, each with its fix."""
+"""amrpic doctor: is this machine fit to compute? One line per check, with a fix if it failed."""
 
 from __future__ import annotations
 
@@ -27,55 +27,55 @@ from .arguments import Commands, command
 OLDEST_TRILINOS = (13, 2)
 SECONDS = 120.0  # for a solve that takes one
 
-MEND_MPI = (
+FIX_MPI = (
     "build mpi4py with the system's MPI (pip install --force-reinstall --no-binary mpi4py mpi4py), "
     "and put the mpiexec of the same MPI first in PATH"
 )
-MEND_HDF5 = "reinstall h5py from its wheel (pip install --force-reinstall h5py) and set no LD_PRELOAD"
-MEND_TRILINOS = "install Debian's trilinos-all-dev, or Trilinos 13.2 or newer, and build again (make clean setup)"
-MEND_SOLVE = "mend the findings above first, then build again (make clean setup)"
+FIX_HDF5 = "reinstall h5py from its wheel (pip install --force-reinstall h5py) and set no LD_PRELOAD"
+FIX_TRILINOS = "install Debian's trilinos-all-dev, or Trilinos 13.2 or newer, and build again (make clean setup)"
+FIX_SOLVE = "fix the failures above first, then build again (make clean setup)"
 
 
 @dataclass(frozen=True)
-class Finding:
-    """The answer to one question, and what to do if it is not well."""
+class Check:
+    """What one check found, and the fix if it failed."""
 
     subject: str
-    well: bool
+    passed: bool
     text: str
-    remedy: str = ""
+    fix: str = ""
 
     def __str__(self) -> str:
-        mark, advice = ("ok  ", "") if self.well else ("FAIL", f"\n     to mend it: {self.remedy}")
+        mark, advice = ("ok  ", "") if self.passed else ("FAIL", f"\n     fix: {self.fix}")
         return f"{mark} {self.subject}: {self.text}{advice}"
 
 
-def examine(comm: MPI.Comm) -> list[Finding]:
-    """Return the findings about this machine, the same on all ranks. Collective.
+def examine(comm: MPI.Comm) -> list[Check]:
+    """Return the checks of this machine, the same on all ranks. Collective.
 
     Under mpiexec the solve runs on these ranks, otherwise on two processes that are started for it.
     """
-    findings = [
-        answer("MPI", one_mpi_library, MEND_MPI),
-        answer("HDF5", hdf5_works_beside_trilinos, MEND_HDF5),
-        answer("Trilinos", trilinos_and_backend, MEND_TRILINOS),
-        answer("kernels", isa.description, MEND_TRILINOS),
-        answer("solve", (lambda: solve_known(comm)) if under_mpiexec() else solve_on_two_ranks, MEND_SOLVE),
+    checks = [
+        check("MPI", one_mpi_library, FIX_MPI),
+        check("HDF5", hdf5_works_beside_trilinos, FIX_HDF5),
+        check("Trilinos", trilinos_and_backend, FIX_TRILINOS),
+        check("kernels", isa.description, FIX_TRILINOS),
+        check("solve", (lambda: solve_known(comm)) if under_mpiexec() else solve_on_two_ranks, FIX_SOLVE),
     ]
-    return [worst(each) for each in zip(*comm.allgather(findings), strict=True)]
+    return [worst(each) for each in zip(*comm.allgather(checks), strict=True)]
 
 
-def answer(subject: str, question: Callable[[], str], remedy: str) -> Finding:
-    """The finding of a question that returns what is well and raises what is not."""
+def check(subject: str, find: Callable[[], str], fix: str) -> Check:
+    """Return the check by a function that returns what it found, or raises what is wrong."""
     try:
-        return Finding(subject, True, question())
-    except Exception as wrong:  # whatever goes wrong here is what was asked for
-        return Finding(subject, False, str(wrong) or type(wrong).__name__, remedy)
+        return Check(subject, True, find())
+    except Exception as wrong:  # anything that goes wrong here is a failed check
+        return Check(subject, False, str(wrong) or type(wrong).__name__, fix)
 
 
-def worst(findings: tuple[Finding, ...]) -> Finding:
-    """The first finding that is not well, or the first."""
-    return next((finding for finding in findings if not finding.well), findings[0])
+def worst(checks: tuple[Check, ...]) -> Check:
+    """The first check that failed, or the first."""
+    return next((one for one in checks if not one.passed), checks[0])
 
 
 def loaded(library: str) -> list[str]:
@@ -105,7 +105,7 @@ def hdf5_works_beside_trilinos() -> str:
         if not np.array_equal(file["values"][()], values):
             raise AmrpicError("h5py reads back other numbers than it wrote")
     beside = [path for path in loaded("libhdf5") if "h5py" not in path]
-    return f"h5py on HDF5 {running}" + (f", unharmed by {', '.join(beside)}" if beside else "")
+    return f"h5py on HDF5 {running}" + (f", beside {', '.join(beside)}" if beside else "")
 
 
 def trilinos_and_backend() -> str:
@@ -131,7 +131,7 @@ def solve_known(comm: MPI.Comm) -> str:
     error = global_max(comm, max((patch_error(patch) for patch in phi.patches), default=0.0))
     if not (report.converged and error < 1e-7):
         raise SolverError(f"a known potential is missed by {error:.1e} V on {comm.size} ranks: {report.reason}")
-    return f"a known potential is met within {error:.0e} V in {report.cycles} cycles on {comm.size} ranks"
+    return f"a known potential is found within {error:.0e} V in {report.cycles} cycles on {comm.size} ranks"
 
 
 def patch_error(patch: Patch) -> float:
@@ -146,7 +146,7 @@ def under_mpiexec() -> bool:
 
 def solve_on_two_ranks() -> str:
     """Return what `solve_known` says in two processes that this one starts; raise if they fail."""
-    code = "from mpi4py import MPI; from amrpic.commands import doctor; print(end=doctor.told_by_first(MPI.COMM_WORLD))"
+    code = "from mpi4py import MPI; from amrpic.commands import doctor; print(end=doctor.result_on_first_rank(MPI.COMM_WORLD))"
     command = ["mpiexec", "-n", "2", sys.executable, "-m", "mpi4py", "-c", code]
     # os.environ as Python found it: what MPI has since added to the environment would make the children's MPI fail.
     root = {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
@@ -160,7 +160,7 @@ def solve_on_two_ranks() -> str:
     return done.stdout
 
 
-def told_by_first(comm: MPI.Comm) -> str:
+def result_on_first_rank(comm: MPI.Comm) -> str:
     """Return what `solve_known` says on the first rank, nothing on the others. Collective."""
     if comm.size != 2:
         raise AmrpicError(f"mpiexec -n 2 made {comm.size} rank: it belongs to another MPI than mpi4py")
@@ -173,11 +173,11 @@ def told_by_first(comm: MPI.Comm) -> str:
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    command(commands, "doctor", _doctor, "check this machine and tell how to mend what is wrong")
+    command(commands, "doctor", _doctor, "check this machine; each failed check prints a fix")
 
 
 def _doctor(chosen: argparse.Namespace) -> int:
-    findings = examine(MPI.COMM_WORLD)
+    checks = examine(MPI.COMM_WORLD)
     if MPI.COMM_WORLD.rank == 0:
-        print("\n".join(map(str, findings)))
-    return 0 if all(finding.well for finding in findings) else 1
+        print("\n".join(map(str, checks)))
+    return 0 if all(one.passed for one in checks) else 1

@@ -1,4 +1,4 @@
-"""The end of a run that failed: one sentence, said once, and no rank left waiting for another."""
+"""The end of a run that failed: one sentence, printed once, and no rank that waits for another."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from ..errors import AmrpicError, HierarchyError, InputError, SceneError
 
-BAD_INPUT = 2  # exit status of what the user can mend in the input; any other failure is 1
+BAD_INPUT = 2  # exit status of what the user can correct in the input; any other failure is 1
 GRACE = 3.0  # s; ranks that raise together get here within milliseconds of each other
 
 
@@ -21,8 +21,8 @@ class Meeting:
         # A communicator of its own: the others may be amid a collective on the common one.
         self._comm = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else MPI.COMM_SELF
 
-    def told(self, failure: BaseException, show_traceback: bool) -> int:
-        """Tell the user what failed and return the exit status. Called by each rank that fails.
+    def report(self, failure: BaseException, show_traceback: bool) -> int:
+        """Print what failed and return the exit status. Called by each rank that fails.
 
         If all ranks come, rank 0 speaks for them. A rank that failed alone speaks for itself and ends all of them.
         """

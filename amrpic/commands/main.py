@@ -1,4 +1,4 @@
-"""The command line: the parser of all commands, and what becomes of the one that was chosen."""
+"""The command line: the parser of all commands, and the exit status of the one that was chosen."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         show_traceback = chosen.traceback
         status = chosen.command(chosen)
     except (Exception, KeyboardInterrupt) as failure:
-        status = meeting.told(failure, show_traceback)
+        status = meeting.report(failure, show_traceback)
     sys.exit(status)
 
 

@@ -23,7 +23,7 @@ from ..run.initial_particles import make_bunches
 from ..run.limits import machine_memory
 from ..run.memory import MIB, run_memory
 from ..run.output import prepare
-from ..run.particle_fields import Quantities
+from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..run.restart import about
 from ..scene.motion import RandomWalk
@@ -53,18 +53,18 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
     bunches = make_bunches(comm, scene)
     plan.settle_interface(bunches)
     particles, gone = migrate(concatenate(bunches), base)
-    seen = follow(Quantities(particles, base, plan))
+    fields = follow(ParticleFields(particles, base, plan))
     lost = gone.global_count(comm)
-    made = seen.particles.global_count(comm) + lost
+    made = fields.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
     paragraphs = [
         [scene.summary()],
-        _levels(seen.particles, seen.hierarchy),
-        _bunches(comm, scene, bunches[1:], seen.hierarchy),
-        _memory(seen, made, ranks),
+        _levels(fields.particles, fields.hierarchy),
+        _bunches(comm, scene, bunches[1:], fields.hierarchy),
+        _memory(fields, made, ranks),
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
-        list(map(str, _pictures(comm, scene, seen.rho))),
+        list(map(str, _pictures(comm, scene, fields.rho))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
@@ -185,34 +185,34 @@ def _bunches(comm: MPI.Comm, scene: Scene, made: Sequence[Particles], hierarchy:
     return columns(rows) if scene.bunches else []
 
 
-def _memory(seen: Quantities, particles: int, ranks: int) -> list[str]:
+def _memory(fields: ParticleFields, particles: int, ranks: int) -> list[str]:
     """Return how much memory a run takes, and by what. Collective."""
-    hierarchy, mesh = _last_mesh(seen)
+    hierarchy, mesh = _last_mesh(fields)
     boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    parts = run_memory(seen.plan.scene, boxes, particles, ranks)
+    parts = run_memory(fields.plan.scene, boxes, particles, ranks)
     of = "1 rank" if ranks == 1 else f"{ranks} ranks"
     return [
         f"memory of a run on {of}: about {sum(parts.values()) / MIB:.0f} MiB at its fullest, {mesh}; "
-        f"{machine_memory(seen.plan.comm) / MIB:.0f} MiB are free here",
+        f"{machine_memory(fields.plan.comm) / MIB:.0f} MiB are free here",
         *columns([(f"  {name}", f"{size / MIB:.0f}", "MiB") for name, size in parts.items()]),
     ]
 
 
-def _last_mesh(seen: Quantities) -> tuple[Hierarchy, str]:
+def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
     """Return the mesh of the last regrid, or else the first one, and which of them it is. Collective.
 
     A random walk can be foreseen; in one leap, so that particles leave the domain and coarse cells behind only there.
     """
-    plan, motion = seen.plan, seen.plan.scene.motion
+    plan, motion = fields.plan, fields.plan.scene.motion
     regrids = [step for step in range(1, plan.scene.schedule.last_step + 1) if plan.regrids_at(step)]
     if not isinstance(motion, RandomWalk) or not regrids or regrids[-1] > FORESEEN:
         moves = plan.scene.schedule.last_step > 0 and plan.scene.refinement.follows
-        return seen.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
-    particles = seen.particles
+        return fields.hierarchy, f"on this mesh{'; more if it grows' if moves else ''}"
+    particles = fields.particles
     for step in range(1, regrids[-1] + 1):
         particles = random_walk(particles, motion.amplitude, plan.scene.seed, step)
-    particles, _ = migrate(particles, seen.hierarchy)
-    last = follow(Quantities(particles, seen.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
+    particles, _ = migrate(particles, fields.hierarchy)
+    last = follow(ParticleFields(particles, fields.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
     cells = sum(last.cells(level) for level in range(last.levels))
     return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
 

@@ -147,7 +147,7 @@ def _launched(launcher: str, ranks: int, arguments: Sequence[str]) -> Measured:
         except OSError as reason:
             raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
         if status != 0 or not found.exists():
-            raise InputError(f"the run on {ranks} ranks ended with status {status}; mend what it says above")
+            raise InputError(f"the run on {ranks} ranks ended with status {status}; correct what it says above")
         return Measured(**json.loads(found.read_text(encoding="utf-8")))
 
 
@@ -226,7 +226,7 @@ def add(commands: Commands) -> None:
         choices=KINDS,
         help="strong: the same scene on all; weak: cells and particles grow with the ranks; default both",
     )
-    scaling.add_argument("--steps", type=count, default=5, metavar="N", help="steps of a run; medians are told")
+    scaling.add_argument("--steps", type=count, default=5, metavar="N", help="steps of a run; it reports medians")
     scaling.add_argument(
         "--launcher",
         default=LAUNCHER,
@@ -260,7 +260,7 @@ def _main() -> int:
     try:
         found = measure(comm, Scene.from_toml(given.scene, given.overrides), given.kind, given.steps)
     except Exception as failure:
-        return meeting.told(failure, False)
+        return meeting.report(failure, False)
     if comm.rank == 0:
         Path(given.output).write_text(json.dumps(asdict(found)), encoding="utf-8")
     return 0

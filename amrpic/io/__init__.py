@@ -1,1 +1,1 @@
-"""Files of a run: checkpoints, field dumps and the time series."""
+"""Files of a run: checkpoints, fields (VTKHDF), particles (openPMD) and the time series."""

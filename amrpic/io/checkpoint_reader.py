@@ -44,7 +44,7 @@ def find_latest_valid(comm: MPI.Comm, directory: Path) -> Path | None:
 def verify(comm: MPI.Comm, path: Path) -> Manifest:
     """Return the manifest after comparing the checksums of manifest and parts with the files. Collective.
 
-    Raises InputError, alike on all ranks, naming what is missing or damaged.
+    Raises InputError on all ranks, naming what is missing or damaged.
     """
     path = Path(path)
     manifest = read_manifest(comm, path)
@@ -91,7 +91,7 @@ def read(comm: MPI.Comm, path: Path, owners: Callable[[Header], Sequence[Array]]
     `owners(header)` says which rank gets the cells of each box of each level; by default the ranks that wrote them,
     or, on another number of ranks, consecutive boxes with about equally many cells. Table rows go to the ranks that
     wrote them, or in equal shares and in their order; particles then still have to migrate to their cells.
-    Raises InputError, alike on all ranks; call `verify` before to have the checksums compared.
+    Raises InputError on all ranks; call `verify` before to have the checksums compared.
     """
     path = Path(path)
     manifest = read_manifest(comm, path)

@@ -1,4 +1,4 @@
-"""Checkpoints: the whole state of a run in a directory that is there whole or not at all. `restart` reads them.
+"""Checkpoints: the whole state of a run in a directory that is there whole or not at all. `checkpoint_reader` reads them.
 
 The layout:
     checkpoint_00001200/
@@ -51,7 +51,7 @@ def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: int = 1) -> None
     """Write a state into the new directory `path`: there whole and synced on return, or not at all. Collective.
 
     Ranks form `writers` groups (0: each its own); the first of a group writes what it receives from one rank at a time,
-    in small pieces. Raises OutputError, alike on all ranks.
+    in small pieces. Raises OutputError on all ranks.
     """
     path = Path(path)
     attempts = Attempts(f"cannot write checkpoint {path}", "free some space or choose another output folder")

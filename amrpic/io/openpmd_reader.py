@@ -30,7 +30,7 @@ def read(
 ) -> Particles:
     """Return those particles of a file whose rows `share(number of rows)` names, in order; ids count the rows.
 
-    Only these rows are read. `iteration` and `group` must be told if the file holds several, `species` if it does not know its
+    Only these rows are read. `iteration` and `group` must be given if the file holds several, `species` if it does not know its
     own. Raises InputError, naming what is wrong with the file.
     """
     path = Path(file)
@@ -40,7 +40,7 @@ def read(
             return source.particles(share, species, first_id)
     except FileNotFoundError:
         raise InputError(
-            f"particle file {path} does not exist; mend the path (relative ones start at the scene file)"
+            f"particle file {path} does not exist; correct the path (relative ones start at the scene file)"
         ) from None
     except (OSError, KeyError, TypeError, ValueError) as reason:
         raise InputError(
@@ -90,8 +90,8 @@ class _Source:
             momentum /= weight ** float(attributes.get("weightingPower", 1))
         for what, values in (("place", position), ("momentum", momentum)):
             finite = np.logical_and.reduce(np.isfinite(values))
-            self._require(f"a {what} that is not finite", finite, "remove or mend it")
-        self._require("no positive weight", weight > 0, "remove or mend it")
+            self._require(f"a {what} that is not finite", finite, "remove or correct it")
+        self._require("no positive weight", weight > 0, "remove or correct it")
         self._require_alive_at_one_time()
         ids = np.arange(first_id + start, first_id + stop, dtype=np.int64)
         return Particles(position.T, momentum.T, weight, ids, SpeciesTable((species,)))
@@ -123,7 +123,7 @@ class _Source:
             return self._values("weighting")
         if species.charge == 0:
             raise InputError(
-                f"particle file {self.path} tells weights as charges, but its species has none; give it weighting"
+                f"particle file {self.path} gives weights as charges, but its species has none; give it weighting"
             )
         if "weight" in self.group:
             return np.abs(self._values("weight") / species.charge)

@@ -43,7 +43,7 @@ def write(comm: MPI.Comm, path: Path, particles: Particles, step: int, time: flo
     """Write all particles into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 
     A group for each species holds its particles in the order of their ids, which is the same on any number of ranks. Rank 0
-    writes what it receives in small pieces. Raises OutputError, alike on all ranks.
+    writes what it receives in small pieces. Raises OutputError on all ranks.
     """
     path = Path(path)
     attempts = Attempts(f"cannot write particles {path}", "free some space or choose another output folder")

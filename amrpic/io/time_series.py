@@ -1,6 +1,6 @@
 """The time series: one line of text per step, appended at once, that survives a kill at any moment.
 
-Text, because everything opens it; a line is complete when it ends, so that the torn end of a killed run is told apart.
+Text, because everything opens it; a line is complete when it ends, so that the torn end of a killed run is recognised.
 Numbers are written so that they read back bit for bit.
 """
 
@@ -29,7 +29,7 @@ class Series:
     """A series file open for appending, by rank 0; the other ranks hold an empty handle. Collective to make.
 
     Rows after `keep_to_step` are cut off, which a restart from that step needs; without it the file is begun anew.
-    The first column is the step. Raises OutputError, alike on all ranks.
+    The first column is the step. Raises OutputError on all ranks.
     """
 
     def __init__(

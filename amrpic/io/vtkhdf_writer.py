@@ -41,7 +41,7 @@ def write(
     """Write fields into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 
     Ranks form `writers` groups (0: each its own); the first of a group writes what it receives from one rank at a time,
-    in small pieces. Raises OutputError, alike on all ranks.
+    in small pieces. Raises OutputError on all ranks.
     """
     path = Path(path)
     comm = hierarchy.comm

@@ -30,7 +30,7 @@ class Rows(Protocol):
 
 
 class Interleaved:
-    """Columns of equal length seen as the rows of one (n, columns) array, of which only slices are ever made."""
+    """Columns of equal length as the rows of one (n, columns) array, of which only slices are ever made."""
 
     def __init__(self, columns: Sequence[NDArray[Any]]) -> None:
         self._columns = columns

@@ -1,1 +1,1 @@
-"""The mesh and what lives on it: domain, boxes, levels of refinement, fields of cell values."""
+"""The mesh and values on it: domain, boxes, levels of refinement, fields of cell values."""

@@ -1,4 +1,4 @@
-"""Cell values on a hierarchy, seen through NumPy without a copy."""
+"""Cell values on a hierarchy; NumPy arrays share their memory."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Field:
     """One number per cell, on every level of a hierarchy; starts at zero.
 
     Each rank holds the cells of its own boxes. Cells that a finer level covers hold the mean of their children in every
-    field that the package returns, but for the electric field of matched clouds.
+    field that the package returns, except the electric field of matched clouds.
     """
 
     def __init__(self, hierarchy: Hierarchy, unit: str = "") -> None:
@@ -89,7 +89,7 @@ class Field:
         return out
 
     def array(self, level: int) -> np.ndarray:
-        """This rank's cells of a level, 1-D: its boxes one after the other, x fastest in each; writable but if locked."""
+        """This rank's cells of a level, 1-D: its boxes one after the other, x fastest in each; writable unless locked."""
         values = self.native.level(self.hierarchy._checked(level))
         if self.locked:
             values.flags.writeable = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -38,7 +39,7 @@ class Hierarchy:
 
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
 
-    Raises HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not nest.
+    Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not aligned so, or do not nest.
     """
 
     def __init__(
@@ -72,6 +73,11 @@ class Hierarchy:
         self.max_grid_size = int(max_grid_size)
         self.blocking_factor = int(blocking_factor)
         self.weights = loads  # as given; none: the cells of each box
+
+    @cached_property
+    def particle_mesh(self) -> _native.ParticleMesh:
+        """Native look-ups and exchange plans for particles on the hierarchy. Collective at the first access."""
+        return _native.ParticleMesh(self.native)
 
     @property
     def levels(self) -> int:

@@ -18,8 +18,8 @@ def repeated(values: np.ndarray) -> np.ndarray:
 
 def empty_columns(count: int) -> np.ndarray:
     """(count, 3), each column contiguous and starting on a cache line."""
-    # Kernels pass along the columns of several arrays at once. So that these neither compete for the same sets of a cache nor
-    # look alike in the part of an address that tells a read from an earlier write, each starts an eighth of a page further on.
+    # Kernels read the columns of several arrays at once. Each array starts an eighth of a page after the one before, so that
+    # they do not compete for the same cache sets, and reads do not wait for writes to equal low address bits.
     first = next(_columns_made) * PAGE // 8 % PAGE
     capacity = -(-count // PAGE) * PAGE + PAGE // 8
     memory = recycled(3 * capacity + PAGE, np.float64)

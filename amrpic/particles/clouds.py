@@ -23,7 +23,7 @@ class Clouds:
     """How particles meet the mesh; deposit, field and gather must use the same, so that no particle pushes itself.
 
     Own-level clouds are as wide as the cells of their particle's level. Matched ones are as wide as the next coarser cells for
-    particles less than two fine cells inside a coarse-fine face, in deposit and gather alike: the force of such a particle on
+    particles less than two fine cells inside a coarse-fine face, in both deposit and gather: the force of such a particle on
     itself falls from 0.6 to 0.01 of q²/(4πε₀h²), at the price of the coarser resolution there.
     """
 
@@ -51,7 +51,7 @@ def matched_pays(number: float, sizes: np.ndarray) -> bool:
 
     The force of an own-level particle on itself at a face, against the mean field of the bunch, is about 2.8 (σ/h)²/number;
     below 2 % the coarser resolution of matched clouds costs more than they save. (σ/h)² stands for the cross-section of the
-    bunch, so it is the product of its two largest sizes; a bunch is not seen smaller than a cell.
+    bunch, so it is the product of its two largest sizes; a bunch counts as at least one cell wide.
     """
     _, middle, largest = np.sort(np.maximum(sizes, 1.0))
     return bool(0 < number <= EQUAL_PARTICLES * middle * largest)

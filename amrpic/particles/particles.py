@@ -1,16 +1,14 @@
-"""Particles as a structure of arrays, and the hierarchy as particles see it."""
+"""Particles as a structure of arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from mpi4py import MPI
 
-from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import global_sum
@@ -33,8 +31,8 @@ class Sorting:
 class Particles:
     """Macroparticles on this rank; a value that stages take and return.
 
-    Other array layouts are accepted and copied. `sorting` is set by `migrate` and is void once positions change. Equal weights
-    take no memory if they are given as one number that is repeated, `np.broadcast_to(weight, n)`, as bunches give them.
+    Other array layouts are accepted and copied. `sorting` is set by `migrate` and no longer holds once positions change. Equal
+    weights take no memory if they are given as one number that is repeated, `np.broadcast_to(weight, n)`, as bunches give them.
     Raises ParticleError if the arrays do not fit together.
     """
 
@@ -58,7 +56,7 @@ class Particles:
 
     @staticmethod
     def allocate(count: int, species: SpeciesTable, weight: float | None = None) -> Particles:
-        """Particles whose values are yet to be set, but for the weight if all have the same."""
+        """Particles whose values are yet to be set, except the weight if all have the same."""
         return Particles(
             empty_columns(count),
             empty_columns(count),
@@ -184,14 +182,3 @@ def _columns(values: np.ndarray, name: str) -> np.ndarray:
     out = empty_columns(len(values))
     out[...] = values
     return out
-
-
-_meshes: WeakKeyDictionary[Hierarchy, _native.ParticleMesh] = WeakKeyDictionary()
-
-
-def particle_mesh(hierarchy: Hierarchy) -> _native.ParticleMesh:
-    """The native look-ups and exchange plans for particles on a hierarchy, made at the first call. Collective."""
-    mesh = _meshes.get(hierarchy)
-    if mesh is None:
-        mesh = _meshes[hierarchy] = _native.ParticleMesh(hierarchy.native)
-    return mesh

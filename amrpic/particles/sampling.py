@@ -42,7 +42,7 @@ def _sobol(scramble: np.random.Generator, start: int, stop: int) -> np.ndarray:
     if start > 0:
         engine.fast_forward(start)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # that a share of a bunch is no power of two
+        warnings.simplefilter("ignore", UserWarning)  # about counts that are no power of two
         return engine.random(stop - start).T + 0.5 * 2.0**-BITS
 
 

@@ -51,7 +51,7 @@ SPECIES = {
 
 @dataclass(frozen=True)
 class SpeciesTable:
-    """Which species each particle is of, told by its id, so that particles carry no column for it.
+    """Which species each particle is of, known from its id, so that particles carry no column for it.
 
     Ids from `starts[r]` to `starts[r + 1] - 1` are of the species `kinds[members[r]]`. The same on all ranks.
     """
@@ -90,7 +90,7 @@ class SpeciesTable:
 
     @property
     def names(self) -> list[str]:
-        """A name for each species, no two alike."""
+        """A name for each species, no two the same."""
         plain = [kind.name or "particles" for kind in self.kinds]
         return [name if plain.count(name) == 1 else f"{name}_{i}" for i, name in enumerate(plain)]
 

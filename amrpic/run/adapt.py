@@ -1,4 +1,4 @@
-"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes shared out anew."""
+"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes distributed by work."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..stages.regrid import Regridding, balance, regrid
 from ..stages.tag import Tags, cells_of_particles, tagged
 from .limits import require_room
 from .memory import base_boxes
-from .particle_fields import Quantities
+from .particle_fields import ParticleFields
 from .plan import Plan
 from .tagging_rules import apart, index_boxes, tags_of
 
@@ -23,55 +23,55 @@ def make_base(plan: Plan) -> Hierarchy:
     return Hierarchy(plan.comm, scene.domain.value, (), refinement.max_grid_size, refinement.blocking_factor)
 
 
-def follow(seen: Quantities, hysteresis: float = 1.0) -> Quantities:
+def follow(fields: ParticleFields, hysteresis: float = 1.0) -> ParticleFields:
     """Return the particles sorted on a mesh that is refined where the rule asks for it. Collective.
 
     What is refined already stays while the rule asks for it with thresholds down to `hysteresis` of themselves. Tags reach
     one level up at a time, and what cells hold changes with the mesh, so it goes on until the mesh stays.
     """
-    with seen.plan.clock("regrid"):
-        for _ in range(2 * seen.plan.scene.refinement.levels):  # not for ever, where a rule goes round in circles
-            made = _refined(seen, hysteresis)
-            if made is seen.hierarchy:
+    with fields.plan.clock("regrid"):
+        for _ in range(2 * fields.plan.scene.refinement.levels):  # not for ever, where a rule goes round in circles
+            made = _refined(fields, hysteresis)
+            if made is fields.hierarchy:
                 break
-            seen = seen.on(made)
-    return seen
+            fields = fields.on(made)
+    return fields
 
 
-def outrun(seen: Quantities) -> bool:
+def outrun(fields: ParticleFields) -> bool:
     """Return whether more particles than the scene allows lie in cells that the rule wants finer than they are. Collective."""
-    plan, refinement = seen.plan, seen.plan.scene.refinement
+    plan, refinement = fields.plan, fields.plan.scene.refinement
     if refinement.regrid_outrun is None:
         return False
     with plan.clock("regrid"):
-        tags = tags_of(refinement.rule, seen)
-        where = cells_of_particles(seen.particles, seen.hierarchy)[: refinement.levels]
+        tags = tags_of(refinement.rule, fields)
+        where = cells_of_particles(fields.particles, fields.hierarchy)[: refinement.levels]
         slow = sum(int(np.count_nonzero(tags[level][cells])) for level, (_, cells) in enumerate(where))
-        behind, all_ = plan.comm.allreduce(np.array([slow, len(seen.particles)]))
+        behind, all_ = plan.comm.allreduce(np.array([slow, len(fields.particles)]))
     return bool(behind > refinement.regrid_outrun * all_)
 
 
-def _refined(seen: Quantities, hysteresis: float) -> Hierarchy:
+def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
     """Return the hierarchy that the rule asks for, its boxes shared out by cells and particles. Collective."""
-    plan, hierarchy, refinement = seen.plan, seen.hierarchy, seen.plan.scene.refinement
+    plan, hierarchy, refinement = fields.plan, fields.hierarchy, fields.plan.scene.refinement
     rule, static = apart(refinement.rule)
-    tags = [] if rule is None else tags_of(rule, seen)
-    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, seen, hysteresis)
+    tags = [] if rule is None else tags_of(rule, fields)
+    kept = [] if rule is None or hysteresis == 1 else tags_of(rule, fields, hysteresis)
     if rule is not None:
-        _remark_on_tags(tags, seen)
+        _remark_on_tags(tags, fields)
     settings = Regridding(refinement.levels + 1, refinement.buffer, refinement.nesting, refinement.efficiency)
     made = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
     if made is hierarchy:
         return hierarchy
     boxes = [made.boxes(level) for level in range(made.levels)]
-    require_room(plan.comm, plan.scene, boxes, seen.particles.global_count(plan.comm), "the refined hierarchy")
-    return balance(made, particles_per_box(seen.particles, made))
+    require_room(plan.comm, plan.scene, boxes, fields.particles.global_count(plan.comm), "the refined hierarchy")
+    return balance(made, particles_per_box(fields.particles, made))
 
 
-def _remark_on_tags(tags: Tags, seen: Quantities) -> None:
-    plan, count = seen.plan, tagged(seen.plan.comm, tags)[0]
+def _remark_on_tags(tags: Tags, fields: ParticleFields) -> None:
+    plan, count = fields.plan, tagged(fields.plan.comm, tags)[0]
     rule, unless = "refinement.rule tags", "its thresholds if that is not meant"
-    if count == 0 and seen.particles.global_count(plan.comm) > 0:
+    if count == 0 and fields.particles.global_count(plan.comm) > 0:
         plan.remark(f"{rule} no cell, so nothing is refined; lower {unless}")
-    elif count == seen.hierarchy.cells(0):
+    elif count == fields.hierarchy.cells(0):
         plan.remark(f"{rule} every cell, so all of the domain is refined; raise {unless}")

@@ -1,4 +1,4 @@
-"""What a run would take, and what the machine has: checked before anything is allocated."""
+"""What a run needs and what the machine has, compared before anything is allocated."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
     for number, bunch in enumerate(scene.bunches):
         if bunch.source is not None and not Path(bunch.source).exists():
             raise SceneError(
-                f"{scene.name}: bunches.{number}.file ({bunch.source}) does not exist; mend the path (relative ones start "
+                f"{scene.name}: bunches.{number}.file ({bunch.source}) does not exist; correct the path (relative ones start "
                 "at the scene file)"
             )
     _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")

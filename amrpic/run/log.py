@@ -49,8 +49,8 @@ class RunLog:
         """Print the line of a step, from its row of the time series."""
         seconds = row["seconds"]
         # the first line's seconds hold the set-up, so the second one starts the pace anew
-        share = MEMORY_OF_PACE if self._lines >= 2 else 1.0
-        self._pace += share * (seconds - self._pace)
+        weight = MEMORY_OF_PACE if self._lines >= 2 else 1.0
+        self._pace += weight * (seconds - self._pace)
         self._lines += 1
         left = max(self._last_step - int(row["step"]), 0) * self._pace
         self._print(step_line(row, self._last_step, left), self._out or sys.stdout)
@@ -60,7 +60,7 @@ class RunLog:
         self._print(text, self._out or sys.stdout)
 
     def warn(self, text: str) -> None:
-        """Print a warning when it comes up first; how often it did is told at the end."""
+        """Print a warning when it comes up first; the end reports how often it did."""
         self._warned[text] += 1
         if self._warned[text] == 1:
             self._print(f"warning: {text}", self._err or sys.stderr)

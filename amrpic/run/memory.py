@@ -1,4 +1,4 @@
-"""How much memory a run takes: the bytes of what it holds at its fullest, as its structures are laid out.
+"""How much memory a run takes at its peak, counted from the layout of what it holds.
 
 What is counted is what a whole run holds at once; the few numbers that were measured say so.
 """
@@ -163,7 +163,9 @@ def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
     """Numbers in the fields that live at the same time."""
     total = sum(int(cells_of(level).sum()) for level in boxes)
     components = AXES * total
-    state = 2 * total + AXES * _rims(scene, boxes)  # charge density and potential; field at the rims of boxes
+    state = 2 * total + AXES * _boundary_cells(
+        scene, boxes
+    )  # charge density and potential; field in the boundary cells of boxes
     if scene.solver.backend == "crs":
         state += components  # from which compressed rows make it
     if scene.schedule.last_step == 0:
@@ -178,8 +180,8 @@ def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
     return max(2 * state + carried, state + components)
 
 
-def _rims(scene: Scene, boxes: Sequence[Array]) -> int:
-    """Cells at the faces of boxes, as they are cut for the run, and all of those that a finer level covers a part of."""
+def _boundary_cells(scene: Scene, boxes: Sequence[Array]) -> int:
+    """Boundary cells of boxes, as they are cut for the run, and all cells of boxes that a finer level covers a part of."""
     total = 0
     for level, finer in itertools.zip_longest(boxes, boxes[1:]):
         sizes = level[:, 3:] - level[:, :3] + 1

@@ -18,11 +18,12 @@ from ..io.time_series import Series
 from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..scene.scene import Scene
-from ..stages.diagnostics import Quantity, measure, moments, quantities
+from ..stages.diagnostics import Quantity, measure, quantities
 from .log import RunLog
 from .plan import Plan
 from .restart import about, snapshot
-from .step import State, kicked
+from .state import State
+from .step import kicked
 
 SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
@@ -67,7 +68,7 @@ def left_behind(directory: Path, last_step: int) -> str | None:
 class Recorder:
     """Writes the states of one run into its folder; a context manager. Collective to make, and in all that it does.
 
-    `resumed`: the first state is recorded there already, and whatever came after it is to be written anew.
+    `resumed`: the first state is recorded there already; what came after it is overwritten.
     """
 
     def __init__(self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool) -> None:
@@ -77,7 +78,7 @@ class Recorder:
         self._about = about(scene)
         self._levels = scene.refinement.levels + 1
         self._written: dict[str, int] = {}  # the latest step of each kind of output
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
         self._since = time.perf_counter() - sum(state.seconds.values())
         prepare(comm, scene)
         self._step, self._time = state.step, state.time
@@ -122,8 +123,8 @@ class Recorder:
             if row["particles"] == 0 and row["lost_particles"] > 0:
                 self._log.warn("all particles have left the domain; enlarge it, or shorten the run or its steps")
             for remark in remarks:
-                if remark not in self._told:
-                    self._told.add(remark)
+                if remark not in self._warned:
+                    self._warned.add(remark)
                     self._log.warn(remark)
             output = self._scene.output
             if "fields" in self._wanted and output.fields_every and state.step % output.fields_every == 0:
@@ -154,7 +155,7 @@ class Recorder:
     def _row(self, state: State) -> dict[str, float]:
         now = time.perf_counter()
         seconds, self._since = now - self._since, now
-        beam = moments(self._comm, state.particles, state.moved, state.share)
+        beam = state.moments()
         measured = measure(
             state.particles, beam, state.lost.particles, state.rho, state.phi, state.efield, state.seconds
         )

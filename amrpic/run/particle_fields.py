@@ -1,4 +1,4 @@
-"""What particles and mesh tell about the cells, each made when it is first asked for."""
+"""Fields of the particles on a mesh (ρ, φ, E, particles per cell), each made when it is first asked for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..stages.tag import count
 from .plan import Plan
 
 
-class Quantities:
+class ParticleFields:
     """Fields of particles that are sorted on a hierarchy. All ranks ask for the same ones: the first time is collective.
 
     Potential and field are carried over from `known`, those of the step before; without it they are solved for.
@@ -29,11 +29,11 @@ class Quantities:
     ) -> None:
         self.particles, self.hierarchy, self.plan, self.known = particles, hierarchy, plan, known
 
-    def on(self, hierarchy: Hierarchy) -> Quantities:
-        """Return the quantities of the same particles on another hierarchy. Collective."""
+    def on(self, hierarchy: Hierarchy) -> ParticleFields:
+        """Return the fields of the same particles on another hierarchy. Collective."""
         with self.plan.clock("migrate"):
             particles, _ = migrate(self.particles, hierarchy)
-        return Quantities(particles, hierarchy, self.plan, self.known)
+        return ParticleFields(particles, hierarchy, self.plan, self.known)
 
     @cached_property
     def rho(self) -> Field:

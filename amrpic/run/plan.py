@@ -20,7 +20,7 @@ from .clock import Clock
 
 
 class Plan:
-    """The scene, and a solver that lasts as long as its hierarchy."""
+    """The scene, and a solver that is kept as long as its hierarchy."""
 
     def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
         self.comm = comm

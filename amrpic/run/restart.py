@@ -1,4 +1,4 @@
-"""A state as a checkpoint holds it, and back."""
+"""A state into a checkpoint, and back out of it on any number of ranks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from ..scene.scene import Scene
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from .limits import require_room
-from .step import Lost, State
+from .plan import Plan
+from .state import Lost, Solution, State
+from .step import state_of
 
 COLUMNS = ("position", "momentum", "weight", "id")
 # Parts of a scene that a restart follows from the next step on.
@@ -54,10 +56,10 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
     return Snapshot(header, fields, tables)
 
 
-def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Scene, list[str]]:
-    """Return the state in a checkpoint, its scene and remarks on it; any number of ranks. Collective; InputError on all ranks.
+def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Plan]:
+    """Return the state in a checkpoint and the plan to go on with, on any number of ranks. Collective; InputError on all ranks.
 
-    `scene` may replace that of the checkpoint if its mesh is the same. The field at the particles is left to the caller.
+    `scene` may replace that of the checkpoint if its mesh is the same.
     """
     manifest = verify(comm, path)
     header = manifest.header
@@ -70,10 +72,13 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     sizes = refinement.max_grid_size, refinement.blocking_factor
     hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
     held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
-    return _state(held, hierarchy), scene, _remarks(scene, header.about.scene)
+    plan = Plan(comm, scene)
+    for remark in _remarks(scene, header.about.scene):
+        plan.remark(remark)
+    return _state(plan, held, hierarchy), plan
 
 
-def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
+def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     extra, lost = held.header.extra, held.tables["lost"]
     species = SpeciesTable.from_dict(extra["species"])
     particles, _ = migrate(_particles(held.tables["particles"], species), hierarchy)
@@ -82,18 +87,10 @@ def _state(held: Snapshot, hierarchy: Hierarchy) -> State:
     for name, field in fields.items():
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
-    return State(
-        particles=particles,
-        hierarchy=hierarchy,
-        rho=fields["rho"],
-        phi=fields["phi"],
-        efield=VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"]),
-        moved=None,
-        lost=Lost(_particles(lost, species), lost["time"]),
-        step=held.header.step,
-        time=held.header.time,
-        report=SolveReport(**extra["report"]),
-    )
+    efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
+    solution = Solution(fields["rho"], fields["phi"], efield, SolveReport(**extra["report"]))
+    gone = Lost(_particles(lost, species), lost["time"])
+    return state_of(plan, particles, solution, gone, held.header.step, held.header.time)
 
 
 def _fields(state: State) -> dict[str, Field]:
@@ -117,7 +114,7 @@ def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
     if now["bunches"] != made_from["bunches"]:
         out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
     changed = [
-        f"{path} is {_told(value)}, before {_told(before)}"
+        f"{path} is {_text(value)}, before {_text(before)}"
         for part in FOLLOWED
         for path, value, before in _differences(now.get(part), made_from.get(part), part)
     ]
@@ -135,7 +132,7 @@ def _differences(now: Any, before: Any, path: str) -> Iterator[tuple[str, Any, A
         yield path, now, before
 
 
-def _told(value: Any) -> str:
+def _text(value: Any) -> str:
     return "not given" if value is None else str(value)
 
 

@@ -19,7 +19,8 @@ from ..stages.poisson import SolveReport
 from .output import Recorder
 from .plan import Plan
 from .restart import about, load, snapshot
-from .step import Lost, State, accelerated, advance, begin, kicked
+from .state import Lost, State
+from .step import advance, begin, kicked
 from .stop import Stop
 
 
@@ -49,13 +50,9 @@ class Simulation:
         sizes must be those of the checkpoint. On as many ranks as wrote it, the run goes on bit by bit as it would have.
         """
         install_abort_hook(comm)
-        state, scene, remarks = load(comm, Path(path), scene)
+        state, plan = load(comm, Path(path), scene)
         run = cls.__new__(cls)
-        plan = Plan(comm, scene)
-        for remark in remarks:
-            plan.remark(remark)
-        run._hold(plan, accelerated(state, plan, 0.0))
-        plan.clock.take()
+        run._hold(plan, state)
         run._recorded = True
         return run
 
@@ -112,7 +109,7 @@ class Simulation:
     def particles(self) -> Particles:
         """This rank's particles; momenta belong to the same time as positions.
 
-        In the midst of a run these are made at each call, to rounding those of a checkpoint; at its end they are those.
+        During a run they are made at each call and equal those of a checkpoint to rounding; at its end they are the same.
         """
         return self.state.synchronized
 

@@ -11,7 +11,10 @@ from typing import Any
 
 from mpi4py import MPI
 
-SIGNALS = (signal.SIGUSR1, signal.SIGTERM)  # USR1: a batch system's warning ahead of time; TERM: its last word
+SIGNALS = (
+    signal.SIGUSR1,
+    signal.SIGTERM,
+)  # USR1: a batch system's warning ahead of time; TERM: seconds before it kills
 MARGIN = 1.5  # a step may take so much longer than the longest one so far
 
 
@@ -35,7 +38,7 @@ class Stop:
 
     def __enter__(self) -> Stop:
         for number in SIGNALS:
-            with contextlib.suppress(ValueError):  # not the main thread: whoever started it looks after signals
+            with contextlib.suppress(ValueError):  # not the main thread, which alone may handle signals
                 self._old[number] = signal.signal(number, self._note)
         return self
 

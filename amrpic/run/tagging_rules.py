@@ -23,42 +23,42 @@ from ..scene.refinement import (
 )
 from ..stages import tag
 from ..stages.tag import Tags
-from .particle_fields import Quantities
+from .particle_fields import ParticleFields
 
 
-def tags_of(rule: RuleKind, seen: Quantities, part: float = 1.0) -> Tags:
+def tags_of(rule: RuleKind, fields: ParticleFields, part: float = 1.0) -> Tags:
     """Return the cells that a rule tags if its thresholds are taken `part` as strict. Collective."""
-    tags = _tags(rule, seen, part)
+    tags = _tags(rule, fields, part)
     levels = None if isinstance(rule, StaticRule) else rule.levels
     return tags if levels is None else tag.on_levels(tags, levels)
 
 
-def _tags(rule: RuleKind, seen: Quantities, part: float) -> Tags:
+def _tags(rule: RuleKind, fields: ParticleFields, part: float) -> Tags:
     match rule:
         case StaticRule():
-            return tag.inside(seen.hierarchy, index_boxes([rule], seen.hierarchy.domain))
+            return tag.inside(fields.hierarchy, index_boxes([rule], fields.hierarchy.domain))
         case AnyRule():
-            return tag.either(*(tags_of(one, seen, part) for one in rule.of))
+            return tag.either(*(tags_of(one, fields, part) for one in rule.of))
         case AllRule():
-            return tag.both(*(tags_of(one, seen, part) for one in rule.of))
+            return tag.both(*(tags_of(one, fields, part) for one in rule.of))
         case ParticlesRule():
             at_least = part * (rule.at_least or 0)
-            return tag.between(seen.particles_per_cell, at_least, (rule.at_most or math.inf) / part)
+            return tag.between(fields.particles_per_cell, at_least, (rule.at_most or math.inf) / part)
         case CallableRule():
-            given = {name: getattr(seen, name) for name in _MADE if name in rule.arguments}
+            given = {name: getattr(fields, name) for name in _MADE if name in rule.arguments}
             return tag.by_function(
-                seen.hierarchy, rule.function, rule.name, rule.arguments, {**given, "hysteresis": part}
+                fields.hierarchy, rule.function, rule.name, rule.arguments, {**given, "hysteresis": part}
             )
         case MomentumRule():
-            most = tag.fastest(seen.particles, seen.hierarchy)
-            return tag.by_momentum(seen.particles, seen.hierarchy, part * _thresholds(rule, most))
+            most = tag.fastest(fields.particles, fields.hierarchy)
+            return tag.by_momentum(fields.particles, fields.hierarchy, part * _thresholds(rule, most))
         case ChargeDensityRule():
-            values = tag.magnitude(seen.rho, "charge density")
+            values = tag.magnitude(fields.rho, "charge density")
         case PotentialRule():
-            values = tag.magnitude(seen.phi, "potential")
+            values = tag.magnitude(fields.phi, "potential")
         case FieldStrengthRule():
-            values = tag.magnitude(seen.efield, "field")
-    return tag.beyond(values, part * _thresholds(rule, tag.largest(seen.hierarchy.comm, values)))
+            values = tag.magnitude(fields.efield, "field")
+    return tag.exceeding(values, part * _thresholds(rule, tag.largest(fields.hierarchy.comm, values)))
 
 
 _MADE = ("rho", "phi", "efield", "particles_per_cell")

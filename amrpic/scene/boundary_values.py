@@ -90,12 +90,12 @@ def _at(value: Function, key: str, place: tuple[np.ndarray, ...]) -> np.ndarray:
         with np.errstate(all="ignore"):
             found = np.broadcast_to(value(*place), place[0].shape)
     except ArithmeticError as reason:
-        raise InputError(f"{key}: its formula has no value ({reason}); mend it") from None
+        raise InputError(f"{key}: its formula has no value ({reason}); correct it") from None
     bad = np.flatnonzero(~np.isfinite(found))
     if bad.size:
         at = ", ".join(f"{s[bad[0]]:.3g}" for s in place)
         raise InputError(
-            f"{key}: its formula is {found[bad[0]]} at ({at}) m, and not finite on {bad.size} cell faces in all; mend it"
+            f"{key}: its formula is {found[bad[0]]} at ({at}) m, and not finite on {bad.size} cell faces in all; correct it"
         )
     return found
 

@@ -125,11 +125,13 @@ class ArrayBunch(DescribedBunch):
         for key, array in found.items():
             if array is not None and not np.isfinite(array).all():
                 bad = int((~np.isfinite(array).reshape(len(array), -1).all(axis=1)).sum())
-                raise InputError(f"{key} of {bad} particles in {where} is NaN or infinite; remove or mend these rows")
+                raise InputError(
+                    f"{key} of {bad} particles in {where} is NaN or infinite; remove or correct these rows"
+                )
         weight = found["weight"]
         if weight is not None and not (weight > 0).all():
             bad = int((weight <= 0).sum())
-            raise InputError(f"weight of {bad} particles in {where} is zero or negative; remove or mend these rows")
+            raise InputError(f"weight of {bad} particles in {where} is zero or negative; remove or correct these rows")
         return found
 
     def __eq__(self, other: object) -> bool:
@@ -156,7 +158,9 @@ def _array(data: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndar
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray | None]:
     if not path.exists():
-        raise InputError(f"particle file {path} does not exist; mend the path (relative ones start at the scene file)")
+        raise InputError(
+            f"particle file {path} does not exist; correct the path (relative ones start at the scene file)"
+        )
     if path.suffix in (".h5", ".hdf5"):
         raise InputError(f'particle file {path} is no .npz file; give an openPMD file with distribution = "openpmd"')
     try:

@@ -1,8 +1,8 @@
 """Bunches from distributions, with the sizes of their phase space.
 
-All but the sphere are sized alike: by the rms size `sigma` per axis, or by `twiss`, emittance and Twiss parameters per plane.
+All except the sphere are sized by the rms size `sigma` per axis, or by `twiss`, emittance and Twiss parameters per plane.
 Both are those of the whole bunch, whatever its shape, so bunches of different shapes can be compared as equivalent ones. The
-radius at which a shape ends follows by a factor that its description tells.
+radius at which a shape ends follows by a factor in its description.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class SizedBunch(Train):
             raise complaint("is given as well as twiss", "keep one of the two", path="sigma", found=list(self.sigma))
         if any(self.momentum_spread):
             raise complaint(
-                "is given as well as twiss, whose emittances tell it",
+                "is given as well as twiss, whose emittances give it",
                 "keep one of the two",
                 path="momentum_spread",
                 found=list(self.momentum_spread),
@@ -202,7 +202,7 @@ class HollowBunch(SizedBunch):
 
 
 class HaloBunch(SizedBunch):
-    """A normal core, and a normal tail that is larger in places and momenta alike.
+    """A normal core, and a normal tail that is larger in places and momenta.
 
     The core's size is that of the whole divided by √(1 + tail_share (tail_size² - 1)).
     """

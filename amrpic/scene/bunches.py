@@ -53,7 +53,7 @@ class Bunch(Section):
 
 
 class DescribedBunch(Bunch):
-    """A bunch of which the scene tells species, charge and mean momentum."""
+    """A bunch of which the scene gives species, charge and mean momentum."""
 
     species: Species = Field(
         default=SPECIES["proton"],
@@ -144,7 +144,7 @@ class Train(DescribedBunch):
             refuse_negative(f"momentum_spread.{axis}", spread, "kg m/s")
         if self.sampling == "sobol" and self.particles > 2**BITS:
             raise complaint(
-                f"are more than the {2**BITS} that Sobol numbers tell apart",
+                f"are more than the {2**BITS} different Sobol numbers",
                 'use fewer, or sampling = "halton"',
                 path="particles",
                 found=self.particles,

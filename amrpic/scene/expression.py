@@ -56,7 +56,7 @@ def _check(node: ast.expr, text: str) -> None:
             expected = 2 if name in ("min", "max", "arctan2", "hypot") else 1
             if len(parts) != expected:
                 raise complaint(
-                    f"gives {name} {len(parts)} values", f"{name} takes {expected}; mend the formula", found=text
+                    f"gives {name} {len(parts)} values", f"{name} takes {expected}; correct the formula", found=text
                 )
         case _:
             known = ", ".join([*COORDINATES, *CONSTANTS, *FUNCTIONS])

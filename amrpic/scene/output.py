@@ -10,7 +10,7 @@ from .section import Section
 
 
 class Output(Section):
-    """What a run leaves behind."""
+    """What a run writes."""
 
     directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
     write: list[Literal["checkpoint", "fields", "particles", "series", "pictures"]] = Field(

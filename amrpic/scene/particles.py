@@ -11,12 +11,12 @@ from .section import Section
 
 
 class ParticlesSection(Section):
-    """How particles meet the mesh: their clouds, in deposit and gather alike."""
+    """How particles meet the mesh: their clouds, the same in deposit and gather."""
 
     shape: Shape = Field(
         default="cloud-in-cell",
         description="Cloud of a particle: nearest-grid-point touches its own cell alone and is noisy, cloud-in-cell two cells "
-        "per axis, triangular-shaped-cloud three, smoother and nearly three times as dear. All keep the charge exactly.",
+        "per axis, triangular-shaped-cloud three, smoother and nearly three times as expensive. All keep the charge exactly.",
     )
     interface: Literal["auto", "matched", "own-level"] = Field(
         default="auto",

@@ -161,7 +161,7 @@ def _parameters(function: Any) -> list[inspect.Parameter]:
         parameters = inspect.signature(function).parameters.values()
     except ValueError:
         raise complaint(
-            "does not tell its parameters", "wrap it, as in lambda x, y, z: …", path="function", found=str(function)
+            "has no readable parameters", "wrap it, as in lambda x, y, z: …", path="function", found=str(function)
         ) from None
     return [p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
 

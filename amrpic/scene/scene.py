@@ -30,7 +30,7 @@ LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all
 
 
 class RefusedScene(SceneError):
-    """A scene with mistakes: the message tells the first, `problems` has a sentence for each."""
+    """A scene with mistakes: the message names the first, `problems` has a sentence for each."""
 
     def __init__(self, message: str, problems: Sequence[str] = ()) -> None:
         super().__init__(message)
@@ -174,7 +174,7 @@ class Scene(Section):
         except OSError as reason:
             raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
-            raise SceneError(f"scene file {path} is not TOML: {reason}; mend that line") from None
+            raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
         toml.override(data, overrides)
         data.setdefault("name", path.stem)
         _anchor_files(data, path.parent)

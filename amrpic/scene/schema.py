@@ -66,7 +66,7 @@ def _without_null(value: Any) -> Any:
 
 
 def _name_the_choice(part: Json, definitions: Json) -> None:
-    """Require the key that tells the members of a union apart; models have it as a default, a file must write it."""
+    """Require the key that distinguishes the members of a union; models have it as a default, a file must write it."""
     if "discriminator" not in part:
         return
     key = part["discriminator"]["propertyName"]
@@ -112,7 +112,7 @@ class _Reference:
 
     def __init__(self, definitions: Json) -> None:
         self._definitions = definitions
-        self._told: set[str] = set()
+        self._described: set[str] = set()
 
     def lines(self, schema: Json) -> Iterator[str]:
         """The keys at the top and all sections below them."""
@@ -123,9 +123,9 @@ class _Reference:
         for key, part in properties.items():
             brackets = "[[{}]]" if part.get("type") == "array" else "[{}]"
             for union, chooser in _unions(part):
-                names = [name for name in map(_name, union) if name not in self._told]
+                names = [name for name in map(_name, union) if name not in self._described]
                 members = {name: self._object(name) for name in names if self._object(name)}
-                self._told.update(names)
+                self._described.update(names)
                 if members:
                     where = f"{path}.{key}".lstrip(".")
                     yield from self._section(where, brackets.format(where), members, chooser, depth)
@@ -166,7 +166,7 @@ class _Reference:
         rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
         for key, part in properties.items():
             name = f"**`{key}`**" if key in owner.get("required", []) else f"`{key}`"
-            is_table = "$ref" in part and isinstance(part.get("default"), dict)  # its own table tells its defaults
+            is_table = "$ref" in part and isinstance(part.get("default"), dict)  # its own table shows its defaults
             default = f"`{toml.text(part['default'])}`" if "default" in part and not is_table else ""
             meaning = part.get("description") or self._definition(part).get("description", "")
             cells = name, self._value(part), default, meaning
@@ -207,7 +207,7 @@ class _Reference:
 
 
 def _unions(part: Json) -> Iterator[tuple[list[str], str]]:
-    """The definitions that a key may hold, by reference, and the key that tells them apart if there are several."""
+    """The definitions that a key may hold, by reference, and the key that distinguishes them if there are several."""
     if "$ref" in part:
         yield [part["$ref"]], ""
     elif "discriminator" in part:

@@ -1,4 +1,4 @@
-"""The sections of a scene share their manners: frozen, strict about keys, plain about mistakes."""
+"""The base of all sections of a scene: frozen, strict about keys, with plain messages about mistakes."""
 
 from __future__ import annotations
 

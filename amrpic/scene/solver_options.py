@@ -84,7 +84,7 @@ class SolverOptions(Section):
     )
     norm: Norm = Field(
         default="max",
-        description="Norm of the residual over uncovered cells, l1 and l2 weighted by volume; max sees every cell alike.",
+        description="Norm of the residual over uncovered cells, l1 and l2 weighted by volume; max treats every cell equally.",
     )
     backend: Backend = Field(
         default="matrix-free",
@@ -108,7 +108,7 @@ class SolverOptions(Section):
         lt=2,
         description="Factor of a relaxation step; by default 1.28 for red-black, 6/7 for jacobi and 1 for Gauss-Seidel. "
         "Red-black takes it on refined levels of cubes; from the base down it takes 0.7, and where cells are long or flat "
-        "0.55, of what lies beyond 1. Refused for chebyshev, which has none.",
+        "0.55, of the part above 1. Refused for chebyshev, which has none.",
     )
     sweeps: Annotated[tuple[int, int], BeforeValidator(_both, json_schema_input_type=int | tuple[int, int])] = Field(
         default=(2, 2),
@@ -121,7 +121,7 @@ class SolverOptions(Section):
     stretch: tuple[float, float, float] = Field(
         default=(1.0, 1.0, 1.0),
         description="Factors s on the lengths: the equation is Σ s⁻² ∂²φ/∂x² = −ρ/ε₀ and E = −s⁻² ∂φ/∂x. "
-        "(1, 1, γ) gives φ and E, seen at rest, of a bunch that moves along z with the Lorentz factor γ.",
+        "(1, 1, γ) gives φ and E in the laboratory frame of a bunch that moves along z with the Lorentz factor γ.",
     )
     screening: float = Field(
         default=0.0,
@@ -171,7 +171,7 @@ class SolverOptions(Section):
             remedy = "use smoothed-aggregation, plain-aggregation or brick-aggregation"
             self._refuse("bottom_preconditioner", "is no multigrid, which is to stand alone", remedy)
         if self.tolerance == "discretization" and self.krylov != "none":
-            what = 'does not tell how much error is left, as tolerance "discretization" must know'
+            what = 'does not know how much error is left, as tolerance "discretization" must know'
             self._refuse("krylov", what, 'use "none", or a number as tolerance')
         for option in OF_COMPRESSED_ROWS if self.backend == "matrix-free" else ():
             if getattr(self, option) != type(self).model_fields[option].default:

@@ -1,7 +1,7 @@
 """Bunches of particles from distributions, on lattices, and from arrays.
 
 Particle number i of a bunch is made from the seed and its id alone, so a bunch is the same on any number of ranks. Each rank
-makes a contiguous run of ids, wherever these particles lie; `migrate` brings them home.
+makes a contiguous run of ids, wherever these particles lie; `migrate` sends them to the ranks that own their boxes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def sampled(
 ) -> Particles:
     """Return this rank's share of a bunch of `count` macroparticles, which have `bunch_charge` (C) together.
 
-    `distribution` is one of `distributions`, or alike; `space` gives it its place, sizes and momenta. Ids start at `first_id`.
+    `distribution` is a function as those in `distributions`; `space` gives it its place, sizes and momenta. Ids start at
+    `first_id`.
     """
     numbers = draw(sampling, seed, first_id, *share(comm, count))
     position, momentum = space.place(distribution(numbers))

@@ -1,4 +1,4 @@
-"""Charge of particles onto the mesh."""
+"""Deposit: the charge of particles onto the mesh."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from ..errors import ParticleError
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.clouds import PLAIN, Clouds
-from ..particles.particles import Particles, particle_mesh
+from ..particles.particles import Particles
 
 
 def deposit(particles: Particles, hierarchy: Hierarchy, clouds: Clouds = PLAIN) -> Field:
@@ -23,7 +23,7 @@ def deposit(particles: Particles, hierarchy: Hierarchy, clouds: Clouds = PLAIN) 
     if len(particles.species.kinds) > 1:
         weight, charge = weight * particles.charge, 1.0
     try:
-        mesh = particle_mesh(hierarchy)
+        mesh = hierarchy.particle_mesh
         _native.deposit(mesh, *clouds.native, position, momentum, weight, id, sorting.starts, charge, density.native)
     except IndexError as moved:
         raise ParticleError(str(moved)) from None

@@ -124,13 +124,13 @@ class Moments:
     kinetic_energy: float
 
 
-def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None, share: float = 0.0) -> Moments:
+def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None, weight: float = 0.0) -> Moments:
     """Return the moments of all particles, which are read once. Collective.
 
-    With momenta a `share` of the way to those of the same particles `later`, if that is given.
+    With `later`, the same particles at another time, momenta are the mean of both in which those have this `weight`.
     """
     to = particles if later is None else later
-    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, share)
+    sums = _native.beam_sums(comm.py2f(), *particles.arrays, particles.mass, to.momentum, weight)
     totals = np.array(sums.momentum), sums.kinetic_energy
     if not sums.weight > 0:
         nothing = np.full(3, np.nan)

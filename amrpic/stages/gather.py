@@ -1,4 +1,4 @@
-"""The field at the particles."""
+"""Gather: the field at the particles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..errors import ParticleError
 from ..mesh.field import VectorField
 from ..particles.arrays import empty_columns
 from ..particles.clouds import PLAIN, Clouds
-from ..particles.particles import Particles, particle_mesh
+from ..particles.particles import Particles
 
 
 def gather(efield: VectorField, particles: Particles, clouds: Clouds = PLAIN) -> np.ndarray:
@@ -22,7 +22,7 @@ def gather(efield: VectorField, particles: Particles, clouds: Clouds = PLAIN) ->
     sorting = particles.sorted_on(hierarchy)
     out = empty_columns(len(particles))
     try:
-        _native.gather(particle_mesh(hierarchy), *clouds.native, efield.native, *particles.arrays, sorting.starts, out)
+        _native.gather(hierarchy.particle_mesh, *clouds.native, efield.native, *particles.arrays, sorting.starts, out)
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return out

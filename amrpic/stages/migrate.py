@@ -1,4 +1,4 @@
-"""Particles to the ranks that own their boxes."""
+"""Migrate: particles to the ranks that own their boxes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import raise_together
-from ..particles.particles import Particles, Sorting, particle_mesh
+from ..particles.particles import Particles, Sorting
 
 
 def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Particles]:
@@ -22,9 +22,9 @@ def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Part
     """
     weight = particles.one_weight(hierarchy.comm)
     given = particles if weight is not None else particles.with_own_weights()
-    plan = _native.Migration(particle_mesh(hierarchy), *given.arrays)
+    plan = _native.Migration(hierarchy.particle_mesh, *given.arrays)
     here = Particles.allocate(plan.arriving, particles.species, weight)
-    starts = np.empty(particle_mesh(hierarchy).slots + 1, dtype=np.int64)
+    starts = np.empty(hierarchy.particle_mesh.slots + 1, dtype=np.int64)
     finite = plan.finish(*here.arrays, starts)
     if not hierarchy.comm.allreduce(finite, MPI.LAND):
         _refuse_not_finite(particles, hierarchy.comm)
@@ -53,6 +53,6 @@ def _refuse_not_finite(particles: Particles, comm: MPI.Comm) -> None:
 def _complaint(particles: Particles, first: int, count: int) -> str:
     return (
         f"{count} particles have a position or momentum that is not finite, among them id {particles.id[first]} at "
-        f"{particles.position[first].tolist()} m with {particles.momentum[first].tolist()} kg m/s; mend the input, or "
+        f"{particles.position[first].tolist()} m with {particles.momentum[first].tolist()} kg m/s; correct the input, or "
         "shorten the time step"
     )

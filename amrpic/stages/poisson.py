@@ -45,7 +45,7 @@ class PoissonSolver:
     makes by an estimate: the Laplacian of each next coarser level, applied to φ, shows the truncation error, and one cycle
     with that the error of φ. `background="neutralizing"` takes the mean charge away where all faces are periodic or Neumann.
     With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
-    that moves along z with the Lorentz factor γ, as seen at rest; solved as a Poisson equation in coordinates s_d x_d.
+    that moves along z with the Lorentz factor γ, in the laboratory frame; solved as a Poisson equation in coordinates s_d x_d.
     With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
 
     A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
@@ -296,7 +296,7 @@ class LevelOperators:
 
     @property
     def coarse_boundary(self) -> Operator:
-        """What the ghosts around the level take from the next coarser one."""
+        """What the ghost cells of the level take from the next coarser one."""
         return self._operator("coarse_boundary", self._coarse)
 
     @property

@@ -1,4 +1,4 @@
-"""Motion of particles."""
+"""Push: the motion of particles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ..errors import ParticleError
 from ..mesh.field import VectorField
 from ..particles.arrays import empty_columns
 from ..particles.clouds import PLAIN, Clouds
-from ..particles.particles import Particles, particle_mesh
+from ..particles.particles import Particles
 
 RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from others
 
@@ -30,7 +30,7 @@ def push(
     time_over_mass = particles.spread(dt / particles.species.masses)
     given, out = particles.arrays, (momentum, position)
     try:
-        mesh, starts = particle_mesh(hierarchy), sorting.starts
+        mesh, starts = hierarchy.particle_mesh, sorting.starts
         _native.push(
             mesh, *clouds.native, efield.native, *given, starts, particles.charge, time_over_mass, before, after, *out
         )

@@ -1,4 +1,4 @@
-"""A new hierarchy from tags, the fields carried over to it, and the work spread anew."""
+"""Regrid: a new hierarchy from tags, fields carried over to it, and its boxes balanced over the ranks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Regridding:
     max_levels: int = 2  # most levels, the base included
     buffer: int = 2  # cells around a tagged one that are refined with it: what moves stays inside until the next regrid
     nesting: int = 2  # cells of a level around the next finer one; 1 is enough for the operators
-    efficiency: float = 0.7  # least share of a box's blocks that must be wanted, unless it is a single block
+    efficiency: float = 0.7  # least fraction of a box's blocks that must be wanted, unless it is a single block
 
     def __post_init__(self) -> None:
         for name, least in ("max_levels", 1), ("buffer", 0), ("nesting", 1):
@@ -47,7 +47,7 @@ def regrid(
     periodic and clipped at walls. Tags add one level per call; static boxes come at once. The refined region depends
     neither on the number of ranks nor on `max_grid_size`.
 
-    Raises HierarchyError, alike on all ranks, for tags that do not fit the cells and for static boxes that are empty or
+    Raises HierarchyError on all ranks for tags that do not fit the cells and for static boxes that are empty or
     of a level above `max_levels`.
     """
     for given in tags, kept:

@@ -1,4 +1,4 @@
-"""Which cells want refinement, by what they hold.
+"""Tag: cells to refine, by what they hold.
 
 Tags are one bool array per level, 1-D, aligned with `Field.array(level)`: this rank's cells, covered ones included, so
 that a refined region stays refined while it still qualifies.
@@ -44,7 +44,7 @@ def largest(comm: MPI.Comm, values: Sequence[np.ndarray]) -> np.ndarray:
     return most
 
 
-def beyond(values: Sequence[np.ndarray], above: Sequence[float] | np.ndarray) -> Tags:
+def exceeding(values: Sequence[np.ndarray], above: Sequence[float] | np.ndarray) -> Tags:
     """Return where the values of each level exceed the threshold of that level."""
     return [level > threshold for level, threshold in zip(values, above, strict=True)]
 
@@ -130,7 +130,7 @@ def by_function(
             try:
                 answer = np.asarray(function(**{key: known[key] for key in arguments}))
             except Exception as failure:
-                raise InputError(f"{where} raised {type(failure).__name__}: {failure}; mend it") from failure
+                raise InputError(f"{where} raised {type(failure).__name__}: {failure}; correct it") from failure
             patch.data[...] = _as_tags(answer, patch.data.shape, where)
     return [tags.array(level) > 0 for level in range(hierarchy.levels)]
 

@@ -1,4 +1,4 @@
-"""Solvers and scenes with the backend that the verification was told to use."""
+"""Solvers and scenes with the backend that the verification is to use."""
 
 from __future__ import annotations
 

@@ -15,7 +15,8 @@ from ..particles.clouds import Clouds, Shape
 from ..particles.particles import Particles
 from ..particles.species import Species, SpeciesTable
 from ..run.plan import Plan
-from ..run.step import State, advance, begin
+from ..run.state import State
+from ..run.step import advance, begin
 from ..stages.deposit import deposit
 from ..stages.diagnostics import Moments, field_energy, moments, potential_energy
 from ..stages.migrate import migrate
@@ -197,7 +198,7 @@ def _energy(state: State) -> float:
 
 
 def _beam(state: State) -> Moments:
-    return moments(state.rho.comm, state.particles, state.moved, state.share)
+    return state.moments()
 
 
 # ---- regridding ----

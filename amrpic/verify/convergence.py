@@ -34,7 +34,7 @@ class Case:
 
 
 def tables(comm: MPI.Comm, resolutions: int | None = None) -> Iterator[Table]:
-    """The tables of this topic, one after the other; of the so many coarsest resolutions alone, if told. Collective."""
+    """The tables of this topic, one after the other; or of the given number of coarsest resolutions. Collective."""
     yield _table(
         comm,
         "Meshes",

@@ -36,7 +36,7 @@ def picture(path: Path, title: str, across: str, upwards: str) -> Iterator[Axes]
 def draw_curves(table: Table, path: Path) -> None:
     """Draw the curves of a table; those over resolutions with both axes logarithmic and the slope of second order.
 
-    Colours tell them apart; `by_line`, what a name says behind its last comma is told by the line instead.
+    Colours distinguish them; with `by_line`, the kind of line shows what follows the last comma of a name.
     """
     parts = {name: _parts(name) if table.by_line else (name, "") for name in table.curves}
     kinds, lines = (list(dict.fromkeys(part)) for part in zip(*parts.values(), strict=True))

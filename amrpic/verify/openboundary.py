@@ -1,4 +1,4 @@
-"""The open boundary: how far it is from free space, seen beside the error of the mesh itself."""
+"""The open boundary: how far it is from free space, beside the error of the mesh itself."""
 
 from __future__ import annotations
 

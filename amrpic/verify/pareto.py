@@ -18,7 +18,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import concatenate
 from ..run.adapt import follow, make_base
 from ..run.initial_particles import make_bunches
-from ..run.particle_fields import Quantities
+from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..scene.motion import NoMotion
 from ..scene.refinement import StaticRule, every_rule
@@ -176,7 +176,7 @@ def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> 
 
 
 def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
-    """Error against seconds: colours tell meshes apart, shapes tolerances; the frontier and the scene's own are marked."""
+    """Error against seconds: a colour per mesh, a shape per tolerance; the frontier and the scene's own are marked."""
     meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in found))
     tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in found))
     with picture(path, title, "seconds of a solve and its field", "relative error of E, L2") as axes:
@@ -310,7 +310,7 @@ def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> C
     bunches = make_bunches(comm, varied)
     plan.settle_interface(bunches)
     particles, _ = migrate(concatenate(bunches), base)
-    return Case(varied, follow(Quantities(particles, base, plan)).hierarchy, density)
+    return Case(varied, follow(ParticleFields(particles, base, plan)).hierarchy, density)
 
 
 def _reference(scene: Scene, density: Density) -> ExactField:

@@ -38,7 +38,7 @@ class Table:
     curves: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
     across: str = "base cells per axis"  # what the curves are drawn over
     upwards: str = ""  # what they show
-    by_line: bool = False  # curves are told apart by lines as well, by what their names say behind the last comma
+    by_line: bool = False  # the kind of line shows what follows the last comma of a name
     picture: Callable[[Path], None] | None = None  # writes one in place of that of the curves
 
     def goals(self) -> Iterator[Goal]:

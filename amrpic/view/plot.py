@@ -66,7 +66,7 @@ class View:
         return names[self.kind] + ("" if self.level is None else f"_level{self.level}")
 
 
-HEEDED = {  # what pictures of a kind can be told
+OPTIONS = {  # of each kind of picture
     "slice": ("axis", "position", "level", "scale", "boxes"),
     "projection": ("axis", "level", "scale", "boxes"),
     "line": ("axis", "level"),
@@ -75,12 +75,13 @@ OVERVIEW = (View("phi"), View("|E|"), View("rho", "projection"), View("phi E rho
 
 
 def with_options(views: Sequence[View], **options: Any) -> list[View]:
-    """Return the views with those of the options that they heed. Raises InputError for one that none of them heeds."""
+    """Return the views with those of the options that apply to them. Raises InputError for one that applies to none."""
     for name in options:
-        if not any(name in HEEDED[view.kind] for view in views):
-            raise _unheeded(name, views[0])
+        if not any(name in OPTIONS[view.kind] for view in views):
+            raise _not_an_option(name, views[0])
     return [
-        replace(view, **{name: value for name, value in options.items() if name in HEEDED[view.kind]}) for view in views
+        replace(view, **{name: value for name, value in options.items() if name in OPTIONS[view.kind]})
+        for view in views
     ]
 
 
@@ -102,14 +103,14 @@ def draw(dump: Dump, spread: Spread, view: View) -> Figure:
         dump.unit(name)
     _require_level(dump, view.level)
     for option in fields(View)[2:]:
-        if option.name not in HEEDED[view.kind] and getattr(view, option.name) != option.default:
-            raise _unheeded(option.name, view)
+        if option.name not in OPTIONS[view.kind] and getattr(view, option.name) != option.default:
+            raise _not_an_option(option.name, view)
     if view.kind == "line":
         return profiles(dump, line_through(dump, spread, view.axis), view.quantity.split(), view.level)
     return _projection(dump, spread, view) if view.kind == "projection" else _slice(dump, spread, view)
 
 
-def _unheeded(name: str, view: View) -> InputError:
+def _not_an_option(name: str, view: View) -> InputError:
     return InputError(f"{name} says nothing to a {view.kind}; leave it out, or choose another kind of picture")
 
 
@@ -182,7 +183,7 @@ def logarithmic_colours(values: Array) -> Colouring:
 
 
 def _decades(least: float, most: float) -> list[float]:
-    """Return zero and the decades on both sides of it, but for those that would crowd about it."""
+    """Return zero and the decades on both sides of it, except those too close to it."""
     decades = 10.0 ** np.arange(np.ceil(np.log10(least)) + 1, np.floor(np.log10(most)) + 1)
     return [*-decades[::-1], 0.0, *decades]
 
@@ -200,8 +201,8 @@ def _picture(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, tit
     scale, prefix = prefix_of(float(np.nanmax(np.abs(raster.values))))
     norm, colour_map = SCALES.get(view.scale, linear_colours)(raster.values / scale)
     corners = np.stack([raster.lower, raster.upper], axis=1) / length
-    seen = _seen(raster) / length
-    figure, panel, bar = _canvas(seen)
+    extent = _extent(raster) / length
+    figure, panel, bar = _canvas(extent)
     image = panel.imshow(
         (raster.values / scale).T,
         origin="lower",
@@ -209,7 +210,7 @@ def _picture(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, tit
         norm=norm,
         cmap=colour_map,
         interpolation="nearest",
-        aspect="equal" if _moderate(seen) else "auto",
+        aspect="equal" if _moderate(extent) else "auto",
     )
     panel.set_facecolor("#808080")  # where a level has no cells
     if view.boxes:
@@ -217,8 +218,8 @@ def _picture(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, tit
     panel.set(
         xlabel=f"{AXES[raster.axes[0]]} / {length_prefix}m",
         ylabel=f"{AXES[raster.axes[1]]} / {length_prefix}m",
-        xlim=seen[0],
-        ylim=seen[1],
+        xlim=extent[0],
+        ylim=extent[1],
     )
     level = "" if view.level is None else f", level {view.level}"
     panel.set_title(f"{title}{level}, step {dump.step}, t = {quantity(dump.time, 's')}", fontsize="medium")
@@ -238,7 +239,7 @@ def _picture(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, tit
     return figure
 
 
-def _seen(raster: Raster) -> Array:
+def _extent(raster: Raster) -> Array:
     """Return the corners (2, 2) in m of what a raster shows, the first axis first."""
     held = np.isfinite(raster.values)
     out = []

@@ -47,8 +47,8 @@ def slice_through(dump: Dump, name: str, axis: int, position: float, level: int 
         index = cell_at(dump, number, axis, position)
         for box in cut_by(dump, number, axis, position):
             cut = dump.values(name, number, box).take(index - dump.levels[number].boxes[box, axis], axis=axis)
-            window, inside = grid.locate(number, box)
-            values[window] = cut[inside]
+            pixels_of_box, inside = grid.locate(number, box)
+            values[pixels_of_box] = cut[inside]
     return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
 
 
@@ -59,16 +59,16 @@ def projection(dump: Dump, name: str, axis: int, level: int | None = None) -> Ra
     """
     grid = _Pixels(dump, axis, level)
     values = np.zeros(grid.shape)
-    seen = np.zeros(grid.shape, dtype=bool)
+    covered = np.zeros(grid.shape, dtype=bool)
     for number in range(len(dump.levels)) if level is None else [level]:
         for box in range(len(dump.levels[number].boxes)):
             cells = dump.values(name, number, box)
             if level is None:
                 cells = np.where(dump.covered(number, box), 0.0, cells)
-            window, inside = grid.locate(number, box)
-            values[window] += (cells.sum(axis=axis) * dump.levels[number].spacing[axis])[inside]
-            seen[window] = True
-    return Raster(grid.shown(np.where(seen, values, np.nan)), axis, grid.axes, None, *grid.corners)
+            pixels_of_box, inside = grid.locate(number, box)
+            values[pixels_of_box] += (cells.sum(axis=axis) * dump.levels[number].spacing[axis])[inside]
+            covered[pixels_of_box] = True
+    return Raster(grid.shown(np.where(covered, values, np.nan)), axis, grid.axes, None, *grid.corners)
 
 
 def cut_by(dump: Dump, level: int, axis: int, position: float) -> Array:
@@ -106,18 +106,18 @@ class _Pixels:
         return self._dump.lower[list(self.axes)], self._dump.upper[list(self.axes)]
 
     def locate(self, level: int, box: int | np.integer[Any]) -> tuple[tuple[slice, ...], tuple[Array, ...]]:
-        """Return the window of pixels whose centres lie in a box, and for them the cells of the box to index."""
+        """Return the slices of pixels whose centres lie in a box, and for them the cells of the box to index."""
         cells = self._dump.levels[level]
-        window, inside = [], []
+        pixels_of_box, inside = [], []
         for k, axis in enumerate(self._axes):
             first, last = cells.boxes[box, axis], cells.boxes[box, 3 + axis]
             per_cell = cells.spacing[axis] / self._widths[k]
             # Pixel p has its centre at p + 1/2 pixels. The rounding keeps exact hits on cell faces on one side.
             start, stop = (int(np.ceil(round(edge * per_cell, 6) - 0.5)) for edge in (first, last + 1))
             pixels = np.arange(max(start, 0), min(stop, self.shape[k]))
-            window.append(slice(max(start, 0), min(stop, self.shape[k])))
+            pixels_of_box.append(slice(max(start, 0), min(stop, self.shape[k])))
             inside.append(np.clip(np.floor((pixels + 0.5) / per_cell).astype(int) - first, 0, last - first))
-        return tuple(window), np.ix_(*inside)
+        return tuple(pixels_of_box), np.ix_(*inside)
 
 
 @dataclass(frozen=True)

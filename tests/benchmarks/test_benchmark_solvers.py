@@ -25,7 +25,7 @@ def test_quick_run_converges_or_refuses_in_every_row(tmp_path):
     assert "not converged" not in text
 
 
-def test_a_row_that_does_not_hold_is_told():
+def test_a_row_that_does_not_hold_is_reported():
     good, off, stuck, refused = (
         Measured("", {}, converged=True, difference=1e-9),
         Measured("", {}, converged=True, difference=1e-6),

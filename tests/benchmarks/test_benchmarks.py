@@ -65,7 +65,7 @@ def test_goals_in_work_units_take_the_least():
 
 
 @pytest.mark.parametrize("case, levels", [("static 16", 3), ("uniform 16", 1), ("1:1:10 16", 3)])
-def test_solves_are_told_with_their_cycles(case, levels):
+def test_solves_are_reported_with_their_cycles(case, levels):
     given = cases.problem(WORLD, case, 8)
     setup, full, loose = solving.solves(given, case, measuring.BACKEND, 2, (solving.FULL, 1e-3))
     assert setup.name == f"solve, {case}, boxes 8, 1 rank, set-up"
@@ -104,7 +104,7 @@ def test_memory_of_the_solver_is_measured_in_a_process_of_its_own():
     assert 8 < taken < 2000  # it has at least a residual
 
 
-def test_a_step_is_told_by_stages():
+def test_a_step_is_reported_by_stages():
     record = pic_step.ours(WORLD, 16, 1000, "dirichlet", measuring.BACKEND, 1)
     assert {"deposit", "solve", "gather", "push", "migrate"} <= set(record.facts["stages"])
     assert sum(record.facts["stages"].values()) <= record.median
@@ -140,16 +140,16 @@ def test_a_peer_that_solves_something_else_is_refused():
 def test_goals_are_met_or_missed_by_their_records():
     name = solving.name("bunch 64", 24, 1)
     of = [Record(name, [3.0, 1.0, 2.0], unit=0.02, facts={"cycles": 9})]
-    told = {goal.what: goal for goal in goals.goals(of)}
-    units, cycles = told["bunch 64, boxes 24, to 1e-10"], told["bunch 64, boxes 24: cycles"]
+    reported = {goal.what: goal for goal in goals.goals(of)}
+    units, cycles = reported["bunch 64, boxes 24, to 1e-10"], reported["bunch 64, boxes 24: cycles"]
     assert units.measured == 100 and units.verdict == "met"
     assert cycles.measured == 9 and cycles.verdict == "missed"
-    assert told["uniform 128, boxes 64, to 1e-10: time per cell over the DST's"].verdict == "not measured"
-    rows = goals.table(list(told.values()))
+    assert reported["uniform 128, boxes 64, to 1e-10: time per cell over the DST's"].verdict == "not measured"
+    rows = goals.table(list(reported.values()))
     assert ("bunch 64, boxes 24, to 1e-10", "≤ 100 WU", "≤ 57 WU", "100 WU", "met") in rows
 
 
-def test_cycles_that_differ_between_ranks_are_told():
+def test_cycles_that_differ_between_ranks_are_reported():
     of = [
         Record(solving.name("static 64", boxes, ranks), [1.0], facts={"cycles": cycles})
         for boxes, ranks, cycles in ((24, 1, 7), (32, 2, 7), (24, 4, 8))
@@ -164,7 +164,7 @@ def test_records_survive_their_file(tmp_path):
     assert measuring.read(tmp_path / "b.json") == records
 
 
-# ---- two runs told apart ----
+# ---- two runs compared ----
 
 
 def runs_of(tmp_path: Path, name: str, **changed: Record) -> Path:
@@ -276,8 +276,8 @@ def test_equal_builds_are_hardly_ever_called_different(noise, most):
 def test_a_verdict_says_how_many_turns_it_needs():
     rng = np.random.default_rng(4)
     wanted = np.median([made_up_turns(rng, 0.03, 0.1, 900).turns for _ in range(10)])
-    told = [made_up_turns(rng, 0.03, 0.1, 60).verdict() for _ in range(30)]
-    needs = [int(one.split()[-2]) for one in told if one.startswith("too noisy to tell: needs about")]
+    reported = [made_up_turns(rng, 0.03, 0.1, 60).verdict() for _ in range(30)]
+    needs = [int(one.split()[-2]) for one in reported if one.startswith("too noisy to tell: needs about")]
     assert len(needs) > 10 and 0.6 * wanted < np.median(needs) < 1.6 * wanted
 
 
@@ -288,7 +288,7 @@ def test_standard_error_of_the_median_is_that_of_draws():
     assert compare.median_error([1.0] * 4) == np.inf
 
 
-def test_figures_are_told_over_the_sine_transform_and_particles_in_nanoseconds():
+def test_figures_are_reported_over_the_sine_transform_and_particles_in_nanoseconds():
     solver, stages = compare.Case("uniform 128"), compare.Case("particles 1e6")
     for factor in (1.0, 1.1, 0.9, 1.05, 0.95, 1.0):  # the machine, in both
         solver.add({"DST": 3e-8 * factor, "solve": 3e-8 * factor}, {"DST": 3e-8, "solve": 3.6e-8})
@@ -317,8 +317,8 @@ def test_bases_are_timed_beside_the_nearest_smooth_one():
     one, other = bases.measure(24, 2, 1000.0)
     assert one.name == "base, 24" and len(one.seconds) == len(other.seconds) == 2
     skipped = Record("base, 81", [float("nan")], facts={"skipped": "not done within 60 s"})
-    told = bases.rows({record.name: record for record in (one, other, skipped)})
-    assert told[1][0] == "24³" and told[1][-1] == "2" and told[2][-2] == "not done within 60 s"
+    reported = bases.rows({record.name: record for record in (one, other, skipped)})
+    assert reported[1][0] == "24³" and reported[1][-1] == "2" and reported[2][-2] == "not done within 60 s"
     (goal, *_) = goals.any_base(goals.Found([skipped]))
     assert goal.verdict == "missed" and goal.note == "1 of 1 not done"
 

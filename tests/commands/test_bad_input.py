@@ -1,4 +1,4 @@
-"""Bad input: one sentence, said once and alike on all ranks, a failing exit status, no hang, and nothing written lost.
+"""Bad input: one sentence, printed once, the same on all ranks, a failing exit status, no hang, and nothing written lost.
 
 What is legal although it looks odd runs to its end, with one warning.
 """
@@ -53,7 +53,7 @@ def scene_file(folder: Path) -> str:
 
 
 def ended(comm: Any, *arguments: str) -> tuple[int, str]:
-    """Exit status and standard error of a command, checked to be a failure or success of all ranks, told by rank 0 alone."""
+    """Exit status and standard error of a command: checked to be the same on all ranks, and printed by rank 0 alone."""
     from amrpic.commands.main import main
 
     comm.Barrier()
@@ -64,10 +64,10 @@ def ended(comm: Any, *arguments: str) -> tuple[int, str]:
         pytest.raises(SystemExit) as end,
     ):
         main(arguments)
-    told = comm.allgather((end.value.code, errors.getvalue()))
-    assert len({status for status, _ in told}) == 1
-    assert all(text == "" for _, text in told[1:])
-    return told[0]
+    reported = comm.allgather((end.value.code, errors.getvalue()))
+    assert len({status for status, _ in reported}) == 1
+    assert all(text == "" for _, text in reported[1:])
+    return reported[0]
 
 
 def refusal(comm: Any, *arguments: str, status: int = 2) -> str:

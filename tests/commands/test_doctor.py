@@ -1,4 +1,4 @@
-"""The doctor finds this machine well, and says what is wrong and how to mend it where something is."""
+"""The doctor passes this machine, and names what is wrong on others with a fix."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def examined(path: str | None = None) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_this_machine_is_well_and_the_solve_takes_two_ranks():
+def test_this_machine_passes_and_the_solve_takes_two_ranks():
     lines = examined()
     assert [line.split(":")[0] for line in lines] == [
         "ok   MPI",
@@ -44,10 +44,10 @@ def test_this_machine_is_well_and_the_solve_takes_two_ranks():
 
 @pytest.mark.mpi(ranks=(2, 3))
 def test_under_mpiexec_the_given_ranks_solve_and_agree(comm, ranks):
-    findings = doctor.examine(comm)
-    assert all(finding.well for finding in findings), "\n".join(map(str, findings))
-    assert findings[-1].text.endswith(f"on {ranks} ranks")
-    assert len(set(comm.allgather(tuple(findings)))) == 1
+    checks = doctor.examine(comm)
+    assert all(check.passed for check in checks), "\n".join(map(str, checks))
+    assert checks[-1].text.endswith(f"on {ranks} ranks")
+    assert len(set(comm.allgather(tuple(checks)))) == 1
 
 
 @pytest.mark.mpi(ranks=2)
@@ -73,7 +73,7 @@ def test_mpiexec_of_another_mpi_is_found_out(tmp_path):
     # What such a launcher comes to: each process is alone.
     last = examined(fake_mpiexec(tmp_path, 'shift 2; exec "$@"'))[-2:]
     assert last[0].startswith("FAIL solve") and "belongs to another MPI" in last[0]
-    assert "to mend it" in last[1]
+    assert "fix: " in last[1]
 
 
 def test_launcher_that_fails_is_quoted(tmp_path):
@@ -82,14 +82,14 @@ def test_launcher_that_fails_is_quoted(tmp_path):
 
 
 @pytest.mark.mpi(ranks=2)
-def test_what_is_wrong_on_one_rank_is_told_on_all(comm):
-    here = doctor.Finding("MPI", comm.rank == 0, f"seen on {comm.rank}", "mend")
-    assert doctor.worst(tuple(comm.allgather(here))).text == "seen on 1"
+def test_what_is_wrong_on_one_rank_is_reported_on_all(comm):
+    here = doctor.Check("MPI", comm.rank == 0, f"found on {comm.rank}", "fix")
+    assert doctor.worst(tuple(comm.allgather(here))).text == "found on 1"
 
 
-def test_wrong_answer_or_exception_becomes_a_finding():
+def test_wrong_answer_or_exception_becomes_a_failed_check():
     def ill() -> str:
         raise ValueError("two libraries")
 
-    assert str(doctor.answer("MPI", ill, "take one away")) == "FAIL MPI: two libraries\n     to mend it: take one away"
-    assert doctor.answer("MPI", lambda: "fine", "").well
+    assert str(doctor.check("MPI", ill, "take one away")) == "FAIL MPI: two libraries\n     fix: take one away"
+    assert doctor.check("MPI", lambda: "fine", "").passed

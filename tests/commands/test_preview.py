@@ -51,8 +51,8 @@ def test_levels_and_particles_are_those_that_the_run_begins_with(comm, tmp_path)
     run = Simulation(comm, scene(tmp_path))
     hierarchy = run.hierarchy
     places = np.concatenate(comm.allgather(np.ascontiguousarray(run.particles.position)))
-    told = {int(row[0]): row[1:] for row in rows(text) if re.fullmatch(r"\d+", row[0]) and len(row) == 8}
-    assert sorted(told) == list(range(hierarchy.levels)) == [0, 1, 2]
+    reported = {int(row[0]): row[1:] for row in rows(text) if re.fullmatch(r"\d+", row[0]) and len(row) == 8}
+    assert sorted(reported) == list(range(hierarchy.levels)) == [0, 1, 2]
     taken = np.zeros(len(places), dtype=bool)
     for level in reversed(range(hierarchy.levels)):  # each particle lives on the finest level around it
         boxes = hierarchy.boxes(level)
@@ -62,13 +62,13 @@ def test_levels_and_particles_are_those_that_the_run_begins_with(comm, tmp_path)
         held = np.unique(cells[here], axis=0, return_counts=True)[1]
         middle, most = (np.sort(held)[(held.size - 1) // 2], held.max()) if held.size else (0, 0)
         expected = [len(boxes), hierarchy.cells(level), held.sum(), middle, most]
-        row = told[level]
+        row = reported[level]
         assert [int(row[k]) for k in (0, 1, 3, 5, 6)] == expected
         assert float(row[4]) == pytest.approx(held.mean() if held.size else 0, rel=5e-3)
         assert float(row[2].split()[0]) == pytest.approx(1e3 * hierarchy.spacing(level)[0], rel=1e-3)
 
 
-def test_bunches_are_told_with_their_size_in_cells(comm, tmp_path):
+def test_bunches_are_reported_with_their_size_in_cells(comm, tmp_path):
     train, ball = (row for row in rows(preview(comm, scene(tmp_path), 1)) if row[0] in ("0 gaussian", "1 ball"))
     assert train[1:4] == ["2", "4000", "1 nC"] and ball[1:4] == ["1", "3000", "2 nC"]
     sizes = [float(value.split()[0]) / 1e3 for value in train[4].split(", ")]
@@ -88,8 +88,8 @@ def test_rules_that_need_the_field_are_replaced_and_that_is_said(comm, tmp_path,
     dense = {"kind": "charge-density", "relative": 0.5}
     text = preview(comm, scene(tmp_path, kind="any", of=[dense, {"kind": kind, "relative": 0.2}]), 1)
     assert f"note: refinement.rule asks for the field ({kind}), which a preview does not solve for" in text
-    alike = preview(comm, scene(tmp_path), 1)
-    assert [row[1:] for row in rows(text)][:4] == [row[1:] for row in rows(alike)][:4]
+    same = preview(comm, scene(tmp_path), 1)
+    assert [row[1:] for row in rows(text)][:4] == [row[1:] for row in rows(same)][:4]
     for axis in "xyz":
         assert (tmp_path / f"preview_rho_along_{axis}.png").read_bytes().startswith(b"\x89PNG")
 

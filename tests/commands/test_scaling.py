@@ -59,7 +59,7 @@ def test_command_measures_both_kinds_on_one_and_two_ranks(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]  # nothing else is left
 
 
-def test_what_cannot_be_started_is_told():
+def test_what_cannot_be_started_is_reported():
     with pytest.raises(InputError, match="name the number of ranks"):
         list(study(SCENE, launcher="mpiexec"))
     with pytest.raises(InputError, match="no-such-launcher cannot be started"):

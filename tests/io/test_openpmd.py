@@ -85,7 +85,7 @@ def test_a_beamphysics_file_goes_in_and_comes_out_unchanged(comm, tmp_path):
 
 
 @pytest.mark.mpi(ranks=2)
-def test_a_run_writes_its_particles_alike_on_any_number_of_ranks(comm, tmp_path):
+def test_a_run_writes_the_same_particles_on_any_number_of_ranks(comm, tmp_path):
     on_first(comm, lambda: group().write(str(tmp_path / "in.h5")))
     for ranks, name in ((MPI.COMM_SELF, f"alone{comm.rank}"), (comm, "together")):
         output = {"write": ["particles"], "particles_every": 1, "directory": str(tmp_path / name)}
@@ -124,7 +124,7 @@ def test_every_species_has_a_group_that_can_be_chosen(comm, tmp_path):
     assert protons["id"].tolist() == list(range(100, 125))
 
 
-def test_units_offsets_and_macroparticle_momenta_are_heeded(comm, tmp_path):
+def test_units_offsets_and_macroparticle_momenta_are_respected(comm, tmp_path):
     with h5py.File(tmp_path / "foreign.h5", "w") as h5:
         h5.attrs.update(basePath="/data/%T/", particlesPath="particles/")
         beam = h5.create_group("/data/7/particles/positron")
@@ -199,7 +199,7 @@ def test_only_the_rows_asked_for_are_read(tmp_path):
         openpmd_reader.read(tmp_path / "bad.h5", lambda count: (300, 500))
 
 
-def test_what_cannot_be_written_is_told_and_leaves_nothing(comm, tmp_path):
+def test_what_cannot_be_written_is_reported_and_leaves_nothing(comm, tmp_path):
     from amrpic.errors import OutputError
 
     (tmp_path / "file").write_text("in the way")

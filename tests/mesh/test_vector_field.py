@@ -26,7 +26,7 @@ def solver_on(name: str, comm: MPI.Comm, particles: int = 100):
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-def test_particles_are_pushed_alike(comm):
+def test_particles_are_pushed_the_same(comm):
     solver, phi, particles = solver_on("U of small blocks, three levels", comm)
     for matched in (False, True):
         clouds = Clouds(matched=matched)

@@ -11,10 +11,10 @@ import pytest
 import scipy.sparse as sp
 
 import amrpic
-import laws
+import operator_laws
 from hierarchies import all_cases
 from oracle import LINEAR_FITS, QUADRATIC_FITS, Oracle
-from parts import first_ranks, hierarchy_of, wait_quietly
+from rank_subsets import first_ranks, hierarchy_of, wait_quietly
 
 CASES = all_cases()
 NAMES = ("no_fine", "composite", "coarse_boundary", "fine_boundary", "restriction", "prolongation", "uncovered")
@@ -96,14 +96,14 @@ def test_operators_obey_the_laws(name, comm):
     found = [matrices(solver, level) for level in range(hierarchy.levels)]
     if comm.rank == 0:
         oracle, _ = expected_for(name, hierarchy)
-        assert laws.gauss_defect(oracle, found) < 1e-13
-        assert laws.transfer_defect(oracle, found) < 1e-13
+        assert operator_laws.gauss_defect(oracle, found) < 1e-13
+        assert operator_laws.transfer_defect(oracle, found) < 1e-13
         for degree, fits in ((1, LINEAR_FITS), (2, QUADRATIC_FITS)):
-            defects = laws.exactness_defects(oracle, found, degree, fits)
+            defects = operator_laws.exactness_defects(oracle, found, degree, fits)
             assert defects["laplacian"] < 1e-12
             assert defects["field"] < 1e-12
         if all(kind in ("neumann", "periodic") for types in oracle.types for kind in types):
-            assert laws.constant_defect(oracle, found) < 1e-12
+            assert operator_laws.constant_defect(oracle, found) < 1e-12
     wait_quietly(comm)
 
 
@@ -168,7 +168,7 @@ def test_only_levels_that_changed_are_assembled_anew(comm):
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-def test_open_walls_are_seen_by_all_levels_below(comm):
+def test_open_walls_act_on_all_levels_below(comm):
     """Where a refined level touches an open wall, the rows below depend on the finest cells there."""
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), "open")
     levels = [[((0, 8, 8), (15, 23, 23))], [((0, 24, 24), (15, 39, 39))]]

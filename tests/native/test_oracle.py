@@ -10,7 +10,7 @@ from functools import cache, lru_cache, partial
 import numpy as np
 import pytest
 
-import laws
+import operator_laws
 from hierarchies import all_cases
 from oracle import (
     BILINEAR,
@@ -58,7 +58,7 @@ def oracle_of(name: str) -> Oracle:
 
 
 @lru_cache(maxsize=1)
-def operators_of(name: str) -> laws.Operators:
+def operators_of(name: str) -> operator_laws.Operators:
     return [oracle_of(name).operators(level) for level in range(oracle_of(name).levels)]
 
 
@@ -122,7 +122,7 @@ def test_every_fit_reproduces_the_polynomials_it_can():
 
 @cache
 def met_in_collection() -> Counter[tuple[str, frozenset[tuple[int, int]]]]:
-    """Return how many coarse-fine faces of all cases use a fit in a neighbourhood of usable cells."""
+    """Return how many coarse-fine faces of all cases use a fit in a block of usable cells."""
     met: Counter[tuple[str, frozenset[tuple[int, int]]]] = Counter()
     for case in CASES.values():
         oracle = Oracle(case, case.all_boxes())
@@ -174,19 +174,19 @@ def test_hierarchies_nest_properly(name):
 
 @each_case
 def test_laplacian_integrates_to_the_flux_through_the_walls(name):
-    assert laws.gauss_defect(oracle_of(name), operators_of(name)) < 1e-13
+    assert operator_laws.gauss_defect(oracle_of(name), operators_of(name)) < 1e-13
 
 
 @pytest.mark.parametrize("name", SINGULAR, scope="module")
 def test_laplacian_and_field_of_a_constant_vanish_where_no_wall_fixes_the_potential(name):
-    assert laws.constant_defect(oracle_of(name), operators_of(name)) < 1e-12
+    assert operator_laws.constant_defect(oracle_of(name), operators_of(name)) < 1e-12
 
 
 @each_case
 def test_laplacian_and_field_are_exact_for_polynomials_of_the_fits_degree(name):
     oracle = oracle_of(name)
     for degree, fits in ((1, LINEAR_FITS), (2, QUADRATIC_FITS)):
-        defects = laws.exactness_defects(oracle, operators_of(name), degree, fits)
+        defects = operator_laws.exactness_defects(oracle, operators_of(name), degree, fits)
         assert defects["rows"] > 0 or not fits & set(oracle.coverage())
         assert defects["laplacian"] < 1e-12
         assert defects["field"] < 1e-12
@@ -234,7 +234,7 @@ def test_corrections_vanish_at_the_finest_ghosts_behind_open_walls(name):
 
 @each_case
 def test_transfers_are_exact_for_linear_functions(name):
-    assert laws.transfer_defect(oracle_of(name), operators_of(name)) < 1e-13
+    assert operator_laws.transfer_defect(oracle_of(name), operators_of(name)) < 1e-13
 
 
 @pytest.mark.parametrize("name", SOLVED, scope="module")
@@ -242,7 +242,7 @@ def test_composite_solution_is_exact_for_linear_functions(name):
     """With a single-value fit nowhere, the linear function of its own boundary data solves the whole system."""
     oracle = oracle_of(name)
     assert set(oracle.coverage()) <= LINEAR_FITS
-    exact = laws.random_polynomial(oracle, 1)
+    exact = operator_laws.random_polynomial(oracle, 1)
     system = composite_system(oracle, exact.data())
     phi = system.solve([np.zeros(oracle.size(level)) for level in range(oracle.levels)])
     efield = system.field(phi)

@@ -7,14 +7,14 @@ import pytest
 
 import amrpic
 from hierarchies import all_cases
-from parts import hierarchy_of
+from rank_subsets import hierarchy_of
 
 NAMES = ("no_fine", "composite", "coarse_boundary", "fine_boundary", "restriction", "prolongation", "uncovered")
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
 @pytest.mark.parametrize("name", ["L, away from walls", "corner", "region wrapping all axes, four levels"])
-def test_operators_multiply_alike_as_tpetra_matrices(comm, name):
+def test_operators_multiply_the_same_as_tpetra_matrices(comm, name):
     hierarchy = hierarchy_of(all_cases()[name], comm)
     solver = amrpic.PoissonSolver(hierarchy)
     for level in range(hierarchy.levels):

@@ -192,7 +192,7 @@ def test_memory_of_particles_is_used_again_and_not_hoarded():
     before = _native.idle_bytes()
     place = kept.pop().ctypes.data
     assert _native.idle_bytes() >= before
-    assert recycled(999_000, np.float64).ctypes.data == place  # of the same size but for a little
+    assert recycled(999_000, np.float64).ctypes.data == place  # of nearly the same size
     part = recycled(1_000_000, np.float64)[10:20]
     assert recycled(1_000_000, np.float64).ctypes.data != place  # the slice keeps it
     del part

@@ -136,7 +136,7 @@ def test_density_is_the_sum_of_those_of_the_species(comm):
 
 
 @pytest.mark.mpi(ranks=3)
-def test_mixed_species_move_alike_on_any_number_of_ranks(comm):
+def test_mixed_species_move_the_same_on_any_number_of_ranks(comm):
     alone, together = (Simulation(c, scene()) for c in (MPI.COMM_SELF, comm))
     for simulation in (alone, together):
         simulation.run()

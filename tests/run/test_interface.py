@@ -105,9 +105,11 @@ def test_particle_at_a_face_hardly_pushes_itself_in_a_run(comm, shape):
             schedule={"steps": 1},
         )
         simulation = Simulation(comm, given)
-        moved = simulation.state.moved
-        assert moved is not None
-        felt = (moved.momentum - simulation.particles.momentum) / (simulation.particles.charge[:, None] * dt / 2)
+        staggered = simulation.state.staggered
+        assert staggered is not None
+        felt = (staggered.moved.momentum - simulation.particles.momentum) / (
+            simulation.particles.charge[:, None] * dt / 2
+        )
         return float(comm.allreduce(np.abs(felt).sum())) * 1e-12 / size
 
     assert force("own-level") > 0.1

@@ -222,7 +222,7 @@ def test_killed_at_random_moments_it_ends_bit_by_bit_as_undisturbed(undisturbed)
 
 @pytest.mark.parametrize("ranks", [1, 3])
 @pytest.mark.parametrize("undisturbed", ["leapfrog"], indirect=True)  # whose particles depend on the field
-def test_killed_it_ends_alike_on_another_number_of_ranks(undisturbed, ranks):
+def test_killed_it_ends_the_same_on_another_number_of_ranks(undisturbed, ranks):
     reference = undisturbed
     folder = reference.parent / f"killed{ranks}"
     assert killed_when(while_writing(folder, LAST // 2), 2, folder)

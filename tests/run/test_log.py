@@ -60,7 +60,7 @@ def test_a_terminal_changes_nothing(comm):
     assert not set("\r\x1b") & set(plain.getvalue())
 
 
-def test_each_warning_is_told_once_and_counted_at_the_end(comm):
+def test_each_warning_is_reported_once_and_counted_at_the_end(comm):
     err = io.StringIO()
     shown_before = warnings.showwarning
     with RunLog(comm, 20, io.StringIO(), err) as log:

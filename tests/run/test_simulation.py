@@ -114,7 +114,7 @@ def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion):
 
 @pytest.mark.mpi(ranks=(1, 2))
 def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm, tmp_path):
-    """In the midst of a run to rounding, in files in all digits; and a run goes on alike, whoever looks."""
+    """In the midst of a run to rounding, in files in all digits; and a run goes on the same, whoever looks."""
     given = scene(
         motion={"kind": "leapfrog", "dt": 2e-9},
         schedule={"steps": 3},
@@ -123,8 +123,8 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
     seen, undisturbed = [], run(comm, given)
 
     def look(now: Simulation) -> None:
-        assert now.state.moved is not None
-        whole_kick = now.state.moved.momentum - now.state.particles.momentum
+        assert now.state.staggered is not None
+        whole_kick = now.state.staggered.moved.momentum - now.state.particles.momentum
         early, synchronized = now.state.particles.momentum, now.particles.momentum
         kick = np.abs(whole_kick).max(initial=0)
         assert kick > 0 and np.abs(synchronized - early - whole_kick / 2).max(initial=0) <= 1e-12 * kick
@@ -154,20 +154,20 @@ def test_momenta_are_those_of_the_time_of_positions_whenever_somebody_looks(comm
 
 def test_a_run_tells_of_files_that_an_earlier_one_left(comm, tmp_path, capsys):
     output = {"directory": str(tmp_path), "write": ["fields"]}
-    told = []
+    reported = []
     for steps in (3, 3, 1):
         run(comm, scene(schedule={"steps": steps}, output=output))
-        told.append("files of an earlier run, up to step 3; those beyond step 1 stay" in capsys.readouterr().err)
-    assert told == [False, False, True]
+        reported.append("files of an earlier run, up to step 3; those beyond step 1 stay" in capsys.readouterr().err)
+    assert reported == [False, False, True]
     assert (tmp_path / "fields_00000003.vtkhdf").exists()
 
 
 def test_a_run_tells_that_all_particles_are_lost(comm, tmp_path, capsys):
     walk = {"kind": "random-walk", "amplitude": "10 m"}
     output = {"directory": str(tmp_path), "write": []}
-    for motion, told in ((walk, True), ({**walk, "amplitude": "1 mm"}, False)):
+    for motion, reported in ((walk, True), ({**walk, "amplitude": "1 mm"}, False)):
         run(comm, scene(motion=motion, schedule={"steps": 2}, output=output))
-        assert ("all particles have left the domain" in capsys.readouterr().err) == told
+        assert ("all particles have left the domain" in capsys.readouterr().err) == reported
 
 
 @pytest.mark.mpi(ranks=(1, 2))
@@ -176,9 +176,9 @@ def test_restart_tells_what_goes_on_otherwise(comm, tmp_path):
     Simulation(comm, given).checkpoint(tmp_path / "start")
     longer = scene(motion={"kind": "leapfrog", "dt": 2e-9}, schedule={"steps": 7})
     other = scene(motion={"kind": "random-walk", "amplitude": 3e-3}, seed=5)
-    told = [Simulation.restart(comm, tmp_path / "start", s).remarks for s in (longer, other)]
-    assert not any("goes on otherwise" in remark for remark in told[0])
-    (remark,) = [remark for remark in told[1] if "goes on otherwise" in remark]
+    reported = [Simulation.restart(comm, tmp_path / "start", s).remarks for s in (longer, other)]
+    assert not any("goes on otherwise" in remark for remark in reported[0])
+    (remark,) = [remark for remark in reported[1] if "goes on otherwise" in remark]
     assert "seed is 5, before" in remark and "motion.kind is random-walk, before leapfrog" in remark
     assert "motion.dt is not given, before 2e-09" in remark
 

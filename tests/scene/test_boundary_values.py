@@ -45,8 +45,8 @@ def test_walls_of_a_quadrupole_make_its_field_without_charge(comm, tmp_path):
 
 @pytest.mark.mpi(ranks=(1, 2))
 @pytest.mark.parametrize("formula", ["1/(y - y)", "sqrt(x - 5)", "9^9^9^9^9"])
-def test_a_formula_without_a_value_is_told_with_its_key(comm, tmp_path, formula):
-    with pytest.raises(InputError, match=r"^domain.potential.z: its formula .*; mend it$"):
+def test_a_formula_without_a_value_is_reported_with_its_key(comm, tmp_path, formula):
+    with pytest.raises(InputError, match=r"^domain.potential.z: its formula .*; correct it$"):
         Simulation(comm, scene(tmp_path, boundary={"z": "dirichlet"}, potential={"z": [0, formula]}))
 
 
@@ -71,7 +71,7 @@ def test_a_formula_is_what_numpy_says():
         ({"potential": {"x": "x if y else z"}}, "which no formula knows"),
     ],
 )
-def test_mistakes_are_told_in_one_sentence(domain, words):
+def test_mistakes_are_reported_in_one_sentence(domain, words):
     with pytest.raises(SceneError, match=r"domain.*;") as refused:
         scene(**domain)
     assert words in str(refused.value)

@@ -1,4 +1,4 @@
-"""The scene model: one meaning in TOML and Python, units, overrides, defaults, and mistakes told in one sentence."""
+"""The scene model: one meaning in TOML and Python, units, overrides, defaults, and mistakes reported in one sentence."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def test_bad_override_names_itself(assignment):
         ({"domain": {"lower": -1, "upper": 1, "cells": 32, "boundary": "periodic"}}, ["1e-11 C", "neutralizing"]),
     ],
 )
-def test_mistake_is_told_in_one_sentence(changes, words):
+def test_mistake_is_reported_in_one_sentence(changes, words):
     message = refusal(**changes)
     for word in words:
         assert word in message
@@ -230,6 +230,6 @@ def test_memory_and_index_limits_state_both_numbers():
         check_scene(scene(domain={"lower": -1, "upper": 1, "cells": 2**13}), ranks=1, available=10**18)
 
 
-def test_missing_particle_file_is_told_by_the_check():
+def test_missing_particle_file_is_reported_by_the_check():
     with pytest.raises(SceneError, match=r"bunches\.1\.file \(nowhere\.h5\) does not exist"):
         check_scene(scene(bunches=[BUNCH, {"distribution": "openpmd", "file": "nowhere.h5"}]), ranks=1)

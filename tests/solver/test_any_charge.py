@@ -12,7 +12,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.errors import SolverError
 from amrpic.stages.poisson import PoissonSolver
-from exact import EPS0
+from static_case import EPS0
 
 BACKENDS = ("matrix-free", "crs")
 

@@ -23,7 +23,7 @@ from amrpic.stages.migrate import migrate
 from amrpic.verify.meshes import MESHES
 from hierarchies import all_cases
 from particle_cases import scattered as scattered_particles
-from parts import hierarchy_of
+from rank_subsets import hierarchy_of
 
 CASES = all_cases()
 MIXED = {"x": ("dirichlet", "neumann"), "y": ("open", "dirichlet"), "z": ("neumann", "open")}
@@ -95,7 +95,7 @@ class Problem:
         first = 0
         for patch in self.rho.patches:
             if patch.level == level:
-                rows[window(patch)] = first + np.arange(patch.data.size).reshape(patch.data.shape, order="F")
+                rows[slices_of(patch)] = first + np.arange(patch.data.size).reshape(patch.data.shape, order="F")
                 first += patch.data.size
         out = term(-self.rho.native.level(level) / _native.vacuum_permittivity) + term(-self.mean)
         kind, axis, cells, _ = self.wall_cells(level)
@@ -154,7 +154,7 @@ class Problem:
             for patch in self.rho.patches:
                 if patch.level == level:
                     part = own[first : first + patch.data.size]
-                    whole[window(patch)] = part.reshape(patch.data.shape, order="F")
+                    whole[slices_of(patch)] = part.reshape(patch.data.shape, order="F")
                     first += patch.data.size
             self.hierarchy.comm.Allreduce(MPI.IN_PLACE, whole, MPI.MAX)
             out.append(whole)
@@ -166,7 +166,7 @@ def scattered(seed: Any, *cell: np.ndarray) -> np.ndarray:
     return np.sin(1e4 * np.sin(seed + 12.9898 * cell[0] + 78.233 * cell[1] + 37.719 * cell[2]))
 
 
-def window(patch: Any) -> tuple[slice, ...]:
+def slices_of(patch: Any) -> tuple[slice, ...]:
     return tuple(slice(a, b + 1) for a, b in zip(patch.lower, patch.upper, strict=True))
 
 

@@ -10,7 +10,7 @@ import amrpic
 from amrpic.errors import SceneError, SolverError
 from amrpic.scene.scene import Scene
 from amrpic.stages.poisson import PoissonSolver
-from exact import STATIC, errors, solve_static, static_hierarchy
+from static_case import STATIC, errors, solve_static, static_hierarchy
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))

@@ -265,7 +265,7 @@ def split_by_patch(fine, lower, upper):
     return np.concatenate(positions), np.concatenate(charges), np.concatenate(levels)
 
 
-def test_refined_charge_seen_from_distant_walls():
+def test_potential_of_refined_charge_at_distant_walls():
     n = 16
     positions, charges, levels = split_by_patch(
         gaussian(2 * n, (0.0, 0.05, -0.05), 0.07, half_width=0.5), (5, 5, 5), (10, 10, 10)

@@ -10,7 +10,7 @@ import amrpic
 from amrpic import isa
 from amrpic.errors import SolverError
 from amrpic.stages.poisson import PoissonSolver
-from exact import EPS0, STATIC, errors, observed_order, solve_static, static_hierarchy
+from static_case import EPS0, STATIC, errors, observed_order, solve_static, static_hierarchy
 
 # Errors of a mature solver (AMReX) on the same case, levels 0, 1, 2: L2 relative, max relative.
 PEER_PHI = [(6.8e-5, 2.7e-5), (1.0e-4, 4.4e-5), (2.2e-4, 8.2e-4)]
@@ -43,7 +43,7 @@ def test_static_64_takes_six_cycles_on_any_decomposition(comm, max_grid_size):
     assert report.converged
     assert report.cycles == 6
     assert max(np.divide(report.residuals[2:], report.residuals[1:-1])) < 0.05
-    # the history of the cycle is the same on any decomposition, but for the rounding of single precision, which is another
+    # the history of the cycle is the same on any decomposition, except the rounding of single precision, which is another
     # one on processors without fused multiply-adds
     rounding = 1e-3 if isa.in_use == "v2" else 1e-6
     assert report.residuals[1] == pytest.approx(HISTORY["matrix-free"][0], rel=rounding)

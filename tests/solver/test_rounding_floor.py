@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
-from exact import EPS0
+from static_case import EPS0
 
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 

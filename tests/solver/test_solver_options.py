@@ -17,7 +17,7 @@ from amrpic.scene import solver_options
 from amrpic.scene.scene import Scene
 from amrpic.scene.solver_options import SolverOptions
 from amrpic.stages.poisson import PoissonSolver, native_options
-from exact import STATIC, solve_static, static_hierarchy
+from static_case import STATIC, solve_static, static_hierarchy
 
 POINTS = np.random.default_rng(2).uniform(0.01, 0.99, (500, 3))
 MIXED = {"x": ("neumann", "dirichlet"), "y": "periodic", "z": ("dirichlet", "neumann")}

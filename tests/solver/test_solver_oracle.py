@@ -14,7 +14,7 @@ from scipy.constants import epsilon_0
 import amrpic
 from hierarchies import Case, all_cases
 from oracle import BoundaryData, CompositeSystem, Oracle, cells_of, composite_system
-from parts import first_ranks, hierarchy_of, wait_quietly
+from rank_subsets import first_ranks, hierarchy_of, wait_quietly
 
 CASES = all_cases()
 SOLVED = (

@@ -12,7 +12,7 @@ import amrpic
 from amrpic.errors import SceneError, SolverError
 from amrpic.scene.scene import Scene
 from amrpic.stages.poisson import PoissonSolver
-from exact import Gaussian
+from static_case import Gaussian
 
 GAMMA = 8.0
 BUNCH = Gaussian((0.06,) * 3, (0.5, 0.5, 0.45))
@@ -46,7 +46,7 @@ def test_field_of_a_moving_bunch_is_the_lorentz_transform_of_that_at_rest(comm, 
             assert np.allclose(seen.array(level), factor * own.array(level), rtol=0, atol=1e-8 * factor * largest)
 
 
-def test_net_charge_of_a_stretched_problem_is_told_in_coulombs(comm):
+def test_net_charge_of_a_stretched_problem_is_reported_in_coulombs(comm):
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), boundary="periodic")
     hierarchy = amrpic.Hierarchy(comm, domain)
     rho = amrpic.Field(hierarchy).fill(lambda x, y, z: 2e-9 + 0 * (x + y + z))

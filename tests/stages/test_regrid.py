@@ -12,7 +12,7 @@ from amrpic import Domain, Field, Hierarchy
 from amrpic.errors import HierarchyError
 from amrpic.mesh.domain import BoundarySpec
 from amrpic.stages.regrid import Regridding, balance, carry_over, regrid
-from amrpic.stages.tag import beyond, magnitude
+from amrpic.stages.tag import exceeding, magnitude
 
 CELLS = (24, 16, 32)
 
@@ -161,7 +161,7 @@ def test_fifty_regrids_in_a_row_do_not_drift(comm):
         place, shape = rng.random(3) * (1.5, 1.0, 2.0), Field(hierarchy)
         shape.fill(gaussian(place))
         values = magnitude(shape, "shape")
-        new = regrid(hierarchy, beyond(values, np.full(len(values), 0.5)), settings)
+        new = regrid(hierarchy, exceeding(values, np.full(len(values), 0.5)), settings)
         mesh_changes += new is not hierarchy
         field, hierarchy = carry_over(field, new), new
     assert mesh_changes > 40

@@ -21,7 +21,7 @@ from amrpic.mesh.field import Field
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.run.adapt import follow, make_base
 from amrpic.run.initial_particles import make_particles
-from amrpic.run.particle_fields import Quantities
+from amrpic.run.particle_fields import ParticleFields
 from amrpic.run.plan import Plan
 from amrpic.run.simulation import Simulation
 from amrpic.run.tagging_rules import apart, index_boxes, tags_of
@@ -56,16 +56,16 @@ def scene(rule: Any, **refinement: Any) -> Scene:
     return Scene.from_dict(data)
 
 
-def on_base(comm: MPI.Comm, given: Scene) -> Quantities:
+def on_base(comm: MPI.Comm, given: Scene) -> ParticleFields:
     plan = Plan(comm, given)
     base = make_base(plan)
-    return Quantities(migrate(make_particles(comm, given), base)[0], base, plan)
+    return ParticleFields(migrate(make_particles(comm, given), base)[0], base, plan)
 
 
 class World:
     """What the cells of all ranks hold, as dense arrays per level; nan, or nothing, where a level has no cells."""
 
-    def __init__(self, seen: Quantities, fields: bool) -> None:
+    def __init__(self, seen: ParticleFields, fields: bool) -> None:
         levels = range(seen.hierarchy.levels)
         self.exists = [mask(seen.hierarchy, level) == 1 for level in levels]
         self.rho = [np.abs(dense(seen.rho, level)) for level in levels]
@@ -182,7 +182,7 @@ def test_rule_refines_the_cells_that_numpy_asks_for(comm, name):
 ONE_LEVEL = {"at most", "all inside a box"}
 
 
-def refined(seen: Quantities, settings: Regridding):
+def refined(seen: ParticleFields, settings: Regridding):
     rule, static = apart(seen.plan.scene.refinement.rule)
     assert rule is not None
     return regrid(seen.hierarchy, tags_of(rule, seen), settings, index_boxes(static, seen.hierarchy.domain))
@@ -245,7 +245,7 @@ def test_what_is_refined_stays_while_loosened_thresholds_ask_for_it(comm, name):
     """On a mesh that was refined for something else; what loosened thresholds ask for elsewhere does not come."""
     rule, oracle = LOOSENED[name]
     old = follow(on_base(comm, scene(ELSEWHERE)))
-    seen = Quantities(old.particles, old.hierarchy, Plan(comm, scene(rule, efficiency=1.0)))
+    seen = ParticleFields(old.particles, old.hierarchy, Plan(comm, scene(rule, efficiency=1.0)))
     world = World(seen, fields=False)
     strict, loose = ([oracle(world, level, part) & world.exists[level] for level in range(2)] for part in (1, 0.25))
     kept, plain = (wanted_blocks(seen.hierarchy, strict, FULL, stays) for stays in (loose, []))
@@ -288,7 +288,7 @@ def meshes(comm: MPI.Comm, hysteresis: float, charges: list[float]) -> list[Hier
     for charge in charges:
         particles = dataclasses.replace(seen.particles, weight=weight * charge)
         particles, _ = migrate(particles, seen.hierarchy)
-        seen = follow(Quantities(particles, seen.hierarchy, seen.plan), hysteresis if out else 1.0)
+        seen = follow(ParticleFields(particles, seen.hierarchy, seen.plan), hysteresis if out else 1.0)
         weight = np.array(seen.particles.weight) / charge
         out.append(seen.hierarchy)
     return out
@@ -410,7 +410,7 @@ def test_rule_without_sense_is_refused_in_one_sentence(name):
         assert word in message
 
 
-def test_a_mistake_in_a_key_that_has_the_name_of_a_rule_is_told_with_its_place():
+def test_a_mistake_in_a_key_that_has_the_name_of_a_rule_is_reported_with_its_place():
     with pytest.raises(SceneError, match=r"bunches\.0\.momentum\.0 \('3 mm'\) "):
         Scene.from_dict({"domain": DOMAIN, "bunches": [{**LONE, "momentum": "3 mm"}]})
 
@@ -428,13 +428,16 @@ def fails(rho):
 @pytest.mark.parametrize(
     "function, words",
     [
-        (fails, ["function fails of refinement.rule on level 0", "raised ZeroDivisionError: no such cell", "mend it"]),
+        (
+            fails,
+            ["function fails of refinement.rule on level 0", "raised ZeroDivisionError: no such cell", "correct it"],
+        ),
         (lambda rho: rho, ["values of type float64", "return bool"]),
         (lambda rho: rho[:3] > 0, ["shape (3, 8, 8)", "(8, 8, 8)"]),
         (lambda rho: rho.__setitem__(0, 1), ["raised ValueError", "read-only"]),
     ],
 )
-def test_function_that_fails_on_one_rank_is_told_of_by_all(comm, function, words):
+def test_function_that_fails_on_one_rank_is_reported_by_all(comm, function, words):
     seen = on_base(comm, scene({"kind": "callable", "function": function}, max_grid_size=8))
     with pytest.raises(InputError) as failed:
         follow(seen)

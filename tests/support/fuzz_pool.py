@@ -147,7 +147,7 @@ class Pool:
 
 
 def serve(address: str) -> None:
-    """One rank: run calls until told to end."""
+    """One rank: run calls until asked to end."""
     import resource
 
     from mpi4py import MPI

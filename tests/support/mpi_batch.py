@@ -215,7 +215,7 @@ class Call:
         """What the processes printed, and where they hung."""
         parts = [("output", self.folder / "output")]
         parts += [(f"rank {r} hung in", notes.path.with_suffix(".stacks")) for r, notes in enumerate(self.notes)]
-        texts = [(title, told(path.read_text(errors="replace"))) for title, path in parts if path.exists()]
+        texts = [(title, own_lines(path.read_text(errors="replace"))) for title, path in parts if path.exists()]
         return "\n".join(f"--- {title} ---\n{text}" for title, text in texts if text.strip())
 
 
@@ -232,7 +232,7 @@ def merged_phase(when: str, of_rank: dict[int, pytest.TestReport]) -> pytest.Tes
     return report
 
 
-def told(text: str) -> str:
+def own_lines(text: str) -> str:
     """The text without the stack frames of pytest itself, its end if it is long."""
     own = ("/_pytest/", "/pluggy/", "/pytest/", "/mpi4py/", "<frozen runpy>")
     lines = [line for line in text.splitlines() if not any(part in line for part in own)]
@@ -296,5 +296,5 @@ class Launcher:
         self.reports.update(call.reports())
 
     def may_share(self, item: pytest.Item, first: pytest.Item, ranks: int) -> bool:
-        alike = item.path == first.path and ranks_of(item) == ranks
-        return alike and item is not first and item.nodeid not in self.reports
+        same_call = item.path == first.path and ranks_of(item) == ranks
+        return same_call and item is not first and item.nodeid not in self.reports

@@ -76,7 +76,7 @@ def test_meshes_exist_at_every_multiple_of_eight(mesh):
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
 @pytest.mark.parametrize("case", ["checkerboard of blocks of 4", "level without charge", "tolerance 0", "one particle"])
-def test_hard_cases_come_out_alike_on_any_number_of_ranks(comm, case):
+def test_hard_cases_come_out_the_same_on_any_number_of_ranks(comm, case):
     alone, together = (CASES[case](c) for c in (MPI.COMM_SELF, comm))
     for (what, value), (same, other) in zip(alone, together, strict=True):
         assert isinstance(value, Goal) and isinstance(other, Goal)
@@ -99,7 +99,7 @@ def test_a_missed_goal_is_marked_and_fails_the_command(monkeypatch, capsys, tmp_
     assert (tmp_path / "pictures" / "verify_odd.png").stat().st_size > 1000
 
 
-def test_an_unknown_topic_is_told():
+def test_an_unknown_topic_is_reported():
     with pytest.raises(InputError, match="knows no topic"):
         list(verify(MPI.COMM_SELF, ["everything"]))
 
@@ -167,7 +167,7 @@ def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
     together = list(tables(comm))
     assert len(apart) == len(together)
     for found, wanted in zip(apart, together, strict=True):
-        # a solve that stops at a tenth of an error is told apart by the rounding of its single-precision corrections
+        # a solve that stops at a tenth of an error is reported apart by the rounding of its single-precision corrections
         assert_same(found, wanted, 1e-3 if topic == "stopping" else 1e-4)
 
 
@@ -181,7 +181,7 @@ def test_backends_are_compared_as_soon_as_there_are_two(comm):
     assert all(table.met and len(table.rows) == 4 * len(MESHES) for table in found)
 
 
-def test_an_unknown_backend_is_told():
+def test_an_unknown_backend_is_reported():
     with pytest.raises(InputError, match='no backend "abacus"'):
         list(verify(MPI.COMM_SELF, ["stopping"], backend="abacus"))
 
@@ -246,12 +246,12 @@ def test_cylinder_holds_its_charge_whatever_the_cells():
 def test_scenes_without_a_formula_are_refused():
     domain = {"lower": -1, "upper": 1, "cells": 16}
     bunch = {"distribution": "waterbag", "sigma": 0.1, "charge": 1e-9, "particles": 100}
-    for bunches, told in (
+    for bunches, reported in (
         ([], "has no bunches"),
         ([bunch], "bunches.0 is a waterbag bunch, whose density has no formula"),
         ([{**bunch, "distribution": "gaussian", "sigma": 0}], "bunches.0 has zero size"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=reported):
             density_of(Scene.from_dict({"domain": domain, "bunches": bunches}))
 
 

@@ -89,7 +89,7 @@ def test_the_line_follows_the_long_side_of_the_charge_from_wall_to_wall(comm, tm
     assert np.abs(efield - line.points).max() <= DOMAIN.spacing.max() / 2 * 1.001
 
 
-def test_a_train_of_bunches_is_seen_along_its_diagonal(comm, tmp_path):
+def test_a_train_of_bunches_is_drawn_along_its_diagonal(comm, tmp_path):
     def train(x, y, z):
         return sum(np.exp(-((x - b) ** 2 + (y + 0.01 - b) ** 2 + (z - 0.09) ** 2) / 2e-5) for b in (-0.01, 0, 0.01))
 
@@ -138,7 +138,7 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         assert 0 <= box.y0 < box.y1 <= height
 
 
-def test_options_go_to_the_pictures_that_heed_them():
+def test_options_go_to_the_pictures_that_have_them():
     views = plot.with_options(plot.OVERVIEW, position=0.1, scale="log", axis=0)
     assert [view.position for view in views] == [0.1, 0.1, None, None]
     assert [view.scale for view in views] == ["log", "log", "log", "auto"]

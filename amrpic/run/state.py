@@ -1,0 +1,89 @@
+"""The state of a run between two steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..particles.particles import Particles, concatenate
+from ..stages.diagnostics import Moments, moments
+from ..stages.poisson import SolveReport
+from .leapfrog import Staggered
+
+
+@dataclass(frozen=True, eq=False)
+class Lost:
+    """Particles that left the domain, as they were when they did, and the time (n,) in s. This rank's share."""
+
+    particles: Particles
+    time: np.ndarray
+
+    def joined(self, particles: Particles, now: float) -> Lost:
+        """Return these and those that are lost now."""
+        if len(particles) == 0:
+            return self
+        times = np.concatenate([self.time, np.full(len(particles), now)])
+        return Lost(concatenate([self.particles, particles]), times)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A charge density, and the potential and field that were solved for it."""
+
+    rho: Field  # of the particles, C/m³; without a neutralizing background
+    phi: Field  # V
+    efield: VectorField  # V/m
+    report: SolveReport
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that a step starts from; positions and fields belong to the same time. Made by `step.state_of`."""
+
+    particles: Particles  # sorted on the hierarchy; their momenta lag positions where `staggered` says so
+    staggered: Staggered | None  # None without leapfrog: then momenta belong to the time of positions
+    solution: Solution
+    lost: Lost
+    step: int
+    time: float  # s
+    regridded: bool = False  # whether the latest step changed the mesh
+    seconds: dict[str, float] = field(default_factory=dict)  # of the stages of the latest step, on this rank
+
+    @property
+    def hierarchy(self) -> Hierarchy:
+        return self.solution.rho.hierarchy
+
+    @property
+    def rho(self) -> Field:
+        """Charge density of the particles, C/m³."""
+        return self.solution.rho
+
+    @property
+    def phi(self) -> Field:
+        """Potential, V."""
+        return self.solution.phi
+
+    @property
+    def efield(self) -> VectorField:
+        """Electric field, V/m."""
+        return self.solution.efield
+
+    @property
+    def report(self) -> SolveReport:
+        """How the solve went."""
+        return self.solution.report
+
+    @property
+    def synchronized(self) -> Particles:
+        """The particles with momenta of the time of the state, to rounding; made anew each time."""
+        return self.particles if self.staggered is None else self.staggered.synchronized(self.particles)
+
+    def moments(self) -> Moments:
+        """Return the moments of the particles at the time of the state. Collective."""
+        comm, staggered = self.hierarchy.comm, self.staggered
+        if staggered is None:
+            return moments(comm, self.particles)
+        return moments(comm, self.particles, staggered.moved, staggered.weight)

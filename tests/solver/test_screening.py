@@ -81,7 +81,7 @@ def test_a_screened_potential_between_neumann_walls_has_a_mean_and_takes_any_net
 
 def test_screening_is_refused_behind_open_walls_and_below_zero(comm):
     walls = amrpic.Hierarchy(
-        comm, amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), boundary=("dirichlet", "neumann", "open"))
+        comm, amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), boundary={"x": "dirichlet", "y": "neumann"})
     )
     with pytest.raises(SolverError, match="screening"):
         amrpic.PoissonSolver(walls, screening=1.0)

@@ -1,5 +1,9 @@
+#include "matrixfree/composite_field.hpp"
+
+#include <algorithm>
+
+#include "base/fetch.hpp"
 #include "base/lanes.hpp"
-#include "matrixfree/composite.hpp"
 #include "mesh/means.hpp"
 
 namespace amrpic {
@@ -10,19 +14,57 @@ constexpr int children = 8;  ///< of a cell
 
 }  // namespace
 
+/// Set the field in plane k of a box, whose components there are `e`: in all cells, or in those at faces of the box.
+void CompositeField::field_plane(int l, int b, int k, Where where, Field const& phi, std::array<Real*, 3> const& e) {
+  Box const& own = mesh_.box(l, b);
+  int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
+  std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+  Real3 factor;
+  for (int d = 0; d < 3; ++d) factor[d] = mesh_.factor_of_field(l, d);
+  for (int j = 0; j < ny; ++j) {
+    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
+    Real const* const c = cells + k * plane + at;
+    fetch<Use::read>(c + plane + page<Real>, nx);
+    auto difference = [&](int d, Real const* below, Real const* above, int first, int last) {
+      Real* __restrict out = e[d] + at;
+      for (int i = first; i < last; ++i) out[i] = field_between(factor[d], below[i], above[i]);
+    };
+    std::size_t const end = std::size_t(j) + std::size_t(k) * std::size_t(ny);
+    auto set = [&](int first, int last) {
+      difference(0, c - 1, c + 1, std::max(first, 1), std::min(last, nx - 1));
+      if (first == 0) e[0][at] = field_between(factor[0], ghosts_.ghosts(0, 0)[end], c[1]);
+      if (last == nx) e[0][at + nx - 1] = field_between(factor[0], c[nx - 2], ghosts_.ghosts(0, 1)[end]);
+      difference(1, j > 0 ? c - nx : ghosts_.ghosts(1, 0) + std::ptrdiff_t(k) * nx,
+                 j + 1 < ny ? c + nx : ghosts_.ghosts(1, 1) + std::ptrdiff_t(k) * nx, first, last);
+      difference(2, k > 0 ? c - plane : ghosts_.ghosts(2, 0) + at, k + 1 < nz ? c + plane : ghosts_.ghosts(2, 1) + at,
+                 first, last);
+    };
+    if (where == Where::everywhere || j == 0 || j + 1 == ny || k == 0 || k + 1 == nz) {
+      set(0, nx);
+    } else {
+      set(0, 1);
+      set(nx - 1, nx);
+    }
+  }
+  ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int side, Real excess) {
+    e[axis][at - k * plane] += (side == 0 ? factor[axis] : -factor[axis]) * excess;
+  });
+}
+
 /// Give the means of a level's cells, box by box, to the covered cells of the coarser level, whose rim is all of their
 /// box.
-void CompositeLaplacian::give_means(int l, Real const* means, ElectricField& field) {
+void CompositeField::give_means(int l, Real const* means, ElectricField& field) {
   constexpr std::ptrdiff_t width = ElectricField::rim_width;
-  LevelPlan& coarse = plan_.levels[std::size_t(l) - 1];
-  auto const first_of = [&](int b) { return means + width * (level(l).local_offset(b) / children); };
-  auto const parents_of = [&](int b) { return level(l).box(b).coarsen(refinement_ratio); };
+  LevelPlan& coarse = mesh_.plan(l - 1);
+  auto const first_of = [&](int b) { return means + width * (mesh_.level(l).local_offset(b) / children); };
+  auto const parents_of = [&](int b) { return mesh_.level(l).box(b).coarsen(refinement_ratio); };
   auto const at_rim = [&](LocalIndex place) { return field.at_rim(l - 1) + width * field.rim(l - 1).number(place); };
 
-  for (int b = 0; b < boxes(l); ++b)
-    for (int f = plan(l, b).families.first; f < plan(l, b).families.last; ++f) {
-      Family const& family = plan(l).families[std::size_t(f)];
-      int const box = level(l).first_local_box() + b;
+  for (int b = 0; b < mesh_.boxes(l); ++b)
+    for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
+      Family const& family = mesh_.plan(l).families[std::size_t(f)];
+      int const box = mesh_.level(l).first_local_box() + b;
       Index3 const pitch = pitches(parents_of(box));
       Real const* from = first_of(box);
       for (int d = 0; d < 3; ++d) from += width * (family.child[d] / 2) * pitch[d];
@@ -54,39 +96,39 @@ void CompositeLaplacian::give_means(int l, Real const* means, ElectricField& fie
 }
 
 /// Set the means of planes k and k + 1 of a box, which are under way, box by box.
-void CompositeLaplacian::average_field(int l, int b, int k, Real* means) {
-  Box const parents = box(l, b).coarsen(refinement_ratio);
+void CompositeField::average_field(int l, int b, int k, Real* means) {
+  Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
   std::ptrdiff_t const nx = parents.extent(0), plane = nx * parents.extent(1);
-  Real* to = means + ElectricField::rim_width * (offset(l, b) / children + k / 2 * plane);
-  std::array<Real*, 3> const row{fits_.data(), fits_.data() + nx, coarse_.data()};
+  Real* to = means + ElectricField::rim_width * (mesh_.offset(l, b) / children + k / 2 * plane);
+  std::array<Real*, 3> const row{rows_.data(), rows_.data() + nx, rows_.data() + 2 * nx};
   for (int j = 0; j < parents.extent(1); ++j, to += ElectricField::rim_width * nx) {
     for (int d = 0; d < 3; ++d)
-      average_children(int(nx), plane_.data() + 2 * d * 4 * plane + 4 * j * nx, 2 * nx, 4 * plane, row[d]);
+      average_children(int(nx), planes_.data() + 2 * d * 4 * plane + 4 * j * nx, 2 * nx, 4 * plane, row[d]);
     write_cells({row[0], row[1], row[2]}, int(nx), to);
   }
 }
 
-ElectricField CompositeLaplacian::electric_field(std::shared_ptr<Field const> potential,
-                                                 std::vector<Walls> const& walls, CoveredField covered) {
+ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
+                                             CoveredField covered) {
   Field const& phi = *potential;
-  std::vector<Real3> factor(std::size_t(hierarchy_->level_count()));
+  std::vector<Real3> factor(std::size_t(mesh_.levels()));
   for (std::size_t l = 0; l < factor.size(); ++l)
-    for (int d = 0; d < 3; ++d) factor[l][d] = factor_of_field(int(l), d);
+    for (int d = 0; d < 3; ++d) factor[l][d] = mesh_.factor_of_field(int(l), d);
   ElectricField out(std::move(potential), std::move(factor));
 
   bool const averages = covered == CoveredField::mean;
-  std::vector<LargeArray<Real>> means(std::size_t(hierarchy_->level_count()));  // of each level's cells
-  for (int l = 1; averages && l < hierarchy_->level_count(); ++l)
-    means[std::size_t(l)].resize(ElectricField::rim_width * std::size_t(level(l).local_cells() / children));
+  std::vector<LargeArray<Real>> means(std::size_t(mesh_.levels()));  // of each level's cells
+  for (int l = 1; averages && l < mesh_.levels(); ++l)
+    means[std::size_t(l)].resize(ElectricField::rim_width * std::size_t(mesh_.level(l).local_cells() / children));
 
   auto planes_of = [&](int l, int b, int k) {  // set two by two, in memory that all boxes share
     std::array<Real*, 3> e;
-    for (int d = 0; d < 3; ++d) e[d] = plane_.data() + (2 * d + k % 2) * std::ptrdiff_t(pitches(box(l, b))[2]);
+    for (int d = 0; d < 3; ++d) e[d] = planes_.data() + (2 * d + k % 2) * std::ptrdiff_t(pitches(mesh_.box(l, b))[2]);
     return e;
   };
   auto set_box = [&](int l, int b) {
     bool const whole = out.rim(l).is_whole(b), is_averaged = averages && l > 0 && !whole;
-    for (int k = 0; k < box(l, b).extent(2); ++k) {
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       auto const e = planes_of(l, b, k);
       field_plane(l, b, k, whole || is_averaged ? Where::everywhere : Where::at_faces, phi, e);
       out.set_rim(l, b, k, {e[0], e[1], e[2]});
@@ -95,14 +137,15 @@ ElectricField CompositeLaplacian::electric_field(std::shared_ptr<Field const> po
   };
   auto finish_level = [&](int l) {  // covered cells first, then the means that take these in
     stream_end();
-    if (averages && hierarchy_->has_finer(l)) give_means(l + 1, means[std::size_t(l) + 1].data(), out);
-    for (int b = 0; b < boxes(l) && averages && l > 0; ++b)
-      for (int k = 0; out.rim(l).is_whole(b) && k < box(l, b).extent(2); ++k) {
+    if (averages && mesh_.hierarchy().has_finer(l)) give_means(l + 1, means[std::size_t(l) + 1].data(), out);
+    for (int b = 0; b < mesh_.boxes(l) && averages && l > 0; ++b)
+      for (int k = 0; out.rim(l).is_whole(b) && k < mesh_.box(l, b).extent(2); ++k) {
         out.write_plane(l, b, k, planes_of(l, b, k));
         if (k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
       }
   };
-  visit(phi, walls, averages ? Hidden::skip : Hidden::visit, set_box, finish_level);
+  using FullyCovered = CompositeGhosts::FullyCovered;
+  ghosts_.visit(phi, walls, averages ? FullyCovered::skip : FullyCovered::visit, set_box, finish_level);
   return out;
 }
 

@@ -331,6 +331,18 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   cells.connect(hierarchy.comm());
 }
 
+std::int64_t CompositePlan::messages() const {
+  std::int64_t sum = cells.messages();
+  for (auto const& l : levels) sum += l.finer_fluxes.messages() + l.finer_means.messages();
+  return sum;
+}
+
+std::int64_t CompositePlan::message_bytes() const {
+  std::int64_t sum = cells.bytes();
+  for (auto const& l : levels) sum += l.finer_fluxes.bytes() + l.finer_means.bytes();
+  return sum;
+}
+
 std::size_t CompositePlan::bytes() const {
   std::size_t sum = cells.memory();
   for (auto const& l : levels)

@@ -99,7 +99,9 @@ struct CompositePlan {
   std::vector<LevelPlan> levels;
   Imports cells;  ///< cells of other ranks, of all levels
 
-  std::size_t bytes() const;  ///< of this rank's lists
+  std::size_t bytes() const;           ///< of this rank's lists
+  std::int64_t messages() const;       ///< sent by this rank so far
+  std::int64_t message_bytes() const;  ///< sent by this rank so far
 };
 
 /// A part of a level's box that meets a region: `part` in the region's indices, `part` minus `shift` inside the box.

@@ -1,7 +1,10 @@
+#include "matrixfree/composite_truncation.hpp"
+
 #include <algorithm>
 
-#include "matrixfree/composite.hpp"
 #include "mesh/window.hpp"
+#include "stencil/intergrid.hpp"
+#include "stencil/laplacian.hpp"
 
 namespace amrpic {
 
@@ -186,76 +189,14 @@ void estimate_row(int n, Equation const& coarse, Real const* __restrict potentia
   }
 }
 
-}  // namespace
-
-template <class T>
-Real CompositeLaplacian::truncation(Source const& source, Field const& phi, Index3 const& base_ratio,
-                                    std::vector<Real> const& scale, Blocks<T> const& truncation) {
-  Magnitude largest(Norm::max);
-  for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    Index3 const ratio = l > 0 ? refinement_ratio : base_ratio;
-    if (ratio == Index3{1, 1, 1}) {
-      for (int b = 0; b < boxes(l); ++b)
-        for (int k = 0; k < box(l, b).extent(2); ++k) write_plane(l, b, k, 0, truncation[l][b]);
-      continue;
-    }
-    auto const first = first_parents(level(l), ratio);
-    auto const first_coarse = l > 0 ? first_parents(level(l - 1), {1, 1, 1}) : first;
-    Imports rho_imports, phi_imports;
-    std::vector<Task> tasks;
-    for (int b = 0; b < boxes(l); ++b) {
-      Box const parents = box(l, b).coarsen(ratio).grow({ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
-      Task task{b, parents, find_parts(level(l), l, ratio, first, parents, rho_imports), {}};
-      task.phi = l > 0 ? find_parts(level(l - 1), l - 1, {1, 1, 1}, first_coarse, parents.grow(1), phi_imports)
-                       : find_parts(level(0), 0, ratio, first, parents.grow(1), phi_imports);
-      tasks.push_back(std::move(task));
-    }
-    auto const charges = means(level(l), ratio, first, source.rho.level(l).data());
-    auto const potentials = l > 0 ? std::vector<Real>() : means(level(0), ratio, first, phi.level(0).data());
-    Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
-    rho_imports.connect(hierarchy_->comm());
-    phi_imports.connect(hierarchy_->comm());
-    rho_imports.start([&](Piece const& piece, Real* out) { pack_means(level(l), ratio, first, charges, piece, out); });
-    phi_imports.start([&](Piece const& piece, Real* out) {
-      l > 0 ? pack_cells(phi, piece, out) : pack_means(level(0), ratio, first, potentials, piece, out);
-    });
-    rho_imports.finish();
-    phi_imports.finish();
-    for (Task const& task : tasks) {
-      auto const charge = gather(task.parents, task.rho, charges.data(), rho_imports);
-      auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, phi_imports);
-      auto const usable =
-          usable_parents(level(l), hierarchy_->has_finer(l) ? &level(l + 1) : nullptr, ratio, task.parents);
-      Real3 spacing;
-      for (int d = 0; d < 3; ++d) spacing[d] = ratio[d] * level(l).spacing()[d];
-      Equation const coarse = equation_on(spacing, shift_);
-      Window<Real> error(task.parents, 0.0);
-      Box const& p = task.parents;
-      for (int k = p.lower[2]; k <= p.upper[2]; ++k)
-        for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
-          Index3 const first{p.lower[0], j, k};
-          estimate_row(p.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,
-                       &usable(first), &error(first));
-        }
-      prolong_truncation(l, task.box, ratio, error, scale[std::size_t(l)],
-                         truncation[std::size_t(l)][std::size_t(task.box)], largest);
-    }
-  }
-  return largest.over(hierarchy_->comm());
-}
-template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
-                                             Blocks<float> const&);
-template Real CompositeLaplacian::truncation(Source const&, Field const&, Index3 const&, std::vector<Real> const&,
-                                             Blocks<Real> const&);
-
 /// What is known in the parents, in the uncovered cells of a box.
 template <class T>
-void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, Window<Real> const& error, Real scale,
-                                            Block<T> const& out, Magnitude& largest) {
-  Box const& own = box(l, b);
+void prolong_truncation(CompositeMesh const& mesh, int l, int b, Index3 const& ratio, Window<Real> const& error,
+                        Real scale, Block<T> const& out, Magnitude& largest) {
+  Box const& own = mesh.box(l, b);
   int const width = error.box().extent(0), first = error.box().lower[0];
   int const before = floor_divide(own.lower[0], ratio[0]) - first;  // parents in front of the first cell's
-  std::vector<Real> row(std::size_t(width), 0.0);
+  std::vector<Real> row(std::size_t(width), 0.0), plane(std::size_t(own.extent(0)) * std::size_t(own.extent(1)));
   for (int k = 0; k < own.extent(2); ++k) {
     Pair const z = parents_along(own.lower[2] + k, ratio[2]);
     for (int j = 0; j < own.extent(1); ++j) {
@@ -265,12 +206,74 @@ void CompositeLaplacian::prolong_truncation(int l, int b, Index3 const& ratio, W
       Real* __restrict const mixed = row.data();
       for (int i = 0; i < width; ++i)
         mixed[i] = prolonged(z.far, prolonged(y.far, nn[i], fn[i]), prolonged(y.far, nf[i], ff[i]));
-      prolong_row(own.extent(0), ratio[0], row.data() + before, plane_.data() + std::ptrdiff_t(j) * own.extent(0));
+      prolong_row(own.extent(0), ratio[0], row.data() + before, plane.data() + std::ptrdiff_t(j) * own.extent(0));
     }
-    clear_covered(l, b, k, plane_.data());
-    largest.add(plane_.data(), std::ptrdiff_t(own.extent(0)) * own.extent(1), volume(l));
-    write_plane(l, b, k, scale, out);
+    mesh.clear_covered(l, b, k, plane.data());
+    largest.add(plane.data(), std::ptrdiff_t(own.extent(0)) * own.extent(1), mesh.volume(l));
+    mesh.write_plane(l, b, k, plane.data(), scale, out);
   }
 }
+
+}  // namespace
+
+template <class T>
+Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const& phi, Index3 const& base_ratio,
+                          std::vector<Real> const& scale, Blocks<T> const& truncation) {
+  Magnitude largest(Norm::max);
+  for (int l = 0; l < mesh.levels(); ++l) {
+    Index3 const ratio = l > 0 ? refinement_ratio : base_ratio;
+    if (ratio == Index3{1, 1, 1}) {
+      for (int b = 0; b < mesh.boxes(l); ++b) mesh.clear(l, b, truncation[std::size_t(l)][std::size_t(b)]);
+      continue;
+    }
+    auto const first = first_parents(mesh.level(l), ratio);
+    auto const first_coarse = l > 0 ? first_parents(mesh.level(l - 1), {1, 1, 1}) : first;
+    Imports rho_imports, phi_imports;
+    std::vector<Task> tasks;
+    for (int b = 0; b < mesh.boxes(l); ++b) {
+      Box const parents = mesh.box(l, b).coarsen(ratio).grow({ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
+      Task task{b, parents, find_parts(mesh.level(l), l, ratio, first, parents, rho_imports), {}};
+      task.phi = l > 0 ? find_parts(mesh.level(l - 1), l - 1, {1, 1, 1}, first_coarse, parents.grow(1), phi_imports)
+                       : find_parts(mesh.level(0), 0, ratio, first, parents.grow(1), phi_imports);
+      tasks.push_back(std::move(task));
+    }
+    auto const charges = means(mesh.level(l), ratio, first, source.rho.level(l).data());
+    auto const potentials = l > 0 ? std::vector<Real>() : means(mesh.level(0), ratio, first, phi.level(0).data());
+    Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
+    rho_imports.connect(mesh.comm());
+    phi_imports.connect(mesh.comm());
+    rho_imports.start(
+        [&](Piece const& piece, Real* out) { pack_means(mesh.level(l), ratio, first, charges, piece, out); });
+    phi_imports.start([&](Piece const& piece, Real* out) {
+      l > 0 ? mesh.pack_cells(phi, piece, out) : pack_means(mesh.level(0), ratio, first, potentials, piece, out);
+    });
+    rho_imports.finish();
+    phi_imports.finish();
+    for (Task const& task : tasks) {
+      auto const charge = gather(task.parents, task.rho, charges.data(), rho_imports);
+      auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, phi_imports);
+      auto const usable = usable_parents(mesh.level(l), mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr,
+                                         ratio, task.parents);
+      Real3 spacing;
+      for (int d = 0; d < 3; ++d) spacing[d] = ratio[d] * mesh.level(l).spacing()[d];
+      Equation const coarse = equation_on(spacing, mesh.shift());
+      Window<Real> error(task.parents, 0.0);
+      Box const& p = task.parents;
+      for (int k = p.lower[2]; k <= p.upper[2]; ++k)
+        for (int j = p.lower[1]; j <= p.upper[1]; ++j) {
+          Index3 const first{p.lower[0], j, k};
+          estimate_row(p.extent(0), coarse, &potential(first), potential.box(), &charge(first), source.background,
+                       &usable(first), &error(first));
+        }
+      prolong_truncation(mesh, l, task.box, ratio, error, scale[std::size_t(l)],
+                         truncation[std::size_t(l)][std::size_t(task.box)], largest);
+    }
+  }
+  return largest.over(mesh.comm());
+}
+template Real composite_truncation(CompositeMesh& mesh, Source const&, Field const&, Index3 const&,
+                                   std::vector<Real> const&, Blocks<float> const&);
+template Real composite_truncation(CompositeMesh& mesh, Source const&, Field const&, Index3 const&,
+                                   std::vector<Real> const&, Blocks<Real> const&);
 
 }  // namespace amrpic

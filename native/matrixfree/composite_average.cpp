@@ -1,0 +1,111 @@
+#include "matrixfree/composite_average.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/fused.hpp"
+#include "mesh/means.hpp"
+
+namespace amrpic {
+
+/// Call set(), which writes a plane of cells; covered ones keep the means that they hold.
+template <class Set>
+void CompositeAverage::set_uncovered(int l, int b, int k, Real* plane, Set&& set) {
+  Real* end = covered_.data();
+  mesh_.for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) { end = std::copy_n(plane + at, n, end); });
+  set();
+  Real const* kept = covered_.data();
+  mesh_.for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
+    std::copy_n(kept, n, plane + at);
+    kept += n;
+  });
+}
+
+/// phi += scale * correction in the uncovered cells of a plane.
+template <class T>
+void CompositeAverage::add_plane(int l, int b, int k, Block<T> const& correction, Real scale, Real* phi,
+                                 Largest<T>& largest) {
+  int const nx = mesh_.box(l, b).extent(0), ny = mesh_.box(l, b).extent(1);
+  set_uncovered(l, b, k, phi, [&] {
+    for (int j = 0; j < ny; ++j) {
+      T const* __restrict from = correction.origin + j * correction.pitch_y + k * correction.pitch_z;
+      Real* __restrict to = phi + std::ptrdiff_t(j) * nx;
+      fetch<Use::read>(from + correction.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
+      fetch<Use::write>(to + page<Real>, nx);
+      for (int i = 0; i < nx; ++i) to[i] = fused(scale, Real(from[i]), to[i]);
+      largest.add(from, nx);
+    }
+  });
+}
+
+/// Set the parents of planes k and k + 1 of a box that are cells of this rank to the mean of their children.
+void CompositeAverage::average_pair(int l, int b, int k, Field& phi) const {
+  Index3 const pitch = pitches(mesh_.box(l, b));
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b) + std::ptrdiff_t(k) * pitch[2];
+  for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
+    Family const& family = mesh_.plan(l).families[std::size_t(f)];
+    int const plane = (k - family.child[2]) / 2;
+    if (k < family.child[2] || plane >= family.parents[2]) continue;
+    Real* parent = phi.level(l - 1).data() + family.parent + std::ptrdiff_t(plane) * family.pitch_z;
+    Real const* child = cells + family.child[0] + std::ptrdiff_t(family.child[1]) * pitch[1];
+    for (int j = 0; j < family.parents[1]; ++j, parent += family.pitch_y, child += 2 * std::ptrdiff_t(pitch[1]))
+      average_children(family.parents[0], child, pitch[1], pitch[2], parent);
+  }
+}
+
+/// The same between ranks, for all boxes of a level.
+void CompositeAverage::average_across_ranks(int l, Field& phi) {
+  LevelPlan& coarse = mesh_.plan(l - 1);
+  coarse.finer_means.start([&](Piece const& piece, Real* out) {
+    Box const& own = mesh_.level(l).box(piece.box);
+    Index3 const pitch = pitches(own);
+    Real const* const cells = phi.level(l).data() + mesh_.level(l).local_offset(piece.box);
+    Box const& part = piece.part;
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += part.extent(0))
+        average_children(part.extent(0), cells + own.offset({2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
+                         out);
+  });
+  coarse.finer_means.finish();
+  for (RemoteMeans const& m : coarse.remote_means) {
+    Real const* from = coarse.finer_means.values(m.owner) + m.from;
+    for (int k = 0; k < m.parents[2]; ++k)
+      for (int j = 0; j < m.parents[1]; ++j, from += m.parents[0])
+        std::copy_n(from, m.parents[0],
+                    phi.level(l - 1).data() + m.parent + std::ptrdiff_t(j) * m.pitch_y + std::ptrdiff_t(k) * m.pitch_z);
+  }
+}
+
+void CompositeAverage::average_down(Field& phi) {
+  for (int l = mesh_.levels() - 1; l > 0; --l) {
+    for (int b = 0; b < mesh_.boxes(l); ++b)
+      for (int k = 0; k < mesh_.box(l, b).extent(2); k += 2) average_pair(l, b, k, phi);
+    average_across_ranks(l, phi);
+  }
+}
+
+template <class T>
+Real CompositeAverage::add(Blocks<T> const& correction, Real scale, Field& phi) {
+  Largest<T> largest;
+  for (int l = mesh_.levels() - 1; l >= 0; --l) {
+    for (int b = 0; b < mesh_.boxes(l); ++b) {
+      Real* const cells = phi.level(l).data() + mesh_.offset(l, b);
+      Block<T> const& from = correction[std::size_t(l)][std::size_t(b)];
+      for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
+        // the largest of all cells does not depend on which of the covered ones fill a box
+        if (mesh_.plan(l, b).hidden)
+          for (int j = 0; j < mesh_.box(l, b).extent(1); ++j)
+            largest.add(from.origin + j * from.pitch_y + k * from.pitch_z, mesh_.box(l, b).extent(0));
+        else
+          add_plane(l, b, k, from, scale, cells + std::ptrdiff_t(k) * pitches(mesh_.box(l, b))[2], largest);
+        if (l > 0 && k % 2 == 1) average_pair(l, b, k - 1, phi);
+      }
+    }
+    if (l > 0) average_across_ranks(l, phi);
+  }
+  return std::abs(scale) * largest.value();
+}
+template Real CompositeAverage::add(Blocks<float> const&, Real, Field&);
+template Real CompositeAverage::add(Blocks<Real> const&, Real, Field&);
+
+}  // namespace amrpic

@@ -1,0 +1,33 @@
+#pragma once
+
+#include "matrixfree/composite_ghosts.hpp"
+#include "mesh/electric_field.hpp"
+#include "operators/operators.hpp"
+
+namespace amrpic {
+
+/// E from the differences of phi across the cells, with one flux through each face; see CompositeLaplacian.
+class CompositeField {
+ public:
+  CompositeField(CompositeMesh& mesh, CompositeGhosts& ghosts)
+      : mesh_(mesh), ghosts_(ghosts), planes_(2 * 3 * mesh.largest_face(2)), rows_(3 * mesh.largest_row()) {}
+
+  ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
+                               CoveredField covered);
+
+  std::size_t bytes() const { return (planes_.capacity() + rows_.capacity()) * sizeof(Real); }
+
+ private:
+  enum class Where { everywhere, at_faces };
+
+  void field_plane(int l, int b, int k, Where where, Field const& phi, std::array<Real*, 3> const& e);
+  void average_field(int l, int b, int k, Real* means);
+  void give_means(int l, Real const* means, ElectricField& field);
+
+  CompositeMesh& mesh_;
+  CompositeGhosts& ghosts_;
+  std::vector<Real> planes_;  ///< of three components, of a pair of planes of cells
+  std::vector<Real> rows_;    ///< of means of these
+};
+
+}  // namespace amrpic

@@ -1,0 +1,145 @@
+#include "matrixfree/composite_ghosts.hpp"
+
+#include <algorithm>
+
+namespace amrpic {
+
+CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh) {
+  for (int l = 0; l < mesh_.levels(); ++l) fluxes_.emplace_back(std::size_t(mesh_.plan(l).fluxes));
+  for (int f = 0; f < 6; ++f) ghosts_[std::size_t(f)].resize(mesh_.largest_face(f / 2));
+  std::size_t const row = mesh_.largest_row();
+  coarse_.resize((row / 2 + 4) * (row / 2 + 4));
+  star_.resize(2 * row);
+}
+
+void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, FullyCovered fully_covered,
+                            std::function<void(int, int)> const& f, std::function<void(int)> const& done) {
+  mesh_.plan().cells.start([&](Piece const& piece, Real* out) { mesh_.pack_cells(phi, piece, out); });
+  bool waiting = true;
+  for (int l = mesh_.levels() - 1; l >= 0; --l) {
+    if (mesh_.hierarchy().has_finer(l)) mesh_.plan(l).finer_fluxes.finish();
+    for (bool remote : {false, true}) {
+      if (remote && waiting) {
+        mesh_.plan().cells.finish();
+        waiting = false;
+      }
+      for (int b = 0; b < mesh_.boxes(l); ++b) {
+        if (mesh_.plan(l, b).remote != remote || (mesh_.plan(l, b).hidden && fully_covered == FullyCovered::skip))
+          continue;
+        fill(l, b, phi, walls[std::size_t(l)]);
+        f(l, b);
+      }
+    }
+    if (l > 0) send_fluxes(l);
+    if (done) done(l);
+  }
+}
+
+void CompositeGhosts::send_fluxes(int l) {
+  mesh_.plan(l - 1).finer_fluxes.start([&](Piece const& piece, Real* out) {
+    auto const [u, v] = tangential_axes(piece.face / 2);
+    int const b = piece.box - mesh_.level(l).first_local_box();
+    Interface const& i =
+        mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(piece.face)].interface)];
+    Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
+    for (int y = piece.part.lower[v]; y <= piece.part.upper[v]; ++y) {
+      std::ptrdiff_t const from = i.fluxes + (piece.part.lower[u] - parents.lower[u] - i.u) +
+                                  std::ptrdiff_t(i.nu) * (y - parents.lower[v] - i.v);
+      out = std::copy_n(fluxes_[l].data() + from, piece.part.extent(u), out);
+    }
+  });
+}
+
+void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) {
+      int const f = 2 * axis + side;
+      FacePlan const& face = mesh_.plan(l, b).faces[f];
+      int const pitch = mesh_.box(l, b).extent(tangential_axes(axis)[0]);
+      if (face.wall >= 0) {
+        fill_wall(l, b, axis, side, phi.level(l).data() + mesh_.offset(l, b), walls.datum.data() + face.wall);
+        continue;
+      }
+      for (int r = face.neighbours.first; r < face.neighbours.last; ++r)
+        copy(mesh_.plan(l).neighbours[r], phi.level(l).data(), ghosts_[f].data(), pitch);
+      if (face.interface >= 0) fill_interface(l, b, axis, side, phi);
+    }
+}
+
+void CompositeGhosts::copy(Rectangle const& r, Real const* own, Real* to, std::ptrdiff_t pitch) const {
+  Real const* from = (r.owner == Rectangle::here ? own : mesh_.plan().cells.values(r.owner)) + r.from;
+  to += r.u + pitch * r.v;
+  for (int v = 0; v < r.nv; ++v, from += r.pv, to += pitch) {
+    if (r.pu == 1)
+      std::copy_n(from, r.nu, to);
+    else
+      for (int u = 0; u < r.nu; ++u) to[u] = from[std::ptrdiff_t(u) * r.pu];
+  }
+}
+
+void CompositeGhosts::fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data) {
+  WallGhost const ghost = wall_ghost(mesh_.hierarchy().domain().boundary[std::size_t(axis)][std::size_t(side)],
+                                     mesh_.level(l).spacing()[axis]);
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  Index3 const pitch = pitches(own);
+  std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
+  Real const* first = phi + (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]);
+  Real* out = ghosts_[2 * axis + side].data();
+  for (int y = 0; y < own.extent(v); ++y, first += pitch[v])
+    for (int x = 0; x < own.extent(u); ++x) {
+      Real const* cell = first + std::ptrdiff_t(x) * pitch[u];
+      *out++ = ghost(cell[0], cell[inward], *data++);
+    }
+}
+
+/// Ghosts in front of coarser cells, and what the four ghosts of each coarse face leave for the coarser cell behind it:
+/// the sum of phi_1 - ghost, from which its outward derivative is a quarter of that over the fine spacing.
+void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field const& phi) {
+  int const f = 2 * axis + side;
+  Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[f].interface)];
+  std::ptrdiff_t const coarse_pitch = i.nu + 2 * i.margin;
+  for (int r = i.coarse.first; r < i.coarse.last; ++r)
+    copy(mesh_.plan(l).coarse[r], phi.level(l - 1).data(), coarse_.data(), coarse_pitch);
+
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  Index3 const pitch = pitches(own);
+  std::ptrdiff_t const pu = pitch[u], pv = pitch[v], inward = side == 0 ? pitch[axis] : -pitch[axis];
+  Real const* const first = phi.level(l).data() + mesh_.offset(l, b) +
+                            (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]) + 2 * i.u * pu;
+  std::ptrdiff_t const ghost_pitch = own.extent(u);
+  Real* const ghosts = ghosts_[f].data() + 2 * i.u;
+  Real* const star = star_.data();
+  for (int row = 0; row < i.nv; ++row) {
+    FitNumber const* fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
+    Real* flux = fluxes_[l].data() + i.fluxes + std::ptrdiff_t(row) * i.nu;
+    fit_row(fits, i.nu, coarse_.data() + i.margin + (i.margin + row) * coarse_pitch, coarse_pitch, star,
+            star + 2 * i.nu);
+    for_each_run(fits, i.nu, [&](int start, int count, FitNumber) {
+      std::fill_n(flux + start, count, 0.0);
+      for (int half = 0; half < 2; ++half) {
+        int const y = 2 * (i.v + row) + half;
+        Real const* cell = first + y * pv;
+        Real* ghost = ghosts + y * ghost_pitch;
+        Real const* fit = star + std::ptrdiff_t(half) * 2 * i.nu;
+        for (int m = start; m < start + count; ++m) {
+          Real const *p = cell + 2 * m * pu, *q = p + pu;
+          Real const lower = ghost_at_interface(fit[2 * m], p[0], p[inward]);
+          Real const upper = ghost_at_interface(fit[2 * m + 1], q[0], q[inward]);
+          ghost[2 * m] = lower, ghost[2 * m + 1] = upper;
+          flux[m] += (p[0] - lower) + (q[0] - upper);
+        }
+      }
+    });
+  }
+}
+
+std::size_t CompositeGhosts::bytes() const {
+  std::size_t values = coarse_.capacity() + star_.capacity();
+  for (auto const& face : ghosts_) values += face.capacity();
+  for (auto const& level : fluxes_) values += level.capacity();
+  return values * sizeof(Real);
+}
+
+}  // namespace amrpic

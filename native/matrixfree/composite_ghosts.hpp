@@ -1,0 +1,73 @@
+#pragma once
+
+#include <functional>
+
+#include "matrixfree/composite_mesh.hpp"
+#include "operators/walls.hpp"
+#include "stencil/interface.hpp"
+
+namespace amrpic {
+
+/// The ghost cells around one box after the other, and the fluxes that finer levels leave for coarser ones, so that
+/// each face has one flux.
+class CompositeGhosts {
+ public:
+  explicit CompositeGhosts(CompositeMesh& mesh);
+
+  enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
+
+  /// Call f(level, box) for all boxes of this rank, finest level first, with the ghosts of the box at hand and the
+  /// fluxes from the finer level through its faces; and done(level) after all of a level. Collective.
+  void visit(Field const& phi, std::vector<Walls> const& walls, FullyCovered fully_covered,
+             std::function<void(int, int)> const& f, std::function<void(int)> const& done = nullptr);
+
+  /// Those of the box under way beyond a face, the lower tangential axis fastest.
+  Real const* ghosts(int axis, int side) const { return ghosts_[std::size_t(2 * axis + side)].data(); }
+
+  /// Call f(place in the box, axis, side, excess) for each uncovered cell of a plane and each of its faces with a
+  /// refined cell beyond: the difference of phi across the face by the finer fluxes, less that to the covered
+  /// neighbour.
+  template <class F>
+  void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
+    Box const& own = mesh_.box(l, b);
+    Index3 const pitch = pitches(own);
+    for (int s = mesh_.plan(l, b).refined.first; s < mesh_.plan(l, b).refined.last; ++s) {
+      RefinedSide const& r = mesh_.plan(l).refined[std::size_t(s)];
+      if (k < r.cells.lower[2] || k > r.cells.upper[2]) continue;
+      auto const [u, v] = tangential_axes(r.axis);
+      Real const* const fluxes =
+          (r.fluxes.owner == Rectangle::here ? fluxes_[std::size_t(l) + 1].data()
+                                             : mesh_.plan(l).finer_fluxes.values(r.fluxes.owner)) +
+          r.fluxes.from;
+      int const layer = r.cells.lower[r.axis];
+      bool const inside = r.side == 0 ? layer > 0 : layer + 1 < own.extent(r.axis);
+      std::ptrdiff_t const outward = r.side == 0 ? -pitch[r.axis] : pitch[r.axis];
+      Real const* const beyond = ghosts(r.axis, r.side);
+      Index3 cell{0, 0, k};
+      for (cell[1] = r.cells.lower[1]; cell[1] <= r.cells.upper[1]; ++cell[1])
+        for (cell[0] = r.cells.lower[0]; cell[0] <= r.cells.upper[0]; ++cell[0]) {
+          std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(k) * pitch[2];
+          Real const flux = fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
+                                   std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
+          Real const covered = inside ? phi[at + outward] : beyond[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
+          f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
+        }
+    }
+  }
+
+  std::size_t bytes() const;
+
+ private:
+  void fill(int l, int b, Field const& phi, Walls const& walls);
+  void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
+  void fill_interface(int l, int b, int axis, int side, Field const& phi);
+  void copy(Rectangle const& from, Real const* own, Real* to, std::ptrdiff_t pitch) const;
+  void send_fluxes(int l);
+
+  CompositeMesh& mesh_;
+  std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
+  std::array<std::vector<Real>, 6> ghosts_;  ///< of the box under way, by face, u fastest
+  std::vector<Real> coarse_, star_;          ///< of the interface under way: coarse values, two rows of phi*
+};
+
+}  // namespace amrpic

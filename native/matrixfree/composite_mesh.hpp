@@ -1,0 +1,109 @@
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "base/fetch.hpp"
+#include "matrixfree/composite_plan.hpp"
+#include "mesh/field.hpp"
+#include "stencil/background.hpp"
+#include "stencil/electric_field.hpp"
+#include "stencil/equation.hpp"
+
+namespace amrpic {
+
+/// Values of a box somewhere in memory: x fastest, rows and planes at their own distances.
+template <class T>
+struct Block {
+  T* origin;
+  std::ptrdiff_t pitch_y, pitch_z;
+};
+
+/// Blocks of the boxes of this rank: [level][local box].
+template <class T>
+using Blocks = std::vector<std::vector<Block<T>>>;
+
+/// Distances in memory of the neighbours of a cell of a box.
+inline Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
+
+/// The cells of all levels, as what is done to them box by box sees them: the boxes of this rank, counted on each level
+/// from its first one, and the lists of the plan.
+class CompositeMesh {
+ public:
+  /// See CompositeLaplacian. Collective.
+  CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch);
+
+  Hierarchy const& hierarchy() const { return *hierarchy_; }
+  MPI_Comm comm() const { return hierarchy_->comm(); }
+  int levels() const { return hierarchy_->level_count(); }
+  Level const& level(int l) const { return hierarchy_->level(l); }
+  CompositePlan& plan() { return plan_; }
+  CompositePlan const& plan() const { return plan_; }
+  LevelPlan& plan(int l) { return plan_.levels[std::size_t(l)]; }
+  LevelPlan const& plan(int l) const { return plan_.levels[std::size_t(l)]; }
+  BoxPlan const& plan(int l, int b) const { return plan(l).boxes[std::size_t(b)]; }
+  int boxes(int l) const { return level(l).last_local_box() - level(l).first_local_box(); }
+  Box const& box(int l, int b) const { return level(l).box(level(l).first_local_box() + b); }
+  LocalIndex offset(int l, int b) const { return level(l).local_offset(level(l).first_local_box() + b); }
+
+  Equation equation(int l) const { return equation_on(level(l).spacing(), shift_); }
+  Real shift() const { return shift_; }
+  Real volume(int l) const { return level(l).cell_volume() / (stretch_[0] * stretch_[1] * stretch_[2]); }
+  Real factor_of_field(int l, int axis) const { return field_factor(level(l).spacing()[axis]) / stretch_[axis]; }
+
+  std::size_t largest_row() const { return largest_row_; }  ///< cells of a box along any axis
+  std::size_t largest_face(int axis) const {
+    return largest_face_[axis];
+  }  ///< cells of a plane of a box across an axis
+
+  template <class F>
+  void for_each_box(F&& f) const {
+    for (int l = 0; l < levels(); ++l)
+      for (int b = 0; b < boxes(l); ++b) f(l, b);
+  }
+  /// Call f(place in the plane, count) for each row of covered cells in plane k of a box.
+  template <class F>
+  void for_each_covered_row(int l, int b, int k, F&& f) const {
+    for (int c = plan(l, b).covered.first; c < plan(l, b).covered.last; ++c) {
+      Box const& part = plan(l).covered[std::size_t(c)];
+      if (k < part.lower[2] || k > part.upper[2]) continue;
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+        f(part.lower[0] + std::ptrdiff_t(j) * box(l, b).extent(0), part.extent(0));
+    }
+  }
+  void clear_covered(int l, int b, int k, Real* plane) const;
+
+  /// The cells of a piece, x fastest; returns the place after the last.
+  Real* pack_cells(Field const& field, Piece const& piece, Real* out) const;
+
+  /// Round scale times a plane of cells into plane k of a block.
+  template <class T>
+  void write_plane(int l, int b, int k, Real const* plane, Real scale, Block<T> const& out) const {
+    int const nx = box(l, b).extent(0);
+    for (int j = 0; j < box(l, b).extent(1); ++j) {
+      Real const* __restrict from = plane + std::ptrdiff_t(j) * nx;
+      T* __restrict to = out.origin + j * out.pitch_y + k * out.pitch_z;
+      fetch<Use::write>(to + out.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
+      for (int i = 0; i < nx; ++i) to[i] = T(scale * from[i]);
+    }
+  }
+  /// Zeros into all planes of a block.
+  template <class T>
+  void clear(int l, int b, Block<T> const& out) const {
+    for (int k = 0; k < box(l, b).extent(2); ++k)
+      for (int j = 0; j < box(l, b).extent(1); ++j)
+        std::fill_n(out.origin + j * out.pitch_y + k * out.pitch_z, box(l, b).extent(0), T(0));
+  }
+
+ private:
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  Real shift_;
+  Real3 stretch_;
+  CompositePlan plan_;
+  std::size_t largest_row_ = 0;
+  std::array<std::size_t, 3> largest_face_{0, 0, 0};
+};
+
+}  // namespace amrpic

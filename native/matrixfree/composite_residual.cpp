@@ -1,0 +1,224 @@
+#include "matrixfree/composite_residual.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "matrixfree/composite_kernels.hpp"
+#include "stencil/boundary.hpp"
+
+namespace amrpic {
+
+namespace {
+
+/// Call f(place in the plane, u, v, extent along u) for the cells of plane k of a box that lie at one of its faces.
+template <class F>
+void for_each_on_face(Box const& box, int face, int k, F&& f) {
+  int const axis = face / 2, layer = face % 2 == 0 ? 0 : box.extent(axis) - 1;
+  std::ptrdiff_t const nx = box.extent(0);
+  if (axis == 0)
+    for (int j = 0; j < box.extent(1); ++j) f(layer + j * nx, j, k, box.extent(1));
+  if (axis == 1)
+    for (int i = 0; i < nx; ++i) f(i + layer * nx, i, k, int(nx));
+  if (axis == 2 && k == layer)
+    for (int j = 0; j < box.extent(1); ++j)
+      for (int i = 0; i < nx; ++i) f(i + j * nx, i, j, int(nx));
+}
+
+}  // namespace
+
+/// f - L phi of a plane of cells, into `plane_`; zero in covered ones.
+void CompositeResidual::residual_plane(int l, int b, int k, Source const& source, Field const& phi) {
+  Box const& own = mesh_.box(l, b);
+  int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
+  std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
+  auto const& values = phi.level(l);
+  Real const* const cells = values.data() + mesh_.offset(l, b);
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
+  kernels::Residual const formula{mesh_.equation(l), source.background};
+  Real const* const c = cells + k * plane;
+  Real const* const below = k > 0 ? c - plane : ghosts_.ghosts(2, 0);
+  Real const* const above = k + 1 < nz ? c + plane : ghosts_.ghosts(2, 1);
+  auto neighbours = [&](int j) {
+    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
+    return kernels::Neighbours{j > 0 ? c + at - nx : ghosts_.ghosts(1, 0) + std::ptrdiff_t(k) * nx,
+                               j + 1 < ny ? c + at + nx : ghosts_.ghosts(1, 1) + std::ptrdiff_t(k) * nx, below + at,
+                               above + at};
+  };
+  // Rows between the first and the last lie side by side, as their neighbours do. Only memory of the level is read.
+  Real const *const level_begin = values.data(), *const level_end = level_begin + values.size();
+  auto sweep = [&](int first, int last) {
+    std::ptrdiff_t const at = std::ptrdiff_t(first) * nx, cells_here = std::ptrdiff_t(last - first) * nx;
+    bool const starts = c + at == level_begin, ends = c + at + cells_here == level_end;
+    kernels::residual_run(formula, starts ? 1 : 0, cells_here - (ends ? 1 : 0), c + at, neighbours(first), rho + at,
+                          plane_.data() + at);
+  };
+  sweep(0, 1);
+  sweep(1, ny - 1);
+  sweep(ny - 1, ny);
+  for (int j = 0; j < ny; ++j) {
+    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
+    std::size_t const end = std::size_t(j) + std::size_t(k) * std::size_t(ny);
+    kernels::residual_ends(formula, nx, c + at, neighbours(j), ghosts_.ghosts(0, 0)[end], ghosts_.ghosts(0, 1)[end],
+                           rho + at, plane_.data() + at);
+  }
+  ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, int, Real excess) {
+    plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
+  });
+  mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+/// f less what wall data add to the Laplacian, of a plane of cells; zero in covered ones.
+void CompositeResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
+  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  Background const background = source.background;
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
+  kernels::for_each_part(0, cells, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+    fetch<Use::read>(rho + begin + page<Real>, end - begin);
+    for (std::ptrdiff_t i = begin; i < end; ++i) plane_[std::size_t(i)] = background.right_hand_side(rho[i]);
+  });
+  for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] -= term; });
+  mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+/// Call f(place in the plane, term) for what wall data add to the Laplacian in plane k of a box.
+template <class F>
+void CompositeResidual::for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const {
+  Real3 const& h = mesh_.level(l).spacing();
+  for (int face = 0; face < 6; ++face) {
+    int const wall = mesh_.plan(l, b).faces[face].wall, axis = face / 2;
+    if (wall < 0) continue;
+    WallGhost const ghost = wall_ghost(mesh_.hierarchy().domain().boundary[axis][face % 2], h[axis]);
+    Real const weight = mesh_.equation(l).weight[axis] * ghost.datum;
+    for_each_on_face(mesh_.box(l, b), face, k, [&](std::ptrdiff_t at, int u, int v, int nu) {
+      f(at, weight * source.walls[std::size_t(l)].datum[std::size_t(wall + u + std::ptrdiff_t(v) * nu)]);
+    });
+  }
+}
+
+/// The magnitudes of all terms of that, added up; zero in covered cells.
+void CompositeResidual::term_sizes_plane(int l, int b, int k, Source const& source) {
+  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
+  Real const background = std::abs(source.background.mean);
+  for (std::ptrdiff_t i = 0; i < cells; ++i)
+    plane_[std::size_t(i)] = Background::inverse_permittivity * std::abs(rho[i]) + background;
+  for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
+  mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+/// The diagonal of the Laplacian times phi, of a plane of cells; zero in covered ones.
+void CompositeResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
+  Box const& own = mesh_.box(l, b);
+  Index3 const pitch = pitches(own);
+  Real3 const& h = mesh_.level(l).spacing();
+  Equation const equation = mesh_.equation(l);
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b) + std::ptrdiff_t(k) * pitch[2];
+  for (int i = 0; i < pitch[2]; ++i) plane_[std::size_t(i)] = -equation.diagonal() * cells[i];
+  for (int f = 0; f < 6; ++f) {
+    FacePlan const& face = mesh_.plan(l, b).faces[f];
+    int const axis = f / 2;
+    Real const c = equation.weight[axis];
+    if (face.wall >= 0) {
+      Real const first = wall_ghost(mesh_.hierarchy().domain().boundary[axis][f % 2], h[axis]).first;
+      for_each_on_face(own, f, k,
+                       [&](std::ptrdiff_t at, int, int, int) { plane_[std::size_t(at)] += c * first * cells[at]; });
+    } else if (face.interface >= 0) {
+      Interface const& i = mesh_.plan(l).interfaces[std::size_t(face.interface)];
+      for_each_on_face(own, f, k, [&](std::ptrdiff_t at, int u, int v, int) {
+        int const a = u / 2 - i.u, e = v / 2 - i.v;
+        if (a < 0 || a >= i.nu || e < 0 || e >= i.nv) return;
+        if (mesh_.plan(l).fits[std::size_t(i.fits + a + e * i.nu)] == no_fit) return;
+        plane_[std::size_t(at)] += c * interface_ghost::first * cells[at];
+      });
+    }
+  }
+  mesh_.clear_covered(l, b, k, plane_.data());
+}
+
+// ---- residual and norms ----
+
+template <class T>
+Real CompositeResidual::residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
+                                 Blocks<T> const& residual) {
+  Magnitude magnitude(norm);
+  ghosts_.visit(phi, source.walls, CompositeGhosts::FullyCovered::skip, [&](int l, int b) {
+    std::ptrdiff_t const cells = std::ptrdiff_t(mesh_.box(l, b).extent(0)) * mesh_.box(l, b).extent(1);
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
+      residual_plane(l, b, k, source, phi);
+      magnitude.add(plane_.data(), cells, mesh_.volume(l));
+      mesh_.write_plane(l, b, k, plane_.data(), scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)]);
+    }
+  });
+  clear_fully_covered(residual);
+  return magnitude.over(mesh_.comm());
+}
+template Real CompositeResidual::residual(Source const&, Field const&, Norm, std::vector<Real> const&,
+                                          Blocks<float> const&);
+template Real CompositeResidual::residual(Source const&, Field const&, Norm, std::vector<Real> const&,
+                                          Blocks<Real> const&);
+
+/// Zeros into the boxes without uncovered cells.
+template <class T>
+void CompositeResidual::clear_fully_covered(Blocks<T> const& blocks) {
+  mesh_.for_each_box([&](int l, int b) {
+    if (mesh_.plan(l, b).hidden) mesh_.clear(l, b, blocks[std::size_t(l)][std::size_t(b)]);
+  });
+}
+
+/// Call use(level, box, plane, cells) after fill(level, box, plane) for each plane of the boxes with uncovered cells.
+template <class Fill, class Use>
+void CompositeResidual::for_each_plane(Fill&& fill, Use&& use) {
+  mesh_.for_each_box([&](int l, int b) {
+    if (mesh_.plan(l, b).hidden) return;
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
+      fill(l, b, k);
+      use(l, b, k, std::ptrdiff_t(mesh_.box(l, b).extent(0)) * mesh_.box(l, b).extent(1));
+    }
+  });
+}
+
+template <class T>
+Real CompositeResidual::residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale,
+                                         Blocks<T> const& residual) {
+  Magnitude magnitude(norm);
+  for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
+                 [&](int l, int b, int k, std::ptrdiff_t n) {
+                   magnitude.add(plane_.data(), n, mesh_.volume(l));
+                   mesh_.write_plane(l, b, k, plane_.data(), scale[std::size_t(l)],
+                                     residual[std::size_t(l)][std::size_t(b)]);
+                 });
+  clear_fully_covered(residual);
+  return magnitude.over(mesh_.comm());
+}
+template Real CompositeResidual::residual_of_zero(Source const&, Norm, std::vector<Real> const&, Blocks<float> const&);
+
+Real CompositeResidual::right_hand_side_norm(Source const& source, Norm norm) {
+  Magnitude magnitude(norm);
+  for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); },
+                 [&](int l, int, int, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, mesh_.volume(l)); });
+  return magnitude.over(mesh_.comm());
+}
+
+IntegralOfSource CompositeResidual::integrate_right_hand_side(Source const& source) {
+  Real sums[2] = {0, 0};
+  auto const add_to = [&](Real& total) {
+    return [&](int l, int, int, std::ptrdiff_t n) {
+      Real sum = 0;
+      for (std::ptrdiff_t i = 0; i < n; ++i) sum += plane_[std::size_t(i)];
+      total += mesh_.level(l).cell_volume() * sum;
+    };
+  };
+  for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); }, add_to(sums[0]));
+  for_each_plane([&](int l, int b, int k) { term_sizes_plane(l, b, k, source); }, add_to(sums[1]));
+  MPI_Allreduce(MPI_IN_PLACE, sums, 2, MPI_DOUBLE, MPI_SUM, mesh_.comm());
+  return {sums[0], sums[1]};
+}
+
+Real CompositeResidual::diagonal_norm(Field const& phi, Norm norm) {
+  Magnitude magnitude(norm);
+  for_each_plane([&](int l, int b, int k) { diagonal_plane(l, b, k, phi); },
+                 [&](int l, int, int, std::ptrdiff_t n) { magnitude.add(plane_.data(), n, mesh_.volume(l)); });
+  return magnitude.over(mesh_.comm());
+}
+
+}  // namespace amrpic

@@ -6,9 +6,9 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "particle/array_pool.hpp"
 #include "particle/deposit.hpp"
 #include "particle/gather.hpp"
-#include "particle/memory.hpp"
 #include "particle/migrate.hpp"
 #include "particle/moments.hpp"
 #include "particle/random.hpp"

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "matrixfree/memory.hpp"
+#include "matrixfree/vector.hpp"
 #include "mesh/level.hpp"
 
 namespace amrpic::matrixfree {

@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "matrixfree/portable_sweep.hpp"
-#include "matrixfree/rows.hpp"
+#include "matrixfree/row_kernels.hpp"
 
 namespace amrpic::matrixfree {
 

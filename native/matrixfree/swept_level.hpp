@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <memory>
 
-#include "matrixfree/exchange.hpp"
+#include "matrixfree/rectangle_exchange.hpp"
 #include "matrixfree/sweep.hpp"
 
 namespace amrpic::matrixfree {

@@ -6,7 +6,7 @@
 
 #include "mesh/field.hpp"
 #include "mesh/rim.hpp"
-#include "stencil/electric_field.hpp"
+#include "stencil/field_difference.hpp"
 
 namespace amrpic {
 

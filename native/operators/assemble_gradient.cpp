@@ -3,7 +3,7 @@
 #include "operators/forms.hpp"
 #include "operators/operators.hpp"
 #include "operators/regular_rows.hpp"
-#include "stencil/electric_field.hpp"
+#include "stencil/field_difference.hpp"
 
 namespace amrpic {
 

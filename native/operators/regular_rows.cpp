@@ -1,7 +1,7 @@
 #include "operators/regular_rows.hpp"
 
 #include "stencil/coarse_end.hpp"
-#include "stencil/electric_field.hpp"
+#include "stencil/field_difference.hpp"
 #include "stencil/laplacian.hpp"
 
 namespace amrpic {

@@ -1,6 +1,6 @@
 #include "operators/walls.hpp"
 
-#include "stencil/electric_field.hpp"
+#include "stencil/field_difference.hpp"
 
 namespace amrpic {
 

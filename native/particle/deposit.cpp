@@ -4,7 +4,7 @@
 #include <type_traits>
 
 #include "base/fetch.hpp"
-#include "particle/memory.hpp"
+#include "particle/array_pool.hpp"
 #include "particle/tile.hpp"
 
 namespace amrpic {

@@ -5,9 +5,9 @@
 #include <vector>
 
 #include "base/fetch.hpp"
+#include "particle/array_pool.hpp"
 #include "particle/home_box.hpp"
 #include "particle/lane_groups.hpp"
-#include "particle/memory.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/view.hpp"
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "base/rows.hpp"
+#include "base/for_rows.hpp"
 #include "operators/multigrid_levels.hpp"
 
 namespace amrpic {

@@ -2,7 +2,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "base/rows.hpp"
+#include "base/for_rows.hpp"
 #include "solver/crs_backend.hpp"
 #include "stencil/laplacian.hpp"
 

@@ -3,7 +3,7 @@
 #include <cmath>
 #include <deque>
 
-#include "base/rows.hpp"
+#include "base/for_rows.hpp"
 
 namespace amrpic {
 

@@ -8,7 +8,7 @@
 #include <utility>
 #include <vector>
 
-#include "matrixfree/memory.hpp"
+#include "matrixfree/vector.hpp"
 
 namespace amrpic {
 

@@ -1,7 +1,7 @@
 #include "solver/multigrid.hpp"
 
-#include "base/rows.hpp"
-#include "solver/local_cycle.hpp"
+#include "base/for_rows.hpp"
+#include "solver/copy_cycle.hpp"
 
 namespace amrpic {
 

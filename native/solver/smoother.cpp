@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <array>
 
-#include "base/rows.hpp"
+#include "base/for_rows.hpp"
 #include "base/runtime.hpp"
 #include "operators/semicoarse.hpp"
 #include "operators/tpetra.hpp"

@@ -1,6 +1,6 @@
-#include "solver/local_cycle.hpp"
+#include "solver/copy_cycle.hpp"
 
-#include "base/rows.hpp"
+#include "base/for_rows.hpp"
 
 namespace amrpic {
 

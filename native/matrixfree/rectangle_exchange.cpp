@@ -1,4 +1,4 @@
-#include "matrixfree/exchange.hpp"
+#include "matrixfree/rectangle_exchange.hpp"
 
 #include <map>
 #include <numeric>

@@ -1,4 +1,4 @@
-#include "particle/memory.hpp"
+#include "particle/array_pool.hpp"
 
 #include "base/pool.hpp"
 

@@ -193,6 +193,27 @@ def test_weights_are_found():
     assert weights_in("x = 1.25 + 0.5 * y / 3; n = 22 / 3") == []
 
 
+def test_the_table_of_formulas_names_what_there_is():
+    """docs/theory.md: each formula, the function that holds it, and where the two executions take it from."""
+    text = (ROOT / "docs" / "theory.md").read_text()
+    table = text[text.index("### Where each formula is") : text.index("## Particles")]
+    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| ") and "`" in line]
+    assert len(rows) > 10
+    files = {path.name: path for path in native_files()}
+    stencil = "".join(path.read_text() for path in native_files() if path.parent.name == "stencil")
+    for row in rows:
+        for name in re.findall(r"`([^`]+)`", " ".join(row[1:])):
+            assert (
+                name in files
+                if "." in name
+                else re.search(rf"\b{name}\b", stencil) or name in ("native/stencil", *OF_ROWS)
+            )
+
+
+# Functions that the table names beside a file of native/operators.
+OF_ROWS = ("laplacian_form", "beyond", "PlaneBehind", "restrict_mean", "prolong", "LinearForm")
+
+
 def test_native_graph_has_no_cycle():
     assert all(folder not in NATIVE[below] for folder, belows in NATIVE.items() for below in belows)
 

@@ -9,7 +9,7 @@
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
 #include "stencil/background.hpp"
-#include "stencil/electric_field.hpp"
+#include "stencil/field_difference.hpp"
 #include "stencil/equation.hpp"
 
 namespace amrpic {

@@ -82,9 +82,13 @@ void Coarsening::surround(MPI_Comm comm, CoarseEnds const& ends) {
 void Coarsening::add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends) {
   Box const domain = coarse_.level().domain(), region = around.box.grow(refines_ ? -1 : 0);
   std::vector<Index3> missing;
-  for_each_cell(region, [&](Index3 const& cell) {
-    if (!known[std::size_t(around.box.offset(cell))]) missing.push_back(cell);
-  });
+  for (int k = region.lower[2]; k <= region.upper[2]; ++k)
+    for (int j = region.lower[1]; j <= region.upper[1]; ++j) {
+      char const* const first = &known[std::size_t(around.box.offset({region.lower[0], j, k}))];
+      char const* const end = first + region.extent(0);
+      for (char const* at = first; (at = std::find(at, end, 0)) != end; ++at)
+        missing.push_back({region.lower[0] + int(at - first), j, k});
+    }
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) {
       std::vector<Index3> filled;

@@ -9,8 +9,8 @@
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
 #include "stencil/background.hpp"
-#include "stencil/field_difference.hpp"
 #include "stencil/equation.hpp"
+#include "stencil/field_difference.hpp"
 
 namespace amrpic {
 

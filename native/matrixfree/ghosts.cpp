@@ -45,7 +45,7 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
   bool const wall = !level.periodic()[axis] &&
                     (layer.lower[axis] < level.domain().lower[axis] || layer.lower[axis] > level.domain().upper[axis]);
   bool const thick = block.box.extent(axis) > 1;
-  std::vector<Ghost> out(std::size_t(layer.cells()));
+  std::vector<Ghost> out(std::size_t(layer.cells()), Ghost{nothing, 0, 0});
   auto for_each_row = [&](Box const& part, auto&& f) {  // of ghosts
     for (int k = part.lower[2]; k <= part.upper[2]; ++k)
       for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
@@ -70,19 +70,24 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
       row[i] = ghost;
     }
   };
-  for_each_row(layer, [&](Ghost* row, Index3 const&) { std::fill_n(row, layer.extent(0), Ghost{nothing, 0, 0}); });
   if (!wall) {
-    // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
-    level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
-      for_each_row(part, [&](Ghost* row, Index3 const&) { std::fill_n(row, part.extent(0), Ghost{}); });
-    });
     int const n = level.domain().extent(axis);
     float const factor =
         level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, ends.seam_width[axis])) : 1;
+    GlobalIndex unknown = layer.cells();
     layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
+      unknown -= part.cells();
       for_each_row(part, [&](Ghost* row, Index3 const& first) {
         std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
         for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), factor, 1 - factor};
+      });
+    });
+    if (unknown == 0 && !layout.has_images()) return out;
+    // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
+    level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
+      for_each_row(part, [&](Ghost* row, Index3 const&) {
+        for (int i = 0; i < part.extent(0); ++i)
+          if (row[i].source == nothing) row[i] = Ghost{};
       });
     });
   }

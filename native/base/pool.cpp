@@ -51,7 +51,7 @@ void* Pool::take(std::size_t bytes) {
   std::lock_guard const lock(mutex_);
   bytes = rounded(bytes);
   // The latest one is the likeliest to be in the cache.
-  auto const found = std::find_if(idle_.rbegin(), idle_.rend(), [&](Block const& b) { return b.bytes == bytes; });
+  auto const found = std::find_if(idle_.rbegin(), idle_.rend(), [&](IdleMemory const& b) { return b.bytes == bytes; });
   void* memory = nullptr;
   if (found != idle_.rend()) {
     memory = found->memory;

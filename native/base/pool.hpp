@@ -24,7 +24,7 @@ class Pool {
   std::size_t idle();  ///< bytes that are kept for the next taker
 
  private:
-  struct Block {
+  struct IdleMemory {
     std::size_t bytes;
     void* memory;
   };
@@ -32,7 +32,7 @@ class Pool {
 
   double most_idle_;
   std::mutex mutex_;
-  std::vector<Block> idle_;                       ///< in the order they were given back
+  std::vector<IdleMemory> idle_;                  ///< in the order they were given back
   std::unordered_map<void*, std::size_t> sizes_;  ///< of those in use
   std::size_t idle_total_ = 0, used_total_ = 0, most_used_ = 0;
 };

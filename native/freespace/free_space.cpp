@@ -95,11 +95,11 @@ std::array<std::vector<double>, 6> FreeSpace::wall_planes(std::array<bool, 6> co
 }
 
 std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) const {
-  struct Place {
+  struct NumberedGhost {
     GhostBlock block;
     int number;  ///< in the block
   };
-  std::vector<Place> places;
+  std::vector<NumberedGhost> places;
   std::vector<GhostBlock> mine;
   bool is_no_ghost = false;
   for (PointTarget const& target : local) {

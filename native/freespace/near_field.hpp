@@ -17,7 +17,7 @@
 namespace amrpic::freespace {
 
 /// The points around a place along an axis, by number in a list of points, and their weights.
-struct Stencil {
+struct InterpolationStencil {
   int count = 0;
   std::array<int, node_count> at{};  ///< first the points themselves, then their numbers
   std::array<double, node_count> weight{};
@@ -28,18 +28,18 @@ struct Stencil {
 };
 
 /// Around a place among the whole numbers.
-inline Stencil stencil_at(double place) {
+inline InterpolationStencil stencil_at(double place) {
   double const floor = std::floor(place);
   auto const weights = cubic_weights(place - floor);
-  Stencil out;
+  InterpolationStencil out;
   for (int m = 0; m < 4; ++m) out.add(int(floor) - 1 + m, weights[m]);
   return out;
 }
 
 /// Around a place, from given nodes.
-inline Stencil stencil_of(Nodes const& nodes, double place) {
+inline InterpolationStencil stencil_of(Nodes const& nodes, double place) {
   auto const weights = lagrange_weights(nodes, place);
-  Stencil out;
+  InterpolationStencil out;
   for (int n = 0; n < node_count; ++n) out.add(nodes[n], weights[n]);
   return out;
 }
@@ -47,14 +47,14 @@ inline Stencil stencil_of(Nodes const& nodes, double place) {
 /// Stencils of several places, and all points of them, ascending.
 struct StencilRow {
   std::vector<int> points;
-  std::vector<Stencil> of;
+  std::vector<InterpolationStencil> of;
 
   StencilRow() = default;
-  explicit StencilRow(std::vector<Stencil> stencils) : of(std::move(stencils)) {
-    for (Stencil const& s : of) points.insert(points.end(), s.at.begin(), s.at.begin() + s.count);
+  explicit StencilRow(std::vector<InterpolationStencil> stencils) : of(std::move(stencils)) {
+    for (InterpolationStencil const& s : of) points.insert(points.end(), s.at.begin(), s.at.begin() + s.count);
     std::sort(points.begin(), points.end());
     points.erase(std::unique(points.begin(), points.end()), points.end());
-    for (Stencil& s : of)
+    for (InterpolationStencil& s : of)
       for (int m = 0; m < s.count; ++m)
         s.at[m] = int(std::lower_bound(points.begin(), points.end(), s.at[m]) - points.begin());
   }
@@ -105,14 +105,14 @@ class NearGrid {
     std::array<std::vector<Seen>, 3> seen;
     seen[axes[0]] = seen_along(u, columns, 1);
     seen[axes[1]] = seen_along(v, rows, u.points.size());
-    Stencil const& through = places_[normal_].of.front();
+    InterpolationStencil const& through = places_[normal_].of.front();
     for (int m = 0; m < through.count; ++m)
       seen[normal_].push_back({places_[normal_].points[through.at[m]], 0, through.weight[m]});
     add_sums(charges, table, seen);
     for (int row = 0; row < patch_points; ++row)
       for (unsigned left = masks[row]; left; left &= left - 1) {
         int const t = __builtin_ctz(left);
-        Stencil const &su = u.of[t], &sv = v.of[row];
+        InterpolationStencil const &su = u.of[t], &sv = v.of[row];
         double value = 0;
         for (int b = 0; b < sv.count; ++b) {
           double const* const line = sums_.data() + u.points.size() * std::size_t(sv.at[b]);
@@ -134,7 +134,7 @@ class NearGrid {
   static std::vector<Seen> seen_along(StencilRow const& row, unsigned mask, std::size_t pitch) {
     std::vector<char> is_in(row.points.size());
     for (; mask; mask &= mask - 1) {
-      Stencil const& s = row.of[__builtin_ctz(mask)];
+      InterpolationStencil const& s = row.of[__builtin_ctz(mask)];
       for (int m = 0; m < s.count; ++m) is_in[s.at[m]] = 1;
     }
     std::vector<Seen> out;

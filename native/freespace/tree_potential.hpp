@@ -68,10 +68,10 @@ class TreePotential {
     int node;
   };
   class NearPatch;
-  struct Rectangle;
+  struct PatchBox;
   double far_limit(TreeNode const& node) const;
   std::optional<double> summed_width(TreeNode const& node) const;
-  bool is_summed(TreeNode const& node, Rectangle const& rectangle, double patch_width) const;
+  bool is_summed(TreeNode const& node, PatchBox const& patch_box, double patch_width) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                double* values) const;

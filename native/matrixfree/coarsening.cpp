@@ -13,9 +13,9 @@ Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Inde
       refines_(refines),
       in_place_(!refines && keeps_children_together()),
       gathers_(coarse.level().ranks() == 1 && fine.level().ranks() > 1) {
-  surround(comm, ends);
+  lay_out_coarse_patches(comm, ends);
   if (refines)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), surroundings_, fine.stencil().weight(),
+    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), coarse_patches_, fine.stencil().weight(),
                                 coarse.stencil().weight());
 }
 
@@ -34,29 +34,29 @@ bool Coarsening::keeps_children_together() const {
 }
 
 /// Lay out the cells around the own blocks' parents, and plan how their values come.
-void Coarsening::surround(MPI_Comm comm, CoarseEnds const& ends) {
+void Coarsening::lay_out_coarse_patches(MPI_Comm comm, CoarseEnds const& ends) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
   std::vector<Wanted> wanted;
   std::size_t size = 0;
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
-    Surroundings around{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
-    around.cells.origin = std::ptrdiff_t(size);
-    around.cells.pitch_y = around.box.extent(0);
-    around.cells.pitch_z = around.cells.pitch_y * around.box.extent(1);
-    size += std::size_t(around.cells.pitch_z * around.box.extent(2));
-    std::vector<char> known(std::size_t(around.box.cells()), 0);
-    coarser.for_each_overlap(around.box, [&](int n, Box const& part, Index3 const& shift) {
-      Rectangle copy = around.cells;
-      copy.origin = around.place(part.lower);
+    CoarsePatch patch{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
+    patch.cells.origin = std::ptrdiff_t(size);
+    patch.cells.pitch_y = patch.box.extent(0);
+    patch.cells.pitch_z = patch.cells.pitch_y * patch.box.extent(1);
+    size += std::size_t(patch.cells.pitch_z * patch.box.extent(2));
+    std::vector<char> known(std::size_t(patch.box.cells()), 0);
+    coarser.for_each_overlap(patch.box, [&](int n, Box const& part, Index3 const& shift) {
+      Placement copy = patch.cells;
+      copy.origin = patch.place(part.lower);
       wanted.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
       for (int k = part.lower[2]; k <= part.upper[2]; ++k)
         for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-          std::fill_n(&known[std::size_t(around.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
+          std::fill_n(&known[std::size_t(patch.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
     });
-    Rectangle cells = around.cells;
-    cells.origin = around.place(parents.lower);
+    Placement cells = patch.cells;
+    cells.origin = patch.place(parents.lower);
     Parents source{cells, ratio_, {}, {}, {-1, -1, -1}, ends.weight, parents.lower, {}, ends.seam_width};
     for (int d = 0; d < 3; ++d) {
       source.odd[d] = box.lower[d] - ratio_[d] * parents.lower[d];
@@ -70,8 +70,8 @@ void Coarsening::surround(MPI_Comm comm, CoarseEnds const& ends) {
     sources_.push_back(source);
     targets_.push_back(source);
     if (in_place_) targets_.back().cells = coarse_.layout().blocks()[b].cells;
-    surroundings_.push_back(around);
-    add_ends(around, known, ends);
+    coarse_patches_.push_back(patch);
+    add_ends(patch, known, ends);
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach beyond it
   parents_ = RectangleExchange(comm, coarser, coarse_.layout(), wanted);
@@ -79,11 +79,11 @@ void Coarsening::surround(MPI_Comm comm, CoarseEnds const& ends) {
 
 /// A correction behind a wall, or where the coarser level ends, is a multiple of that before it; corners follow axis
 /// after axis.
-void Coarsening::add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends) {
-  Box const domain = coarse_.level().domain(), region = around.box.grow(refines_ ? -1 : 0);
+void Coarsening::add_ends(CoarsePatch const& patch, std::vector<char>& known, CoarseEnds const& ends) {
+  Box const domain = coarse_.level().domain(), region = patch.box.grow(refines_ ? -1 : 0);
   std::vector<Index3> missing;
   for_each_cell(region, [&](Index3 const& cell) {
-    if (!known[std::size_t(around.box.offset(cell))]) missing.push_back(cell);
+    if (!known[std::size_t(patch.box.offset(cell))]) missing.push_back(cell);
   });
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) {
@@ -91,17 +91,17 @@ void Coarsening::add_ends(Surroundings const& around, std::vector<char>& known, 
       for (Index3 const& ghost : missing) {
         Index3 before = ghost;
         before[axis] += side == 0 ? 1 : -1;
-        if (known[std::size_t(around.box.offset(ghost))] || !region.contains(before) ||
-            !known[std::size_t(around.box.offset(before))])
+        if (known[std::size_t(patch.box.offset(ghost))] || !region.contains(before) ||
+            !known[std::size_t(patch.box.offset(before))])
           continue;
         Index3 inside = before;
         for (int d = 0; d < 3; ++d)
           if (!coarse_.level().periodic()[d]) inside[d] = std::clamp(before[d], domain.lower[d], domain.upper[d]);
-        ends_.push_back({std::int32_t(around.place(before)), std::int32_t(around.place(ghost)),
+        ends_.push_back({std::int32_t(patch.place(before)), std::int32_t(patch.place(ghost)),
                          float(ends.behind(inside, axis, side))});
         filled.push_back(ghost);
       }
-      for (Index3 const& ghost : filled) known[std::size_t(around.box.offset(ghost))] = 1;
+      for (Index3 const& ghost : filled) known[std::size_t(patch.box.offset(ghost))] = 1;
     }
 }
 

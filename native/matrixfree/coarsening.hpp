@@ -49,11 +49,11 @@ class Coarsening {
     float factor;
   };
   bool keeps_children_together() const;
-  void surround(MPI_Comm comm, CoarseEnds const& ends);
+  void lay_out_coarse_patches(MPI_Comm comm, CoarseEnds const& ends);
   Vector& clear_target();
   float share() const;
   void hand_over();
-  void add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends);
+  void add_ends(CoarsePatch const& patch, std::vector<char>& known, CoarseEnds const& ends);
 
   MPI_Comm comm_;
   SweptLevel& fine_;
@@ -62,10 +62,10 @@ class Coarsening {
   bool refines_;
   bool in_place_;  ///< whether all parents lie in this rank's memory, block by block
   bool gathers_;   ///< whether every rank holds all of the coarser level, but only a part of the finer one
-  std::vector<Surroundings> surroundings_;  ///< of each own block
-  Vector values_;                           ///< what they hold
-  std::vector<Parents> sources_, targets_;  ///< of each own block: parents in `values_`; where residuals go
-  std::vector<Copy> ends_;                  ///< in `values_`
+  std::vector<CoarsePatch> coarse_patches_;  ///< of each own block
+  Vector values_;                            ///< what they hold
+  std::vector<Parents> sources_, targets_;   ///< of each own block: parents in `values_`; where residuals go
+  std::vector<Copy> ends_;                   ///< in `values_`
   RectangleExchange parents_;
   InterfaceCells interface_;
 };

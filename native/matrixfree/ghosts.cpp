@@ -23,7 +23,7 @@ bool is_its_own_neighbour(Level const& level, Ends const& ends, int axis) {
 Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Equation const& equation, Real relaxation)
     : relaxation_(relaxation), shift_(float(equation.shift)), keep_(float(1 - relaxation)) {
   for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, ends, d) ? 0 : float(equation.weight[d]);
-  for (Block const& block : layout.blocks()) {
+  for (CellBlock const& block : layout.blocks()) {
     BlockStencil out;
     out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
@@ -37,7 +37,7 @@ Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Equ
 }
 
 /// The layer behind a face, cell by cell, the lower tangential axis fastest.
-std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
+std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Ends const& ends, CellBlock const& block,
                                    int axis, int side) {
   Box layer = block.box;
   layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
@@ -79,7 +79,7 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
     int const n = level.domain().extent(axis);
     float const factor =
         level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, ends.seam_width[axis])) : 1;
-    layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
+    layout.for_each_overlap(layer, [&](CellBlock const& other, Box const& part, Index3 const& shift) {
       for_each_row(part, [&](Ghost* row, Index3 const& first) {
         std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
         for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), factor, 1 - factor};
@@ -91,7 +91,7 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
 }
 
 /// What lies on each side of each row.
-void Stencil::add_rows(BlockStencil& out, Layout const& layout, Block const& block,
+void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
   out.first_run.push_back(0);
@@ -129,7 +129,7 @@ std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std
     else
       out.runs.push_back({i, 1, g.source, g.factor});
   }
-  if (Run const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
+  if (ScaledRun const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
     out.runs.pop_back();
     return run.factor == 0 ? std::int32_t(zero_row) : run.source;
   }
@@ -137,7 +137,7 @@ std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std
   return ~std::int32_t(out.first_run.size() - 2);
 }
 
-void Stencil::add_coefficients(BlockStencil& out, Block const& block,
+void Stencil::add_coefficients(BlockStencil& out, CellBlock const& block,
                                std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
   float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]) + shift_;
@@ -170,7 +170,7 @@ void Stencil::add_coefficients(BlockStencil& out, Block const& block,
     }
 }
 
-std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diagonal) {
+std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal) {
   std::size_t const pitch = std::size_t(block.cells.pitch_y);
   std::string key(diagonal.size() * sizeof(float) + sizeof pitch, '\0');
   std::memcpy(key.data(), diagonal.data(), diagonal.size() * sizeof(float));
@@ -190,7 +190,7 @@ std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diago
 std::size_t Stencil::bytes() const {
   std::size_t sum = pool_.size() * sizeof(float);
   for (BlockStencil const& b : blocks_)
-    sum += b.rows.capacity() * sizeof(RowStencil) + b.runs.capacity() * sizeof(Run) +
+    sum += b.rows.capacity() * sizeof(RowStencil) + b.runs.capacity() * sizeof(ScaledRun) +
            b.first_run.capacity() * sizeof(std::int32_t);
   return sum;
 }

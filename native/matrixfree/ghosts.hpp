@@ -33,7 +33,7 @@ struct Ends {
 };
 
 /// A run of values of a row: factor * e[source + i] for `count` cells from `place` on.
-struct Run {
+struct ScaledRun {
   std::int32_t place, count;
   std::int32_t source;
   float factor;
@@ -54,7 +54,7 @@ struct RowStencil {
 /// All about a block that its sweeps need besides e and r.
 struct BlockStencil {
   std::vector<RowStencil> rows;         ///< [j + ny k]
-  std::vector<Run> runs;                ///< of composed rows
+  std::vector<ScaledRun> runs;          ///< of composed rows
   std::vector<std::int32_t> first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
 };
 
@@ -80,14 +80,14 @@ class Stencil {
   std::size_t bytes() const;
 
  private:
-  static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
+  static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, Ends const& ends, CellBlock const& block,
                                    int axis, int side);
-  static void add_rows(BlockStencil& out, Layout const& layout, Block const& block,
+  static void add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
   static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row);
-  void add_coefficients(BlockStencil& out, Block const& block,
+  void add_coefficients(BlockStencil& out, CellBlock const& block,
                         std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
-  std::int32_t pooled(Block const& block, std::vector<float> const& diagonal);
+  std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal);
 
   Real relaxation_;
   std::array<float, 3> weight_;

@@ -30,7 +30,7 @@ float const* row_beside(Member const& team, Plane const& p, std::int32_t beside,
   if (beside >= 0) return e + beside;
   std::int32_t const* const run = &p.ghosts.first_run[std::size_t(~beside)];
   for (std::int32_t n = run[0]; n < run[1]; ++n) {
-    Run const r = p.ghosts.runs[std::size_t(n)];
+    ScaledRun const r = p.ghosts.runs[std::size_t(n)];
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, r.count),
                          [&](int i) { buffer(r.place + i) = r.factor * e[r.source + i]; });
   }

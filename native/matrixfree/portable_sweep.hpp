@@ -10,7 +10,7 @@ namespace portable {
 
 /// A plane of a block, and all that a kernel reads of it.
 struct Plane {
-  Block const& block;
+  CellBlock const& block;
   BlockStencil const& ghosts;
   Stencil const& stencil;
   int k;  ///< in the level's indices

@@ -15,7 +15,7 @@ namespace amrpic::matrixfree {
 constexpr std::ptrdiff_t ahead = page<float> / 2;
 
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
-struct Row {
+struct CorrectionRow {
   float* here;
   std::array<float const*, 4> beside;  ///< y below, above, z below, above
   float left, right;
@@ -25,7 +25,7 @@ struct Row {
 
 /// Call f(v, e, sum) for each vector of a row: its values, and the weighted sum over its neighbours.
 template <int N, bool isotropic, class F>
-inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, F&& f) {
+inline void for_each_vector(CorrectionRow const& row, std::array<float, 3> const& weight, F&& f) {
   using L = FloatLanes<N>;
   typename L::Type before = all<N>(row.left), here = load<N>(row.here);
   auto act = [&](int v, typename L::Type const& right) {
@@ -51,8 +51,8 @@ inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, 
 /// One colour of a row relaxed: e = keep e + step (sum - r); `step` is zero in the other colour, of which `parity`
 /// tells the places.
 template <int N, bool isotropic>
-inline void relax(Row const& row, std::array<float, 3> const& weight, float const* r, float const* step, float keep,
-                  int parity) {
+inline void relax(CorrectionRow const& row, std::array<float, 3> const& weight, float const* r, float const* step,
+                  float keep, int parity) {
   using L = FloatLanes<N>;
   typename L::Type const keeps = (L::numbers & 1) == parity ? all<N>(keep) : all<N>(1);
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
@@ -72,8 +72,8 @@ inline void relax_from_zero(float* e, float const* r, float const* step, int vec
 
 /// What of r is left: r - (sum - d e).
 template <int N, bool isotropic>
-inline void residual(Row const& row, std::array<float, 3> const& weight, float const* r, float const* diagonal,
-                     float* out) {
+inline void residual(CorrectionRow const& row, std::array<float, 3> const& weight, float const* r,
+                     float const* diagonal, float* out) {
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
     store(out + v * N, load<N>(r + v * N) - (sum - load<N>(diagonal + v * N) * e));
   });

@@ -8,7 +8,7 @@ namespace amrpic::matrixfree {
 
 /// Where the parents of a block's cells lie in another Vector.
 struct Parents {
-  Rectangle cells;  ///< the parent of the block's lower corner, and the pitches
+  Placement cells;  ///< the parent of the block's lower corner, and the pitches
   Index3 ratio;
   Index3 odd{0, 0, 0};      ///< 1 along axes where the block's lower corner is the second child of its parent
   Index3 extent;            ///< parents that take residuals
@@ -73,9 +73,9 @@ class Sweep {
 
  private:
   template <int lanes>
-  void restrict_row(Block const& block, int j, int k, float const* fine, Parents const& parents, float share,
+  void restrict_row(CellBlock const& block, int j, int k, float const* fine, Parents const& parents, float share,
                     Vector& coarse) const;
-  float const* in_pairs(Block const& block, Parents const& parents, float* line) const;
+  float const* in_pairs(CellBlock const& block, Parents const& parents, float* line) const;
   float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }
   template <class F>
   void for_each_row(std::size_t block, int k, float* e, F&& f) const;

@@ -61,7 +61,7 @@ void ElectricField::for_each_plane(F&& f) const {
 
 void ElectricField::set_rim(int level, int b, int k, std::array<Real const*, 3> const& plane) {
   std::ptrdiff_t const nx = box(level, b).extent(0);
-  rim(level).for_each_run(b, k, [&](Rim::Run const& run) {
+  rim(level).for_each_run(b, k, [&](Rim::CellRun const& run) {
     auto from = plane;
     for (Real const*& component : from) component += run.i + nx * run.j;
     Real* out = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
@@ -90,7 +90,7 @@ void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> co
       for (std::ptrdiff_t n = nx; n < cells - nx; ++n) out[n] = field_between(f, below[n], above[n]);
     }
   }
-  rim(level).for_each_run(b, k, [&](Rim::Run const& run) {
+  rim(level).for_each_run(b, k, [&](Rim::CellRun const& run) {
     std::ptrdiff_t const first = run.i + nx * run.j, stride = run.axis == 0 ? 1 : nx;
     Real const* const from = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
     Real *const x = plane[0] + first, *const y = plane[1] + first, *const z = plane[2] + first;

@@ -33,9 +33,9 @@ void sort_unique(std::vector<Key>& keys) {
 ///
 /// Blocks are counted on beyond the domain. Behind an upper periodic face begins an image of the domain with as many
 /// blocks, the first of them block 0 again, so that a short last block has its neighbours where its cells have theirs.
-class Lattice {
+class BlockGrid {
  public:
-  Lattice(Hierarchy const& hierarchy, int level) : edge_(hierarchy.blocking_factor()) {
+  BlockGrid(Hierarchy const& hierarchy, int level) : edge_(hierarchy.blocking_factor()) {
     Domain const& domain = hierarchy.domain();
     for (int d = 0; d < 3; ++d) {
       cells_[d] = std::int64_t(domain.cells[d]) << std::min(level, key_bits);
@@ -97,7 +97,7 @@ class Lattice {
 
 /// Marks per cell turned, along one axis, into marks per block of the next finer level, each first grown by `buffer`
 /// cells both ways.
-Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, Lattice const& finer) {
+Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, BlockGrid const& finer) {
   auto first = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) - buffer)); };
   auto last = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) + buffer)); };
   Box box = cells.box();
@@ -113,8 +113,8 @@ Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, L
 }
 
 /// Blocks of the next finer level that this rank's tags of one kind reach.
-std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std::uint8_t kind, Lattice const& lattice,
-                               int buffer) {
+std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std::uint8_t kind,
+                               BlockGrid const& lattice, int buffer) {
   std::vector<Key> out;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Window<char> marks(level.box(b), 0);
@@ -142,7 +142,7 @@ std::vector<Key> existing(std::vector<Key> keys, Level const& level, int edge) {
   return keys;
 }
 
-std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, Lattice const& lattice) {
+std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, BlockGrid const& lattice) {
   std::vector<Index3> blocks(keys.size());
   std::transform(keys.begin(), keys.end(), blocks.begin(), from_key);
   std::vector<Box> boxes = cluster(std::move(blocks), efficiency);
@@ -161,7 +161,7 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
 
   // From the finest down: what a level decides for itself is known, what the finer one needs around it is added.
   for (int l = finest; l > 0; --l) {
-    Lattice const lattice(hierarchy, l);
+    BlockGrid const lattice(hierarchy, l);
     std::vector<Key> blocks;
     if (l - 1 < tagged) {
       std::vector<Key> mine;

@@ -33,7 +33,7 @@ class Rim {
   }
 
   /// Cells (i, j), (i + 1, j) and so on of a plane of a box, or (i, j), (i, j + 1), whose numbers follow each other.
-  struct Run {
+  struct CellRun {
     int i, j, axis, count;
     LocalIndex number;
   };
@@ -43,8 +43,8 @@ class Rim {
   void for_each_run(int b, int k, F&& f) const {
     auto const [nx, ny, nz] = extent_[std::size_t(b)];
     bool const full = whole_[std::size_t(b)] || k == 0 || k == nz - 1;
-    for (int j = 0; j < ny; j += full ? 1 : ny - 1) f(Run{0, j, 0, nx, number(b, {0, j, k})});
-    for (int i = 0; !full && i < nx; i += nx - 1) f(Run{i, 1, 1, ny - 2, number(b, {i, 1, k})});
+    for (int j = 0; j < ny; j += full ? 1 : ny - 1) f(CellRun{0, j, 0, nx, number(b, {0, j, k})});
+    for (int i = 0; !full && i < nx; i += nx - 1) f(CellRun{i, 1, 1, ny - 2, number(b, {i, 1, k})});
   }
 
  private:

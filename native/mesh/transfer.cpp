@@ -9,8 +9,8 @@ namespace amrpic {
 
 namespace {
 
-/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `Pair::place`: the
-/// place of the first child among this rank's cells, and the distances to its neighbours along y and z.
+/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `LevelPair::place`:
+/// the place of the first child among this rank's cells, and the distances to its neighbours along y and z.
 template <class F>
 void for_each_family(Level const& fine, F&& f) {
   for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
@@ -45,11 +45,11 @@ Transfer::Transfer(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std:
   for (int l = 0; hierarchy_->has_finer(l); ++l) pairs_.push_back(make_pair(l));
 }
 
-Transfer::Pair Transfer::make_pair(int l) const {
+Transfer::LevelPair Transfer::make_pair(int l) const {
   Level const& coarse = hierarchy_->level(l);
   Level const& fine = hierarchy_->level(l + 1);
 
-  Pair pair;
+  LevelPair pair;
   std::vector<GlobalIndex> remote;
   for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b)
     append_remote(coarse, fine.box(b).coarsen(refinement_ratio), remote);
@@ -65,7 +65,7 @@ Transfer::Pair Transfer::make_pair(int l) const {
 
 void Transfer::average_down(std::vector<Field*> const& fields) const {
   for (int l = int(pairs_.size()) - 1; l >= 0; --l) {
-    Pair const& pair = pairs_[l];
+    LevelPair const& pair = pairs_[l];
     std::vector<Real*> own;
     std::vector<Real const*> ghosts;
     std::vector<std::vector<Real>> beyond(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
@@ -89,7 +89,7 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
 
 void Transfer::spread(Field& field) const {
   for (int l = 0; l < int(pairs_.size()); ++l) {
-    Pair const& pair = pairs_[l];
+    LevelPair const& pair = pairs_[l];
     Real const* coarse = field.level(l).data();
     Real* fine = field.level(l + 1).data();
     std::vector<Real> beyond(std::size_t(pair.parents.ghosts()));

@@ -24,15 +24,15 @@ class Transfer {
   void spread(Field& field) const;
 
  private:
-  struct Pair {
+  struct LevelPair {
     Exchange parents;                  ///< on the coarser level; ghosts: parents of own fine cells that others own
     std::vector<LocalIndex> place;     ///< of each parent of own fine cells in [own | ghosts], fine box by fine box
     std::vector<LocalIndex> bereaved;  ///< own covered cells whose children live on other ranks
   };
-  Pair make_pair(int coarse) const;
+  LevelPair make_pair(int coarse) const;
 
   std::shared_ptr<Hierarchy const> hierarchy_;
-  std::vector<Pair> pairs_;  ///< pairs_[l]: levels l and l + 1
+  std::vector<LevelPair> pairs_;  ///< pairs_[l]: levels l and l + 1
 };
 
 }  // namespace amrpic

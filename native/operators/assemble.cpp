@@ -195,7 +195,7 @@ class LevelAssembly {
                                         stack_.refines(l_) ? coarser_ : nullptr, stack_.walls[l_], seam_width_);
     auto const kinds = kinds_without_finer(level_, box, n.own, seam_width_);
     auto const composite = hidden() ? RowKinds(box, RowKind::covered) : composite_kinds(kinds, n.covered);
-    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return no_fine_.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run,
                       [&](Index3 const& cell, LocalIndex row) { count_special(n, cell, row, composite(cell)); });
@@ -214,7 +214,7 @@ class LevelAssembly {
 
   /// The composite's rows, but for the special ones, and restriction.
   void count_composite(int b, Neighbourhood const& n, RowKinds const& kinds) {
-    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
       if (kind == RowKind::covered) {
         count_restriction(first, run);
@@ -230,7 +230,7 @@ class LevelAssembly {
   }
 
   /// Means over children; single rows where some are missing or weigh otherwise, at the upper ends of the finer level.
-  void count_restriction(Index3 const& first, Run const& run) {
+  void count_restriction(Index3 const& first, RowRun const& run) {
     Index3 const ratio = stack_.ratio[l_ + 1];
     auto const weight = last_children_of(stack_, l_ + 1);
     auto special = [&](int d, int parent) {
@@ -243,7 +243,7 @@ class LevelAssembly {
       restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { mean.append(c, w); });
       restriction_->put(row, mean);
     };
-    Run regular = run;
+    RowRun regular = run;
     if (special(1, first[1]) || special(2, first[2]))
       regular.count = 0;
     else if (special(0, first[0] + run.count - 1))
@@ -300,7 +300,7 @@ class LevelAssembly {
     Real3 const coarse_seam = seam_widths(coarser_->periodic(), stack_.upper[l_ - 1]);
     std::optional<Window<GlobalIndex>> coarse;
     for_each_run(prolongation_kinds(box), level_.local_offset(b),
-                 [&](RowKind kind, Index3 const& first, Run const& run) {
+                 [&](RowKind kind, Index3 const& first, RowRun const& run) {
                    if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
                    if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
                    for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {

@@ -44,7 +44,7 @@ std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, 
     Box const& box = level.box(b);
     Neighbourhood const n = look_around(box, level, finer, coarser, stack.walls[l]);
     auto const kinds = composite_kinds(kinds_without_finer(level, box, n.own), n.covered);
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
       if (kind == RowKind::regular || kind == RowKind::covered) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
@@ -89,7 +89,7 @@ std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())
       if (operators.uncovered[row++]) kind = RowKind::covered;  // not asked for: stays empty
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) axes[d].put_run(run, RegularRows::gradient_terms);
       if (kind != RowKind::special) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex at) {

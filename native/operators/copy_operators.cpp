@@ -33,7 +33,7 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Neighbourhood const n = look_around(level.box(b), level, nullptr, nullptr, copy.walls, seam_width);
     auto const kinds = kinds_without_finer(level, level.box(b), n.own, seam_width);
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
         terms.set(special_row(equation, copy, n, cell));

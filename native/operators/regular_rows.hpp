@@ -35,14 +35,14 @@ void for_each_run(RowKinds const& kinds, LocalIndex first_row, F&& f) {
       for (int i = box.lower[0]; i <= box.upper[0];) {
         LocalIndex n = 1;
         while (i + n <= box.upper[0] && kind[n] == kind[0]) ++n;
-        f(kind[0], Index3{i, j, k}, Run{row, n});
+        f(kind[0], Index3{i, j, k}, RowRun{row, n});
         kind += n, row += n, i += n;
       }
 }
 
 /// Call `f(cell, row)` for each cell of a run.
 template <class F>
-void for_each_in_run(Index3 cell, Run const& run, F&& f) {
+void for_each_in_run(Index3 cell, RowRun const& run, F&& f) {
   for (LocalIndex n = 0; n < run.count; ++n, ++cell[0]) f(cell, run.row + n);
 }
 

@@ -14,9 +14,9 @@ using Faces = std::array<std::array<Boundary, 2>, 3>;
 
 /// Cells of a refinement level as a copy with `size` of them per cell along each axis sees them. Corrections vanish at
 /// the centres of the coarser level's cells around the level, one of its own cells beyond its faces, and at walls.
-class Cells {
+class CopyCells {
  public:
-  Cells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
+  CopyCells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
       : level_(std::move(level)), boundary_(boundary), size_(size), domain_(domain) {
     for (int d = 0; d < 3; ++d) {
       whole_[d] = size[d] > 1 && domain.extent(d) == 1 && is_closed(boundary[d]);
@@ -170,7 +170,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
     one_for_all = one_for_all || (axis.cells == 1 && is_closed(boundary[d]));
     periodic[d] = periodic[d] && axis.cells > 1;
   }
-  auto const cells = std::make_shared<Cells const>(level, boundary, size, domain);
+  auto const cells = std::make_shared<CopyCells const>(level, boundary, size, domain);
   out.beyond = [cells, size](Index3 const& cell, int axis, int side) -> WallGhost {
     if (size[axis] == 1) return {interface_ghost::first, interface_ghost::second, 0};
     return {ghost_that_vanishes(cells->distance(cell, axis, side)), 0, 0};

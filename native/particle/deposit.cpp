@@ -12,7 +12,7 @@ namespace amrpic {
 namespace {
 
 /// Own cells of a level and the ghosts beyond them, kept apart.
-struct Cells {
+struct ChargeCells {
   Real* own;
   Real* ghosts;
   LocalIndex owned;
@@ -121,7 +121,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
 class Taker {
  public:
   /// `shell` has room for the sums of the shell's cells.
-  Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse, Real* shell)
+  Taker(Level const& level, BoxGhosts const& at, Real charge, ChargeCells const& cells, ChargeCells const& coarse,
+        Real* shell)
       : at_(at),
         level_(level),
         box_(level.box(at.box)),
@@ -182,11 +183,11 @@ class Taker {
       }
   }
 
-  Surroundings const& at_;
+  BoxGhosts const& at_;
   Level const& level_;
   Box box_;
   Real per_cell_;
-  Cells cells_, coarse_;
+  ChargeCells cells_, coarse_;
   Real *own_, *shell_;
 };
 
@@ -194,7 +195,7 @@ class Taker {
 std::size_t clear_empty_boxes(ParticleMesh const& mesh, std::int64_t const* starts, Field& density) {
   std::size_t shells = 0;
   for (std::size_t s = 0; s < mesh.boxes().size(); ++s) {
-    Surroundings const& at = mesh.boxes()[s];
+    BoxGhosts const& at = mesh.boxes()[s];
     Level const& level = mesh.hierarchy().level(at.level);
     if (starts[s] < starts[s + 1])
       shells += at.shell.cells();
@@ -205,7 +206,7 @@ std::size_t clear_empty_boxes(ParticleMesh const& mesh, std::int64_t const* star
 }
 
 /// Move the tile of coarse clouds into the density of its level.
-void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cells const& cells) {
+void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, ChargeCells const& cells) {
   Box const box = at.box.grow(tile_reach);
   LocalIndex const* place = at.place.data();
   for_each_cell(box, [&](Index3 const& cell) {
@@ -222,7 +223,7 @@ class Layer {
  public:
   Layer(Exchange const& exchange, LargeArray<Real>& own)
       : exchange_(&exchange), own_(own.data()), ghosts_(std::size_t(exchange.ghosts()), Real(0)) {}
-  Cells cells() { return {own_, ghosts_.data(), exchange_->owned()}; }
+  ChargeCells cells() { return {own_, ghosts_.data(), exchange_->owned()}; }
   void fold() const { exchange_->fold({own_}, {ghosts_.data()}); }
 
  private:
@@ -248,7 +249,7 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
   std::vector<Taker> takers;
   std::vector<ChargeTile> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
-    Surroundings const& at = mesh.boxes()[slot];
+    BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
     Box const& box = level.box(at.box);

@@ -93,7 +93,7 @@ void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex>
 class Filler {
  public:
   /// `rims`: the field there, level by level.
-  Filler(ElectricField const& field, Surroundings const& at, RimPlaces::Around const& around,
+  Filler(ElectricField const& field, BoxGhosts const& at, RimPlaces::Around const& around,
          std::vector<RimCells> const& rims)
       : field_(field),
         at_(at),
@@ -141,7 +141,7 @@ class Filler {
       if (run.place >= 0 && run.place_stride == 1) rim_.bring_near(run.place, run.count);
     });
     if (field_.potential() && k >= box_.lower[2] && k <= box_.upper[2])
-      for_each_own_rim(k, [&](Rim::Run const& run) { rim_.bring_near(run.number, run.count); });
+      for_each_own_rim(k, [&](Rim::CellRun const& run) { rim_.bring_near(run.number, run.count); });
   }
 
   /// Call f(run) for the rim of the box in plane k.
@@ -159,7 +159,7 @@ class Filler {
         difference_row(phi + box_.offset({box_.lower[0], j, k}), nx, plane, field_.factor(at_.level), nx,
                        tile.row(box_.lower[0], j, k));
     }
-    for_each_own_rim(k, [&](Rim::Run const& run) {
+    for_each_own_rim(k, [&](Rim::CellRun const& run) {
       Real* const out = tile.row(box_.lower[0] + run.i, box_.lower[1] + run.j, k);
       rim_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
     });
@@ -177,7 +177,7 @@ class Filler {
   }
 
   ElectricField const& field_;
-  Surroundings const& at_;
+  BoxGhosts const& at_;
   RimPlaces::Around const& around_;
   Level const &level_, &coarser_;
   Box box_;
@@ -311,7 +311,7 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
-    Surroundings const& at = mesh.boxes()[slot];
+    BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];

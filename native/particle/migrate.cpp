@@ -270,7 +270,7 @@ bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   LocalIndex const all = LocalIndex(particles_.count);
   std::int64_t const lower = received_start_[rank], end = received_start_.back();
   unpack(0, lower, false, out);
-  for (Run const& run : runs_) {
+  for (ParticleRun const& run : runs_) {
     assign_movers(movers_, run.first);
     for (LocalIndex first = run.first; first < run.last; first += batch_size) {
       LocalIndex const last = std::min(run.last, first + batch_size);

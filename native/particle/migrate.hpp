@@ -53,7 +53,7 @@ class Migration {
     int slot = -1, brick = -1;
   };
   /// Particles [first, last), consecutive in memory, that were held against one brick; `first` is a multiple of eight.
-  struct Run {
+  struct ParticleRun {
     LocalBrick at;
     LocalIndex first, last, stayed;
   };
@@ -120,7 +120,7 @@ class Migration {
   std::vector<Column> columns_;  ///< position, momentum, id, and weight if it is not equal; none before `finish`
   /// Of each slot: the number of its first brick among all of this rank, and how many there are.
   std::vector<LocalIndex> first_brick_;
-  Run run_{{}, 0, 0, 0};           ///< of the brick at hand
+  ParticleRun run_{{}, 0, 0, 0};   ///< of the brick at hand
   HomeBrick at_hand_{};            ///< that brick; at first one that holds nothing
   std::array<int, 27> next_door_;  ///< slots found around its box, by direction; -1: none yet
   /// Who left the brick at hand: looked after a few dozen at a time, so that the processor need not guess after each
@@ -131,8 +131,8 @@ class Migration {
   bool finite_ = true;
   std::vector<std::int64_t> lost_;
   std::int64_t staying_ = 0;
-  std::vector<Run> runs_;        ///< in order of their places
-  Scratch<std::uint8_t> stays_;  ///< for each eight particles, a bit for each that stayed in its run's brick
+  std::vector<ParticleRun> runs_;  ///< in order of their places
+  Scratch<std::uint8_t> stays_;    ///< for each eight particles, a bit for each that stayed in its run's brick
   Movers movers_{false}, wrapped_{true};
   Assigned assigned_;
   std::vector<std::vector<Leaving>> leaving_;  ///< by rank

@@ -9,7 +9,7 @@ namespace amrpic {
 
 namespace {
 
-/// Surroundings by global numbers, before it is known where the ghosts are kept.
+/// BoxGhosts by global numbers, before it is known where the ghosts are kept.
 struct Numbered {
   std::vector<GlobalIndex> shell;  ///< in the order of `for_each_shell_row`; `no_cell`: the level has none
   Box parents;
@@ -83,7 +83,7 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
     exchanges_.emplace_back(hierarchy_->comm(), level, remote_cells(level, std::move(read[l])));
   }
   for (std::size_t s = 0; s < boxes_.size(); ++s) {
-    Surroundings& at = boxes_[s];
+    BoxGhosts& at = boxes_[s];
     Exchange const& exchange = exchanges_[at.level];
     at.shell = Shell(hierarchy_->level(at.level).box(at.box), places(numbered[s].shell, exchange), exchange.owned());
     if (at.level > 0) at.coarse = places(numbered[s].coarse, exchanges_[at.level - 1]);

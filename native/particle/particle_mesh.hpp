@@ -15,7 +15,7 @@
 namespace amrpic {
 
 /// What lies around one box of this rank.
-struct Surroundings {
+struct BoxGhosts {
   int level, box;
   Shell shell;
   Box parents;  ///< the box coarsened and grown by one; empty if the level has all cells of the shell
@@ -43,7 +43,7 @@ class ParticleMesh {
   RimPlaces const& rim_places(bool matched);
 
   /// This rank's boxes, level by level. Their numbers are called slots.
-  std::vector<Surroundings> const& boxes() const { return boxes_; }
+  std::vector<BoxGhosts> const& boxes() const { return boxes_; }
   int slot(int level, int local_box) const {
     return first_slot_[level] + local_box - hierarchy_->level(level).first_local_box();
   }
@@ -56,7 +56,7 @@ class ParticleMesh {
   Locator locator_;
   Transfer transfer_;
   std::vector<Exchange> exchanges_;  ///< per level: ghosts are all cells of other ranks that `boxes_` names
-  std::vector<Surroundings> boxes_;
+  std::vector<BoxGhosts> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;
   // none until asked for

@@ -37,7 +37,7 @@ RimPlaces::RimPlaces(ParticleMesh const& mesh, BufferZone const* zone) {
     rims.emplace_back(hierarchy.level(l), hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr);
   auto const to_rim = [&](int l) { return ToRim{rims[std::size_t(l)], hierarchy.level(l).local_cells()}; };
   for (int l = 0; l < hierarchy.level_count(); ++l) exchanges_.push_back(to_rim(l)(mesh.exchange(l)));
-  for (Surroundings const& at : mesh.boxes()) {
+  for (BoxGhosts const& at : mesh.boxes()) {
     Box const& box = hierarchy.level(at.level).box(at.box);
     Shell shell = at.shell.kept_elsewhere(box, rims[std::size_t(at.level)].cells(), to_rim(at.level));
     around_.push_back({std::move(shell), to_rim(std::max(0, at.level - 1))(at.coarse), {}});

@@ -15,7 +15,7 @@ class ParticleMesh;
 /// level, for values that are kept at rims alone.
 class RimPlaces {
  public:
-  /// What lies around one box, as in Surroundings; and as in BoxBuffer, for each of its levels.
+  /// What lies around one box, as in BoxGhosts; and as in BoxBuffer, for each of its levels.
   struct Around {
     Shell shell;
     std::vector<LocalIndex> coarse;

@@ -134,7 +134,7 @@ inline int planes_per_slab(Box const& box, int components) {
 /// Call f(slab, first, last) for the slabs of so many planes that a box is cut into, and the particles of each: those
 /// of a box are sorted by brick, and slabs are whole bricks.
 template <class F>
-void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes, ParticleView const& particles,
+void for_each_slab(ParticleMesh const& mesh, BoxGhosts const& at, int planes, ParticleView const& particles,
                    std::int64_t first, std::int64_t last, F&& f) {
   LevelCoordinates const coordinates = mesh.locator().coordinates(at.level);
   Box const& box = mesh.hierarchy().level(at.level).box(at.box);
@@ -157,7 +157,7 @@ void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes,
 /// Call f(rise, frame, chosen) for those of a slab's particles whose clouds lie on one level: `rise` levels coarser
 /// than the slab, in a tile that `frame` describes. Without a buffer all of them lie on the slab's own level.
 template <class F>
-void for_each_rise(ParticleMesh const& mesh, Surroundings const& at, Box const& slab, BoxBuffer const* buffer,
+void for_each_rise(ParticleMesh const& mesh, BoxGhosts const& at, Box const& slab, BoxBuffer const* buffer,
                    ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
   TileFrame const own(mesh.locator().coordinates(at.level), slab);
   if (first == last) return;

@@ -127,7 +127,7 @@ void require_fit(Crs const& matrix, SolverOptions const& options) {
 
 }  // namespace
 
-struct Bottom::Problem {
+struct Bottom::GatheredProblem {
   using Linear = Belos::LinearProblem<Real, MultiVector, Operator>;
   using Iterations = Belos::SolverManager<Real, MultiVector, Operator>;
 
@@ -143,7 +143,7 @@ struct Bottom::Problem {
     x = Teuchos::null, b = Teuchos::null, matrix = Teuchos::null;
   }};
 
-  Problem(Crs const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
+  GatheredProblem(Crs const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
       : rows(whole.rows()), scale(scale) {
     auto const self = Teuchos::rcp(new Teuchos::MpiComm<int>(MPI_COMM_SELF));
     auto const map = Teuchos::rcp(new TpetraTypes::Map(Tpetra::global_size_t(rows), 0, self));
@@ -254,8 +254,8 @@ Bottom::Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, So
   Real const scale = normalise(whole, volume_, singular);
   require_fit(whole, options);
   Box const& domain = operators.level->domain();
-  problem_ =
-      std::make_unique<Problem>(whole, scale, Index3{domain.extent(0), domain.extent(1), domain.extent(2)}, options);
+  problem_ = std::make_unique<GatheredProblem>(whole, scale,
+                                               Index3{domain.extent(0), domain.extent(1), domain.extent(2)}, options);
 }
 
 Bottom::~Bottom() = default;

@@ -47,8 +47,8 @@ std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
 }
 
 /// Zeros on all levels, with room for ghosts.
-Composite CrsBackend::zero() const {
-  Composite out;
+CompositeVector CrsBackend::zero() const {
+  CompositeVector out;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.ghosts()));
   return out;
@@ -142,7 +142,7 @@ void CrsBackend::finish() {
 
 /// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
 /// face may be a covered one.
-void CrsBackend::average_down(Composite& x) const {
+void CrsBackend::average_down(CompositeVector& x) const {
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     if (hierarchy_->has_finer(l)) {
       Crs const& restriction = operators(l).restriction;
@@ -156,7 +156,7 @@ void CrsBackend::average_down(Composite& x) const {
 
 /// f - A x in the uncovered cells of a level, zero in the others; x is averaged down.
 template <class F>
-void CrsBackend::subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const {
+void CrsBackend::subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const {
   LevelOperators const& o = operators(l);
   Real const* const own = x[l].data();
   for_rows(o.rows(),
@@ -179,7 +179,7 @@ Real CrsBackend::residual() {
 }
 
 CompositeEquations CrsBackend::equations() {
-  auto multiply = [this](Composite& x, Composite& out) {
+  auto multiply = [this](CompositeVector& x, CompositeVector& out) {
     average_down(x);
     for (int l = 0; l < hierarchy_->level_count(); ++l) {
       subtract(
@@ -187,7 +187,7 @@ CompositeEquations CrsBackend::equations() {
       for (Real& v : out[l]) v = -v;
     }
   };
-  auto dot = [this](Composite const& x, Composite const& y) {
+  auto dot = [this](CompositeVector const& x, CompositeVector const& y) {
     Real sum = 0;
     for (int l = 0; l < hierarchy_->level_count(); ++l)
       for_each_uncovered(l, [&](LocalIndex row) { sum += x[l][row] * y[l][row]; });
@@ -200,10 +200,10 @@ CompositeEquations CrsBackend::equations() {
 /// One cycle for the residual, and what it gives added to phi.
 void CrsBackend::improve() {
   std::size_t const levels = phi_.size();
-  Composite values(levels);
+  CompositeVector values(levels);
   if (krylov_) {
     for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
-    Composite const& direction = krylov_->direction(values);
+    CompositeVector const& direction = krylov_->direction(values);
     for (std::size_t l = 0; l < levels; ++l)
       std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
   }

@@ -58,10 +58,10 @@ class CrsBackend : public Backend {
   StackOperators assembled(Reusable& reusable);
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
   std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
-  Composite zero() const;
-  void average_down(Composite& x) const;
+  CompositeVector zero() const;
+  void average_down(CompositeVector& x) const;
   template <class F>
-  void subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const;
+  void subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const;
   void compute_residual();
   CompositeEquations equations();
   void set_truncation();
@@ -79,8 +79,8 @@ class CrsBackend : public Backend {
   Multigrid multigrid_;
   std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
   std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
-  Composite phi_;                                ///< own cells and ghosts
-  Composite right_hand_side_;                    ///< f = -rho / eps0 - background minus what walls add
+  CompositeVector phi_;                          ///< own cells and ghosts
+  CompositeVector right_hand_side_;              ///< f = -rho / eps0 - background minus what walls add
   Field const* rho_ = nullptr;
   Background background_;
   Real unit_ = 1;  ///< what 1 stands for in all vectors of a solve, V and V/m^2; a power of two, so exact

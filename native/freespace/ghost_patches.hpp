@@ -19,7 +19,7 @@ constexpr int patch_values = patch_points * patch_points;  ///< lower axis faste
 /// Axes of the plane, in ascending order.
 constexpr std::array<int, 2> plane_axes(int normal) { return {normal == 0 ? 1 : 0, normal == 2 ? 1 : 2}; }
 
-/// Ghosts 8 place .. 8 place + 7 of a level behind a wall; those beyond the rim of the wall are computed in vain.
+/// Ghosts 8 place .. 8 place + 7 of a level behind a wall; those outside the wall are computed in vain.
 struct GhostBlock {
   int face;  ///< 2 * axis + side
   int level;

@@ -15,7 +15,7 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
-constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
+constexpr double order_tolerance = 2e-6;  ///< fraction of a box's potential that orders left out may add
 /// A factor of limits: places on a lattice often lie at a limit exactly, and rounding must not choose.
 constexpr double past_ties = 1 + 1e-9;
 
@@ -31,7 +31,7 @@ double near_distance(Point const& shape, Options const& options) {
 
 /// Cells that the kernel tables must reach: from a node's charges to the ghosts that it is near to, and along long
 /// cells to the rest of a block of ghosts that is partly as near. Across them to the rest of a patch, which is
-/// interpolated where it is far enough for its width, and may stand out beyond its wall.
+/// interpolated where it is far enough for its width, and may stand out from its wall.
 Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
   Point const shape = lattice.shape();
   Cell const near = near_cells(lattice, options), widest = widest_blocks(shape);
@@ -42,8 +42,8 @@ Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
   for (int d = 0; d < 3; ++d) {
     double const inside_domain = std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
     double const block = shape[d] > 2 ? 2 * block_edge : block_edge;
-    double const beyond = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
-    out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + beyond)) + 1;
+    double const interpolated = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
+    out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + interpolated)) + 1;
   }
   return out;
 }

@@ -16,9 +16,9 @@ namespace amrpic::freespace {
 
 struct Options {
   double acceptance =
-      0.5;  ///< a box is a multipole from where its radius looks smaller than this share of the distance
+      0.5;  ///< a box is a multipole from where its radius looks smaller than this fraction of the distance
   double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
-  double dropped = 1e-7;      ///< share of all |q| that may be left out with the weakest boxes
+  double dropped = 1e-7;      ///< fraction of all |q| that may be left out with the weakest boxes
   double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
 };
 

@@ -8,10 +8,10 @@
 
 #include "matrixfree/composite_kernels.hpp"
 #include "matrixfree/composite_plan.hpp"
+#include "mesh/array_on_box.hpp"
 #include "mesh/electric_field.hpp"
 #include "mesh/field.hpp"
 #include "mesh/norm.hpp"
-#include "mesh/window.hpp"
 #include "operators/operators.hpp"
 #include "operators/walls.hpp"
 

@@ -1,7 +1,7 @@
 #include <algorithm>
 
 #include "matrixfree/composite.hpp"
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 

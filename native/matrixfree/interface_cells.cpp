@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -11,8 +11,8 @@ namespace {
 constexpr int margin = 2;  ///< of coarser cells that fits take, around the parents
 
 /// 1 for the cells of a region that hold a potential of their own: cells of the level that no finer one covers.
-Window<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
-  Window<char> out(region, 0);
+ArrayOnBox<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
+  ArrayOnBox<char> out(region, 0);
   auto mark = [&](Box const& part, char value) {
     for (int k = part.lower[2]; k <= part.upper[2]; ++k)
       for (int j = part.lower[1]; j <= part.upper[1]; ++j)
@@ -25,7 +25,7 @@ Window<char> usable_cells(Level const& level, Level const& finer, Box const& reg
   return out;
 }
 
-/// The usable ones among the 25 cells of the plane around a cell; `stride`: steps in the window along its two axes.
+/// The usable ones among the 25 cells of the plane around a cell; `stride`: steps in memory along its two axes.
 unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& stride) {
   unsigned out = 0;
   for (int i = -2; i <= 2; ++i)
@@ -42,13 +42,13 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     CellBlock const& block = layout.blocks()[b];
     CoarsePatch const& patch = patches[b];
-    Window<char> usable({}, 0);
+    ArrayOnBox<char> usable({}, 0);
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side) {
         Box layer = block.box;
         layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
         if (!level.periodic()[axis] && !level.domain().contains(layer)) continue;
-        Window<char> level_has(layer, 0);
+        ArrayOnBox<char> level_has(layer, 0);
         GlobalIndex missing = layer.cells();
         level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
           missing -= part.cells();
@@ -57,9 +57,9 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         if (missing == 0) continue;
         if (usable.values().empty()) usable = usable_cells(coarser, level, block.box.coarsen({2, 2, 2}).grow(3));
         auto const [u, v] = tangential_axes(axis);
-        Box const& window = usable.box();
-        std::array<std::ptrdiff_t, 3> const step{1, window.extent(0),
-                                                 std::ptrdiff_t(window.extent(0)) * window.extent(1)};
+        Box const& region = usable.box();
+        std::array<std::ptrdiff_t, 3> const step{1, region.extent(0),
+                                                 std::ptrdiff_t(region.extent(0)) * region.extent(1)};
         Box const parents = layer.coarsen({2, 2, 2});
         InterfaceSide face;
         face.nu = parents.extent(u);

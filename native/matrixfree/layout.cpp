@@ -18,8 +18,8 @@ std::ptrdiff_t rounded_up(std::ptrdiff_t n, std::ptrdiff_t to) { return (n + to 
 /// Cells per vector of a row: the wide ones, unless they would carry too much padding. Vectors of 4 do half the work of
 /// those of 8 at a time, so that it takes more padding for them.
 int lanes_of(int cells) {
-  constexpr int share = widest == 16 ? 8 : 4;
-  bool const wide = share * rounded_up(cells, widest) <= (share + 1) * rounded_up(cells, narrowest);
+  constexpr int least = widest == 16 ? 8 : 4;
+  bool const wide = least * rounded_up(cells, widest) <= (least + 1) * rounded_up(cells, narrowest);
   return wide ? widest : narrowest;
 }
 
@@ -79,9 +79,9 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   std::ptrdiff_t longest = 0;
   for (CellBlock const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
   zero_row_ = std::ptrdiff_t(size_);
-  size_ += std::size_t(longest) + 64;  // a vector that starts in the last row may reach beyond it
+  size_ += std::size_t(longest) + 64;  // a vector that starts in the last row may reach past it
 
-  for (Box const& box : own)  // a box that a seam cuts is asked for by nobody
+  for (Box const& box : own)  // nobody reads a box that a seam cuts
     for (std::size_t b = 0; b < own_blocks_; ++b)
       if (blocks_[b].box.contains(box)) {
         Placement cells = blocks_[b].cells;

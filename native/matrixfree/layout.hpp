@@ -20,7 +20,7 @@ struct Placement {
 /// A box of cells in this rank's memory: boxes of the level that make up a larger box, or cells of other ranks that the
 /// sweeps need.
 struct CellBlock {
-  Box box;          ///< beyond the domain where it is the image across a periodic boundary
+  Box box;          ///< outside the domain where it is the image across a periodic boundary
   Placement cells;  ///< rows padded to whole vectors
   int lanes = 16;   ///< cells per vector
 
@@ -53,7 +53,7 @@ class Layout {
   int distance(std::size_t block, int k) const {
     return block < own_blocks_ ? 0 : planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])];
   }
-  /// Whether other ranks, or this one beyond the domain, may hold copies of cells of an own block's plane.
+  /// Whether other ranks, or this one outside the domain, may have copies of cells of an own block's plane.
   bool is_copied(std::size_t block, int k) const {
     return planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])] != 0;
   }

@@ -20,9 +20,9 @@ struct Plane {
 
 void relax_from_zero(Plane const& plane, int colour, float const* r, float* e);
 void relax(Plane const& plane, int colour, float const* r, float* e);
-void restrict_residual(Plane const& plane, float const* r, float const* e, Parents const& parents, float share,
+void restrict_residual(Plane const& plane, float const* r, float const* e, Parents const& parents, float weight,
                        float* coarse);
-void restrict_right_hand_side(Plane const& plane, float const* r, Parents const& parents, float share, float* coarse);
+void restrict_right_hand_side(Plane const& plane, float const* r, Parents const& parents, float weight, float* coarse);
 void prolong(Plane const& plane, Parents const& parents, float const* coarse, bool set, float* e);
 
 }  // namespace portable

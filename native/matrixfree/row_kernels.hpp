@@ -1,5 +1,5 @@
-// What is done to one row of cells along x, on whole vectors. Places beyond the row's end, up to its pitch, take part;
-// what they hold is never read by a cell.
+// What is done to one row of cells along x, on whole vectors. Places past the row's end, up to its pitch, take part;
+// no cell reads their values.
 #pragma once
 
 #include <array>
@@ -48,8 +48,8 @@ inline void for_each_vector(CorrectionRow const& row, std::array<float, 3> const
   act(end, L::numbers == row.last ? after : L::from_right(here, after));
 }
 
-/// One colour of a row relaxed: e = keep e + step (sum - r); `step` is zero in the other colour, of which `parity`
-/// tells the places.
+/// One colour of a row relaxed, at the places of that `parity`: e = keep e + step (sum - r); `step` is zero in the
+/// other colour.
 template <int N, bool isotropic>
 inline void relax(CorrectionRow const& row, std::array<float, 3> const& weight, float const* r, float const* step,
                   float keep, int parity) {
@@ -86,17 +86,17 @@ inline void put(float* to, typename FloatLanes<N>::Type const& values, std::ptrd
   for (std::ptrdiff_t i = 0; i < n; ++i) to[i] = set ? values[i] : to[i] + values[i];
 }
 
-/// Set a coarse row of `cells` to `share` times the sum of each one's children in a fine row (one or two), or add it.
+/// Set a coarse row of `cells` to `weight` times the sum of each one's children in a fine row (one or two), or add it.
 template <int N>
-inline void restrict_row(float const* fine, int cells, int ratio, float share, bool set, float* coarse) {
+inline void restrict_row(float const* fine, int cells, int ratio, float weight, bool set, float* coarse) {
   using L = FloatLanes<N>;
   for (std::ptrdiff_t place = 0; place < cells; place += N) {
     float const* const children = fine + place * ratio;
     if (ratio == 1) {
-      put<N>(coarse + place, share * load<N>(children), cells - place, set);
+      put<N>(coarse + place, weight * load<N>(children), cells - place, set);
     } else {
       typename L::Type const a = load<N>(children), b = load<N>(children + N);
-      put<N>(coarse + place, share * (L::even(a, b) + L::odd(a, b)), cells - place, set);
+      put<N>(coarse + place, weight * (L::even(a, b) + L::odd(a, b)), cells - place, set);
     }
   }
 }
@@ -104,14 +104,14 @@ inline void restrict_row(float const* fine, int cells, int ratio, float share, b
 /// Up to four rows of a coarser level, and what a fine row takes of each; `row` points at the first parent.
 struct CoarseRows {
   std::array<float const*, 4> row;
-  std::array<float, 4> share;
+  std::array<float, 4> weight;
   int count;
 };
 
 /// The weighted sum over coarse rows at one place.
 inline float mean(CoarseRows const& coarse, int place) {
   float sum = 0;
-  for (int c = 0; c < coarse.count; ++c) sum += coarse.share[std::size_t(c)] * coarse.row[std::size_t(c)][place];
+  for (int c = 0; c < coarse.count; ++c) sum += coarse.weight[std::size_t(c)] * coarse.row[std::size_t(c)][place];
   return sum;
 }
 
@@ -121,8 +121,8 @@ template <int N>
 inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool set, float const* r, float* fine) {
   using L = FloatLanes<N>;
   auto mean = [&](int place) {
-    typename L::Type sum = coarse.share[0] * load<N>(coarse.row[0] + place);
-    for (int c = 1; c < coarse.count; ++c) sum += coarse.share[c] * load<N>(coarse.row[c] + place);
+    typename L::Type sum = coarse.weight[0] * load<N>(coarse.row[0] + place);
+    for (int c = 1; c < coarse.count; ++c) sum += coarse.weight[c] * load<N>(coarse.row[c] + place);
     return sum;
   };
   auto put = [&](int v, typename L::Type const& values) {

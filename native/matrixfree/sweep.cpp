@@ -126,21 +126,21 @@ float const* Sweep::in_pairs(CellBlock const& b, Parents const& parents, float* 
 
 /// Restrict a row of fine values in pairs.
 template <int lanes>
-void Sweep::restrict_row(CellBlock const& b, int j, int k, float const* fine, Parents const& parents, float share,
+void Sweep::restrict_row(CellBlock const& b, int j, int k, float const* fine, Parents const& parents, float weight,
                          Vector& coarse) const {
   int const plane = k - b.box.lower[2], y = parents.parent(1, j), z = parents.parent(2, plane);
   if (y >= parents.extent[1] || z >= parents.extent[2]) return;
   bool const set = parents.is_first_child(1, j) && parents.is_first_child(2, plane);
   matrixfree::restrict_row<lanes>(fine, parents.extent[0], parents.ratio[0],
-                                  share * parents.weight_of(1, j) * parents.weight_of(2, plane), set,
+                                  weight * parents.weight_of(1, j) * parents.weight_of(2, plane), set,
                                   coarse.data() + parents.cells.place(0, y, z));
 }
 
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
-                              float share, Vector& coarse) const {
+                              float weight, Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, share,
+    return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, weight,
                                        coarse.data());
   float* const left = line_of(parents);
   float* const values = const_cast<float*>(e.data());  // rows are read alone
@@ -148,16 +148,16 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
     for_each_row(block, k, values, [&](CorrectionRow const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
-      restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, share, coarse);
+      restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, weight, coarse);
     });
   });
 }
 
-void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float share,
+void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                      Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, share,
+    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, weight,
                                               coarse.data());
   with_kind(b.lanes, true, [&](auto n, auto) {
     float* const line = line_of(parents);
@@ -167,7 +167,7 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
         std::copy_n(row, b.box.extent(0), line);
         row = in_pairs(b, parents, line);
       }
-      restrict_row<n()>(b, j, k, row, parents, share, coarse);
+      restrict_row<n()>(b, j, k, row, parents, weight, coarse);
     }
   });
 }
@@ -179,7 +179,7 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
     return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), set, e.data());
   int const plane = k - b.box.lower[2], nx = b.box.extent(0), z = parents.toward(2, plane);
   // a fine row lies between its parents' row and the next one on its own side
-  auto share = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };
+  auto weight = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };
   with_kind(b.lanes, true, [&](auto n, auto) {
     for (int j = 0; j < b.box.extent(1); ++j) {
       int const y = parents.toward(1, j);
@@ -190,7 +190,7 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
         for (int far_y = 0; far_y <= (y != 0); ++far_y, ++from.count) {
           from.row[std::size_t(from.count)] =
               here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
-          from.share[std::size_t(from.count)] = share(1, j, far_y) * share(2, plane, far_z);
+          from.weight[std::size_t(from.count)] = weight(1, j, far_y) * weight(2, plane, far_z);
         }
       std::ptrdiff_t const row = b.cells.place(0, j, plane);
       if (!parents.odd[0] && parents.seam[0] == 0) {

@@ -58,12 +58,12 @@ class Sweep {
   void relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
   void relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
 
-  /// The plane's share in the coarse right-hand side: `share` times the sum of the children's residuals, or of their
+  /// What a plane adds to the coarse right-hand side: `weight` times the sum of the children's residuals, or of their
   /// right-hand sides. The first of the planes that share parents sets, the others add.
   void restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
-                         float share, Vector& coarse) const;
+                         float weight, Vector& coarse) const;
 
-  void restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float share,
+  void restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                 Vector& coarse) const;
 
   /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; coarse cells
@@ -73,7 +73,7 @@ class Sweep {
 
  private:
   template <int lanes>
-  void restrict_row(CellBlock const& block, int j, int k, float const* fine, Parents const& parents, float share,
+  void restrict_row(CellBlock const& block, int j, int k, float const* fine, Parents const& parents, float weight,
                     Vector& coarse) const;
   float const* in_pairs(CellBlock const& block, Parents const& parents, float* line) const;
   float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }

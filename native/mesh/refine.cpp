@@ -5,8 +5,8 @@
 
 #include "base/all_gather.hpp"
 #include "base/error.hpp"
+#include "mesh/array_on_box.hpp"
 #include "mesh/cluster.hpp"
-#include "mesh/window.hpp"
 
 namespace amrpic {
 
@@ -31,7 +31,7 @@ void sort_unique(std::vector<Key>& keys) {
 
 /// The blocks of a level: what can be refined or not. The last one along an axis may be shorter.
 ///
-/// Blocks are counted on beyond the domain. Behind an upper periodic face begins an image of the domain with as many
+/// Blocks are counted on outside the domain. Behind an upper periodic face begins an image of the domain with as many
 /// blocks, the first of them block 0 again, so that a short last block has its neighbours where its cells have theirs.
 class BlockGrid {
  public:
@@ -48,7 +48,7 @@ class BlockGrid {
     }
   }
 
-  /// The block along an axis that holds a cell of the level, which may lie beyond the domain.
+  /// The block along an axis that holds a cell of the level, which may lie outside the domain.
   int block(int axis, std::int64_t cell) const {
     auto const divide = [](std::int64_t a, std::int64_t b) { return a / b - (a % b < 0); };
     std::int64_t const image = periodic_[axis] ? divide(cell, cells_[axis]) : 0;
@@ -97,13 +97,13 @@ class BlockGrid {
 
 /// Marks per cell turned, along one axis, into marks per block of the next finer level, each first grown by `buffer`
 /// cells both ways.
-Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, BlockGrid const& finer) {
+ArrayOnBox<char> grow_and_coarsen(ArrayOnBox<char> const& cells, int axis, int buffer, BlockGrid const& finer) {
   auto first = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) - buffer)); };
   auto last = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) + buffer)); };
   Box box = cells.box();
   box.lower[axis] = first(box.lower[axis]);
   box.upper[axis] = last(box.upper[axis]);
-  Window<char> out(box, 0);
+  ArrayOnBox<char> out(box, 0);
   for_each_cell(cells.box(), [&](Index3 const& cell) {
     if (!cells(cell)) return;
     Index3 block = cell;
@@ -117,7 +117,7 @@ std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std
                                BlockGrid const& lattice, int buffer) {
   std::vector<Key> out;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Window<char> marks(level.box(b), 0);
+    ArrayOnBox<char> marks(level.box(b), 0);
     std::uint8_t const* first = tags + level.local_offset(b);
     auto const last = first + level.box(b).cells();
     if (std::none_of(first, last, [&](std::uint8_t tag) { return tag & kind; })) continue;

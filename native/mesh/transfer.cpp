@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
+#include "mesh/array_on_box.hpp"
 #include "mesh/means.hpp"
-#include "mesh/window.hpp"
 
 namespace amrpic {
 
@@ -68,7 +68,7 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
     LevelPair const& pair = pairs_[l];
     std::vector<Real*> own;
     std::vector<Real const*> ghosts;
-    std::vector<std::vector<Real>> beyond(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
+    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
     for (std::size_t f = 0; f < fields.size(); ++f) {
       Real const* fine = fields[f]->level(l + 1).data();
       Real* coarse = fields[f]->level(l).data();
@@ -77,11 +77,10 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
       LocalIndex const owned = pair.parents.owned();
       for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
         LocalIndex const place = pair.place[n++];
-        average_children(1, fine + child, y, z,
-                         place < owned ? coarse + place : &beyond[f][std::size_t(place - owned)]);
+        average_children(1, fine + child, y, z, place < owned ? coarse + place : &halo[f][std::size_t(place - owned)]);
       });
       own.push_back(coarse);
-      ghosts.push_back(beyond[f].data());
+      ghosts.push_back(halo[f].data());
     }
     pair.parents.fold(own, ghosts);
   }
@@ -92,13 +91,13 @@ void Transfer::spread(Field& field) const {
     LevelPair const& pair = pairs_[l];
     Real const* coarse = field.level(l).data();
     Real* fine = field.level(l + 1).data();
-    std::vector<Real> beyond(std::size_t(pair.parents.ghosts()));
-    pair.parents.update({coarse}, {beyond.data()});
+    std::vector<Real> halo(std::size_t(pair.parents.ghosts()));
+    pair.parents.update({coarse}, {halo.data()});
     std::size_t n = 0;
     LocalIndex const owned = pair.parents.owned();
     for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
       LocalIndex const place = pair.place[n++];
-      Real const value = place < owned ? coarse[place] : beyond[std::size_t(place - owned)];
+      Real const value = place < owned ? coarse[place] : halo[std::size_t(place - owned)];
       for (LocalIndex c : {child, child + y, child + z, child + y + z}) fine[c] += value, fine[c + 1] += value;
     });
   }

@@ -20,7 +20,7 @@ class Transfer {
   void average_down(std::vector<Field*> const& fields) const;
 
   /// Add the value of each covered cell to its children, coarsest level first: charge that lies on covered cells moves,
-  /// in equal shares, to the cells that count. The covered cells keep their values. Collective.
+  /// in equal parts, to the cells that count. The covered cells keep their values. Collective.
   void spread(Field& field) const;
 
  private:

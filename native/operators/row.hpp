@@ -6,8 +6,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "mesh/array_on_box.hpp"
 #include "mesh/exchange.hpp"
-#include "mesh/window.hpp"
 #include "operators/crs.hpp"
 #include "stencil/linear_form.hpp"
 

@@ -56,8 +56,8 @@ struct LevelCopy {
   std::array<UpperEnd, 3> upper;
   std::array<LastChildren, 3> children;  ///< what last cells above weigh in the means
 
-  /// The ghost where the copy ends inside the domain: cell, axis, side.
-  std::function<WallGhost(Index3 const&, int, int)> beyond;
+  /// The ghost cell where the copy ends inside the domain: cell, axis, side.
+  std::function<WallGhost(Index3 const&, int, int)> ghost;
   /// Factor of the last cell in the ghost that prolongation reads, at walls too.
   std::function<Real(Index3 const&, int, int)> prolonged;
 };

@@ -13,11 +13,12 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
     : problem_(problem),
       hierarchy_(problem.hierarchy),
       options_(problem.options),
-      stack_(coarsen_below(stack_of(*hierarchy_, shift_of(options_)), hierarchy_->domain(),
-                           {hierarchy_->max_grid_size()}, options_.coarse_levels)),
+      multigrid_levels_(coarsen_below(refinement_levels(*hierarchy_, shift_of(options_)), hierarchy_->domain(),
+                                      {hierarchy_->max_grid_size()}, options_.coarse_levels)),
       operators_(assembled(reusable)),
       transfer_(hierarchy_),
-      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), hierarchy_->max_grid_size(), options_),
+      multigrid_(hierarchy_->comm(), multigrid_levels_, operators_, bottom(reusable), hierarchy_->max_grid_size(),
+                 options_),
       messages_before_(halo_sum(&Exchange::messages)),
       bytes_before_(halo_sum(&Exchange::bytes)),
       krylov_(make_krylov(options_.krylov, equations())) {
@@ -26,11 +27,11 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
 }
 
 /// The operators, with what was handed on of them.
-StackOperators CrsBackend::assembled(Reusable& reusable) {
+MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   Assembled former;
   if (reusable.operators) former = std::move(*reusable.operators);
-  reusable.operators =
-      std::make_shared<Assembled>(assemble(hierarchy_->comm(), stack_, options_.prolongation, std::move(former)));
+  reusable.operators = std::make_shared<Assembled>(
+      assemble(hierarchy_->comm(), multigrid_levels_, options_.prolongation, std::move(former)));
   levels_assembled_ = reusable.operators->made;
   return reusable.operators->operators;
 }
@@ -78,7 +79,8 @@ Integral CrsBackend::integrate_right_hand_side() {
     });
     Walls const& walls = problem_.walls[l];
     std::vector<Real> of_walls(rho.size());
-    subtract_from_laplacian(walls, operators(l).walls, stack_.equation(stack_.base + std::size_t(l)), of_walls);
+    subtract_from_laplacian(walls, operators(l).walls,
+                            multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)), of_walls);
     Real net = 0, size = 0;
     for_each_uncovered(l, [&](LocalIndex row) {
       net += right_hand_side_[l][row];
@@ -102,7 +104,8 @@ void CrsBackend::take_away(Background const& background) {
     auto& f = right_hand_side_[l];
     auto const& density = rho_->level(l);
     for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = background.right_hand_side(density[row]); });
-    subtract_from_laplacian(problem_.walls[l], operators(l).walls, stack_.equation(stack_.base + std::size_t(l)), f);
+    subtract_from_laplacian(problem_.walls[l], operators(l).walls,
+                            multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)), f);
   }
 }
 
@@ -225,7 +228,7 @@ void CrsBackend::accelerate() {
 
 LevelOperators const& CrsBackend::operators_with_gradient(int level) {
   if (!has_gradient_) {
-    assemble_gradient(stack_, operators_);
+    assemble_gradient(multigrid_levels_, operators_);
     has_gradient_ = true;
     ++assemblies_;
   }
@@ -268,7 +271,8 @@ ElectricField CrsBackend::electric_field(std::shared_ptr<Field const> potential,
 void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
   if (covered_gradient_.empty())
     for (int l = 0; hierarchy_->has_finer(l); ++l)
-      covered_gradient_.push_back(assemble_covered_gradient(stack_, stack_.base + std::size_t(l), operators(l)));
+      covered_gradient_.push_back(
+          assemble_covered_gradient(multigrid_levels_, multigrid_levels_.base + std::size_t(l), operators(l)));
   for (int l = 0; hierarchy_->has_finer(l); ++l)
     for (int axis = 0; axis < 3; ++axis) {
       LevelOperators const& o = operators(l);

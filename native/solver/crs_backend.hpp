@@ -33,7 +33,7 @@ class CrsBackend : public Backend {
 
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) override;
 
-  LevelOperators const& operators(int level) const { return *operators_[stack_.base + std::size_t(level)]; }
+  LevelOperators const& operators(int level) const { return *operators_[multigrid_levels_.base + std::size_t(level)]; }
   LevelOperators const& operators_with_gradient(int level) override;
 
   std::int64_t assemblies() const override { return assemblies_; }
@@ -44,7 +44,7 @@ class CrsBackend : public Backend {
   std::size_t bytes() const override;
 
  private:
-  MultigridLevel& cycle_level(int l) { return multigrid_.level(stack_.base + std::size_t(l)); }
+  MultigridLevel& cycle_level(int l) { return multigrid_.level(multigrid_levels_.base + std::size_t(l)); }
   /// Call f(row) for each cell of a level that no finer level covers.
   template <class F>
   void for_each_uncovered(int l, F&& f) const {
@@ -55,7 +55,7 @@ class CrsBackend : public Backend {
   template <class Value>
   Real norm(Norm norm, Value&& value) const;
   void fill_right_hand_side();
-  StackOperators assembled(Reusable& reusable);
+  MultigridOperators assembled(Reusable& reusable);
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
   std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
   CompositeVector zero() const;
@@ -71,9 +71,9 @@ class CrsBackend : public Backend {
   Problem problem_;
   std::shared_ptr<Hierarchy const> hierarchy_;
   SolverOptions const& options_;
-  LevelStack stack_;
+  MultigridLevels multigrid_levels_;
   std::int64_t levels_assembled_ = 0;
-  StackOperators operators_;
+  MultigridOperators operators_;
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;

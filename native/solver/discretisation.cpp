@@ -52,7 +52,7 @@ void CrsBackend::set_truncation() {
     LevelOperators const& fine = operators(l);
     auto& truncation = cycle_level(l).right_hand_side();
     std::fill(truncation.begin(), truncation.end(), 0.0);
-    std::size_t const place = stack_.base + std::size_t(l);
+    std::size_t const place = multigrid_levels_.base + std::size_t(l);
     if (place == 0) continue;
     LevelOperators const& coarse = *operators_[place - 1];
     std::size_t const here = std::size_t(fine.rows() + fine.halo.ghosts());
@@ -69,7 +69,7 @@ void CrsBackend::set_truncation() {
       multiply(coarse.restriction, phi_[0].data(), phi.data());
     coarse.halo.update(phi.data());
 
-    auto const at_end = rows_at_ends(hierarchy_->domain(), *coarse.level, *fine.level, stack_.ratio[place]);
+    auto const at_end = rows_at_ends(hierarchy_->domain(), *coarse.level, *fine.level, multigrid_levels_.ratio[place]);
     coarse.restriction.for_each_row([&](LocalIndex row) {
       bool const usable = coarse.restriction.dot(row, uncovered.data()) > 1 - 1e-9;  // no child is covered
       if (usable && !at_end[row])

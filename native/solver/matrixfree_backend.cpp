@@ -205,9 +205,9 @@ std::size_t MatrixFreeBackend::bytes() const {
 
 LevelOperators const& MatrixFreeBackend::operators_with_gradient(int level) {
   if (shown_.operators.empty()) {
-    shown_ = assemble(problem_.hierarchy->comm(), stack_of(*problem_.hierarchy, shift_of(problem_.options)),
+    shown_ = assemble(problem_.hierarchy->comm(), refinement_levels(*problem_.hierarchy, shift_of(problem_.options)),
                       problem_.options.prolongation);
-    assemble_gradient(shown_.stack, shown_.operators);
+    assemble_gradient(shown_.multigrid, shown_.operators);
   }
   return *shown_.operators[std::size_t(level)];
 }

@@ -33,9 +33,9 @@ inline Value difference_at_interface(Value const& phi_1, Value const& phi_2) {
 /// quarter of the face each, and half the distance.
 constexpr Real fine_face_weight = 2.0 / 4;
 
-/// The value beyond a coarse face that has the flux of the four fine ones: of the sum of their differences.
+/// The ghost value at a coarse face that gives the flux of the four fine ones: of the sum of their differences.
 template <class Value>
-inline Value beyond_fine_faces(Value const& inner, Value const& differences) {
+inline Value ghost_at_fine_faces(Value const& inner, Value const& differences) {
   return inner + fine_face_weight * differences;
 }
 

@@ -94,7 +94,7 @@ void for_each_row(BlockPart const& part, F&& f) {
         place_in_block({part.first[0], j, k}));
 }
 
-/// Short rows far apart are no pattern that the processor would see by itself.
+/// Short rows far apart are no pattern that the processor would find by itself.
 void prefetch(BlockPart const& part) {
   for_each_row(part, [](double const* row, int) {
     __builtin_prefetch(row);

@@ -133,7 +133,7 @@ std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) 
   return out;
 }
 
-/// Potential at all ghosts of each block, which all ranks give alike, sorted. Collective.
+/// Potential at all ghosts of each block, which all ranks give in the same order, sorted. Collective.
 std::vector<double> FreeSpace::ghosts(std::vector<GhostBlock> const& blocks) const {
   auto const patches = patches_around(lattice_, blocks);
   auto const interactions = evaluate_->interactions(charges_.tree, patches);

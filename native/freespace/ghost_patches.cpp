@@ -58,7 +58,7 @@ GhostPatch parent_of(GhostPatch const& child, Point const& shape) {
   return out;
 }
 
-/// Add the parents of the patches from `start` on, but for those that are alone on their wall.
+/// Add the parents of the patches from `start` on, except for those that are alone on their wall.
 void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point const& shape) {
   struct Link {
     GhostPatch parent;

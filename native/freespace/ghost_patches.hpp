@@ -37,7 +37,7 @@ struct GhostPatch {
   bool is_block() const { return extent[0] == patch_points && extent[1] == patch_points; }
 };
 
-/// The blocks and all that is around them, children before parents: first the blocks, in their order. `blocks` are
+/// The blocks and all their ancestors, children before parents: first the blocks, in their order. `blocks` are
 /// sorted.
 std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks);
 

@@ -109,12 +109,12 @@ void add_lattice(TreeNode const& node, Rows const& rows, Point const& h2, std::a
 
 /// The leaves below some nodes.
 void mark_leaves(Octree const& tree, std::vector<int> nodes, std::vector<char>& marks) {
-  std::vector<char> is_seen(tree.nodes.size(), 0);
+  std::vector<char> is_visited(tree.nodes.size(), 0);
   while (!nodes.empty()) {
     int const n = nodes.back();
     nodes.pop_back();
-    if (is_seen[std::size_t(n)]) continue;
-    is_seen[std::size_t(n)] = 1;
+    if (is_visited[std::size_t(n)]) continue;
+    is_visited[std::size_t(n)] = 1;
     TreeNode const& node = tree.nodes[std::size_t(n)];
     if (node.leaf >= 0) marks[std::size_t(node.leaf)] = 1;
     for (int c = 0; c < node.children; ++c) nodes.push_back(node.first_child + c);

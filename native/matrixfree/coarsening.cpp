@@ -119,7 +119,7 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   }
   fine_.run(stages);
   interface_.subtract_flux(fine_.correction(), target);
-  hand_over();
+  add_to_coarse_level();
 }
 
 void Coarsening::restrict_right_hand_side() {
@@ -128,7 +128,7 @@ void Coarsening::restrict_right_hand_side() {
     if (b < targets_.size())
       fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), targets_[b], weight(), target);
   }});
-  hand_over();
+  add_to_coarse_level();
 }
 
 /// Where residuals of own blocks go.
@@ -142,8 +142,8 @@ float Coarsening::weight() const {
   return float(coarse_.scale() / fine_.scale() / (ratio_[0] * ratio_[1] * ratio_[2]));
 }
 
-/// From there to the parents, wherever they live.
-void Coarsening::hand_over() {
+/// Add the target to the coarser right-hand side, on whichever ranks the parents are.
+void Coarsening::add_to_coarse_level() {
   if (in_place_) return;
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);

@@ -51,7 +51,7 @@ class Coarsening {
   void lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghosts);
   Vector& clear_target();
   float weight() const;
-  void hand_over();
+  void add_to_coarse_level();
   void add_ghosts(CoarsePatch const& patch, std::vector<char>& known, CoarseGhosts const& ghosts);
 
   MPI_Comm comm_;

@@ -44,7 +44,7 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
   return out;
 }
 
-constexpr GlobalIndex held_by_all = 10000;  ///< cells of a level that every rank relaxes faster than it hears of others
+constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
 WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const& rules) {
@@ -65,7 +65,7 @@ WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const&
 Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
     : comm_(comm),
       multigrid_(coarsen_below(refinement_levels(hierarchy, shift), hierarchy.domain(),
-                               {hierarchy.max_grid_size(), held_by_all}, std::numeric_limits<int>::max())),
+                               {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max())),
       relaxation_(relaxation) {
   OpenWalls const open_walls(multigrid_);
   for (std::size_t l = 0; l < multigrid_.levels.size(); ++l) {

@@ -43,7 +43,7 @@ inline Real smallest_spacing(Level const& level) {
   return std::min({level.spacing()[0], level.spacing()[1], level.spacing()[2]});
 }
 
-/// What the cells of a row along x meet. The row on a side is a piece of memory, or composed of runs.
+/// The neighbours of a row along x. The row on a side is a piece of memory, or composed of runs.
 struct RowStencil {
   std::array<std::int32_t, 4> beside;  ///< y below, above, z below, above: the place in a Vector, or ~(composed row)
   std::array<std::int32_t, 2> end;     ///< places of the values before the first and after the last cell

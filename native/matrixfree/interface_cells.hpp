@@ -5,7 +5,7 @@
 
 namespace amrpic::matrixfree {
 
-/// The coarser cells around a block's own parents, in a Vector: a copy, wherever the cells live.
+/// A copy, in a Vector, of a block's parents and the coarser cells next to them, whichever ranks own these.
 struct CoarsePatch {
   Box box;  ///< on the coarser level
   Placement cells;
@@ -14,7 +14,7 @@ struct CoarsePatch {
   }
 };
 
-/// The faces between own cells of a level and uncovered cells of the next coarser one, as corrections see them.
+/// The faces between own cells of a level and uncovered cells of the next coarser one, in the equations of corrections.
 class InterfaceCells {
  public:
   InterfaceCells() = default;

@@ -13,7 +13,7 @@ using Policy = Kokkos::TeamPolicy<Space>;
 using Member = Policy::member_type;
 using Scratch = Kokkos::View<float*, Space::scratch_memory_space, Kokkos::MemoryUnmanaged>;
 
-/// A row of a plane and the values around it.
+/// A row of a plane and its neighbours' values.
 struct RowView {
   float const *here, *y_below, *y_above, *z_below, *z_above;
   float left, right;

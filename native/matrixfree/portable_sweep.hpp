@@ -5,7 +5,7 @@
 namespace amrpic::matrixfree {
 
 /// The acts of `Sweep` as Kokkos kernels: a team per row, cells of a row as its vector range, ghost rows in the team's
-/// scratch memory. They run on whatever Kokkos' host space was built for; a test holds both forms to the same answer.
+/// scratch memory. They run on whatever Kokkos' host space was built for; a test compares both forms.
 namespace portable {
 
 /// A plane of a block, and all that a kernel reads of it.

@@ -23,7 +23,8 @@ Placement dense(Index3 const& extent, std::ptrdiff_t origin) {
   return {origin, extent[0], std::ptrdiff_t(extent[0]) * extent[1]};
 }
 
-/// What every rank asks of every other: `mine[r]` goes to rank r; returns what each rank asks of this one. Collective.
+/// Exchange requests between all ranks: `mine[r]` goes to rank r; returns what each rank requests of this one.
+/// Collective.
 std::vector<std::vector<int>> all_to_all(MPI_Comm comm, std::vector<std::vector<int>> const& mine) {
   int const ranks = int(mine.size());
   std::vector<int> send(mine.size()), receive(mine.size());
@@ -49,7 +50,7 @@ struct Region {
   std::vector<Box> boxes;
 };
 
-/// Cells that are wanted, by whose they are and where their copies lie, in as few boxes as hold them.
+/// Wanted cells, by owner and by where their copies lie, in as few boxes as contain them.
 std::vector<Region> regions_of(Level const& level, std::vector<Wanted> const& wanted) {
   std::vector<Region> out;
   std::map<std::array<std::ptrdiff_t, 4>, std::size_t> known;
@@ -74,7 +75,7 @@ void wait(std::vector<MPI_Request>& requests) {
 
 Index3 extent_of(Box const& box) { return {box.extent(0), box.extent(1), box.extent(2)}; }
 
-/// A rectangle that holds a box, from another cell on.
+/// A placement that begins at another cell.
 Placement from(Placement at, Index3 const& steps) {
   at.origin = at.place(steps[0], steps[1], steps[2]);
   return at;
@@ -177,8 +178,8 @@ void RectangleExchange::start(float const* cells, float* copies) const {
                  [&](auto at, auto copy, int length) { std::copy_n(cells + at, length, copies + copy); });
 }
 
-/// Does not wait for what this rank sent: others receive it when they need it, and whoever waited for that would
-/// compute after them, not beside them.
+/// Does not wait for what this rank sent: others receive it when they need it, and a rank that waited for that would
+/// compute after them, not at the same time.
 void RectangleExchange::finish(float* copies) const {
   wait(receiving_);
   for (Neighbour const& n : sources_)

@@ -13,7 +13,7 @@ struct Wanted {
   Placement copy;
 };
 
-/// The plan by which copies of cells follow the cells, on whatever rank these live, and give what they hold back. All
+/// The plan by which copies of cells are updated from the cells, whichever rank owns these, and are added to them. All
 /// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
 class RectangleExchange {
  public:

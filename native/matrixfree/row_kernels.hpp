@@ -11,7 +11,7 @@
 
 namespace amrpic::matrixfree {
 
-/// How far ahead the first stage of a pass asks for what it brings into the cache.
+/// How far ahead the first stage of a pass prefetches.
 constexpr std::ptrdiff_t ahead = page<float> / 2;
 
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.

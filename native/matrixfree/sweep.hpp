@@ -66,8 +66,8 @@ class Sweep {
   void restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                 Vector& coarse) const;
 
-  /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; coarse cells
-  /// around the block's parents must hold what lies there. Sweeps that follow read r.
+  /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; ghost
+  /// cells of the block's parents must be filled. Sweeps that follow read r.
   void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
                Vector& e) const;
 

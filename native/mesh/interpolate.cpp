@@ -10,7 +10,7 @@ namespace amrpic {
 
 namespace {
 
-/// Values of a level in chosen regions, whoever owns the cells.
+/// Values of a level in chosen regions, whichever ranks own the cells.
 class Reader {
  public:
   /// Collective.

@@ -159,7 +159,7 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
   int const finest = std::min(options.max_levels - 1, std::max(tagged, int(fixed.size())));
   std::vector<std::vector<Box>> levels(std::size_t(std::max(finest, 0)));
 
-  // From the finest down: what a level decides for itself is known, what the finer one needs around it is added.
+  // From the finest down: the cells that a level itself needs are known; the nesting of the finer one is added.
   for (int l = finest; l > 0; --l) {
     BlockGrid const lattice(hierarchy, l);
     std::vector<Key> blocks;

@@ -23,7 +23,8 @@ void for_each_family(Level const& fine, F&& f) {
 }
 
 /// Own covered cells of `coarse` that are not among the places of the parents of own fine cells.
-std::vector<LocalIndex> bereaved(Level const& coarse, Level const& fine, std::vector<LocalIndex> const& parents) {
+std::vector<LocalIndex> with_children_elsewhere(Level const& coarse, Level const& fine,
+                                                std::vector<LocalIndex> const& parents) {
   std::vector<char> has_children_here(std::size_t(coarse.local_cells()), 0);
   for (LocalIndex place : parents)
     if (place < coarse.local_cells()) has_children_here[std::size_t(place)] = 1;
@@ -59,7 +60,7 @@ Transfer::LevelPair Transfer::make_pair(int l) const {
     auto const places = pair.parents.places(coarse, fine.box(b).coarsen(refinement_ratio));
     pair.place.insert(pair.place.end(), places.values().begin(), places.values().end());
   }
-  if (coarse.ranks() > 1) pair.bereaved = bereaved(coarse, fine, pair.place);
+  if (coarse.ranks() > 1) pair.children_elsewhere = with_children_elsewhere(coarse, fine, pair.place);
   return pair;
 }
 
@@ -72,7 +73,7 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
     for (std::size_t f = 0; f < fields.size(); ++f) {
       Real const* fine = fields[f]->level(l + 1).data();
       Real* coarse = fields[f]->level(l).data();
-      for (LocalIndex cell : pair.bereaved) coarse[cell] = 0;
+      for (LocalIndex cell : pair.children_elsewhere) coarse[cell] = 0;
       std::size_t n = 0;
       LocalIndex const owned = pair.parents.owned();
       for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {

@@ -213,7 +213,7 @@ class LevelAssembly {
     if (coarser_) coarse_boundary_->put(row, terms_.coarse_row);
   }
 
-  /// The composite's rows, but for the special ones, and restriction.
+  /// The composite's rows, except the special ones, and restriction.
   void count_composite(int b, StencilCells const& n, RowKinds const& kinds) {
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
@@ -348,9 +348,9 @@ class LevelAssembly {
   std::vector<char> uncovered_;
 };
 
-/// Operators in `former` of those levels that lie there as they are, with the same neighbouring levels; null for
-/// the others. Ghosts may be numbered otherwise.
-MultigridOperators lasting(MultigridLevels const& multigrid, Prolongation prolongation, Assembled const& former) {
+/// The operators in `former` of levels that it has with the same neighbouring levels; null for the others. Ghosts may
+/// be numbered differently.
+MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolongation, Assembled const& former) {
   std::size_t const count = multigrid.levels.size(), before = former.multigrid.levels.size();
   MultigridOperators out(count);
   if (prolongation != former.prolongation || multigrid.base != former.multigrid.base ||
@@ -414,7 +414,7 @@ MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
 
 Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation prolongation, Assembled former) {
   std::size_t const count = multigrid.levels.size();
-  Assembled result{multigrid, prolongation, lasting(multigrid, prolongation, former), 0};
+  Assembled result{multigrid, prolongation, reused(multigrid, prolongation, former), 0};
   MultigridOperators& out = result.operators;
   std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
   auto make_missing = [&] {

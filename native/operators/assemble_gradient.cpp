@@ -89,7 +89,7 @@ std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, s
     auto kinds = kinds_without_finer(level, box, n.own);
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())
-      if (operators.uncovered[row++]) kind = RowKind::covered;  // not asked for: stays empty
+      if (operators.uncovered[row++]) kind = RowKind::covered;  // not wanted: stays empty
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) axes[d].put_run(run, RegularRows::gradient_terms);
       if (kind != RowKind::special) return;

@@ -8,7 +8,7 @@ namespace amrpic {
 namespace {
 
 constexpr GlobalIndex bottom = 64;            ///< cells of a level that is solved faster than coarsened
-constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level whose boxes are made anew: fewer cost less than messages
+constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level that gets new boxes: fewer cost less than messages
 constexpr int alignment = 8;                  ///< of such boxes, so that they can be halved three times
 
 /// By how much to coarsen each axis of a level; all ones if it must stay.
@@ -33,7 +33,7 @@ int ranks_in_use(Level const& level) {
 }
 
 /// New boxes for a level that covers the domain.
-DistributedBoxes cut_anew(Box const& domain, int max_grid_size, int ranks, int active) {
+DistributedBoxes new_boxes(Box const& domain, int max_grid_size, int ranks, int active) {
   DistributedBoxes out{cut(domain, std::max(max_grid_size, alignment), alignment), {}};
   out.first = distribute_along_curve(out.boxes, ranks, active);
   return out;
@@ -51,7 +51,7 @@ std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Bo
   int const worth = int(std::clamp<GlobalIndex>(domain.cells() / cells_per_rank, 1, finer.ranks()));
   DistributedBoxes distributed = halved(finer, ratio, domain);
   if (distributed.boxes.empty() || ranks_in_use(finer) > worth)
-    distributed = cut_anew(domain, policy.max_grid_size, finer.ranks(), worth);
+    distributed = new_boxes(domain, policy.max_grid_size, finer.ranks(), worth);
   return std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
                                        std::move(distributed.first), finer.rank());
 }

@@ -7,7 +7,7 @@ namespace amrpic {
 
 /// How multigrid levels are distributed over ranks.
 struct CoarseBoxes {
-  int max_grid_size;      ///< cells of a box along an axis, where boxes are made anew
+  int max_grid_size;      ///< cells of a box along an axis, where new boxes are cut
   GlobalIndex whole = 0;  ///< every rank stores levels of at most so many cells whole: Levels of one rank
 };
 

@@ -44,7 +44,8 @@ struct Sweeps {
 inline int beside_local_cycle(int sweeps) { return (sweeps + 1) / 2; }
 
 /// Sweeps on copies, of those that the options name; after their corrections the level itself takes as many. Copies
-/// need some on either side, whatever the cycle around them does, and one more before for what the level is spared.
+/// need some on either side, whatever the whole cycle does, and one more before in place of those that the level does
+/// not take.
 inline Sweeps sweeps_of_copies(Sweeps const& chosen) { return {chosen.before + 1, std::max(1, chosen.after)}; }
 
 /// A copy of a refinement level with fewer cells along the axes of small spacing, on which corrections that are smooth

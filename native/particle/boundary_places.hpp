@@ -11,7 +11,7 @@ namespace amrpic {
 class BufferZone;
 class ParticleMesh;
 
-/// Where gather finds the field in the ghost cells of each box of this rank: the places of a ParticleMesh, but for
+/// Where gather finds the field in the ghost cells of each box of this rank: the places of a ParticleMesh, for
 /// values that are stored in boundary cells alone.
 class BoundaryPlaces {
  public:

@@ -29,8 +29,8 @@ struct BoxBuffer {
 ///
 /// The buffer is one coarse cell deep: a particle lies in it if the parent of its cell has an unrefined cell among its
 /// 26 neighbours, which is to say that its distance to the unrefined region, the largest along the three axes, is below
-/// two fine cells. So all particles of a cell are treated alike. Walls are no edge, periodic faces are passed through.
-/// If the parent lies itself in the buffer of its level, the cloud is coarser still.
+/// two fine cells. So all particles of a cell are treated equally. Walls are no edge, periodic faces are passed
+/// through. If the parent lies itself in the buffer of its level, the cloud is coarser still.
 class BufferZone {
  public:
   /// Collective.

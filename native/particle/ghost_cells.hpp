@@ -26,8 +26,8 @@ struct GhostRun {
 class GhostCells {
  public:
   GhostCells() = default;
-  /// `places` of all its cells in the order of `for_each_ghost_row`, in [own | ghosts], negative where the level has
-  /// none; so many are own.
+  /// `places` of all its cells in the order of `for_each_ghost_row`, in [own | ghosts], `owned` of which are own;
+  /// negative where the level has none.
   GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
 
   /// The same cells where the values at `places` are kept elsewhere: place(one of those), `owned` of them own.

@@ -59,7 +59,7 @@ class ParticleMesh {
   std::vector<BoxGhosts> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;
-  // none until asked for
+  // null until first used
   std::unique_ptr<BufferZone const> buffer_zone_;
   std::unique_ptr<BoundaryPlaces const> without_matched_, with_matched_;
 };

@@ -25,7 +25,7 @@ using MultiVector = TpetraTypes::MultiVector;
 using Operator = TpetraTypes::Operator;
 using Matrix = TpetraTypes::Matrix;
 
-constexpr GlobalIndex most_cells = 1 << 22;            // each rank holds all of them
+constexpr GlobalIndex most_cells = 1 << 22;            // each rank stores all of them
 constexpr GlobalIndex most_cells_of_a_factor = 10000;  // KLU2 takes 11 s for 32^3, and grows with the square
 
 /// For each cell of a level its place in the order of the domain, x fastest: the library's aggregation along mesh lines
@@ -38,7 +38,7 @@ std::vector<LocalIndex> order_of_domain(Level const& level) {
   return out;
 }
 
-/// The whole matrix of a level in the order of the domain, alike on all ranks; the diagonal comes first in each row.
+/// The whole matrix of a level in the order of the domain, the same on all ranks; the diagonal comes first in each row.
 Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
   Crs const& local = operators.no_fine;
   GlobalIndex const first = operators.level->first_local_cell();
@@ -111,7 +111,7 @@ bool symmetric(Crs const& matrix) {
   return true;
 }
 
-/// The refusal of a matrix that the chosen method cannot solve; all ranks hold the same one.
+/// The refusal of a matrix that the chosen method cannot solve; all ranks give the same one.
 void require_fit(Crs const& matrix, SolverOptions const& options) {
   std::string const cells = std::to_string(matrix.rows());
   if (options.bottom == BottomKind::cg && !symmetric(matrix))
@@ -221,7 +221,7 @@ struct Bottom::GatheredProblem {
       factors->solve();
     } else {
       linear->setProblem();
-      // Whatever it reached is a correction; the residual of the whole problem tells whether it was good enough.
+      // Whatever it reached is a correction; the residual of the whole problem shows whether it was good enough.
       try {
         iterations->solve();
       } catch (Belos::BelosError const&) {  // such as CG's, when it hits on the exact solution and finds nothing left

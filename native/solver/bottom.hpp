@@ -16,8 +16,8 @@ namespace amrpic {
 /// the same for any decomposition, and no solver of the library runs on shared rows.
 class Bottom {
  public:
-  /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, alike on all ranks, for a
-  /// matrix that the method cannot solve.
+  /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, the same on all ranks, for
+  /// a matrix that the method cannot solve.
   Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, SolverOptions const& options);
   ~Bottom();
 

@@ -26,7 +26,7 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
   phi_ = zero();
 }
 
-/// The operators, with what was handed on of them.
+/// The operators; those that can be are taken over.
 MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   Assembled former;
   if (reusable.operators) former = std::move(*reusable.operators);
@@ -36,7 +36,7 @@ MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   return reusable.operators->operators;
 }
 
-/// The bottom that was handed on if it serves, else a new one.
+/// The bottom that was taken over if it serves, else a new one.
 std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
     reusable.bottom.reset();  // the old one goes before the new one comes

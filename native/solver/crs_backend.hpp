@@ -77,7 +77,7 @@ class CrsBackend : public Backend {
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
+  std::int64_t messages_before_, bytes_before_;  ///< by operators that were taken over
   std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
   CompositeVector phi_;                          ///< own cells and ghosts
   CompositeVector right_hand_side_;              ///< f = -rho / eps0 - background minus what walls add
@@ -86,7 +86,7 @@ class CrsBackend : public Backend {
   Real unit_ = 1;  ///< what 1 stands for in all vectors of a solve, V and V/m^2; a power of two, so exact
   Field* result_ = nullptr;
   bool has_gradient_ = false;
-  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for
+  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until first used
   std::int64_t assemblies_ = 1;
 };
 

@@ -84,7 +84,7 @@ void CrsBackend::set_truncation() {
 }
 
 /// Estimate of the largest error of phi that the mesh makes: one cycle with the truncation error; 0 while the residual
-/// is too large beside it to tell. What the cells of phi stand for is what those of f stand for: where f is the mean
+/// is too large beside it. What the cells of phi stand for is what those of f stand for: where f is the mean
 /// over a cell, this is the error of the means of phi, which at cell centres is another one, by h^2/24 times f. Finds
 /// and leaves the residual in the right-hand sides of the cycle.
 Real CrsBackend::discretisation_error() {

@@ -79,7 +79,7 @@ class BiCgStab : public Krylov {
     if (half_) return residual_;
     Real next = shadow_.empty() ? 0 : equations_.dot(shadow_, residual_);
     Real const size = equations_.dot(residual_, residual_);
-    if (std::abs(next) < 1e-12 * size || shadow_.empty()) {  // begin, or begin anew where the iteration breaks down
+    if (std::abs(next) < 1e-12 * size || shadow_.empty()) {  // begin, or begin again where the iteration breaks down
       shadow_ = residual_;
       next = size;
       combine(0, search_, 1, residual_);

@@ -171,7 +171,7 @@ Real MatrixFreeBackend::largest(Blocks<float> const& blocks, std::vector<Real> c
 
 Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*phi_, problem_.options.norm); }
 
-/// One cycle with the truncation error; 0 while the residual is too large beside it to tell.
+/// One cycle with the truncation error; 0 while the residual is too large beside it.
 Real MatrixFreeBackend::discretisation_error() {
   Index3 const below = cycle_.ratio_below_base();
   if (levels() == 1 && below == Index3{1, 1, 1}) return 0;  // nothing is coarser than the base, nothing finer

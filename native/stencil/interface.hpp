@@ -88,7 +88,7 @@ constexpr std::array<std::pair<int, int>, 9> biquadratic_corners{
     {{-1, -1}, {-2, -1}, {-1, -2}, {0, -1}, {-1, 0}, {-2, 0}, {-2, -2}, {0, -2}, {0, 0}}};
 constexpr std::array<std::pair<int, int>, 4> bilinear_corners{{{-1, -1}, {0, -1}, {0, 0}, {-1, 0}}};
 
-/// The fit of phi* at (x, y) coarse cell widths from the coarse cell behind the ghost; `usable` tells which of the 25
+/// The fit of phi* at (x, y) coarse cell widths from the coarse cell behind the ghost; `usable` says which of the 25
 /// cells around it exist, lie inside the domain and are uncovered (that cell itself always is).
 ///
 /// 2-D second-order Lagrange interpolation (Frey and Adelmann) where one of the nine blocks is complete; else bilinear;

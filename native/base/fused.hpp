@@ -4,7 +4,7 @@
 
 namespace amrpic {
 
-/// a b + c, rounded once where the processor can: in the vector body and the rest of a loop alike.
+/// a b + c, rounded once where the processor can: both in the vector body and in the rest of a loop.
 inline Real fused(Real a, Real b, Real c) {
 #ifdef __FMA__
   return __builtin_fma(a, b, c);

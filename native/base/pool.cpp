@@ -29,7 +29,8 @@ constexpr std::size_t small_page = 4096, large_page = std::size_t(1) << 21;
   void* block = std::aligned_alloc(page, (bytes + page - 1) / page * page);
   if (!block) throw std::bad_alloc();
 #ifdef __linux__
-  // Fewer faults and fewer misses in the page tables; a mere wish. Passes over what no cache holds take a fifth less.
+  // Fewer faults and fewer misses in the page tables; the system may ignore it. Passes over arrays larger than the
+  // caches take a fifth less.
   if (large) madvise(block, bytes, MADV_HUGEPAGE);
 #endif
   return block;
@@ -51,7 +52,7 @@ void* Pool::take(std::size_t bytes) {
   std::lock_guard const lock(mutex_);
   bytes = rounded(bytes);
   // The latest one is the likeliest to be in the cache.
-  auto const found = std::find_if(idle_.rbegin(), idle_.rend(), [&](Block const& b) { return b.bytes == bytes; });
+  auto const found = std::find_if(idle_.rbegin(), idle_.rend(), [&](IdleMemory const& b) { return b.bytes == bytes; });
   void* memory = nullptr;
   if (found != idle_.rend()) {
     memory = found->memory;
@@ -69,11 +70,11 @@ void* Pool::take(std::size_t bytes) {
 
 void Pool::give(void* memory) noexcept {
   std::lock_guard const lock(mutex_);
-  auto const held = sizes_.find(memory);
-  idle_.push_back({held->second, memory});
-  idle_total_ += held->second;
-  used_total_ -= held->second;
-  sizes_.erase(held);
+  auto const known = sizes_.find(memory);
+  idle_.push_back({known->second, memory});
+  idle_total_ += known->second;
+  used_total_ -= known->second;
+  sizes_.erase(known);
   while (double(idle_total_) > most_idle_ * double(used_total_)) free_oldest();
 }
 #endif

@@ -12,19 +12,19 @@ namespace amrpic {
 class Pool {
  public:
   /// At most `most_idle` times the memory in use lies idle, and never so much that with what is in use it would be more
-  /// than this pool's takers once had at a time.
+  /// than was once in use at a time.
   explicit Pool(double most_idle) : most_idle_(most_idle) {}
 
   /// A block of at least so many bytes, starting on a page, with whatever it holds. Throws std::bad_alloc.
   void* take(std::size_t bytes);
 
-  /// Give back what `take` gave: kept for the next taker, unless too much lies idle.
+  /// Give back what `take` gave: kept to be taken again, unless too much lies idle.
   void give(void* memory) noexcept;
 
-  std::size_t idle();  ///< bytes that are kept for the next taker
+  std::size_t idle();  ///< bytes that are kept to be taken again
 
  private:
-  struct Block {
+  struct IdleMemory {
     std::size_t bytes;
     void* memory;
   };
@@ -32,7 +32,7 @@ class Pool {
 
   double most_idle_;
   std::mutex mutex_;
-  std::vector<Block> idle_;                       ///< in the order they were given back
+  std::vector<IdleMemory> idle_;                  ///< in the order they were given back
   std::unordered_map<void*, std::size_t> sizes_;  ///< of those in use
   std::size_t idle_total_ = 0, used_total_ = 0, most_used_ = 0;
 };

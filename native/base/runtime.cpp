@@ -38,7 +38,7 @@ void initialize() {
 
 void finalize() {
   if (!initialized) return;
-  // A callback may destroy other promises, its own included, so the list is searched anew each time.
+  // A callback may destroy other promises, its own included, so the list is searched again each time.
   auto& list = releases();
   const auto is_open = [](const auto& release) { return static_cast<bool>(release); };
   for (auto at = list.begin(); (at = std::find_if(list.begin(), list.end(), is_open)) != list.end();) {

@@ -1,4 +1,4 @@
-// Start and end of Kokkos and Tpetra, and what must be let go in between.
+// Start and end of Kokkos and Tpetra, and what must be released in between.
 #pragma once
 
 #include <functional>

@@ -7,7 +7,7 @@
 #include "base/error.hpp"
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;

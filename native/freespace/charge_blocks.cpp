@@ -60,7 +60,7 @@ void for_each_part(ChargeBox const& box, F&& f) {
 /// Call f(first, last) for the covered cells of a part.
 template <class F>
 void for_each_covered(BlockPart const& part, F&& f) {
-  for (ChargeBox::Part const& covered : part.box->covered) {
+  for (ChargeBox::CellRange const& covered : part.box->covered) {
     Cell first, last;
     bool is_empty = false;
     for (int d = 0; d < 3; ++d) {
@@ -94,7 +94,7 @@ void for_each_row(BlockPart const& part, F&& f) {
         place_in_block({part.first[0], j, k}));
 }
 
-/// Short rows far apart are no pattern that the processor would see by itself.
+/// Short rows far apart are no pattern that the processor would find by itself.
 void prefetch(BlockPart const& part) {
   for_each_row(part, [](double const* row, int) {
     __builtin_prefetch(row);

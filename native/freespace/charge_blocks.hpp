@@ -36,14 +36,14 @@ struct PointCharge {
 
 /// Charges of a box of cells of one level, x fastest: `factor` times `values`. Cells in `covered` do not count.
 struct ChargeBox {
-  struct Part {
+  struct CellRange {
     Cell lower, upper;  ///< inclusive
   };
   int level;
   Cell lower, upper;  ///< inclusive
   double const* values;
   double factor;
-  std::vector<Part> covered{};
+  std::vector<CellRange> covered{};
 };
 
 /// A block with charge.

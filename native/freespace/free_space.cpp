@@ -17,8 +17,8 @@ bool on_any_rank(MPI_Comm comm, bool here) {
   return any != 0;
 }
 
-/// The patches of this rank: an even share of the work, next to each other.
-std::array<std::size_t, 2> share_of(MPI_Comm comm, std::vector<Interactions> const& interactions) {
+/// The patches of this rank: consecutive ones, with an equal part of the work.
+std::array<std::size_t, 2> patches_of_rank(MPI_Comm comm, std::vector<Interactions> const& interactions) {
   int rank = 0, ranks = 1;
   MPI_Comm_rank(comm, &rank);
   MPI_Comm_size(comm, &ranks);
@@ -95,11 +95,11 @@ std::array<std::vector<double>, 6> FreeSpace::wall_planes(std::array<bool, 6> co
 }
 
 std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) const {
-  struct Place {
+  struct NumberedGhost {
     GhostBlock block;
     int number;  ///< in the block
   };
-  std::vector<Place> places;
+  std::vector<NumberedGhost> places;
   std::vector<GhostBlock> mine;
   bool is_no_ghost = false;
   for (PointTarget const& target : local) {
@@ -133,11 +133,11 @@ std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) 
   return out;
 }
 
-/// Potential at all ghosts of each block, which all ranks give alike, sorted. Collective.
+/// Potential at all ghosts of each block, which all ranks give in the same order, sorted. Collective.
 std::vector<double> FreeSpace::ghosts(std::vector<GhostBlock> const& blocks) const {
   auto const patches = patches_around(lattice_, blocks);
   auto const interactions = evaluate_->interactions(charges_.tree, patches);
-  auto const [first, last] = share_of(comm_, interactions);
+  auto const [first, last] = patches_of_rank(comm_, interactions);
   auto values = all_gather(comm_, evaluate_->at(comm_, charges_, patches, interactions, first, last)).values;
   interpolate_down(patches, values);
   values.resize(blocks.size() * patch_values);

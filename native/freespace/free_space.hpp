@@ -1,4 +1,4 @@
-// The potential of charges in free space, as the 7-point operator sees it: what an open wall needs.
+// The potential of charges in free space by the 7-point operator: what an open wall needs.
 #pragma once
 
 #include <mpi.h>
@@ -11,7 +11,7 @@
 
 namespace amrpic::freespace {
 
-/// A place where the potential is asked for: the centre of a ghost cell of its level, behind one wall.
+/// A place where the potential is wanted: the centre of a ghost cell of its level, behind one wall.
 struct PointTarget {
   Point position;
   int level;
@@ -19,7 +19,7 @@ struct PointTarget {
 
 /// Potential phi of -Laplace phi = charge density on the infinite lattice: about q / (4 pi r), with 0 at infinity.
 ///
-/// All functions are collective. Results depend on how the charges are dealt out only by rounding.
+/// All functions are collective. Results depend on how the charges are distributed only by rounding.
 class FreeSpace {
  public:
   FreeSpace(MPI_Comm comm, Lattice const& lattice, Options const& options = {});
@@ -30,7 +30,7 @@ class FreeSpace {
   void set_charges(std::vector<ChargeBox> const& local);
 
   /// Potential at the ghost centres of the base level behind each open wall, face = 2 * axis + side, lower of the two
-  /// axes fastest; empty for walls that are not open. Alike on all ranks, which share the work.
+  /// axes fastest; empty for walls that are not open. The same on all ranks, which share the work.
   std::array<std::vector<double>, 6> wall_planes(std::array<bool, 6> const& open) const;
 
   /// Potential at this rank's targets. All ranks share the work.

@@ -58,24 +58,24 @@ GhostPatch parent_of(GhostPatch const& child, Point const& shape) {
   return out;
 }
 
-/// Add the parents of the patches from `start` on, but for those that are alone on their wall.
+/// Add the parents of the patches from `start` on, except for those that are alone on their wall.
 void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point const& shape) {
-  struct Family {
+  struct Link {
     GhostPatch parent;
     std::size_t child;
   };
-  std::vector<Family> families;
+  std::vector<Link> links;
   std::size_t const end = patches.size();
   for (std::size_t n = start; n < end; ++n) {
     bool const has_before = n > start && same_wall(patches[n - 1], patches[n]);
     bool const has_after = n + 1 < end && same_wall(patches[n + 1], patches[n]);
-    if (has_before || has_after) families.push_back({parent_of(patches[n], shape), n});
+    if (has_before || has_after) links.push_back({parent_of(patches[n], shape), n});
   }
-  std::stable_sort(families.begin(), families.end(), [](Family const& a, Family const& b) {
+  std::stable_sort(links.begin(), links.end(), [](Link const& a, Link const& b) {
     auto const key = [](GhostPatch const& p) { return std::tie(p.face, p.level, p.first[1], p.first[0]); };
     return key(a.parent) < key(b.parent);
   });
-  for (auto const& [parent, child] : families) {
+  for (auto const& [parent, child] : links) {
     if (patches.size() == end || !same_place(patches.back(), parent)) patches.push_back(parent);
     patches[child].parent = int(patches.size()) - 1;
   }

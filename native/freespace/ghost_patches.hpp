@@ -19,7 +19,7 @@ constexpr int patch_values = patch_points * patch_points;  ///< lower axis faste
 /// Axes of the plane, in ascending order.
 constexpr std::array<int, 2> plane_axes(int normal) { return {normal == 0 ? 1 : 0, normal == 2 ? 1 : 2}; }
 
-/// Ghosts 8 place .. 8 place + 7 of a level behind a wall; those beyond the rim of the wall are computed in vain.
+/// Ghosts 8 place .. 8 place + 7 of a level behind a wall; those outside the wall are computed in vain.
 struct GhostBlock {
   int face;  ///< 2 * axis + side
   int level;
@@ -37,7 +37,7 @@ struct GhostPatch {
   bool is_block() const { return extent[0] == patch_points && extent[1] == patch_points; }
 };
 
-/// The blocks and all that is around them, children before parents: first the blocks, in their order. `blocks` are
+/// The blocks and all their ancestors, children before parents: first the blocks, in their order. `blocks` are
 /// sorted.
 std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks);
 

@@ -12,7 +12,7 @@ namespace amrpic::freespace {
 
 namespace {
 
-/// Distance that the first table serves, in short cells, and the cells beyond it along each axis. From a charge that
+/// Distance that the first table serves, in short cells, and the further cells along each axis. From a charge that
 /// table m does not serve, a block of eight cells is more than 20 points of table m + 1 away, five times what the
 /// interpolation between eight of these asks for.
 constexpr double first_distance = 40;

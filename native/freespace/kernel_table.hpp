@@ -16,7 +16,7 @@ std::array<int, 3> axes_of_rows(Point const& shape);
 
 /// The potential of a unit charge at offsets of either sign that are multiples of `stride`; along axes that are `half`
 /// half way between these. There it is the mean over the points around, eight of them at most: exact to fourth order
-/// away from the charge if cells are cubes, and what a coarse cell sees of finer ones.
+/// away from the charge if cells are cubes, and in a coarse cell from finer ones.
 class KernelTable {
  public:
   /// `reach`: entries (i, j, k) have |i| <= reach, in strides.
@@ -38,7 +38,7 @@ class KernelTable {
   std::vector<double> values_;  ///< x of either sign, y and z folded: the function is even
 };
 
-/// The tables of one lattice shape, made when first asked for and shared with all others of the process that reach as
+/// The tables of one lattice shape, made when first used and shared with all others of the process that reach as
 /// far; the last one frees them, or `trim`.
 ///
 /// Beside long cells the lattice counts as far as ten of them reach, which is hundreds of short ones. But at a distance
@@ -58,7 +58,7 @@ class KernelTables {
   KernelTable const& at(int number, bool finer);
 
   /// Give up tables, those that reach furthest first, until all of the process take at most `most_table_bytes`: they
-  /// are made again when asked for. Call it while none of these is in use.
+  /// are made again when used. Call it while none of these is in use.
   void trim();
 
  private:

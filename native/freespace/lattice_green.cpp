@@ -36,7 +36,7 @@ std::array<Node, panel_nodes> gauss_legendre() {
 }
 
 /// Nodes in t for the integral from 0 to infinity of a product of three heat kernels.
-/// Panels double in length up to a time when the kernels have spread far beyond the reach; the tail is smooth in 1 /
+/// Panels double in length up to a time when the kernels have spread far past the reach; the tail is smooth in 1 /
 /// sqrt(t).
 /// `reach`: in cells.
 std::vector<Node> time_nodes(std::array<double, 3> const& spacing, std::array<int, 3> const& reach) {

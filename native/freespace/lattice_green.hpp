@@ -21,7 +21,7 @@ std::vector<double> scaled_bessel(double x, int last);
 std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach,
                                          std::array<int, 3> const& stride = {1, 1, 1});
 
-/// Charges as the first lattice correction sees them: their sum and first moments, each charge times the square of its
+/// Charges as input of the first lattice correction: their sum and first moments, each charge times the square of its
 /// level's spacing over that of the base.
 struct LatticeMoments {
   double charge;

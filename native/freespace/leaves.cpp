@@ -36,8 +36,8 @@ LeafMoments joined(LeafMoments a, LeafMoments b, Point const& shape) {
   return out;
 }
 
-/// Leaves without the weakest. Whole octaves of magnitude go at a time: a choice between leaves that are equal but for
-/// rounding would depend on the number of ranks.
+/// Drop the weakest leaves, by whole octaves of magnitude: a choice between leaves that differ only by rounding would
+/// depend on the number of ranks.
 void drop_weak(std::vector<LeafMoments>& leaves, double dropped) {
   std::map<int, double> octaves;
   double total = 0;

@@ -1,6 +1,6 @@
 // The leaves of the octree: blocks with charge on any rank.
 //
-// All ranks agree on one sorted list, so that what follows does not depend on how the cells are dealt out.
+// All ranks agree on one sorted list, so that what follows does not depend on how the cells are distributed.
 #pragma once
 
 #include <mpi.h>

@@ -16,8 +16,8 @@
 
 namespace amrpic::freespace {
 
-/// The points around a place along an axis, by number in a list of points, and their weights.
-struct Stencil {
+/// The points next to a place along an axis, by number in a list of points, and their weights.
+struct InterpolationStencil {
   int count = 0;
   std::array<int, node_count> at{};  ///< first the points themselves, then their numbers
   std::array<double, node_count> weight{};
@@ -28,18 +28,18 @@ struct Stencil {
 };
 
 /// Around a place among the whole numbers.
-inline Stencil stencil_at(double place) {
+inline InterpolationStencil stencil_at(double place) {
   double const floor = std::floor(place);
   auto const weights = cubic_weights(place - floor);
-  Stencil out;
+  InterpolationStencil out;
   for (int m = 0; m < 4; ++m) out.add(int(floor) - 1 + m, weights[m]);
   return out;
 }
 
 /// Around a place, from given nodes.
-inline Stencil stencil_of(Nodes const& nodes, double place) {
+inline InterpolationStencil stencil_of(Nodes const& nodes, double place) {
   auto const weights = lagrange_weights(nodes, place);
-  Stencil out;
+  InterpolationStencil out;
   for (int n = 0; n < node_count; ++n) out.add(nodes[n], weights[n]);
   return out;
 }
@@ -47,14 +47,14 @@ inline Stencil stencil_of(Nodes const& nodes, double place) {
 /// Stencils of several places, and all points of them, ascending.
 struct StencilRow {
   std::vector<int> points;
-  std::vector<Stencil> of;
+  std::vector<InterpolationStencil> of;
 
   StencilRow() = default;
-  explicit StencilRow(std::vector<Stencil> stencils) : of(std::move(stencils)) {
-    for (Stencil const& s : of) points.insert(points.end(), s.at.begin(), s.at.begin() + s.count);
+  explicit StencilRow(std::vector<InterpolationStencil> stencils) : of(std::move(stencils)) {
+    for (InterpolationStencil const& s : of) points.insert(points.end(), s.at.begin(), s.at.begin() + s.count);
     std::sort(points.begin(), points.end());
     points.erase(std::unique(points.begin(), points.end()), points.end());
-    for (Stencil& s : of)
+    for (InterpolationStencil& s : of)
       for (int m = 0; m < s.count; ++m)
         s.at[m] = int(std::lower_bound(points.begin(), points.end(), s.at[m]) - points.begin());
   }
@@ -102,17 +102,17 @@ class NearGrid {
       rows |= masks[row] ? 1u << row : 0;
     }
     StencilRow const &u = places_[axes[0]], &v = places_[axes[1]];
-    std::array<std::vector<Seen>, 3> seen;
-    seen[axes[0]] = seen_along(u, columns, 1);
-    seen[axes[1]] = seen_along(v, rows, u.points.size());
-    Stencil const& through = places_[normal_].of.front();
+    std::array<std::vector<InputPoint>, 3> input;
+    input[axes[0]] = input_along(u, columns, 1);
+    input[axes[1]] = input_along(v, rows, u.points.size());
+    InterpolationStencil const& through = places_[normal_].of.front();
     for (int m = 0; m < through.count; ++m)
-      seen[normal_].push_back({places_[normal_].points[through.at[m]], 0, through.weight[m]});
-    add_sums(charges, table, seen);
+      input[normal_].push_back({places_[normal_].points[through.at[m]], 0, through.weight[m]});
+    add_sums(charges, table, input);
     for (int row = 0; row < patch_points; ++row)
       for (unsigned left = masks[row]; left; left &= left - 1) {
         int const t = __builtin_ctz(left);
-        Stencil const &su = u.of[t], &sv = v.of[row];
+        InterpolationStencil const &su = u.of[t], &sv = v.of[row];
         double value = 0;
         for (int b = 0; b < sv.count; ++b) {
           double const* const line = sums_.data() + u.points.size() * std::size_t(sv.at[b]);
@@ -123,36 +123,37 @@ class NearGrid {
   }
 
  private:
-  /// A point along an axis, where in the plane what it sees belongs, and with which weight.
-  struct Seen {
+  /// A point along an axis, where in the plane its potential belongs, and with which weight.
+  struct InputPoint {
     int point;
     std::size_t place;
     double weight;
   };
 
   /// The points that the stencils in a mask need.
-  static std::vector<Seen> seen_along(StencilRow const& row, unsigned mask, std::size_t pitch) {
+  static std::vector<InputPoint> input_along(StencilRow const& row, unsigned mask, std::size_t pitch) {
     std::vector<char> is_in(row.points.size());
     for (; mask; mask &= mask - 1) {
-      Stencil const& s = row.of[__builtin_ctz(mask)];
+      InterpolationStencil const& s = row.of[__builtin_ctz(mask)];
       for (int m = 0; m < s.count; ++m) is_in[s.at[m]] = 1;
     }
-    std::vector<Seen> out;
+    std::vector<InputPoint> out;
     for (std::size_t n = 0; n < is_in.size(); ++n)
       if (is_in[n]) out.push_back({row.points[n], pitch * n, 1});
     return out;
   }
 
-  /// The potential at the points of the plane that are seen.
-  void add_sums(NodeCharges const& charges, KernelTable const& table, std::array<std::vector<Seen>, 3> const& seen) {
+  /// The potential at the input points of the plane.
+  void add_sums(NodeCharges const& charges, KernelTable const& table,
+                std::array<std::vector<InputPoint>, 3> const& input) {
     auto const [u, v, w] = across_;
-    auto const& line = seen[u];
+    auto const& line = input[u];
     sums_.assign(places_[plane_axes(normal_)[0]].points.size() * places_[plane_axes(normal_)[1]].points.size(), 0.0);
     std::vector<std::ptrdiff_t> along;
-    for (Seen const& at : line) along.push_back(charges.points[u][0] - at.point);
+    for (InputPoint const& at : line) along.push_back(charges.points[u][0] - at.point);
     std::array<double const*, block_rows> rows;
-    for (Seen const& j : seen[v])
-      for (Seen const& k : seen[w]) {
+    for (InputPoint const& j : input[v])
+      for (InputPoint const& k : input[w]) {
         std::array<std::ptrdiff_t, block_edge> along_v, along_w;
         for (int n = 0; n < block_edge; ++n) {
           along_v[n] = table.along(v, charges.points[v][n] - j.point);
@@ -162,7 +163,7 @@ class NearGrid {
           rows[n] = table.row(0) + along_v[charges.rows[n] % block_edge] + along_w[charges.rows[n] / block_edge];
         auto const add = [&](std::size_t first, auto const& values) {
           for (std::size_t t = 0; t < values.size(); ++t) {
-            Seen const& i = line[first + t];
+            InputPoint const& i = line[first + t];
             sums_[i.place + j.place + k.place] += i.weight * j.weight * k.weight * values[t];
           }
         };

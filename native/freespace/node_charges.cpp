@@ -18,7 +18,7 @@ Weights weights_between(Nodes const& from, Nodes const& to, PointsApart const& p
   return out;
 }
 
-/// Add charges on cells, dealt out to the points of `to` among `points`: the potential far away is the same.
+/// Add charges on cells, distributed over the points of `to` among `points`: the potential far away is the same.
 void add_spread(std::array<Nodes, 3> const& cells, BlockCharges const& charges, PointsApart const& points,
                 std::array<int, 3> const& across, NodeCharges& to) {
   auto const [u, v, w] = across;

@@ -1,10 +1,10 @@
 // The charges of a node of the tree, on so few points that they can be summed one by one.
 //
 // Across long cells the lattice counts much further than a block of eight short cells is wide. But there the potential
-// is smooth from one short cell to the next. So the charges of a wide block are dealt out to eight points along each of
-// its merged axes, as the potential at ghosts is interpolated from eight points of a patch: with Lagrange's weights,
-// and under the same condition on the distance. Along the long axes they stay where they are, and in a node of a single
-// block of 8 x 8 x 8 cells all of them do.
+// is smooth from one short cell to the next. So the charges of a wide block are distributed over eight points along
+// each of its merged axes, as the potential at ghosts is interpolated from eight points of a patch: with Lagrange's
+// weights, and under the same condition on the distance. Along the long axes they stay where they are, and in a node of
+// a single block of 8 x 8 x 8 cells all of them do.
 #pragma once
 
 #include <map>
@@ -44,7 +44,7 @@ struct NodeVariant {
   bool operator<(NodeVariant const& o) const;
 };
 
-/// Those of all nodes, made when first asked for.
+/// Those of all nodes, made when first used.
 class ChargesOfNodes {
  public:
   /// `across`: the axes, that of the rows first.

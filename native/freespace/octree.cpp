@@ -58,7 +58,7 @@ void set_cells(TreeNode& node, Member const* first, Member const* last) {
   for (int d = 0; d < 3; ++d) node.extent[d] = end[d] - node.first[d];
 }
 
-/// The node around some children.
+/// The parent node of some children.
 TreeNode enclose(Member const* first, Member const* last) {
   TreeNode out{};
   for (int d = 0; d < 3; ++d) {

@@ -57,7 +57,7 @@ Harmonics<T> regular_harmonics(T const& x, T const& y, T const& z) {
   return out;
 }
 
-/// A value for (l, m) of either sign of m: R(l, -m) = (-1)^m conj R(l, m), and alike for moments.
+/// A value for (l, m) of either sign of m: R(l, -m) = (-1)^m conj R(l, m), and the same for moments.
 template <class T>
 Complex<T> with_sign(Harmonics<T> const& values, int l, int m) {
   if (m >= 0) return values[harmonic_index(l, m)];

@@ -15,7 +15,7 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
-constexpr double order_tolerance = 2e-6;  ///< share of a box's potential that orders left out may add
+constexpr double order_tolerance = 2e-6;  ///< fraction of a box's potential that orders left out may add
 /// A factor of limits: places on a lattice often lie at a limit exactly, and rounding must not choose.
 constexpr double past_ties = 1 + 1e-9;
 
@@ -31,7 +31,7 @@ double near_distance(Point const& shape, Options const& options) {
 
 /// Cells that the kernel tables must reach: from a node's charges to the ghosts that it is near to, and along long
 /// cells to the rest of a block of ghosts that is partly as near. Across them to the rest of a patch, which is
-/// interpolated where it is far enough for its width, and may stand out beyond its wall.
+/// interpolated where it is far enough for its width, and may stand out from its wall.
 Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
   Point const shape = lattice.shape();
   Cell const near = near_cells(lattice, options), widest = widest_blocks(shape);
@@ -42,19 +42,19 @@ Cell table_reach(Lattice const& lattice, int finest, Options const& options) {
   for (int d = 0; d < 3; ++d) {
     double const inside_domain = std::ldexp(lattice.cells[d] + 2.0 * block_edge, finest);  // and nodes beside a wall
     double const block = shape[d] > 2 ? 2 * block_edge : block_edge;
-    double const beyond = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
-    out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + beyond)) + 1;
+    double const interpolated = widest[d] > block_edge ? std::max(block, patch / shape[d]) : block;
+    out[d] = int(std::ceil(std::min(double(near[d]), inside_domain) + interpolated)) + 1;
   }
   return out;
 }
 
 /// Where the cells of one level lie along an axis, among the lattice points of another one: at `point` + shift.
-struct Place {
+struct LatticePlace {
   int point;
   double shift;
 };
 
-Place place_in_level(int cell, int cell_level, int level) {
+LatticePlace place_in_level(int cell, int cell_level, int level) {
   double const x = std::ldexp(cell + 0.5, level - cell_level) - 0.5, floor = std::floor(x);
   return {int(floor), x - floor};
 }
@@ -109,12 +109,12 @@ void add_lattice(TreeNode const& node, Rows const& rows, Point const& h2, std::a
 
 /// The leaves below some nodes.
 void mark_leaves(Octree const& tree, std::vector<int> nodes, std::vector<char>& marks) {
-  std::vector<char> is_seen(tree.nodes.size(), 0);
+  std::vector<char> is_visited(tree.nodes.size(), 0);
   while (!nodes.empty()) {
     int const n = nodes.back();
     nodes.pop_back();
-    if (is_seen[std::size_t(n)]) continue;
-    is_seen[std::size_t(n)] = 1;
+    if (is_visited[std::size_t(n)]) continue;
+    is_visited[std::size_t(n)] = 1;
     TreeNode const& node = tree.nodes[std::size_t(n)];
     if (node.leaf >= 0) marks[std::size_t(node.leaf)] = 1;
     for (int c = 0; c < node.children; ++c) nodes.push_back(node.first_child + c);
@@ -128,11 +128,11 @@ void add_lanes(Lanes const& value, double* to) {
 }  // namespace
 
 /// The ghosts of a patch as a box, flat along the normal.
-struct TreePotential::Rectangle {
+struct TreePotential::PatchBox {
   Point centre, half;
   double radius;
 
-  explicit Rectangle(PatchPoints const& points) {
+  explicit PatchBox(PatchPoints const& points) {
     auto const axes = plane_axes(points.normal);
     centre[points.normal] = points.place;
     half[points.normal] = 0;
@@ -227,7 +227,7 @@ class TreePotential::NearPatch {
   PointsApart points_apart(Cell const& stride, int level) const {
     PointsApart out{stride, {}};
     for (int d = 0; d < 3; ++d) {
-      Place const ghost = place_in_level(d == normal_ ? behind_ : 0, patch_.level, level);
+      LatticePlace const ghost = place_in_level(d == normal_ ? behind_ : 0, patch_.level, level);
       if (stride[d] > 1) out.origin[d] = ghost.point + ghost.shift;
     }
     return out;
@@ -244,22 +244,22 @@ class TreePotential::NearPatch {
     return grids_.emplace(std::pair(level, table), std::move(made)).first->second;
   }
 
-  Stencil stencil(int axis, int cell, int level, PointsApart const& points) const {
-    Place const place = place_in_level(cell, patch_.level, level);
+  InterpolationStencil stencil(int axis, int cell, int level, PointsApart const& points) const {
+    LatticePlace const place = place_in_level(cell, patch_.level, level);
     bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
     return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)));
   }
 
   /// Of the points along an axis of the plane.
-  std::vector<Stencil> stencils(int t, int level, PointsApart const& points) const {
+  std::vector<InterpolationStencil> stencils(int t, int level, PointsApart const& points) const {
     int const axis = axes_[t];
-    std::vector<Stencil> out;
+    std::vector<InterpolationStencil> out;
     if (points.stride[axis] == 1 || std::ldexp(1.0, level - patch_.level) >= points.stride[axis]) {
       for (int cell : cells_[t]) out.push_back(stencil(axis, cell, level, points));
       return out;
     }
     auto const place = [&](int cell) {
-      Place const ghost = place_in_level(cell, patch_.level, level);
+      LatticePlace const ghost = place_in_level(cell, patch_.level, level);
       return points.place(axis, ghost.point + ghost.shift);
     };
     Nodes const nodes = nodes_between(place(patch_.first[t]), place(patch_.first[t] + patch_.extent[t] - 1));
@@ -312,7 +312,7 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
   for (std::size_t p = patches.size(); p-- > 0;) {
     GhostPatch const& patch = patches[p];
     PatchPoints const points(lattice_, patch);
-    Rectangle const rectangle(points);
+    PatchBox const patch_box(points);
     double const separation = options_.separation * points.width;
     if (patch.parent < 0)
       stack.assign(1, tree.root());
@@ -323,15 +323,15 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
       stack.pop_back();
       TreeNode const& node = tree.nodes[n];
       auto const width = summed_width(node);
-      double const distance2 = rectangle.to_centre2(node);
+      double const distance2 = patch_box.to_centre2(node);
       bool const is_far = distance2 > limits[n] * limits[n];
-      bool const is_mostly_near = !is_far && rectangle.between_centres2(node) < 0.5 * limits[n] * limits[n];
-      if (is_far && rectangle.to_charges2(node) >= separation * separation)
+      bool const is_mostly_near = !is_far && patch_box.between_centres2(node) < 0.5 * limits[n] * limits[n];
+      if (is_far && patch_box.to_charges2(node) >= separation * separation)
         out[p].far.push_back(multipole(tree, n, distance2));
-      else if (!is_far && is_summed(node, rectangle, points.width))
+      else if (!is_far && is_summed(node, patch_box, points.width))
         out[p].mixed.push_back(n);
       else if (!is_far && node.leaf < 0 &&
-               (width ? *width > points.width : node.radius > rectangle.radius || is_mostly_near))
+               (width ? *width > points.width : node.radius > patch_box.radius || is_mostly_near))
         for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
       else if (patch.is_block())
         out[p].mixed.push_back(n);
@@ -356,14 +356,14 @@ std::optional<double> TreePotential::summed_width(TreeNode const& node) const {
 
 /// Whether the charges of a node are summed one by one at the points of a patch: where both are as far from each other
 /// as the interpolation over their half widths asks for, also where the lattice counts.
-bool TreePotential::is_summed(TreeNode const& node, Rectangle const& rectangle, double patch_width) const {
+bool TreePotential::is_summed(TreeNode const& node, PatchBox const& patch_box, double patch_width) const {
   auto const width = summed_width(node);
   if (!width) return false;
   double const apart = options_.separation * std::max(*width, patch_width);
   double distance2 = 0;
   for (int d = 0; d < 3; ++d) {
     double const spacing = shape_[d] * node.coarsest;
-    double const between = gap(rectangle.centre[d] - node.centre[d], rectangle.half[d] + node.half[d]);
+    double const between = gap(patch_box.centre[d] - node.centre[d], patch_box.half[d] + node.half[d]);
     double const distance = smoothing_distance(between, spacing, shape_[d]);
     distance2 += distance * distance;
   }
@@ -425,7 +425,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   std::vector<Visit> stack;
   Rows const rows(points);
-  Rectangle const rectangle(points);
+  PatchBox const patch_box(points);
   for (int row = 0; row < patch_points; ++row) {
     auto const& at = rows.at[row];
     Lanes sum{};
@@ -447,7 +447,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         }
         unsigned const rest = active & ~far;
         if (!rest) continue;
-        if (node.leaf >= 0 || is_summed(node, rectangle, points.width))
+        if (node.leaf >= 0 || is_summed(node, patch_box, points.width))
           near.push_back({patch, row, rest, n});
         else
           for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});

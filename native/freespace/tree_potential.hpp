@@ -16,9 +16,9 @@ namespace amrpic::freespace {
 
 struct Options {
   double acceptance =
-      0.5;  ///< a box is a multipole from where its radius looks smaller than this share of the distance
+      0.5;  ///< a box is a multipole from where its radius looks smaller than this fraction of the distance
   double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
-  double dropped = 1e-7;      ///< share of all |q| that may be left out with the weakest boxes
+  double dropped = 1e-7;      ///< fraction of all |q| that may be left out with the weakest boxes
   double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
 };
 
@@ -68,10 +68,10 @@ class TreePotential {
     int node;
   };
   class NearPatch;
-  struct Rectangle;
+  struct PatchBox;
   double far_limit(TreeNode const& node) const;
   std::optional<double> summed_width(TreeNode const& node) const;
-  bool is_summed(TreeNode const& node, Rectangle const& rectangle, double patch_width) const;
+  bool is_summed(TreeNode const& node, PatchBox const& patch_box, double patch_width) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                double* values) const;

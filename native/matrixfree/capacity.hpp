@@ -9,14 +9,14 @@
 
 namespace amrpic::matrixfree {
 
-/// The most places that boxes take in a Layout: rows padded to whole vectors, planes to whole cache lines, and around
-/// each box `halo` cells of copies.
+/// The most places that boxes take in a Layout: rows padded to whole vectors, planes to whole cache lines, with
+/// `halo` layers of copies at each box.
 std::int64_t padded_cells(std::vector<Box> const& boxes, int halo);
 
-/// What is wrong with so many places for a level on a rank; empty if nothing is.
+/// Why so many places for a level on a rank are refused; empty if they are not.
 std::string refusal_of_places(std::int64_t places, int level, int rank);
 
-/// Throws SolverError, on all ranks alike, if a rank has more padded cells of a level than places. Collective.
+/// Throws SolverError, the same on all ranks, if a rank has more padded cells of a level than places. Collective.
 void check_places(Hierarchy const& hierarchy, int halo);
 
 }  // namespace amrpic::matrixfree

@@ -5,7 +5,7 @@
 namespace amrpic::matrixfree {
 
 Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
-                       CoarseEnds const& ends)
+                       CoarseGhosts const& ghosts)
     : comm_(comm),
       fine_(fine),
       coarse_(coarse),
@@ -13,9 +13,9 @@ Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Inde
       refines_(refines),
       in_place_(!refines && keeps_children_together()),
       gathers_(coarse.level().ranks() == 1 && fine.level().ranks() > 1) {
-  surround(comm, ends);
+  lay_out_coarse_patches(comm, ghosts);
   if (refines)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), surroundings_, fine.stencil().weight(),
+    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), coarse_patches_, fine.stencil().weight(),
                                 coarse.stencil().weight());
 }
 
@@ -33,58 +33,57 @@ bool Coarsening::keeps_children_together() const {
   return together;
 }
 
-/// Lay out the cells around the own blocks' parents, and plan how their values come.
-void Coarsening::surround(MPI_Comm comm, CoarseEnds const& ends) {
+/// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
+void Coarsening::lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghosts) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
   std::vector<Wanted> wanted;
   std::size_t size = 0;
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
-    Surroundings around{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
-    around.cells.origin = std::ptrdiff_t(size);
-    around.cells.pitch_y = around.box.extent(0);
-    around.cells.pitch_z = around.cells.pitch_y * around.box.extent(1);
-    size += std::size_t(around.cells.pitch_z * around.box.extent(2));
-    std::vector<char> known(std::size_t(around.box.cells()), 0);
-    coarser.for_each_overlap(around.box, [&](int n, Box const& part, Index3 const& shift) {
-      Rectangle copy = around.cells;
-      copy.origin = around.place(part.lower);
+    CoarsePatch patch{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
+    patch.cells.origin = std::ptrdiff_t(size);
+    patch.cells.pitch_y = patch.box.extent(0);
+    patch.cells.pitch_z = patch.cells.pitch_y * patch.box.extent(1);
+    size += std::size_t(patch.cells.pitch_z * patch.box.extent(2));
+    std::vector<char> known(std::size_t(patch.box.cells()), 0);
+    coarser.for_each_overlap(patch.box, [&](int n, Box const& part, Index3 const& shift) {
+      Placement copy = patch.cells;
+      copy.origin = patch.place(part.lower);
       wanted.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
       for (int k = part.lower[2]; k <= part.upper[2]; ++k)
         for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-          std::fill_n(&known[std::size_t(around.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
+          std::fill_n(&known[std::size_t(patch.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
     });
-    Rectangle cells = around.cells;
-    cells.origin = around.place(parents.lower);
-    Parents source{cells, ratio_, {}, {}, {-1, -1, -1}, ends.weight, parents.lower, {}, ends.seam_width};
+    Placement cells = patch.cells;
+    cells.origin = patch.place(parents.lower);
+    Parents source{cells, ratio_, {}, {}, {-1, -1, -1}, ghosts.weight, parents.lower, {}, ghosts.seam_width};
     for (int d = 0; d < 3; ++d) {
       source.odd[d] = box.lower[d] - ratio_[d] * parents.lower[d];
       int const last = coarser.periodic()[d] ? parents.upper[d] : std::min(parents.upper[d], coarser.domain().upper[d]);
       source.extent[d] = last - parents.lower[d] + 1;
-      bool const otherwise = ends.weight[d].last != 1 || ends.weight[d].before != 1;
+      bool const otherwise = ghosts.weight[d].last != 1 || ghosts.weight[d].before != 1;
       int const end = fine_.level().domain().upper[d] - box.lower[d];
       if (otherwise && end <= box.extent(d)) source.last[d] = end;
-      if (ends.seam_width[d] != 1 && ratio_[d] == 2) source.seam[d] = coarser.domain().extent(d);
+      if (ghosts.seam_width[d] != 1 && ratio_[d] == 2) source.seam[d] = coarser.domain().extent(d);
     }
     sources_.push_back(source);
     targets_.push_back(source);
     if (in_place_) targets_.back().cells = coarse_.layout().blocks()[b].cells;
-    surroundings_.push_back(around);
-    add_ends(around, known, ends);
+    coarse_patches_.push_back(patch);
+    add_ghosts(patch, known, ghosts);
   }
-  values_.resize(size + 64);  // a vector that starts in the last row may reach beyond it
+  values_.resize(size + 64);  // a vector that starts in the last row may reach past it
   parents_ = RectangleExchange(comm, coarser, coarse_.layout(), wanted);
 }
 
-/// A correction behind a wall, or where the coarser level ends, is a multiple of that before it; corners follow axis
-/// after axis.
-void Coarsening::add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends) {
-  Box const domain = coarse_.level().domain(), region = around.box.grow(refines_ ? -1 : 0);
+/// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.
+void Coarsening::add_ghosts(CoarsePatch const& patch, std::vector<char>& known, CoarseGhosts const& ghosts) {
+  Box const domain = coarse_.level().domain(), region = patch.box.grow(refines_ ? -1 : 0);
   std::vector<Index3> missing;
   for (int k = region.lower[2]; k <= region.upper[2]; ++k)
     for (int j = region.lower[1]; j <= region.upper[1]; ++j) {
-      char const* const first = &known[std::size_t(around.box.offset({region.lower[0], j, k}))];
+      char const* const first = &known[std::size_t(patch.box.offset({region.lower[0], j, k}))];
       char const* const end = first + region.extent(0);
       for (char const* at = first; (at = std::find(at, end, 0)) != end; ++at)
         missing.push_back({region.lower[0] + int(at - first), j, k});
@@ -95,17 +94,17 @@ void Coarsening::add_ends(Surroundings const& around, std::vector<char>& known, 
       for (Index3 const& ghost : missing) {
         Index3 before = ghost;
         before[axis] += side == 0 ? 1 : -1;
-        if (known[std::size_t(around.box.offset(ghost))] || !region.contains(before) ||
-            !known[std::size_t(around.box.offset(before))])
+        if (known[std::size_t(patch.box.offset(ghost))] || !region.contains(before) ||
+            !known[std::size_t(patch.box.offset(before))])
           continue;
         Index3 inside = before;
         for (int d = 0; d < 3; ++d)
           if (!coarse_.level().periodic()[d]) inside[d] = std::clamp(before[d], domain.lower[d], domain.upper[d]);
-        ends_.push_back({std::int32_t(around.place(before)), std::int32_t(around.place(ghost)),
-                         float(ends.behind(inside, axis, side))});
+        ghosts_.push_back({std::int32_t(patch.place(before)), std::int32_t(patch.place(ghost)),
+                           float(ghosts.factor(inside, axis, side))});
         filled.push_back(ghost);
       }
-      for (Index3 const& ghost : filled) known[std::size_t(around.box.offset(ghost))] = 1;
+      for (Index3 const& ghost : filled) known[std::size_t(patch.box.offset(ghost))] = 1;
     }
 }
 
@@ -113,9 +112,9 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   Vector& target = clear_target();
   stages.push_back([&](std::size_t b, int k) {
     if (b < targets_.size())
-      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], share(), target);
+      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], weight(), target);
   });
-  if (fine_.has_odd_ring()) {  // the copies beyond it have not seen the sweeps that their cells saw
+  if (fine_.has_odd_ring()) {  // the copies behind it have not been swept as their cells were
     PlaneStage const restriction = std::move(stages.back());
     stages.pop_back();
     fine_.run(stages);
@@ -124,16 +123,16 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   }
   fine_.run(stages);
   interface_.subtract_flux(fine_.correction(), target);
-  hand_over();
+  add_to_coarse_level();
 }
 
 void Coarsening::restrict_right_hand_side() {
   Vector& target = clear_target();
   fine_.run({[&](std::size_t b, int k) {
     if (b < targets_.size())
-      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), targets_[b], share(), target);
+      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), targets_[b], weight(), target);
   }});
-  hand_over();
+  add_to_coarse_level();
 }
 
 /// Where residuals of own blocks go.
@@ -143,10 +142,12 @@ Vector& Coarsening::clear_target() {
   return values_;
 }
 
-float Coarsening::share() const { return float(coarse_.scale() / fine_.scale() / (ratio_[0] * ratio_[1] * ratio_[2])); }
+float Coarsening::weight() const {
+  return float(coarse_.scale() / fine_.scale() / (ratio_[0] * ratio_[1] * ratio_[2]));
+}
 
-/// From there to the parents, wherever they live.
-void Coarsening::hand_over() {
+/// Add the target to the coarser right-hand side, on whichever ranks the parents are.
+void Coarsening::add_to_coarse_level() {
   if (in_place_) return;
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
@@ -156,7 +157,7 @@ void Coarsening::hand_over() {
 
 std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   parents_.update(coarse_.correction().data(), values_.data());
-  for (Copy const& c : ends_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
+  for (Copy const& c : ghosts_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
   auto const prolong = [this, into](std::size_t b, int k) {
     fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.right_hand_side(), fine_.correction());
@@ -178,7 +179,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
 }
 
 std::size_t Coarsening::bytes() const {
-  return values_.size() * sizeof(float) + interface_.bytes() + ends_.size() * sizeof(Copy);
+  return values_.size() * sizeof(float) + interface_.bytes() + ghosts_.size() * sizeof(Copy);
 }
 
 }  // namespace amrpic::matrixfree

@@ -7,11 +7,10 @@
 
 namespace amrpic::matrixfree {
 
-/// How a level's ends look from the next finer one.
-struct CoarseEnds {
-  /// The coarse correction behind a wall, or where the coarser level ends, over the one before it: the cell before it,
-  /// axis, side.
-  std::function<Real(Index3 const&, int, int)> behind;
+/// How prolongation and restriction treat the ends of the coarser level.
+struct CoarseGhosts {
+  /// Factor of a cell in the ghost cell next to it: cell, axis, side.
+  std::function<Real(Index3 const&, int, int)> factor;
   std::array<LastChildren, 3> weight;  ///< of the finer level's last cells in their parents' means
   Real3 seam_width{1, 1, 1};           ///< of the coarser level's last cells along periodic axes
 };
@@ -22,7 +21,7 @@ class Coarsening {
   /// `refines`: the finer level covers but a part of the coarser one, whose right-hand side elsewhere is its own.
   /// Collective.
   Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
-             CoarseEnds const& ends);
+             CoarseGhosts const& ghosts);
 
   /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
   ///
@@ -49,11 +48,11 @@ class Coarsening {
     float factor;
   };
   bool keeps_children_together() const;
-  void surround(MPI_Comm comm, CoarseEnds const& ends);
+  void lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghosts);
   Vector& clear_target();
-  float share() const;
-  void hand_over();
-  void add_ends(Surroundings const& around, std::vector<char>& known, CoarseEnds const& ends);
+  float weight() const;
+  void add_to_coarse_level();
+  void add_ghosts(CoarsePatch const& patch, std::vector<char>& known, CoarseGhosts const& ghosts);
 
   MPI_Comm comm_;
   SweptLevel& fine_;
@@ -62,10 +61,10 @@ class Coarsening {
   bool refines_;
   bool in_place_;  ///< whether all parents lie in this rank's memory, block by block
   bool gathers_;   ///< whether every rank holds all of the coarser level, but only a part of the finer one
-  std::vector<Surroundings> surroundings_;  ///< of each own block
-  Vector values_;                           ///< what they hold
-  std::vector<Parents> sources_, targets_;  ///< of each own block: parents in `values_`; where residuals go
-  std::vector<Copy> ends_;                  ///< in `values_`
+  std::vector<CoarsePatch> coarse_patches_;  ///< of each own block
+  Vector values_;                            ///< what they hold
+  std::vector<Parents> sources_, targets_;   ///< of each own block: parents in `values_`; where residuals go
+  std::vector<Copy> ghosts_;                 ///< in `values_`
   RectangleExchange parents_;
   InterfaceCells interface_;
 };

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 #include "stencil/intergrid.hpp"
 #include "stencil/laplacian.hpp"
 

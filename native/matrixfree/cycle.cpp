@@ -27,35 +27,35 @@ class NoDenormals {
 #endif
 };
 
-/// What corrections meet at the ends of level l of a stack.
-Ends ends_of(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l) {
-  Ends out;
-  out.walls = stack.walls[l];
-  out.seam_width = seam_widths(stack.levels[l]->periodic(), stack.upper[l]);
-  out.beyond = [](Index3 const&, int, int) { return WallGhost{interface_ghost::first, interface_ghost::second, 0}; };
+/// The ghost cells of corrections on multigrid level l.
+GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l) {
+  GhostRules out;
+  out.walls = multigrid.walls[l];
+  out.seam_width = seam_widths(multigrid.levels[l]->periodic(), multigrid.upper[l]);
+  out.inside = [](Index3 const&, int, int) { return WallGhost{interface_ghost::first, interface_ghost::second, 0}; };
   // Covered cells hold corrections of finer ones alone, and those vanish where the finest level's do.
-  bool const hidden = l < stack.base;
-  Level const* finer = l + 1 < stack.levels.size() ? stack.levels[l + 1].get() : nullptr;
-  out.more = [&stack, &open_walls, l, hidden, finer](Index3 const& cell, int axis, int side) -> Real {
-    if (stack.boundary[axis][side] != Boundary::open) return 0;
-    bool const covered = hidden || (finer && finer->find({2 * cell[0], 2 * cell[1], 2 * cell[2]}) >= 0);
+  bool const fully_covered = l < multigrid.base;
+  Level const* finer = l + 1 < multigrid.levels.size() ? multigrid.levels[l + 1].get() : nullptr;
+  out.more = [&multigrid, &open_walls, l, fully_covered, finer](Index3 const& cell, int axis, int side) -> Real {
+    if (multigrid.boundary[axis][side] != Boundary::open) return 0;
+    bool const covered = fully_covered || (finer && finer->find({2 * cell[0], 2 * cell[1], 2 * cell[2]}) >= 0);
     return covered ? open_walls.first(l, cell, axis, side) : 0;
   };
   return out;
 }
 
-constexpr GlobalIndex held_by_all = 10000;  ///< cells of a level that every rank relaxes faster than it hears of others
+constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
-WallGhosts walls_of_coarsest(LevelStack const& stack, Ends const& ends) {
-  WallGhosts out = ends.walls;
-  Box const& domain = stack.levels.front()->domain();
+WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const& rules) {
+  WallGhosts out = rules.walls;
+  Box const& domain = multigrid.levels.front()->domain();
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side)
-      if (stack.boundary[axis][side] == Boundary::open) {
+      if (multigrid.boundary[axis][side] == Boundary::open) {
         Index3 cell{domain.extent(0) / 2, domain.extent(1) / 2, domain.extent(2) / 2};
         cell[axis] = side == 0 ? domain.lower[axis] : domain.upper[axis];
-        out[axis][side].first += ends.more(cell, axis, side);
+        out[axis][side].first += rules.more(cell, axis, side);
       }
   return out;
 }
@@ -64,45 +64,46 @@ WallGhosts walls_of_coarsest(LevelStack const& stack, Ends const& ends) {
 
 Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
     : comm_(comm),
-      stack_(coarsen_below(stack_of(hierarchy, shift), hierarchy.domain(), {hierarchy.max_grid_size(), held_by_all},
-                           std::numeric_limits<int>::max())),
+      multigrid_(coarsen_below(refinement_levels(hierarchy, shift), hierarchy.domain(),
+                               {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max())),
       relaxation_(relaxation) {
-  OpenWalls const open_walls(stack_);
-  for (std::size_t l = 0; l < stack_.levels.size(); ++l) {
+  OpenWalls const open_walls(multigrid_);
+  for (std::size_t l = 0; l < multigrid_.levels.size(); ++l) {
     CycleLevel level;
-    Ends const ends = ends_of(stack_, open_walls, l);
+    GhostRules const rules = ghost_rules_of(multigrid_, open_walls, l);
     Relaxation own = relaxation;
-    own.factor = relaxation_on(*stack_.levels[l], shift, stack_.halves_at_most(l), relaxation.factor);
+    own.factor = relaxation_on(*multigrid_.levels[l], shift, multigrid_.halves_at_most(l), relaxation.factor);
     std::vector<LevelCopy> copies;
-    if (stack_.refines(l))
-      copies = semicoarse_copies(stack_.levels[l], ends.walls, stack_.boundary, hierarchy.max_grid_size());
+    if (multigrid_.refines(l))
+      copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const halo = own.halo() + (!copies.empty() || !stack_.refines(l) ? 1 : 0);
-    level.swept = std::make_unique<SweptLevel>(comm, stack_.levels[l], ends, shift, own, halo);
+    int const halo = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
+    level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
-          comm, *level.swept, *levels_.back().swept, stack_.ratio[l], stack_.refines(l),
-          CoarseEnds{[&](Index3 const& cell, int axis, int side) {
-                       return prolonged_end(stack_, open_walls, l - 1, cell, axis, side);
-                     },
-                     last_children_of(stack_, l), seam_widths(stack_.levels[l - 1]->periodic(), stack_.upper[l - 1])});
+          comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l], multigrid_.refines(l),
+          CoarseGhosts{[&](Index3 const& cell, int axis, int side) {
+                         return prolonged_end(multigrid_, open_walls, l - 1, cell, axis, side);
+                       },
+                       last_children_of(multigrid_, l),
+                       seam_widths(multigrid_.levels[l - 1]->periodic(), multigrid_.upper[l - 1])});
     level.local = make_local_cycle(comm, *level.swept, copies, shift, own);
     levels_.push_back(std::move(level));
   }
-  Level const& coarsest = *stack_.levels.front();
+  Level const& coarsest = *multigrid_.levels.front();
   Box const& box = coarsest.domain();
-  Equation const equation = scaled(stack_.equation(0), levels_[0].swept->scale());
-  Ends const ends = ends_of(stack_, open_walls, 0);
-  direct_ =
-      std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
-                                            walls_of_coarsest(stack_, ends), coarsest.periodic(), ends.seam_width);
+  Equation const equation = scaled(multigrid_.equation(0), levels_[0].swept->scale());
+  GhostRules const rules = ghost_rules_of(multigrid_, open_walls, 0);
+  direct_ = std::make_unique<FastDiagonalisation>(Index3{box.extent(0), box.extent(1), box.extent(2)}, equation,
+                                                  walls_of_coarsest(multigrid_, rules), coarsest.periodic(),
+                                                  rules.seam_width);
 }
 
 void Cycle::run() {
   NoDenormals const guard;
-  run_cycle(stack_, {[this](std::size_t l) { levels_[l].coarsening->restrict_right_hand_side(); },
-                     [this](std::size_t l, Guess guess) { pre_smooth_and_restrict(levels_[l], guess); },
-                     [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
+  run_cycle(multigrid_, {[this](std::size_t l) { levels_[l].coarsening->restrict_right_hand_side(); },
+                         [this](std::size_t l, Guess guess) { pre_smooth_and_restrict(levels_[l], guess); },
+                         [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
 }
 
 /// Smooth, then leave the right-hand side of the coarser level.
@@ -128,7 +129,7 @@ void Cycle::prolong_and_post_smooth(CycleLevel& level) {
 
 /// Gathered on every rank where it is not yet there.
 void Cycle::solve_coarsest() {
-  Level const& level = *stack_.levels.front();
+  Level const& level = *multigrid_.levels.front();
   Layout const& layout = levels_[0].swept->layout();
   values_.assign(std::size_t(level.cells()), 0.0);
   auto for_each_own_row = [&](auto&& f) {

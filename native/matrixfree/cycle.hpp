@@ -20,10 +20,10 @@ class Cycle {
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();
 
-  SweptLevel& level(std::size_t l) { return *levels_[stack_.base + l].swept; }  ///< a refinement level, or the base
+  SweptLevel& level(std::size_t l) { return *levels_[multigrid_.base + l].swept; }  ///< a refinement level, or the base
 
   /// Cells of the base per cell of the multigrid level below it, along each axis; ones if there is none.
-  Index3 ratio_below_base() const { return stack_.base > 0 ? stack_.ratio[stack_.base] : Index3{1, 1, 1}; }
+  Index3 ratio_below_base() const { return multigrid_.base > 0 ? multigrid_.ratio[multigrid_.base] : Index3{1, 1, 1}; }
 
   std::int64_t messages() const;
   std::int64_t message_bytes() const;
@@ -40,7 +40,7 @@ class Cycle {
   void solve_coarsest();
 
   MPI_Comm comm_;
-  LevelStack stack_;
+  MultigridLevels multigrid_;
   Relaxation relaxation_;
   std::vector<CycleLevel> levels_;
   std::unique_ptr<FastDiagonalisation> direct_;

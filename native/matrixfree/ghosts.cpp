@@ -9,26 +9,27 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-constexpr std::int32_t nothing = -1;  ///< the source of a ghost of which nothing is known yet
+constexpr std::int32_t nothing = -1;  ///< the source of a ghost that is not known yet
 
 /// Whether a level has a single cell along an axis, with its own value on either side; periodic axes of one cell have
 /// such walls too.
-bool is_its_own_neighbour(Level const& level, Ends const& ends, int axis) {
+bool is_its_own_neighbour(Level const& level, GhostRules const& rules, int axis) {
   auto is_copy = [](WallGhost const& ghost) { return ghost.first == 1 && ghost.second == 0; };
-  return level.domain().extent(axis) == 1 && is_copy(ends.walls[axis][0]) && is_copy(ends.walls[axis][1]);
+  return level.domain().extent(axis) == 1 && is_copy(rules.walls[axis][0]) && is_copy(rules.walls[axis][1]);
 }
 
 }  // namespace
 
-Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Equation const& equation, Real relaxation)
+Stencil::Stencil(Level const& level, Layout const& layout, GhostRules const& rules, Equation const& equation,
+                 Real relaxation)
     : relaxation_(relaxation), shift_(float(equation.shift)), keep_(float(1 - relaxation)) {
-  for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, ends, d) ? 0 : float(equation.weight[d]);
-  for (Block const& block : layout.blocks()) {
+  for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, rules, d) ? 0 : float(equation.weight[d]);
+  for (CellBlock const& block : layout.blocks()) {
     BlockStencil out;
     out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
-      for (int side = 0; side < 2; ++side) all[axis][side] = ghosts(level, layout, ends, block, axis, side);
+      for (int side = 0; side < 2; ++side) all[axis][side] = ghosts(level, layout, rules, block, axis, side);
     add_rows(out, layout, block, all);
     add_coefficients(out, block, all);
     blocks_.push_back(std::move(out));
@@ -37,8 +38,8 @@ Stencil::Stencil(Level const& level, Layout const& layout, Ends const& ends, Equ
 }
 
 /// The layer behind a face, cell by cell, the lower tangential axis fastest.
-std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
-                                   int axis, int side) {
+std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
+                                   CellBlock const& block, int axis, int side) {
   Box layer = block.box;
   layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
   int const inward = side == 0 ? 1 : -1;
@@ -53,14 +54,14 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
         f(&out[std::size_t(layer.offset(first))], first);
       }
   };
-  auto end_here = [&](Ghost* row, Index3 const& first) {
+  auto fill_ghosts = [&](Ghost* row, Index3 const& first) {
     for (int i = 0; i < layer.extent(0); ++i) {
       if (row[i].source != nothing) continue;
       Index3 cell{first[0] + i, first[1], first[2]};
       cell[axis] += inward;
-      WallGhost const end = wall ? ends.walls[axis][side] : ends.beyond(cell, axis, side);
+      WallGhost const end = wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
       Ghost ghost{0, float(end.second), float(end.first)};
-      if (wall && ends.more) ghost.first += float(ends.more(cell, axis, side));
+      if (wall && rules.more) ghost.first += float(rules.more(cell, axis, side));
       if (ghost.factor != 0) {
         cell[axis] += inward;
         std::ptrdiff_t const second = thick ? block.place(cell) : layout.find(cell);
@@ -73,9 +74,9 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
   if (!wall) {
     int const n = level.domain().extent(axis);
     float const factor =
-        level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, ends.seam_width[axis])) : 1;
+        level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, rules.seam_width[axis])) : 1;
     GlobalIndex unknown = layer.cells();
-    layout.for_each_overlap(layer, [&](Block const& other, Box const& part, Index3 const& shift) {
+    layout.for_each_overlap(layer, [&](CellBlock const& other, Box const& part, Index3 const& shift) {
       unknown -= part.cells();
       for_each_row(part, [&](Ghost* row, Index3 const& first) {
         std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
@@ -83,7 +84,7 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
       });
     });
     if (unknown == 0 && !layout.has_images()) return out;
-    // behind the outer faces of copies lie cells that nobody here knows, but that are no end of the level
+    // cells of the level behind the outer faces of copies: not stored here, but not outside the level
     level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
       for_each_row(part, [&](Ghost* row, Index3 const&) {
         for (int i = 0; i < part.extent(0); ++i)
@@ -91,12 +92,12 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, End
       });
     });
   }
-  for_each_row(layer, end_here);
+  for_each_row(layer, fill_ghosts);
   return out;
 }
 
 /// What lies on each side of each row.
-void Stencil::add_rows(BlockStencil& out, Layout const& layout, Block const& block,
+void Stencil::add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
   out.first_run.push_back(0);
@@ -134,7 +135,7 @@ std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std
     else
       out.runs.push_back({i, 1, g.source, g.factor});
   }
-  if (Run const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
+  if (ScaledRun const run = out.runs[first]; run.count == n && (run.factor == 0 || run.factor == 1)) {
     out.runs.pop_back();
     return run.factor == 0 ? std::int32_t(zero_row) : run.source;
   }
@@ -142,7 +143,7 @@ std::int32_t Stencil::compose(BlockStencil& out, Ghost const* ghosts, int n, std
   return ~std::int32_t(out.first_run.size() - 2);
 }
 
-void Stencil::add_coefficients(BlockStencil& out, Block const& block,
+void Stencil::add_coefficients(BlockStencil& out, CellBlock const& block,
                                std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts) {
   int const nx = block.box.extent(0), ny = block.box.extent(1), nz = block.box.extent(2);
   float const plain = 2 * (weight_[0] + weight_[1] + weight_[2]) + shift_;
@@ -175,7 +176,7 @@ void Stencil::add_coefficients(BlockStencil& out, Block const& block,
     }
 }
 
-std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diagonal) {
+std::int32_t Stencil::pooled(CellBlock const& block, std::vector<float> const& diagonal) {
   std::size_t const pitch = std::size_t(block.cells.pitch_y);
   std::string key(diagonal.size() * sizeof(float) + sizeof pitch, '\0');
   std::memcpy(key.data(), diagonal.data(), diagonal.size() * sizeof(float));
@@ -195,7 +196,7 @@ std::int32_t Stencil::pooled(Block const& block, std::vector<float> const& diago
 std::size_t Stencil::bytes() const {
   std::size_t sum = pool_.size() * sizeof(float);
   for (BlockStencil const& b : blocks_)
-    sum += b.rows.capacity() * sizeof(RowStencil) + b.runs.capacity() * sizeof(Run) +
+    sum += b.rows.capacity() * sizeof(RowStencil) + b.runs.capacity() * sizeof(ScaledRun) +
            b.first_run.capacity() * sizeof(std::int32_t);
   return sum;
 }

@@ -12,28 +12,28 @@
 namespace amrpic::matrixfree {
 
 /// The value behind a face of a block in the equations of a correction e: factor * e[source] + first * (the cell before
-/// the face). A neighbour's value has factor 1 and first 0; behind a wall or where the level ends, `source` is the
-/// second cell inside.
+/// the face). A neighbour's value has factor 1 and first 0; in other ghost cells `source` is the second
+/// cell inside.
 struct Ghost {
   std::int32_t source = 0;
   float factor = 0;
   float first = 0;
 };
 
-/// What a level's corrections meet where its cells end.
-struct Ends {
+/// How the ghost cells of a level's corrections follow from its cells.
+struct GhostRules {
   WallGhosts walls;
   /// More of `first` behind a wall than `walls` has: cell, axis, side.
   std::function<Real(Index3 const&, int, int)> more = nullptr;
-  /// Beyond the level's own cells: cell, axis, side. Not asked where the level covers the domain.
-  std::function<WallGhost(Index3 const&, int, int)> beyond = nullptr;
+  /// Outside the level but inside the domain: cell, axis, side. Not called where the level covers the domain.
+  std::function<WallGhost(Index3 const&, int, int)> inside = nullptr;
   Real3 seam_width{1, 1, 1};  ///< of the last cell along a periodic axis, see `UpperEnd`
 
   std::array<bool, 3> seams() const { return {seam_width[0] != 1, seam_width[1] != 1, seam_width[2] != 1}; }
 };
 
 /// A run of values of a row: factor * e[source + i] for `count` cells from `place` on.
-struct Run {
+struct ScaledRun {
   std::int32_t place, count;
   std::int32_t source;
   float factor;
@@ -43,7 +43,7 @@ inline Real smallest_spacing(Level const& level) {
   return std::min({level.spacing()[0], level.spacing()[1], level.spacing()[2]});
 }
 
-/// What the cells of a row along x meet. The row on a side is a piece of memory, or composed of runs.
+/// The neighbours of a row along x. The row on a side is a piece of memory, or composed of runs.
 struct RowStencil {
   std::array<std::int32_t, 4> beside;  ///< y below, above, z below, above: the place in a Vector, or ~(composed row)
   std::array<std::int32_t, 2> end;     ///< places of the values before the first and after the last cell
@@ -54,7 +54,7 @@ struct RowStencil {
 /// All about a block that its sweeps need besides e and r.
 struct BlockStencil {
   std::vector<RowStencil> rows;         ///< [j + ny k]
-  std::vector<Run> runs;                ///< of composed rows
+  std::vector<ScaledRun> runs;          ///< of composed rows
   std::vector<std::int32_t> first_run;  ///< composed row c: [first_run[c], first_run[c + 1])
 };
 
@@ -63,7 +63,7 @@ struct BlockStencil {
 class Stencil {
  public:
   /// `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
-  Stencil(Level const& level, Layout const& layout, Ends const& ends, Equation const& equation, Real relaxation);
+  Stencil(Level const& level, Layout const& layout, GhostRules const& rules, Equation const& equation, Real relaxation);
 
   BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
   /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
@@ -80,14 +80,14 @@ class Stencil {
   std::size_t bytes() const;
 
  private:
-  static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, Ends const& ends, Block const& block,
-                                   int axis, int side);
-  static void add_rows(BlockStencil& out, Layout const& layout, Block const& block,
+  static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
+                                   CellBlock const& block, int axis, int side);
+  static void add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
   static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row);
-  void add_coefficients(BlockStencil& out, Block const& block,
+  void add_coefficients(BlockStencil& out, CellBlock const& block,
                         std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
-  std::int32_t pooled(Block const& block, std::vector<float> const& diagonal);
+  std::int32_t pooled(CellBlock const& block, std::vector<float> const& diagonal);
 
   Real relaxation_;
   std::array<float, 3> weight_;

@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -11,8 +11,8 @@ namespace {
 constexpr int margin = 2;  ///< of coarser cells that fits take, around the parents
 
 /// 1 for the cells of a region that hold a potential of their own: cells of the level that no finer one covers.
-Window<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
-  Window<char> out(region, 0);
+ArrayOnBox<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
+  ArrayOnBox<char> out(region, 0);
   auto mark = [&](Box const& part, char value) {
     for (int k = part.lower[2]; k <= part.upper[2]; ++k)
       for (int j = part.lower[1]; j <= part.upper[1]; ++j)
@@ -25,7 +25,7 @@ Window<char> usable_cells(Level const& level, Level const& finer, Box const& reg
   return out;
 }
 
-/// The usable ones among the 25 cells of the plane around a cell; `stride`: steps in the window along its two axes.
+/// The usable ones among the 25 cells of the plane around a cell; `stride`: steps in memory along its two axes.
 unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& stride) {
   unsigned out = 0;
   for (int i = -2; i <= 2; ++i)
@@ -37,18 +37,18 @@ unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& st
 }  // namespace
 
 InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout const& layout,
-                               std::vector<Surroundings> const& surroundings, std::array<float, 3> const& weight,
+                               std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
                                std::array<float, 3> const& coarse_weight) {
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
-    Block const& block = layout.blocks()[b];
-    Surroundings const& around = surroundings[b];
-    Window<char> usable({}, 0);
+    CellBlock const& block = layout.blocks()[b];
+    CoarsePatch const& patch = patches[b];
+    ArrayOnBox<char> usable({}, 0);
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side) {
         Box layer = block.box;
         layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
         if (!level.periodic()[axis] && !level.domain().contains(layer)) continue;
-        Window<char> level_has(layer, 0);
+        ArrayOnBox<char> level_has(layer, 0);
         GlobalIndex missing = layer.cells();
         level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
           missing -= part.cells();
@@ -57,11 +57,11 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         if (missing == 0) continue;
         if (usable.values().empty()) usable = usable_cells(coarser, level, block.box.coarsen({2, 2, 2}).grow(3));
         auto const [u, v] = tangential_axes(axis);
-        Box const& window = usable.box();
-        std::array<std::ptrdiff_t, 3> const step{1, window.extent(0),
-                                                 std::ptrdiff_t(window.extent(0)) * window.extent(1)};
+        Box const& region = usable.box();
+        std::array<std::ptrdiff_t, 3> const step{1, region.extent(0),
+                                                 std::ptrdiff_t(region.extent(0)) * region.extent(1)};
         Box const parents = layer.coarsen({2, 2, 2});
-        Face face;
+        InterfaceSide face;
         face.nu = parents.extent(u);
         face.nv = parents.extent(v);
         face.fits = fits_.size();
@@ -76,9 +76,9 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         face.cell_u = block.cells.stride(u);
         face.cell_v = block.cells.stride(v);
         face.inward = block.cells.stride(axis) * (side == 0 ? 1 : -1);
-        face.parent = around.place(parents.lower);
-        face.parent_u = around.cells.stride(u);
-        face.parent_v = around.cells.stride(v);
+        face.parent = patch.place(parents.lower);
+        face.parent_u = patch.cells.stride(u);
+        face.parent_v = patch.cells.stride(v);
         face.weight = float(weight[axis] * interface_ghost::coarse);
         face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
         faces_.push_back(face);
@@ -88,9 +88,9 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
   }
 }
 
-void InterfaceCells::subtract_coarse(Vector const& surroundings, Vector& r) const {
-  for (Face const& face : faces_) {
-    float const* coarse = &surroundings[std::size_t(face.parent)];
+void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) const {
+  for (InterfaceSide const& face : faces_) {
+    float const* coarse = &coarse_values[std::size_t(face.parent)];
     std::ptrdiff_t pitch = face.parent_v;
     if (face.parent_u != 1) {  // rows of their own, for what follows
       pitch = face.nu + 2 * margin;
@@ -116,14 +116,14 @@ void InterfaceCells::subtract_coarse(Vector const& surroundings, Vector& r) cons
   }
 }
 
-void InterfaceCells::subtract_flux(Vector const& e, Vector& surroundings) const {
-  for (Face const& face : faces_) {
+void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const {
+  for (InterfaceSide const& face : faces_) {
     auto through = [&](float const* cell) { return difference_at_interface(cell[0], cell[face.inward]); };
     for (int v = 0; v < face.nv; ++v)
       for_each_run(
           &fits_[face.fits + std::size_t(v) * std::size_t(face.nu)], face.nu, [&](int u, int count, FitNumber) {
             float const* cell = &e[std::size_t(face.cell + 2 * v * face.cell_v + 2 * u * face.cell_u)];
-            float* parent = &surroundings[std::size_t(face.parent + v * face.parent_v + u * face.parent_u)];
+            float* parent = &coarse_values[std::size_t(face.parent + v * face.parent_v + u * face.parent_u)];
             for (int i = 0; i < count; ++i, cell += 2 * face.cell_u, parent += face.parent_u)
               *parent -= face.flux_weight * (through(cell) + through(cell + face.cell_u) + through(cell + face.cell_v) +
                                              through(cell + face.cell_u + face.cell_v));
@@ -132,7 +132,7 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& surroundings) const 
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return faces_.size() * sizeof(Face) + fits_.size() + (plane_.size() + rows_.size()) * sizeof(float);
+  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + (plane_.size() + rows_.size()) * sizeof(float);
 }
 
 }  // namespace amrpic::matrixfree

@@ -5,43 +5,43 @@
 
 namespace amrpic::matrixfree {
 
-/// The coarser cells around a block's own parents, in a Vector: a copy, wherever the cells live.
-struct Surroundings {
+/// A copy, in a Vector, of a block's parents and the coarser cells next to them, whichever ranks own these.
+struct CoarsePatch {
   Box box;  ///< on the coarser level
-  Rectangle cells;
+  Placement cells;
   std::ptrdiff_t place(Index3 const& c) const {
     return cells.place(c[0] - box.lower[0], c[1] - box.lower[1], c[2] - box.lower[2]);
   }
 };
 
-/// The faces between own cells of a level and uncovered cells of the next coarser one, as corrections see them.
+/// The faces between own cells of a level and uncovered cells of the next coarser one, in the equations of corrections.
 class InterfaceCells {
  public:
   InterfaceCells() = default;
-  /// `surroundings`: of the own blocks, two cells wide; weights: those of the stencils of this level and the coarser
-  /// one.
+  /// `patches`: of the own blocks, with two cells around the parents; weights: those of the stencils of this level and
+  /// the coarser one.
   InterfaceCells(Level const& level, Level const& coarser, Layout const& layout,
-                 std::vector<Surroundings> const& surroundings, std::array<float, 3> const& weight,
+                 std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
                  std::array<float, 3> const& coarse_weight);
 
   /// Take from r what the ghosts behind the faces have of the coarser correction.
-  void subtract_coarse(Vector const& surroundings, Vector& r) const;
+  void subtract_coarse(Vector const& coarse_values, Vector& r) const;
 
   /// Take from the coarser cells behind the faces what the fine correction sends through these.
-  void subtract_flux(Vector const& e, Vector& surroundings) const;
+  void subtract_flux(Vector const& e, Vector& coarse_values) const;
 
   std::size_t bytes() const;
 
  private:
   /// A side of a block on which ghosts lie in coarser cells: nu x nv of these, the lower tangential axis first.
-  struct Face {
+  struct InterfaceSide {
     int nu, nv;
     std::size_t fits;                             ///< first of its numbers, u fastest; no_fit where no ghosts lie
     std::ptrdiff_t cell, cell_u, cell_v, inward;  ///< the first fine cell before the face, steps from one to the next
-    std::ptrdiff_t parent, parent_u, parent_v;    ///< the first coarse cell behind it, in the surroundings
+    std::ptrdiff_t parent, parent_u, parent_v;    ///< the first coarse cell behind it, in the patch
     float weight, flux_weight;
   };
-  std::vector<Face> faces_;
+  std::vector<InterfaceSide> faces_;
   std::vector<FitNumber> fits_;
   mutable std::vector<float> plane_, rows_;  ///< of the face under way: coarse values, two rows of ghosts
 };

@@ -18,8 +18,8 @@ std::ptrdiff_t rounded_up(std::ptrdiff_t n, std::ptrdiff_t to) { return (n + to 
 /// Cells per vector of a row: the wide ones, unless they would carry too much padding. Vectors of 4 do half the work of
 /// those of 8 at a time, so that it takes more padding for them.
 int lanes_of(int cells) {
-  constexpr int share = widest == 16 ? 8 : 4;
-  bool const wide = share * rounded_up(cells, widest) <= (share + 1) * rounded_up(cells, narrowest);
+  constexpr int least = widest == 16 ? 8 : 4;
+  bool const wide = least * rounded_up(cells, widest) <= (least + 1) * rounded_up(cells, narrowest);
   return wide ? widest : narrowest;
 }
 
@@ -48,7 +48,7 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   auto const large = joined(split(own, seams), seams);
   for (Box const& box : large) add(box);
   own_blocks_ = blocks_.size();
-  for (Block const& block : blocks_) planes_of_.emplace_back(std::size_t(block.box.extent(2)), 0);
+  for (CellBlock const& block : blocks_) planes_of_.emplace_back(std::size_t(block.box.extent(2)), 0);
 
   // One copy of a box (or image) holds all that any own block needs of it. Images of own cells across x and y are read
   // in place where they can; those across z are copied, because a plane is swept when the one at the other end is not
@@ -77,14 +77,14 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   for (Box const& box : joined(copies, seams)) add(box);
   measure_halo();
   std::ptrdiff_t longest = 0;
-  for (Block const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
+  for (CellBlock const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
   zero_row_ = std::ptrdiff_t(size_);
-  size_ += std::size_t(longest) + 64;  // a vector that starts in the last row may reach beyond it
+  size_ += std::size_t(longest) + 64;  // a vector that starts in the last row may reach past it
 
-  for (Box const& box : own)  // a box that a seam cuts is asked for by nobody
+  for (Box const& box : own)  // nobody reads a box that a seam cuts
     for (std::size_t b = 0; b < own_blocks_; ++b)
       if (blocks_[b].box.contains(box)) {
-        Rectangle cells = blocks_[b].cells;
+        Placement cells = blocks_[b].cells;
         cells.origin = blocks_[b].place(box.lower);
         boxes_.push_back(cells);
         break;
@@ -93,7 +93,7 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   if (blocks_.empty()) return;
   int last = blocks_[0].box.upper[2];
   first_plane_ = blocks_[0].box.lower[2];
-  for (Block const& block : blocks_) {
+  for (CellBlock const& block : blocks_) {
     first_plane_ = std::min(first_plane_, block.box.lower[2]);
     last = std::max(last, block.box.upper[2]);
   }
@@ -120,7 +120,7 @@ void Layout::measure_halo() {
 }
 
 void Layout::add(Box const& box) {
-  Block block;
+  CellBlock block;
   block.box = box;
   block.lanes = lanes_of(box.extent(0));
   block.cells.origin = std::ptrdiff_t(size_);
@@ -132,11 +132,11 @@ void Layout::add(Box const& box) {
   blocks_.push_back(block);
 }
 
-Rectangle Layout::halo_place(Halo const& halo) const {
+Placement Layout::halo_place(Halo const& halo) const {
   Box const copy = halo.cells.shift(halo.shift);
   for (std::size_t b = own_blocks_; b < blocks_.size(); ++b)
     if (blocks_[b].box.contains(copy)) {
-      Rectangle out = blocks_[b].cells;
+      Placement out = blocks_[b].cells;
       out.origin = blocks_[b].place(copy.lower);
       return out;
     }
@@ -164,7 +164,7 @@ std::vector<int> Layout::near(int lower_plane, int upper_plane) const {
 
 std::ptrdiff_t Layout::find(Index3 const& cell) const {
   std::ptrdiff_t out = -1;  // the last one found is not an image
-  for_each_overlap({cell, cell}, [&](Block const& block, Box const& part, Index3 const& shift) {
+  for_each_overlap({cell, cell}, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
     out = block.place({part.lower[0] - shift[0], part.lower[1] - shift[1], part.lower[2]});
   });
   return out;

@@ -10,7 +10,7 @@ namespace amrpic::matrixfree {
 
 /// Where a rectangle of cells lies in a Vector: cell (i, j, k) past its lower corner at origin + i + j pitch_y + k
 /// pitch_z.
-struct Rectangle {
+struct Placement {
   std::ptrdiff_t origin = 0, pitch_y = 0, pitch_z = 0;
 
   std::ptrdiff_t place(int i, int j, int k) const { return origin + i + j * pitch_y + k * pitch_z; }
@@ -19,9 +19,9 @@ struct Rectangle {
 
 /// A box of cells in this rank's memory: boxes of the level that make up a larger box, or cells of other ranks that the
 /// sweeps need.
-struct Block {
-  Box box;          ///< beyond the domain where it is the image across a periodic boundary
-  Rectangle cells;  ///< rows padded to whole vectors
+struct CellBlock {
+  Box box;          ///< outside the domain where it is the image across a periodic boundary
+  Placement cells;  ///< rows padded to whole vectors
   int lanes = 16;   ///< cells per vector
 
   std::ptrdiff_t place(Index3 const& c) const {
@@ -45,7 +45,7 @@ class Layout {
   /// is a block of its own, since what it exchanges with its neighbours is not what others do.
   Layout(Level const& level, int halo, std::array<bool, 3> const& seam);
 
-  std::vector<Block> const& blocks() const { return blocks_; }  ///< own ones first
+  std::vector<CellBlock> const& blocks() const { return blocks_; }  ///< own ones first
   std::size_t own_blocks() const { return own_blocks_; }
   bool has_halo() const { return !halo_.empty(); }
   int first_halo_plane() const { return first_halo_plane_; }  ///< the lowest plane of z that holds some of it
@@ -53,17 +53,17 @@ class Layout {
   int distance(std::size_t block, int k) const {
     return block < own_blocks_ ? 0 : planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])];
   }
-  /// Whether other ranks, or this one beyond the domain, may hold copies of cells of an own block's plane.
+  /// Whether other ranks, or this one outside the domain, may have copies of cells of an own block's plane.
   bool is_copied(std::size_t block, int k) const {
     return planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])] != 0;
   }
   std::vector<Halo> const& halo() const { return halo_; }
-  Rectangle halo_place(Halo const& halo) const;
+  Placement halo_place(Halo const& halo) const;
 
   std::size_t size() const { return size_; }  ///< of a Vector that holds the level
   /// Place of a row that belongs to no cell and stays zero.
   std::ptrdiff_t zero_row() const { return zero_row_; }
-  Rectangle box(int b) const {
+  Placement box(int b) const {
     return boxes_[std::size_t(b - first_box_)];
   }  ///< of this rank, by its number on the level
 
@@ -102,13 +102,13 @@ class Layout {
   std::array<bool, 3> wraps_;   ///< whether images across the axis are read in place
   std::vector<Index3> images_;  ///< shifts of those within the sweeps' reach, none at all last
   int first_box_;
-  std::vector<Block> blocks_;
+  std::vector<CellBlock> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;
   std::ptrdiff_t zero_row_ = 0;
   std::vector<Halo> halo_;
   int first_halo_plane_ = 0;
   std::vector<std::vector<std::int8_t>> planes_of_;  ///< of each block: see `is_copied` and `distance`
-  std::vector<Rectangle> boxes_;
+  std::vector<Placement> boxes_;
   int first_plane_ = 0;
   std::vector<std::vector<int>> plane_;
 };

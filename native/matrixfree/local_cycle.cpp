@@ -11,10 +11,10 @@ Relaxation of_copies(Relaxation relaxation) {
   return relaxation;
 }
 
-Ends ends_of(LevelCopy const& copy) {
-  Ends out;
+GhostRules ghost_rules_of(LevelCopy const& copy) {
+  GhostRules out;
   out.walls = copy.walls;
-  out.beyond = copy.beyond;
+  out.inside = copy.ghost;
   out.seam_width = seam_widths(copy.level->periodic(), copy.upper);
   return out;
 }
@@ -24,9 +24,9 @@ Ends ends_of(LevelCopy const& copy) {
 LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Real shift, Relaxation const& relaxation)
     : fine_(fine),
       relaxation_(of_copies(relaxation)),
-      swept_(comm, copy.level, ends_of(copy), shift, relaxation_, relaxation_.halo()),
+      swept_(comm, copy.level, ghost_rules_of(copy), shift, relaxation_, relaxation_.halo()),
       coarsening_(comm, fine, swept_, copy.ratio, false,
-                  CoarseEnds{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
+                  CoarseGhosts{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
 
 std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stages) {
   coarsening_.sweep_and_restrict(stages);

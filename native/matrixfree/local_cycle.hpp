@@ -11,7 +11,7 @@ namespace amrpic::matrixfree {
 /// along the axes of small spacing.
 ///
 /// A point smoother reduces no error that is smooth along those axes, and the next coarser level, with half the cells
-/// along all axes, does not see it where it oscillates along the others.
+/// along all axes, does not resolve it where it oscillates along the others.
 class LocalCycle {
  public:
   /// `fine` is relaxed by the caller; `shift`: of the Equation. Collective.

@@ -13,7 +13,7 @@ using Policy = Kokkos::TeamPolicy<Space>;
 using Member = Policy::member_type;
 using Scratch = Kokkos::View<float*, Space::scratch_memory_space, Kokkos::MemoryUnmanaged>;
 
-/// A row of a plane and the values around it.
+/// A row of a plane and its neighbours' values.
 struct RowView {
   float const *here, *y_below, *y_above, *z_below, *z_above;
   float left, right;
@@ -30,7 +30,7 @@ float const* row_beside(Member const& team, Plane const& p, std::int32_t beside,
   if (beside >= 0) return e + beside;
   std::int32_t const* const run = &p.ghosts.first_run[std::size_t(~beside)];
   for (std::int32_t n = run[0]; n < run[1]; ++n) {
-    Run const r = p.ghosts.runs[std::size_t(n)];
+    ScaledRun const r = p.ghosts.runs[std::size_t(n)];
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, r.count),
                          [&](int i) { buffer(r.place + i) = r.factor * e[r.source + i]; });
   }
@@ -98,22 +98,22 @@ void relax(Plane const& p, int colour, float const* r, float* e) {
 
 namespace {
 
-/// Give row j's share to its parents: `share` times the weighted sum of value(i) over the children. Rows that share
+/// Add row j to its parents: `weight` times the weighted sum of value(i) over the children. Rows that share
 /// parents come one after the other, by their `offset`.
 template <class F>
-void add_shares(Plane const& p, Parents const& parents, float share, float* coarse, Member const& team, int j, int n,
-                F const& value) {
+void add_to_parents(Plane const& p, Parents const& parents, float weight, float* coarse, Member const& team, int j,
+                    int n, F const& value) {
   int const plane = p.number(), y = parents.parent(1, j), z = parents.parent(2, plane);
   if (y >= parents.extent[1] || z >= parents.extent[2]) return;
   float* const to = coarse + parents.cells.place(0, y, z);
   bool const set = parents.is_first_child(1, j) && parents.is_first_child(2, plane);
-  float const weight = share * parents.weight_of(1, j) * parents.weight_of(2, plane);
+  float const row_weight = weight * parents.weight_of(1, j) * parents.weight_of(2, plane);
   int const ratio = parents.ratio[0], odd = parents.odd[0];
   Kokkos::parallel_for(Kokkos::TeamVectorRange(team, parents.extent[0]), [&](int parent) {
     float sum = 0;
     for (int child = parent * ratio; child < (parent + 1) * ratio; ++child)
       if (int const i = child - odd; i >= 0 && i < n) sum += parents.weight_of(0, i) * value(i);
-    to[parent] = (set ? 0 : to[parent]) + weight * sum;
+    to[parent] = (set ? 0 : to[parent]) + row_weight * sum;
   });
 }
 
@@ -122,26 +122,27 @@ bool has_offset(Parents const& parents, int j, int offset) { return (j + parents
 
 }  // namespace
 
-void restrict_residual(Plane const& p, float const* r, float const* e, Parents const& parents, float share,
+void restrict_residual(Plane const& p, float const* r, float const* e, Parents const& parents, float weight,
                        float* coarse) {
-  auto const weight = p.stencil.weight();
+  auto const neighbour_weight = p.stencil.weight();
   for (int offset = 0; offset < parents.ratio[1]; ++offset)
     for_each_row(p, e, [&](Member const& team, int j, RowView const& row) {
       if (!has_offset(parents, j, offset)) return;
       float const* const diagonal = p.stencil.diagonal(stencil_of(p, j).coefficients);
       float const* const right_hand_side = r + (row.here - e);
-      add_shares(p, parents, share, coarse, team, j, row.n,
-                 [&](int i) { return right_hand_side[i] - (row.sum(i, weight) - diagonal[i] * row.here[i]); });
+      add_to_parents(p, parents, weight, coarse, team, j, row.n, [&](int i) {
+        return right_hand_side[i] - (row.sum(i, neighbour_weight) - diagonal[i] * row.here[i]);
+      });
     });
 }
 
-void restrict_right_hand_side(Plane const& p, float const* r, Parents const& parents, float share, float* coarse) {
+void restrict_right_hand_side(Plane const& p, float const* r, Parents const& parents, float weight, float* coarse) {
   for (int offset = 0; offset < parents.ratio[1]; ++offset)
     Kokkos::parallel_for("restrict", policy(p), [&](Member const& team) {
       int const j = team.league_rank();
       if (!has_offset(parents, j, offset)) return;
       float const* const row = r + p.block.cells.place(0, j, p.number());
-      add_shares(p, parents, share, coarse, team, j, p.block.box.extent(0), [&](int i) { return row[i]; });
+      add_to_parents(p, parents, weight, coarse, team, j, p.block.box.extent(0), [&](int i) { return row[i]; });
     });
 }
 
@@ -158,18 +159,18 @@ void prolong(Plane const& p, Parents const& parents, float const* coarse, bool s
           coarse + parents.cells.place(parents.parent(0, i), parents.parent(1, j), parents.parent(2, k));
       float sum = 0;
       for (int corner = 0; corner < 8; ++corner) {
-        float share = 1;
+        float weight = 1;
         std::ptrdiff_t at = 0;
         for (int d = 0; d < 3; ++d) {
           bool const far = (corner >> d) & 1;
           if (ratio[d] == 1) {
-            share *= far ? 0 : 1;
+            weight *= far ? 0 : 1;
             continue;
           }
-          share *= far ? parents.far(d, cell[d]) : 1 - parents.far(d, cell[d]);
+          weight *= far ? parents.far(d, cell[d]) : 1 - parents.far(d, cell[d]);
           if (far) at += parents.toward(d, cell[d]) * stride[std::size_t(d)];
         }
-        if (share != 0) sum += share * parent[at];
+        if (weight != 0) sum += weight * parent[at];
       }
       row[i] = (set ? 0 : row[i]) + sum;
     });

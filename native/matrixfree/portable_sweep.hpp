@@ -5,12 +5,12 @@
 namespace amrpic::matrixfree {
 
 /// The acts of `Sweep` as Kokkos kernels: a team per row, cells of a row as its vector range, ghost rows in the team's
-/// scratch memory. They run on whatever Kokkos' host space was built for; a test holds both forms to the same answer.
+/// scratch memory. They run on whatever Kokkos' host space was built for; a test compares both forms.
 namespace portable {
 
 /// A plane of a block, and all that a kernel reads of it.
 struct Plane {
-  Block const& block;
+  CellBlock const& block;
   BlockStencil const& ghosts;
   Stencil const& stencil;
   int k;  ///< in the level's indices
@@ -20,9 +20,9 @@ struct Plane {
 
 void relax_from_zero(Plane const& plane, int colour, float const* r, float* e);
 void relax(Plane const& plane, int colour, float const* r, float* e);
-void restrict_residual(Plane const& plane, float const* r, float const* e, Parents const& parents, float share,
+void restrict_residual(Plane const& plane, float const* r, float const* e, Parents const& parents, float weight,
                        float* coarse);
-void restrict_right_hand_side(Plane const& plane, float const* r, Parents const& parents, float share, float* coarse);
+void restrict_right_hand_side(Plane const& plane, float const* r, Parents const& parents, float weight, float* coarse);
 void prolong(Plane const& plane, Parents const& parents, float const* coarse, bool set, float* e);
 
 }  // namespace portable

@@ -12,18 +12,19 @@ namespace {
 /// Call f(row of a, row of b, length) for the rows of two rectangles of equal extent; rows that follow each other
 /// closely in both are one.
 template <class F>
-void for_each_row(Index3 const& extent, Rectangle const& a, Rectangle const& b, F&& f) {
+void for_each_row(Index3 const& extent, Placement const& a, Placement const& b, F&& f) {
   bool const close = a.pitch_y == extent[0] && b.pitch_y == extent[0];
   int const length = close ? extent[0] * extent[1] : extent[0], rows = close ? 1 : extent[1];
   for (int k = 0; k < extent[2]; ++k)
     for (int j = 0; j < rows; ++j) f(a.place(0, j, k), b.place(0, j, k), length);
 }
 
-Rectangle dense(Index3 const& extent, std::ptrdiff_t origin) {
+Placement dense(Index3 const& extent, std::ptrdiff_t origin) {
   return {origin, extent[0], std::ptrdiff_t(extent[0]) * extent[1]};
 }
 
-/// What every rank asks of every other: `mine[r]` goes to rank r; returns what each rank asks of this one. Collective.
+/// Exchange requests between all ranks: `mine[r]` goes to rank r; returns what each rank requests of this one.
+/// Collective.
 std::vector<std::vector<int>> all_to_all(MPI_Comm comm, std::vector<std::vector<int>> const& mine) {
   int const ranks = int(mine.size());
   std::vector<int> send(mine.size()), receive(mine.size());
@@ -45,16 +46,16 @@ std::vector<std::vector<int>> all_to_all(MPI_Comm comm, std::vector<std::vector<
 /// Cells of one rank whose copies lie in one rectangle of memory, which the copy of a cell of index zero would begin.
 struct Region {
   int owner;
-  Rectangle copy;
+  Placement copy;
   std::vector<Box> boxes;
 };
 
-/// Cells that are wanted, by whose they are and where their copies lie, in as few boxes as hold them.
+/// Wanted cells, by owner and by where their copies lie, in as few boxes as contain them.
 std::vector<Region> regions_of(Level const& level, std::vector<Wanted> const& wanted) {
   std::vector<Region> out;
   std::map<std::array<std::ptrdiff_t, 4>, std::size_t> known;
   for (Wanted const& w : wanted) {
-    Rectangle copy = w.copy;
+    Placement copy = w.copy;
     copy.origin = copy.place(-w.cells.lower[0], -w.cells.lower[1], -w.cells.lower[2]);
     int const owner = level.owner(w.box);
     auto const [at, fresh] =
@@ -74,8 +75,8 @@ void wait(std::vector<MPI_Request>& requests) {
 
 Index3 extent_of(Box const& box) { return {box.extent(0), box.extent(1), box.extent(2)}; }
 
-/// A rectangle that holds a box, from another cell on.
-Rectangle from(Rectangle at, Index3 const& steps) {
+/// A placement that begins at another cell.
+Placement from(Placement at, Index3 const& steps) {
   at.origin = at.place(steps[0], steps[1], steps[2]);
   return at;
 }
@@ -84,10 +85,10 @@ Rectangle from(Rectangle at, Index3 const& steps) {
 template <class F>
 void for_each_own_part(Layout const& layout, Box const& box, F&& f) {
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
-    Block const& block = layout.blocks()[b];
+    CellBlock const& block = layout.blocks()[b];
     Box const part = box.intersect(block.box);
     if (part.empty()) continue;
-    Rectangle at = block.cells;
+    Placement at = block.cells;
     at.origin = block.place(part.lower);
     f(part, at);
   }
@@ -105,14 +106,14 @@ RectangleExchange::RectangleExchange(MPI_Comm comm, Level const& level, Layout c
   for (Region const& region : regions_of(level, wanted))
     for (Box const& box : region.boxes) {
       if (region.owner == level.rank()) {
-        for_each_own_part(layout, box, [&](Box const& part, Rectangle const& at) {
+        for_each_own_part(layout, box, [&](Box const& part, Placement const& at) {
           local_.push_back({extent_of(part), at, from(region.copy, part.lower)});
         });
         continue;
       }
       Neighbour& source = sources[region.owner];
       source.rank = region.owner;
-      source.pieces.push_back(
+      source.boxes.push_back(
           {extent_of(box), from(region.copy, box.lower), dense(extent_of(box), std::ptrdiff_t(source.cells))});
       source.cells += std::size_t(box.cells());
       auto& request = requests[std::size_t(region.owner)];
@@ -132,9 +133,9 @@ RectangleExchange::RectangleExchange(MPI_Comm comm, Level const& level, Layout c
     reader.rank = rank;
     for (std::size_t n = 0; n < list.size(); n += 6) {
       Box const box{{list[n], list[n + 1], list[n + 2]}, {list[n + 3], list[n + 4], list[n + 5]}};
-      Rectangle const packed = dense(extent_of(box), std::ptrdiff_t(reader.cells));
-      for_each_own_part(layout, box, [&](Box const& part, Rectangle const& at) {
-        reader.pieces.push_back({extent_of(part), at, from(packed, steps(box.lower, part.lower))});
+      Placement const packed = dense(extent_of(box), std::ptrdiff_t(reader.cells));
+      for_each_own_part(layout, box, [&](Box const& part, Placement const& at) {
+        reader.boxes.push_back({extent_of(part), at, from(packed, steps(box.lower, part.lower))});
       });
       reader.cells += std::size_t(box.cells());
     }
@@ -157,7 +158,7 @@ void RectangleExchange::pass(std::vector<Neighbour> const& from, std::vector<Nei
 /// Put values into the messages that these neighbours get.
 void RectangleExchange::pack(std::vector<Neighbour> const& neighbours, float const* values) {
   for (Neighbour const& n : neighbours)
-    for (Piece const& p : n.pieces)
+    for (PackedBox const& p : n.boxes)
       for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
         std::copy_n(values + at, length, n.buffer.data() + packed);
       });
@@ -177,12 +178,12 @@ void RectangleExchange::start(float const* cells, float* copies) const {
                  [&](auto at, auto copy, int length) { std::copy_n(cells + at, length, copies + copy); });
 }
 
-/// Does not wait for what this rank sent: others receive it when they need it, and whoever waited for that would
-/// compute after them, not beside them.
+/// Does not wait for what this rank sent: others receive it when they need it, and a rank that waited for that would
+/// compute after them, not at the same time.
 void RectangleExchange::finish(float* copies) const {
   wait(receiving_);
   for (Neighbour const& n : sources_)
-    for (Piece const& p : n.pieces)
+    for (PackedBox const& p : n.boxes)
       for_each_row(p.extent, p.packed, p.at, [&](auto packed, auto at, int length) {
         std::copy_n(n.buffer.data() + packed, length, copies + at);
       });
@@ -201,7 +202,7 @@ void RectangleExchange::add(float const* copies, float* cells) const {
                  [&](auto copy, auto at, int length) { add_row(copies + copy, length, cells + at); });
   wait(receiving_);
   for (Neighbour const& n : readers_)
-    for (Piece const& p : n.pieces)
+    for (PackedBox const& p : n.boxes)
       for_each_row(p.extent, p.packed, p.at,
                    [&](auto packed, auto at, int length) { add_row(n.buffer.data() + packed, length, cells + at); });
 }

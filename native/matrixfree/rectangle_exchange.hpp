@@ -10,10 +10,10 @@ namespace amrpic::matrixfree {
 struct Wanted {
   int box;    ///< number of the box on the level
   Box cells;  ///< in the indices of that box
-  Rectangle copy;
+  Placement copy;
 };
 
-/// The plan by which copies of cells follow the cells, on whatever rank these live, and give what they hold back. All
+/// The plan by which copies of cells are updated from the cells, whichever rank owns these, and are added to them. All
 /// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
 class RectangleExchange {
  public:
@@ -43,19 +43,19 @@ class RectangleExchange {
   std::int64_t bytes() const { return bytes_; }
 
  private:
-  struct Piece {
+  struct PackedBox {
     Index3 extent;
-    Rectangle at, packed;  ///< in memory, and in the message
+    Placement at, packed;  ///< in memory, and in the message
   };
   struct Neighbour {
     int rank;
-    std::vector<Piece> pieces;
+    std::vector<PackedBox> boxes;
     std::size_t cells = 0;
     mutable std::vector<float> buffer;
   };
   struct Local {
     Index3 extent;
-    Rectangle cells, copy;
+    Placement cells, copy;
   };
   static void pack(std::vector<Neighbour> const& neighbours, float const* values);
   void pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to) const;

@@ -1,5 +1,5 @@
-// What is done to one row of cells along x, on whole vectors. Places beyond the row's end, up to its pitch, take part;
-// what they hold is never read by a cell.
+// What is done to one row of cells along x, on whole vectors. Places past the row's end, up to its pitch, take part;
+// no cell reads their values.
 #pragma once
 
 #include <array>
@@ -11,11 +11,11 @@
 
 namespace amrpic::matrixfree {
 
-/// How far ahead the first stage of a pass asks for what it brings into the cache.
+/// How far ahead the first stage of a pass prefetches.
 constexpr std::ptrdiff_t ahead = page<float> / 2;
 
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
-struct Row {
+struct CorrectionRow {
   float* here;
   std::array<float const*, 4> beside;  ///< y below, above, z below, above
   float left, right;
@@ -25,7 +25,7 @@ struct Row {
 
 /// Call f(v, e, sum) for each vector of a row: its values, and the weighted sum over its neighbours.
 template <int N, bool isotropic, class F>
-inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, F&& f) {
+inline void for_each_vector(CorrectionRow const& row, std::array<float, 3> const& weight, F&& f) {
   using L = FloatLanes<N>;
   typename L::Type before = all<N>(row.left), here = load<N>(row.here);
   auto act = [&](int v, typename L::Type const& right) {
@@ -48,11 +48,11 @@ inline void for_each_vector(Row const& row, std::array<float, 3> const& weight, 
   act(end, L::numbers == row.last ? after : L::from_right(here, after));
 }
 
-/// One colour of a row relaxed: e = keep e + step (sum - r); `step` is zero in the other colour, of which `parity`
-/// tells the places.
+/// One colour of a row relaxed, at the places of that `parity`: e = keep e + step (sum - r); `step` is zero in the
+/// other colour.
 template <int N, bool isotropic>
-inline void relax(Row const& row, std::array<float, 3> const& weight, float const* r, float const* step, float keep,
-                  int parity) {
+inline void relax(CorrectionRow const& row, std::array<float, 3> const& weight, float const* r, float const* step,
+                  float keep, int parity) {
   using L = FloatLanes<N>;
   typename L::Type const keeps = (L::numbers & 1) == parity ? all<N>(keep) : all<N>(1);
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
@@ -72,8 +72,8 @@ inline void relax_from_zero(float* e, float const* r, float const* step, int vec
 
 /// What of r is left: r - (sum - d e).
 template <int N, bool isotropic>
-inline void residual(Row const& row, std::array<float, 3> const& weight, float const* r, float const* diagonal,
-                     float* out) {
+inline void residual(CorrectionRow const& row, std::array<float, 3> const& weight, float const* r,
+                     float const* diagonal, float* out) {
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
     store(out + v * N, load<N>(r + v * N) - (sum - load<N>(diagonal + v * N) * e));
   });
@@ -86,17 +86,17 @@ inline void put(float* to, typename FloatLanes<N>::Type const& values, std::ptrd
   for (std::ptrdiff_t i = 0; i < n; ++i) to[i] = set ? values[i] : to[i] + values[i];
 }
 
-/// Set a coarse row of `cells` to `share` times the sum of each one's children in a fine row (one or two), or add it.
+/// Set a coarse row of `cells` to `weight` times the sum of each one's children in a fine row (one or two), or add it.
 template <int N>
-inline void restrict_row(float const* fine, int cells, int ratio, float share, bool set, float* coarse) {
+inline void restrict_row(float const* fine, int cells, int ratio, float weight, bool set, float* coarse) {
   using L = FloatLanes<N>;
   for (std::ptrdiff_t place = 0; place < cells; place += N) {
     float const* const children = fine + place * ratio;
     if (ratio == 1) {
-      put<N>(coarse + place, share * load<N>(children), cells - place, set);
+      put<N>(coarse + place, weight * load<N>(children), cells - place, set);
     } else {
       typename L::Type const a = load<N>(children), b = load<N>(children + N);
-      put<N>(coarse + place, share * (L::even(a, b) + L::odd(a, b)), cells - place, set);
+      put<N>(coarse + place, weight * (L::even(a, b) + L::odd(a, b)), cells - place, set);
     }
   }
 }
@@ -104,14 +104,14 @@ inline void restrict_row(float const* fine, int cells, int ratio, float share, b
 /// Up to four rows of a coarser level, and what a fine row takes of each; `row` points at the first parent.
 struct CoarseRows {
   std::array<float const*, 4> row;
-  std::array<float, 4> share;
+  std::array<float, 4> weight;
   int count;
 };
 
 /// The weighted sum over coarse rows at one place.
 inline float mean(CoarseRows const& coarse, int place) {
   float sum = 0;
-  for (int c = 0; c < coarse.count; ++c) sum += coarse.share[std::size_t(c)] * coarse.row[std::size_t(c)][place];
+  for (int c = 0; c < coarse.count; ++c) sum += coarse.weight[std::size_t(c)] * coarse.row[std::size_t(c)][place];
   return sum;
 }
 
@@ -121,8 +121,8 @@ template <int N>
 inline void prolong_row(CoarseRows const& coarse, int ratio, int vectors, bool set, float const* r, float* fine) {
   using L = FloatLanes<N>;
   auto mean = [&](int place) {
-    typename L::Type sum = coarse.share[0] * load<N>(coarse.row[0] + place);
-    for (int c = 1; c < coarse.count; ++c) sum += coarse.share[c] * load<N>(coarse.row[c] + place);
+    typename L::Type sum = coarse.weight[0] * load<N>(coarse.row[0] + place);
+    for (int c = 1; c < coarse.count; ++c) sum += coarse.weight[c] * load<N>(coarse.row[c] + place);
     return sum;
   };
   auto put = [&](int v, typename L::Type const& values) {

@@ -19,7 +19,7 @@ void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std:
 Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)
     : layout_(layout), stencil_(stencil), kernels_(kernels) {
   std::ptrdiff_t pitch = 0;
-  for (Block const& b : layout.blocks()) pitch = std::max(pitch, b.cells.pitch_y);
+  for (CellBlock const& b : layout.blocks()) pitch = std::max(pitch, b.cells.pitch_y);
   for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 96);
 }
 
@@ -27,7 +27,7 @@ Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)
 float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const {
   std::int32_t const* const run = &stencil.first_run[std::size_t(~beside)];
   for (std::int32_t n = run[0]; n < run[1]; ++n) {
-    Run const& r = stencil.runs[std::size_t(n)];
+    ScaledRun const& r = stencil.runs[std::size_t(n)];
     float const factor = r.factor;
     float const* const from = e + r.source;
     float* const to = buffer.data() + r.place;
@@ -39,11 +39,11 @@ float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, f
 /// Call f(row, j, its stencil) for the rows of a plane.
 template <class F>
 void Sweep::for_each_row(std::size_t block, int k, float* e, F&& f) const {
-  Block const& b = layout_.blocks()[block];
+  CellBlock const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
   int const ny = b.box.extent(1), plane = k - b.box.lower[2];
   RowStencil const* at = &s.rows[std::size_t(ny * plane)];
-  Row row;
+  CorrectionRow row;
   row.vectors = b.vectors();
   row.last = (b.box.extent(0) - 1) % b.lanes;
   row.here = e + b.cells.place(0, 0, plane);
@@ -71,12 +71,14 @@ void with_kind(int lanes, bool isotropic, F&& f) {
 }
 
 /// Parity of the places in a row whose cells have a colour.
-int parity(Block const& b, int j, int k, int colour) { return (colour + b.box.lower[0] + b.box.lower[1] + j + k) & 1; }
+int parity(CellBlock const& b, int j, int k, int colour) {
+  return (colour + b.box.lower[0] + b.box.lower[1] + j + k) & 1;
+}
 
 }  // namespace
 
 void Sweep::relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
-  Block const& b = layout_.blocks()[block];
+  CellBlock const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
   if (kernels_ == Kernels::portable) return portable::relax_from_zero({b, s, stencil_, k}, colour, r.data(), e.data());
   int const plane = k - b.box.lower[2];
@@ -93,11 +95,11 @@ void Sweep::relax_from_zero(std::size_t block, int k, int colour, Vector const& 
 }
 
 void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
-  Block const& b = layout_.blocks()[block];
+  CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
     return portable::relax({b, stencil_.block(block), stencil_, k}, colour, r.data(), e.data());
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, e.data(), [&](Row const& row, int j, RowStencil const& s) {
+    for_each_row(block, k, e.data(), [&](CorrectionRow const& row, int j, RowStencil const& s) {
       int const odd = parity(b, j, k, colour);
       matrixfree::relax<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - e.data()),
                                           stencil_.step(s.coefficients, b.cells.pitch_y, odd), stencil_.keep(), odd);
@@ -106,12 +108,12 @@ void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector&
 }
 
 /// Whether the rows of a block are whole pairs of children of equal weight.
-static bool are_pairs(Block const& b, Parents const& parents) {
+static bool are_pairs(CellBlock const& b, Parents const& parents) {
   return parents.last[0] < 0 && parents.odd[0] == 0 && b.box.extent(0) % parents.ratio[0] == 0;
 }
 
 /// Make whole pairs of a row of values, which lies at `line_of`; returns where they begin.
-float const* Sweep::in_pairs(Block const& b, Parents const& parents, float* line) const {
+float const* Sweep::in_pairs(CellBlock const& b, Parents const& parents, float* line) const {
   int const nx = b.box.extent(0);
   if (int const last = parents.last[0]; last >= 0) {
     line[last] *= float(parents.weight[0].last);
@@ -124,38 +126,38 @@ float const* Sweep::in_pairs(Block const& b, Parents const& parents, float* line
 
 /// Restrict a row of fine values in pairs.
 template <int lanes>
-void Sweep::restrict_row(Block const& b, int j, int k, float const* fine, Parents const& parents, float share,
+void Sweep::restrict_row(CellBlock const& b, int j, int k, float const* fine, Parents const& parents, float weight,
                          Vector& coarse) const {
   int const plane = k - b.box.lower[2], y = parents.parent(1, j), z = parents.parent(2, plane);
   if (y >= parents.extent[1] || z >= parents.extent[2]) return;
   bool const set = parents.is_first_child(1, j) && parents.is_first_child(2, plane);
   matrixfree::restrict_row<lanes>(fine, parents.extent[0], parents.ratio[0],
-                                  share * parents.weight_of(1, j) * parents.weight_of(2, plane), set,
+                                  weight * parents.weight_of(1, j) * parents.weight_of(2, plane), set,
                                   coarse.data() + parents.cells.place(0, y, z));
 }
 
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
-                              float share, Vector& coarse) const {
-  Block const& b = layout_.blocks()[block];
+                              float weight, Vector& coarse) const {
+  CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, share,
+    return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, weight,
                                        coarse.data());
   float* const left = line_of(parents);
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, values, [&](Row const& row, int j, RowStencil const& s) {
+    for_each_row(block, k, values, [&](CorrectionRow const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
-      restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, share, coarse);
+      restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, weight, coarse);
     });
   });
 }
 
-void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float share,
+void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                      Vector& coarse) const {
-  Block const& b = layout_.blocks()[block];
+  CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, share,
+    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, weight,
                                               coarse.data());
   with_kind(b.lanes, true, [&](auto n, auto) {
     float* const line = line_of(parents);
@@ -165,19 +167,19 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
         std::copy_n(row, b.box.extent(0), line);
         row = in_pairs(b, parents, line);
       }
-      restrict_row<n()>(b, j, k, row, parents, share, coarse);
+      restrict_row<n()>(b, j, k, row, parents, weight, coarse);
     }
   });
 }
 
 void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
                     Vector& e) const {
-  Block const& b = layout_.blocks()[block];
+  CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
     return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), set, e.data());
   int const plane = k - b.box.lower[2], nx = b.box.extent(0), z = parents.toward(2, plane);
   // a fine row lies between its parents' row and the next one on its own side
-  auto share = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };
+  auto weight = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };
   with_kind(b.lanes, true, [&](auto n, auto) {
     for (int j = 0; j < b.box.extent(1); ++j) {
       int const y = parents.toward(1, j);
@@ -188,7 +190,7 @@ void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector con
         for (int far_y = 0; far_y <= (y != 0); ++far_y, ++from.count) {
           from.row[std::size_t(from.count)] =
               here + far_y * y * parents.cells.pitch_y + far_z * z * parents.cells.pitch_z;
-          from.share[std::size_t(from.count)] = share(1, j, far_y) * share(2, plane, far_z);
+          from.weight[std::size_t(from.count)] = weight(1, j, far_y) * weight(2, plane, far_z);
         }
       std::ptrdiff_t const row = b.cells.place(0, j, plane);
       if (!parents.odd[0] && parents.seam[0] == 0) {

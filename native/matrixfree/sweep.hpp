@@ -8,7 +8,7 @@ namespace amrpic::matrixfree {
 
 /// Where the parents of a block's cells lie in another Vector.
 struct Parents {
-  Rectangle cells;  ///< the parent of the block's lower corner, and the pitches
+  Placement cells;  ///< the parent of the block's lower corner, and the pitches
   Index3 ratio;
   Index3 odd{0, 0, 0};      ///< 1 along axes where the block's lower corner is the second child of its parent
   Index3 extent;            ///< parents that take residuals
@@ -58,24 +58,24 @@ class Sweep {
   void relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
   void relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
 
-  /// The plane's share in the coarse right-hand side: `share` times the sum of the children's residuals, or of their
+  /// What a plane adds to the coarse right-hand side: `weight` times the sum of the children's residuals, or of their
   /// right-hand sides. The first of the planes that share parents sets, the others add.
   void restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
-                         float share, Vector& coarse) const;
+                         float weight, Vector& coarse) const;
 
-  void restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float share,
+  void restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                 Vector& coarse) const;
 
-  /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; coarse cells
-  /// around the block's parents must hold what lies there. Sweeps that follow read r.
+  /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; ghost
+  /// cells of the block's parents must be filled. Sweeps that follow read r.
   void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
                Vector& e) const;
 
  private:
   template <int lanes>
-  void restrict_row(Block const& block, int j, int k, float const* fine, Parents const& parents, float share,
+  void restrict_row(CellBlock const& block, int j, int k, float const* fine, Parents const& parents, float weight,
                     Vector& coarse) const;
-  float const* in_pairs(Block const& block, Parents const& parents, float* line) const;
+  float const* in_pairs(CellBlock const& block, Parents const& parents, float* line) const;
   float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }
   template <class F>
   void for_each_row(std::size_t block, int k, float* e, F&& f) const;

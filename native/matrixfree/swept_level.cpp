@@ -6,8 +6,8 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// Add those layers of wanted cells beyond which the level lacks cells.
-void add_ends(Level const& level, Wanted const& wanted, std::vector<Wanted>& out) {
+/// Add those layers of wanted cells that have ghost cells outside the level.
+void add_boundary_layers(Level const& level, Wanted const& wanted, std::vector<Wanted>& out) {
   Box const& box = level.box(wanted.box);
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 0; side < 2; ++side) {
@@ -18,40 +18,40 @@ void add_ends(Level const& level, Wanted const& wanted, std::vector<Wanted>& out
       layer.copy.origin =
           wanted.copy.place(layer.cells.lower[0] - wanted.cells.lower[0], layer.cells.lower[1] - wanted.cells.lower[1],
                             layer.cells.lower[2] - wanted.cells.lower[2]);
-      Box beyond = layer.cells;
-      beyond.lower[axis] = beyond.upper[axis] = last + (side == 0 ? -1 : 1);
-      GlobalIndex missing = beyond.cells();
-      level.for_each_overlap(beyond, [&](int, Box const& part, Index3 const&) { missing -= part.cells(); });
+      Box ghosts = layer.cells;
+      ghosts.lower[axis] = ghosts.upper[axis] = last + (side == 0 ? -1 : 1);
+      GlobalIndex missing = ghosts.cells();
+      level.for_each_overlap(ghosts, [&](int, Box const& part, Index3 const&) { missing -= part.cells(); });
       if (missing > 0) out.push_back(layer);
     }
 }
 
 }  // namespace
 
-SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Real shift,
+SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
                        Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
-      layout_(*level_, halo, ends.seams()),
-      stencil_(*level_, layout_, ends, scaled(equation_on(level_->spacing(), shift), scale_), relaxation.factor),
+      layout_(*level_, halo, rules.seams()),
+      stencil_(*level_, layout_, rules, scaled(equation_on(level_->spacing(), shift), scale_), relaxation.factor),
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {
-  bool const has_ends = level_->cells() < level_->domain().cells();
-  std::vector<Wanted> copies, at_ends;
+  bool const has_boundary = level_->cells() < level_->domain().cells();
+  std::vector<Wanted> copies, at_boundary;
   for (Halo const& copy : layout_.halo()) {
     Wanted const all{copy.source, copy.cells, layout_.halo_place(copy)};
     copies.push_back(all);
-    if (has_ends) add_ends(*level_, all, at_ends);
+    if (has_boundary) add_boundary_layers(*level_, all, at_boundary);
   }
   halo_ = RectangleExchange(comm, *level_, layout_, copies);
-  if (has_ends) ends_ = RectangleExchange(comm, *level_, layout_, at_ends);
+  if (has_boundary) boundary_halo_ = RectangleExchange(comm, *level_, layout_, at_boundary);
 }
 
 std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
   std::vector<PlaneStage> out;
   if (from_zero && sweeps == 0) std::fill(e_.begin(), e_.end(), 0.0f);
-  int reach = further + 2 * sweeps - 1;  // each half-sweep reads one cell beyond what it relaxes
+  int reach = further + 2 * sweeps - 1;  // each half-sweep reads one cell further than it relaxes
   for (int s = 0; s < sweeps; ++s)
     for (int colour : {0, 1}) {
       bool const fresh = from_zero && s == 0 && colour == 0;
@@ -74,7 +74,7 @@ void SweptLevel::run(std::vector<PlaneStage> const& stages) {
   });
   finish_exchanges();
   halo_.settle();
-  ends_.settle();
+  boundary_halo_.settle();
 }
 
 void SweptLevel::exchange_right_hand_sides() {
@@ -82,10 +82,10 @@ void SweptLevel::exchange_right_hand_sides() {
   begin(halo_, r_);
 }
 
-void SweptLevel::exchange_corrections(bool ends_changed) {
+void SweptLevel::exchange_corrections(bool boundary_changed) {
   finish_exchanges();
   begin(halo_, e_);
-  if (ends_changed) begin(ends_, r_);
+  if (boundary_changed) begin(boundary_halo_, r_);
 }
 
 void SweptLevel::begin(RectangleExchange const& plan, Vector& values) {

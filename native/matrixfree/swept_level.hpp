@@ -22,19 +22,20 @@ struct Relaxation {
 class SweptLevel {
  public:
   /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. Collective.
-  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, Ends const& ends, Real shift,
+  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
              Relaxation const& relaxation, int halo);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
 
-  /// Sweeps over both colours as stages of a wavefront. `further`: how far beyond own cells their result is read.
+  /// Sweeps over both colours as stages of a wavefront. `further`: how many cells outside own ones their result is
+  /// read.
   std::vector<PlaneStage> relaxations(int sweeps, bool from_zero, int further);
   /// Run stages over all planes; where copies are still under way, wait for them when they are reached.
   void run(std::vector<PlaneStage> const& stages);
 
   /// Whether parts of the level are copies, which other ranks or the other end of the domain must fill.
   bool has_halo() const { return level_->ranks() > 1 || layout_.has_halo(); }
-  /// Whether an odd number of cells lies around a periodic axis, where two of one colour meet.
+  /// Whether a periodic axis has an odd number of cells, so that two of one colour meet.
   bool has_odd_ring() const {
     for (int d = 0; d < 3; ++d)
       if (level_->periodic()[d] && level_->domain().extent(d) % 2 != 0) return true;
@@ -42,9 +43,9 @@ class SweptLevel {
   }
   /// Begin to bring the copies of right-hand sides up to date; the next `run` waits for them. Collective.
   void exchange_right_hand_sides();
-  /// The same for corrections; `ends_changed`: right-hand sides have changed since then, beside coarser cells alone.
-  /// Collective.
-  void exchange_corrections(bool ends_changed);
+  /// The same for corrections; `boundary_changed`: right-hand sides have changed since then, beside coarser cells
+  /// alone. Collective.
+  void exchange_corrections(bool boundary_changed);
 
   Level const& level() const { return *level_; }
   Layout const& layout() const { return layout_; }
@@ -54,8 +55,8 @@ class SweptLevel {
   Vector& correction() { return e_; }
   Real scale() const { return scale_; }  ///< h²
 
-  std::int64_t messages() const { return halo_.messages() + ends_.messages(); }
-  std::int64_t message_bytes() const { return halo_.bytes() + ends_.bytes(); }
+  std::int64_t messages() const { return halo_.messages() + boundary_halo_.messages(); }
+  std::int64_t message_bytes() const { return halo_.bytes() + boundary_halo_.bytes(); }
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
 
  private:
@@ -68,7 +69,7 @@ class SweptLevel {
   Stencil stencil_;
   Sweep sweep_;
   Vector r_, e_;
-  RectangleExchange halo_, ends_;  ///< all copies, and those of cells where the level may end
+  RectangleExchange halo_, boundary_halo_;  ///< all copies, and those of the level's boundary cells
   std::vector<std::pair<RectangleExchange const*, Vector*>> under_way_;
 };
 

@@ -71,7 +71,7 @@ std::optional<Cut> at_inflection(std::array<Signature, 3> const& counts, std::ar
   for (int axis : axes) {
     auto const& count = counts[axis];
     int const n = int(count.size());
-    auto at = [&](int i) { return i < 0 || i >= n ? 0 : count[i]; };  // beyond the box nothing is tagged
+    auto at = [&](int i) { return i < 0 || i >= n ? 0 : count[i]; };  // outside the box nothing is tagged
     auto second_difference = [&](int i) { return at(i - 1) - 2 * at(i) + at(i + 1); };
     for (int i = 1; i < n; ++i) {
       std::int64_t const before = second_difference(i - 1), after = second_difference(i);

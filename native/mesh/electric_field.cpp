@@ -22,30 +22,30 @@ void write_cells(std::array<Real const*, 3> const& from, int count, Real* out) {
 
 ElectricField::ElectricField(std::shared_ptr<Field const> potential, std::vector<Real3> factor)
     : hierarchy_(potential->share_hierarchy()), potential_(std::move(potential)) {
-  make_rims();
+  lay_out_boundary();
   for (std::size_t l = 0; l < levels_.size(); ++l) levels_[l].factor = factor[l];
 }
 
 ElectricField::ElectricField(std::array<std::shared_ptr<Field const>, 3> components)
     : hierarchy_(components[0]->share_hierarchy()), components_(std::move(components)) {
-  make_rims();
+  lay_out_boundary();
   for_each_plane([&](int l, int b, int k, std::ptrdiff_t place) {
-    set_rim(l, b, k,
-            {component(0).level(l).data() + place, component(1).level(l).data() + place,
-             component(2).level(l).data() + place});
+    set_boundary(l, b, k,
+                 {component(0).level(l).data() + place, component(1).level(l).data() + place,
+                  component(2).level(l).data() + place});
   });
   stream_end();
 }
 
-void ElectricField::make_rims() {
+void ElectricField::lay_out_boundary() {
   std::size_t all = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    Rim rim(hierarchy_->level(l), hierarchy_->has_finer(l) ? &hierarchy_->level(l + 1) : nullptr);
-    std::size_t const values = rim_width * std::size_t(rim.cells());
-    levels_.push_back({std::move(rim), all, {0, 0, 0}});
+    BoundaryCells boundary(hierarchy_->level(l), hierarchy_->has_finer(l) ? &hierarchy_->level(l + 1) : nullptr);
+    std::size_t const values = components_per_cell * std::size_t(boundary.cells());
+    levels_.push_back({std::move(boundary), all, {0, 0, 0}});
     all += values;
   }
-  at_rims_.resize(all + 1);  // who takes the last one as a vector of four touches what lies beyond
+  boundary_values_.resize(all + 1);  // the last cell is read as a vector of four
 }
 
 /// Call f(level, box, plane, place of its first cell among the own ones of the level).
@@ -59,14 +59,14 @@ void ElectricField::for_each_plane(F&& f) const {
   }
 }
 
-void ElectricField::set_rim(int level, int b, int k, std::array<Real const*, 3> const& plane) {
+void ElectricField::set_boundary(int level, int b, int k, std::array<Real const*, 3> const& plane) {
   std::ptrdiff_t const nx = box(level, b).extent(0);
-  rim(level).for_each_run(b, k, [&](Rim::Run const& run) {
+  boundary(level).for_each_run(b, k, [&](BoundaryCells::CellRun const& run) {
     auto from = plane;
     for (Real const*& component : from) component += run.i + nx * run.j;
-    Real* out = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
+    Real* out = at_boundary(level) + components_per_cell * std::ptrdiff_t(run.number);
     if (run.axis == 0) return write_cells(from, run.count, out);
-    fetch<Use::write>(out + page<Real>, rim_width * run.count);
+    fetch<Use::write>(out + page<Real>, components_per_cell * run.count);
     for (int n = 0; n < run.count; ++n)
       for (Real const* component : from) *out++ = component[n * nx];
   });
@@ -79,7 +79,7 @@ void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> co
     for (int d = 0; d < 3; ++d) std::copy_n(component(d).level(level).data() + place, cells, plane[d]);
     return;
   }
-  bool const has_inside = !rim(level).is_whole(b) && k > 0 && k + 1 < box(level, b).extent(2);
+  bool const has_inside = !boundary(level).is_whole(b) && k > 0 && k + 1 < box(level, b).extent(2);
   if (has_inside) {
     Real const* const phi = potential_->level(level).data() + place;
     std::ptrdiff_t const step[3] = {1, nx, cells};
@@ -90,18 +90,18 @@ void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> co
       for (std::ptrdiff_t n = nx; n < cells - nx; ++n) out[n] = field_between(f, below[n], above[n]);
     }
   }
-  rim(level).for_each_run(b, k, [&](Rim::Run const& run) {
+  boundary(level).for_each_run(b, k, [&](BoundaryCells::CellRun const& run) {
     std::ptrdiff_t const first = run.i + nx * run.j, stride = run.axis == 0 ? 1 : nx;
-    Real const* const from = at_rim(level) + rim_width * std::ptrdiff_t(run.number);
+    Real const* const from = at_boundary(level) + components_per_cell * std::ptrdiff_t(run.number);
     Real *const x = plane[0] + first, *const y = plane[1] + first, *const z = plane[2] + first;
     std::ptrdiff_t n = 0;
     for (; run.axis == 0 && n + lane_count <= run.count; n += lane_count) {
-      Real const* const cells = from + rim_width * n;
+      Real const* const cells = from + components_per_cell * n;
       auto const e = unpacked({load<Lanes>(cells), load<Lanes>(cells + 8), load<Lanes>(cells + 16)});
       store(x + n, e[0]), store(y + n, e[1]), store(z + n, e[2]);
     }
     for (; n < run.count; ++n) {
-      Real const* const cell = from + rim_width * n;
+      Real const* const cell = from + components_per_cell * n;
       x[n * stride] = cell[0], y[n * stride] = cell[1], z[n * stride] = cell[2];
     }
   });

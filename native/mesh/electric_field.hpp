@@ -4,8 +4,8 @@
 #include <memory>
 #include <vector>
 
+#include "mesh/boundary_cells.hpp"
 #include "mesh/field.hpp"
-#include "mesh/rim.hpp"
 #include "stencil/field_difference.hpp"
 
 namespace amrpic {
@@ -14,11 +14,11 @@ namespace amrpic {
 /// `stream_end` must follow before others read.
 void write_cells(std::array<Real const*, 3> const& from, int count, Real* out);
 
-/// The electric field on a hierarchy. In the rims of boxes it is kept; inside boxes it is the difference of a potential
-/// across a cell, or, where someone gives its components, these.
+/// The electric field on a hierarchy. It is stored in the boundary cells of boxes; inside boxes it is the difference of
+/// a potential across a cell, or, where components are given, these.
 class ElectricField {
  public:
-  /// Of a potential, with factor[level] per axis for `field_between`. The rims are to be set by the caller.
+  /// Of a potential, with factor[level] per axis for `field_between`. The caller sets the boundary cells.
   ElectricField(std::shared_ptr<Field const> potential, std::vector<Real3> factor);
 
   /// Of components in all cells.
@@ -26,20 +26,26 @@ class ElectricField {
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
 
-  Rim const& rim(int level) const { return levels_[std::size_t(level)].rim; }
+  BoundaryCells const& boundary(int level) const { return levels_[std::size_t(level)].boundary; }
   /// The values there, as `write_cells` leaves them.
-  Real const* at_rim(int level) const { return at_rims_.data() + levels_[std::size_t(level)].first; }
-  Real* at_rim(int level) { return at_rims_.data() + levels_[std::size_t(level)].first; }
-  static constexpr int rim_width = 3;
+  Real const* at_boundary(int level) const { return boundary_values_.data() + levels_[std::size_t(level)].first; }
+  Real* at_boundary(int level) { return boundary_values_.data() + levels_[std::size_t(level)].first; }
+  static constexpr int components_per_cell = 3;
+
+  // The same by the names that matrixfree/composite_field.cpp uses.
+  static constexpr int rim_width = components_per_cell;
+  BoundaryCells const& rim(int level) const { return boundary(level); }
+  Real* at_rim(int level) { return at_boundary(level); }
+  void set_rim(int level, int b, int k, std::array<Real const*, 3> const& plane) { set_boundary(level, b, k, plane); }
 
   Field const* potential() const { return potential_.get(); }  ///< null if components are given
   /// Only if they are given.
   Field const& component(int axis) const { return *components_[std::size_t(axis)]; }
   Real3 const& factor(int level) const { return levels_[std::size_t(level)].factor; }
 
-  /// Take the values at the rim from those of plane k of a box, both counted from the first one of this rank. Before
-  /// anyone reads them, `stream_end` must have been called.
-  void set_rim(int level, int b, int k, std::array<Real const*, 3> const& plane);
+  /// Set the boundary cells of plane k of a box, both counted from the first one of this rank; `stream_end` must follow
+  /// before they are read.
+  void set_boundary(int level, int b, int k, std::array<Real const*, 3> const& plane);
 
   /// Write plane k of a box.
   void write_plane(int level, int b, int k, std::array<Real*, 3> const& plane) const;
@@ -49,11 +55,11 @@ class ElectricField {
 
  private:
   struct OnLevel {
-    Rim rim;
-    std::size_t first;  ///< of its values in `at_rims_`
+    BoundaryCells boundary;
+    std::size_t first;  ///< of its values in `boundary_values_`
     Real3 factor;
   };
-  void make_rims();
+  void lay_out_boundary();
   LocalIndex first_cell(int level, int b) const {
     return hierarchy_->level(level).local_offset(hierarchy_->level(level).first_local_box() + b);
   }
@@ -67,7 +73,7 @@ class ElectricField {
   std::shared_ptr<Field const> potential_;
   std::array<std::shared_ptr<Field const>, 3> components_;
   std::vector<OnLevel> levels_;
-  LargeArray<Real> at_rims_;  ///< of all levels: one block, so that it is large
+  LargeArray<Real> boundary_values_;  ///< of all levels: one block, so that it is large
 };
 
 }  // namespace amrpic

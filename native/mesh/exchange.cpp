@@ -48,8 +48,8 @@ LocalIndex Exchange::local(GlobalIndex cell) const {
   return owned_ + LocalIndex(at - ghosts_.begin());
 }
 
-Window<LocalIndex> Exchange::places(Level const& level, Box const& region) const {
-  Window<LocalIndex> out(region, no_place);
+ArrayOnBox<LocalIndex> Exchange::places(Level const& level, Box const& region) const {
+  ArrayOnBox<LocalIndex> out(region, no_place);
   level.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
     for_each_row(level, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
       write_places(first, count, &out(cell));

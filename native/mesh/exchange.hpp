@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 
@@ -55,7 +55,7 @@ class Exchange {
 
   /// Places of a level's cells in a region, `no_place` where a cell is neither owned nor a ghost or does not exist;
   /// periodic images included.
-  Window<LocalIndex> places(Level const& level, Box const& region) const;
+  ArrayOnBox<LocalIndex> places(Level const& level, Box const& region) const;
 
   /// Fill the ghosts of each field from their owners; values of a field lie `stride` numbers apart. Collective.
   void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts, std::ptrdiff_t stride = 1) const;

@@ -6,7 +6,7 @@
 #include <string>
 
 #include "base/error.hpp"
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 
@@ -98,7 +98,7 @@ void check_nesting(int number, Level const& level, Level const& coarser) {
   }
 }
 
-/// Before boxes are cut and stored: no more cells than the ranks can number, however they share them.
+/// Before boxes are cut and stored: no more cells than the ranks can number, however boxes are distributed.
 void check_cells(std::string const& what, Box const& box, int ranks) {
   Real const cells = Real(box.extent(0)) * box.extent(1) * box.extent(2);
   Real const most = Real(std::numeric_limits<LocalIndex>::max()) * ranks;
@@ -147,7 +147,7 @@ std::vector<int> distribute(std::vector<Real> const& weights, int ranks) {
   Real sum = 0;
   int rank = 1;
   for (std::size_t b = 0; b < weights.size() && rank < ranks; ++b) {
-    // a box goes to the rank in whose share its middle lies
+    // a box goes to the rank in whose range its middle lies
     while (rank < ranks && sum + weights[b] / 2 >= total * rank / ranks) first[rank++] = int(b);
     sum += weights[b];
   }

@@ -17,8 +17,8 @@ class Hierarchy {
   /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself); `weights[l]`, if
   /// given, holds one positive number per box of level l as it comes out of the cutting. Boxes start on multiples of
   /// the blocking factor and have a multiple of it, except that those at the domain's upper faces may be shorter.
-  /// Throws HierarchyError, alike on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not
-  /// nest.
+  /// Throws HierarchyError, the same on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do
+  /// not nest.
   Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vector<Box>> const& refined, int max_grid_size,
             int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
 

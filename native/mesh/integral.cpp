@@ -2,7 +2,7 @@
 
 #include <algorithm>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 
@@ -35,7 +35,7 @@ Real integral_on_all(Hierarchy const& hierarchy, Plane const& plane) {
       LocalIndex const cells = box.extent(0) * box.extent(1);
       bool const refined = hierarchy.has_finer(l) && hierarchy.level(l + 1).intersects(box.refine(refinement_ratio));
       auto const covered =
-          refined ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box) : Window<char>(Box{}, 0);
+          refined ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box) : ArrayOnBox<char>(Box{}, 0);
       for (int k = 0; k < box.extent(2); ++k) {
         auto const value = plane(l, b - level.first_local_box(), k);
         auto const uncovered = [&](LocalIndex n) {

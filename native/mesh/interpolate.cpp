@@ -2,15 +2,15 @@
 
 #include <algorithm>
 
+#include "mesh/array_on_box.hpp"
 #include "mesh/exchange.hpp"
-#include "mesh/window.hpp"
 #include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// Values of a level in chosen regions, whoever owns the cells.
+/// Values of a level in chosen regions, whichever ranks own the cells.
 class Reader {
  public:
   /// Collective.
@@ -75,13 +75,14 @@ std::array<Real, 8> child_means(Real const* v, std::ptrdiff_t y, std::ptrdiff_t 
   return out;
 }
 
-/// Fill the newly refined cells of a box from the parents in `around`, which reaches one parent beyond it.
-void interpolate(Level const& coarser, Window<Real> const& around, Box const& box, char const* is_new, Real* values) {
+/// Fill the newly refined cells of a box from its parents with one layer of ghost cells.
+void interpolate(Level const& coarser, ArrayOnBox<Real> const& parent_values, Box const& box, char const* is_new,
+                 Real* values) {
   auto exists = [&](Index3 parent, int axis, int step) {
     parent[axis] += step;
     return coarser.periodic()[axis] || coarser.domain().contains(parent);
   };
-  std::ptrdiff_t const y = around.box().extent(0), z = y * around.box().extent(1);
+  std::ptrdiff_t const y = parent_values.box().extent(0), z = y * parent_values.box().extent(1);
   for_each_cell(box.coarsen(refinement_ratio), [&](Index3 const& parent) {
     Box const children = Box{parent, parent}.refine(refinement_ratio);
     // blocks hold whole families, so the children of one parent are all new or all old
@@ -90,7 +91,7 @@ void interpolate(Level const& coarser, Window<Real> const& around, Box const& bo
     for (int d = 0; d < 3; ++d)
       for (int side = 0; side < 2; ++side)
         weights[d][side] = half_cell_weights(side == 1, exists(parent, d, -1), exists(parent, d, 1));
-    auto const means = child_means(&around(parent), y, z, weights);
+    auto const means = child_means(&parent_values(parent), y, z, weights);
     std::size_t n = 0;
     for_each_cell(children, [&](Index3 const& child) { values[box.offset(child)] = means[n++]; });
   });
@@ -123,12 +124,12 @@ void fill_new(MPI_Comm comm, Level const& level, Level const& coarser, LargeArra
   }
   Reader const read(comm, coarser, parents, from);
   for (std::size_t n = 0; n < boxes.size(); ++n) {
-    Window<Real> around(parents[n], 0);
+    ArrayOnBox<Real> parent_values(parents[n], 0);
     read.for_each_row(parents[n], [&](Real const* values, LocalIndex count, Index3 const& first) {
-      std::copy_n(values, count, &around(first));
+      std::copy_n(values, count, &parent_values(first));
     });
     LocalIndex const offset = level.local_offset(boxes[n]);
-    interpolate(coarser, around, level.box(boxes[n]), is_new.data() + offset, to.data() + offset);
+    interpolate(coarser, parent_values, level.box(boxes[n]), is_new.data() + offset, to.data() + offset);
   }
 }
 

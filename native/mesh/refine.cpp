@@ -5,8 +5,8 @@
 
 #include "base/all_gather.hpp"
 #include "base/error.hpp"
+#include "mesh/array_on_box.hpp"
 #include "mesh/cluster.hpp"
-#include "mesh/window.hpp"
 
 namespace amrpic {
 
@@ -31,11 +31,11 @@ void sort_unique(std::vector<Key>& keys) {
 
 /// The blocks of a level: what can be refined or not. The last one along an axis may be shorter.
 ///
-/// Blocks are counted on beyond the domain. Behind an upper periodic face begins an image of the domain with as many
+/// Blocks are counted on outside the domain. Behind an upper periodic face begins an image of the domain with as many
 /// blocks, the first of them block 0 again, so that a short last block has its neighbours where its cells have theirs.
-class Lattice {
+class BlockGrid {
  public:
-  Lattice(Hierarchy const& hierarchy, int level) : edge_(hierarchy.blocking_factor()) {
+  BlockGrid(Hierarchy const& hierarchy, int level) : edge_(hierarchy.blocking_factor()) {
     Domain const& domain = hierarchy.domain();
     for (int d = 0; d < 3; ++d) {
       cells_[d] = std::int64_t(domain.cells[d]) << std::min(level, key_bits);
@@ -48,7 +48,7 @@ class Lattice {
     }
   }
 
-  /// The block along an axis that holds a cell of the level, which may lie beyond the domain.
+  /// The block along an axis that holds a cell of the level, which may lie outside the domain.
   int block(int axis, std::int64_t cell) const {
     auto const divide = [](std::int64_t a, std::int64_t b) { return a / b - (a % b < 0); };
     std::int64_t const image = periodic_[axis] ? divide(cell, cells_[axis]) : 0;
@@ -97,13 +97,13 @@ class Lattice {
 
 /// Marks per cell turned, along one axis, into marks per block of the next finer level, each first grown by `buffer`
 /// cells both ways.
-Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, Lattice const& finer) {
+ArrayOnBox<char> grow_and_coarsen(ArrayOnBox<char> const& cells, int axis, int buffer, BlockGrid const& finer) {
   auto first = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) - buffer)); };
   auto last = [&](int cell) { return finer.block(axis, 2 * (std::int64_t(cell) + buffer)); };
   Box box = cells.box();
   box.lower[axis] = first(box.lower[axis]);
   box.upper[axis] = last(box.upper[axis]);
-  Window<char> out(box, 0);
+  ArrayOnBox<char> out(box, 0);
   for_each_cell(cells.box(), [&](Index3 const& cell) {
     if (!cells(cell)) return;
     Index3 block = cell;
@@ -113,11 +113,11 @@ Window<char> grow_and_coarsen(Window<char> const& cells, int axis, int buffer, L
 }
 
 /// Blocks of the next finer level that this rank's tags of one kind reach.
-std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std::uint8_t kind, Lattice const& lattice,
-                               int buffer) {
+std::vector<Key> tagged_blocks(Level const& level, std::uint8_t const* tags, std::uint8_t kind,
+                               BlockGrid const& lattice, int buffer) {
   std::vector<Key> out;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Window<char> marks(level.box(b), 0);
+    ArrayOnBox<char> marks(level.box(b), 0);
     std::uint8_t const* first = tags + level.local_offset(b);
     auto const last = first + level.box(b).cells();
     if (std::none_of(first, last, [&](std::uint8_t tag) { return tag & kind; })) continue;
@@ -142,7 +142,7 @@ std::vector<Key> existing(std::vector<Key> keys, Level const& level, int edge) {
   return keys;
 }
 
-std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, Lattice const& lattice) {
+std::vector<Box> boxes_of_blocks(std::vector<Key> const& keys, Real efficiency, BlockGrid const& lattice) {
   std::vector<Index3> blocks(keys.size());
   std::transform(keys.begin(), keys.end(), blocks.begin(), from_key);
   std::vector<Box> boxes = cluster(std::move(blocks), efficiency);
@@ -159,9 +159,9 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
   int const finest = std::min(options.max_levels - 1, std::max(tagged, int(fixed.size())));
   std::vector<std::vector<Box>> levels(std::size_t(std::max(finest, 0)));
 
-  // From the finest down: what a level decides for itself is known, what the finer one needs around it is added.
+  // From the finest down: the cells that a level itself needs are known; the nesting of the finer one is added.
   for (int l = finest; l > 0; --l) {
-    Lattice const lattice(hierarchy, l);
+    BlockGrid const lattice(hierarchy, l);
     std::vector<Key> blocks;
     if (l - 1 < tagged) {
       std::vector<Key> mine;

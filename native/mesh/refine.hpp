@@ -11,7 +11,7 @@ struct RefineOptions {
   int max_levels;   ///< most levels of the result, the base included
   int buffer;       ///< cells around a tagged cell that are refined with it
   int nesting;      ///< cells of a level around the next finer one, at least 1
-  Real efficiency;  ///< least share of a box's blocks that must be refined, unless it is a single block
+  Real efficiency;  ///< least fraction of a box's blocks that must be refined, unless it is a single block
 };
 
 /// What the tag of a cell says; one may say both.

@@ -32,10 +32,10 @@ bool inside(Domain const& domain, Real3 const& point) {
   return true;
 }
 
-/// This rank's share of the trilinear value at a point, from cells of level `l` around the cell `home` that holds it. A
+/// This rank's part of the trilinear value at a point, from level `l`, on which the cell `home` holds the point. A
 /// neighbour that the level lacks takes its value from the next coarser one: the nearest cell's would be of first
 /// order.
-Real share(Field const& field, int l, Index3 const& home, Real3 const& point) {
+Real local_part(Field const& field, int l, Index3 const& home, Real3 const& point) {
   Level const& level = field.hierarchy().level(l);
   Domain const& domain = field.hierarchy().domain();
   Index3 step;  // towards the neighbour on the point's side of the centre
@@ -63,7 +63,7 @@ Real share(Field const& field, int l, Index3 const& home, Real3 const& point) {
     if (b < 0) {
       Real3 centre;
       for (int d = 0; d < 3; ++d) centre[d] = domain.lower[d] + (cell[d] + 0.5) * level.spacing()[d];
-      sum += weight * share(field, l - 1, cell_at(domain, field.hierarchy().level(l - 1), centre), centre);
+      sum += weight * local_part(field, l - 1, cell_at(domain, field.hierarchy().level(l - 1), centre), centre);
     } else if (level.owner(b) == level.rank()) {
       sum += weight * field.level(l)[level.local_offset(b) + level.box(b).offset(found)];
     }
@@ -84,7 +84,7 @@ std::vector<Real> sample(Field const& field, std::vector<Real3> const& points) {
       Index3 wrapped = home;
       for (int d = 0; d < 3; ++d) wrapped[d] = into_domain(home[d], level.domain().extent(d), level.periodic()[d]);
       if (level.find(wrapped) < 0) continue;
-      values[p] = share(field, l, home, points[p]);
+      values[p] = local_part(field, l, home, points[p]);
       break;
     }
   }

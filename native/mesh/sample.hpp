@@ -6,8 +6,8 @@
 
 namespace amrpic {
 
-/// Values of a field at points (metres), alike on all ranks: trilinear between the cells of the finest level at the
-/// point; a neighbour that this level lacks takes the coarser level's value there, one beyond a wall that of the wall
+/// Values of a field at points (metres), the same on all ranks: trilinear between the cells of the finest level at the
+/// point; a neighbour that this level lacks takes the coarser level's value there, one behind a wall that of the wall
 /// cell. Points outside the domain give nan. All ranks pass the same points. Collective.
 std::vector<Real> sample(Field const& field, std::vector<Real3> const& points);
 

@@ -2,15 +2,15 @@
 
 #include <algorithm>
 
+#include "mesh/array_on_box.hpp"
 #include "mesh/means.hpp"
-#include "mesh/window.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `Pair::place`: the
-/// place of the first child among this rank's cells, and the distances to its neighbours along y and z.
+/// Call `f(first, stride_y, stride_z)` for the 2 x 2 x 2 children of each parent in the order of `LevelPair::place`:
+/// the place of the first child among this rank's cells, and the distances to its neighbours along y and z.
 template <class F>
 void for_each_family(Level const& fine, F&& f) {
   for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
@@ -23,7 +23,8 @@ void for_each_family(Level const& fine, F&& f) {
 }
 
 /// Own covered cells of `coarse` that are not among the places of the parents of own fine cells.
-std::vector<LocalIndex> bereaved(Level const& coarse, Level const& fine, std::vector<LocalIndex> const& parents) {
+std::vector<LocalIndex> with_children_elsewhere(Level const& coarse, Level const& fine,
+                                                std::vector<LocalIndex> const& parents) {
   std::vector<char> has_children_here(std::size_t(coarse.local_cells()), 0);
   for (LocalIndex place : parents)
     if (place < coarse.local_cells()) has_children_here[std::size_t(place)] = 1;
@@ -45,11 +46,11 @@ Transfer::Transfer(std::shared_ptr<Hierarchy const> hierarchy) : hierarchy_(std:
   for (int l = 0; hierarchy_->has_finer(l); ++l) pairs_.push_back(make_pair(l));
 }
 
-Transfer::Pair Transfer::make_pair(int l) const {
+Transfer::LevelPair Transfer::make_pair(int l) const {
   Level const& coarse = hierarchy_->level(l);
   Level const& fine = hierarchy_->level(l + 1);
 
-  Pair pair;
+  LevelPair pair;
   std::vector<GlobalIndex> remote;
   for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b)
     append_remote(coarse, fine.box(b).coarsen(refinement_ratio), remote);
@@ -59,29 +60,28 @@ Transfer::Pair Transfer::make_pair(int l) const {
     auto const places = pair.parents.places(coarse, fine.box(b).coarsen(refinement_ratio));
     pair.place.insert(pair.place.end(), places.values().begin(), places.values().end());
   }
-  if (coarse.ranks() > 1) pair.bereaved = bereaved(coarse, fine, pair.place);
+  if (coarse.ranks() > 1) pair.children_elsewhere = with_children_elsewhere(coarse, fine, pair.place);
   return pair;
 }
 
 void Transfer::average_down(std::vector<Field*> const& fields) const {
   for (int l = int(pairs_.size()) - 1; l >= 0; --l) {
-    Pair const& pair = pairs_[l];
+    LevelPair const& pair = pairs_[l];
     std::vector<Real*> own;
     std::vector<Real const*> ghosts;
-    std::vector<std::vector<Real>> beyond(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
+    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
     for (std::size_t f = 0; f < fields.size(); ++f) {
       Real const* fine = fields[f]->level(l + 1).data();
       Real* coarse = fields[f]->level(l).data();
-      for (LocalIndex cell : pair.bereaved) coarse[cell] = 0;
+      for (LocalIndex cell : pair.children_elsewhere) coarse[cell] = 0;
       std::size_t n = 0;
       LocalIndex const owned = pair.parents.owned();
       for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
         LocalIndex const place = pair.place[n++];
-        average_children(1, fine + child, y, z,
-                         place < owned ? coarse + place : &beyond[f][std::size_t(place - owned)]);
+        average_children(1, fine + child, y, z, place < owned ? coarse + place : &halo[f][std::size_t(place - owned)]);
       });
       own.push_back(coarse);
-      ghosts.push_back(beyond[f].data());
+      ghosts.push_back(halo[f].data());
     }
     pair.parents.fold(own, ghosts);
   }
@@ -89,16 +89,16 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
 
 void Transfer::spread(Field& field) const {
   for (int l = 0; l < int(pairs_.size()); ++l) {
-    Pair const& pair = pairs_[l];
+    LevelPair const& pair = pairs_[l];
     Real const* coarse = field.level(l).data();
     Real* fine = field.level(l + 1).data();
-    std::vector<Real> beyond(std::size_t(pair.parents.ghosts()));
-    pair.parents.update({coarse}, {beyond.data()});
+    std::vector<Real> halo(std::size_t(pair.parents.ghosts()));
+    pair.parents.update({coarse}, {halo.data()});
     std::size_t n = 0;
     LocalIndex const owned = pair.parents.owned();
     for_each_family(hierarchy_->level(l + 1), [&](LocalIndex child, LocalIndex y, LocalIndex z) {
       LocalIndex const place = pair.place[n++];
-      Real const value = place < owned ? coarse[place] : beyond[std::size_t(place - owned)];
+      Real const value = place < owned ? coarse[place] : halo[std::size_t(place - owned)];
       for (LocalIndex c : {child, child + y, child + z, child + y + z}) fine[c] += value, fine[c + 1] += value;
     });
   }

@@ -20,19 +20,19 @@ class Transfer {
   void average_down(std::vector<Field*> const& fields) const;
 
   /// Add the value of each covered cell to its children, coarsest level first: charge that lies on covered cells moves,
-  /// in equal shares, to the cells that count. The covered cells keep their values. Collective.
+  /// in equal parts, to the cells that count. The covered cells keep their values. Collective.
   void spread(Field& field) const;
 
  private:
-  struct Pair {
-    Exchange parents;                  ///< on the coarser level; ghosts: parents of own fine cells that others own
-    std::vector<LocalIndex> place;     ///< of each parent of own fine cells in [own | ghosts], fine box by fine box
-    std::vector<LocalIndex> bereaved;  ///< own covered cells whose children live on other ranks
+  struct LevelPair {
+    Exchange parents;               ///< on the coarser level; ghosts: parents of own fine cells that others own
+    std::vector<LocalIndex> place;  ///< of each parent of own fine cells in [own | ghosts], fine box by fine box
+    std::vector<LocalIndex> children_elsewhere;  ///< own covered cells whose children live on other ranks
   };
-  Pair make_pair(int coarse) const;
+  LevelPair make_pair(int coarse) const;
 
   std::shared_ptr<Hierarchy const> hierarchy_;
-  std::vector<Pair> pairs_;  ///< pairs_[l]: levels l and l + 1
+  std::vector<LevelPair> pairs_;  ///< pairs_[l]: levels l and l + 1
 };
 
 }  // namespace amrpic

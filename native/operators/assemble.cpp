@@ -12,9 +12,9 @@ namespace amrpic {
 
 namespace {
 
-Form laplacian_row(Equation const& equation, Neighbourhood const& n, Index3 const& cell, Execution execution) {
+Form laplacian_row(Equation const& equation, StencilCells const& n, Index3 const& cell, Execution execution) {
   return laplacian_form(equation, n.own(cell),
-                        [&](int axis, int side) { return beyond(n, cell, axis, side, execution); });
+                        [&](int axis, int side) { return neighbour_value(n, cell, axis, side, execution); });
 }
 
 void sort_unique(std::vector<GlobalIndex>& cells) {
@@ -48,7 +48,7 @@ class RegularProlongation {
   std::size_t terms() const { return weights_.size(); }
 
   /// `places` of the coarser level's cells hold all that the rows read.
-  void operator()(Window<LocalIndex> const& places, Index3 const& first, LocalIndex rows, LocalIndex* column,
+  void operator()(ArrayOnBox<LocalIndex> const& places, Index3 const& first, LocalIndex rows, LocalIndex* column,
                   Real* value) const {
     Index3 parent, step;
     for (int d = 0; d < 3; ++d) {
@@ -80,7 +80,7 @@ class RegularProlongation {
 };
 
 /// Writes rows of means over children; `places` of the finer level's cells hold them.
-void write_means(Index3 const& ratio, Window<LocalIndex> const& places, Index3 const& first, LocalIndex rows,
+void write_means(Index3 const& ratio, ArrayOnBox<LocalIndex> const& places, Index3 const& first, LocalIndex rows,
                  LocalIndex* column, Real* value) {
   int const terms = ratio[0] * ratio[1] * ratio[2];
   std::fill_n(value, std::ptrdiff_t(rows) * terms, mean_weight(ratio));
@@ -96,24 +96,24 @@ void write_means(Index3 const& ratio, Window<LocalIndex> const& places, Index3 c
 /// these.
 class LevelAssembly {
  public:
-  LevelAssembly(LevelStack const& stack, std::size_t l, Prolongation kind)
-      : stack_(stack),
+  LevelAssembly(MultigridLevels const& multigrid, std::size_t l, Prolongation kind)
+      : multigrid_(multigrid),
         l_(l),
         kind_(kind),
-        level_(*stack.levels[l]),
-        equation_(stack.equation(l)),
-        open_walls_(stack),
-        seam_width_(seam_widths(level_.periodic(), stack.upper[l])),
-        prolong_(stack.ratio[l], kind),
+        level_(*multigrid.levels[l]),
+        equation_(multigrid.equation(l)),
+        open_walls_(multigrid),
+        seam_width_(seam_widths(level_.periodic(), multigrid.upper[l])),
+        prolong_(multigrid.ratio[l], kind),
         no_fine_(rows(), level_),
         uncovered_(std::size_t(rows()), 1) {
     if (l > 0) {
-      coarser_ = stack.levels[l - 1].get();
+      coarser_ = multigrid.levels[l - 1].get();
       coarse_boundary_.emplace(rows(), *coarser_);
       prolongation_.emplace(rows(), *coarser_);
     }
-    if (l + 1 < stack.levels.size()) {
-      finer_ = stack.levels[l + 1].get();
+    if (l + 1 < multigrid.levels.size()) {
+      finer_ = multigrid.levels[l + 1].get();
       composite_.emplace(rows(), level_);
       fine_boundary_.emplace(rows(), *finer_);
       restriction_.emplace(rows(), *finer_);
@@ -152,8 +152,8 @@ class LevelAssembly {
     if (coarser_) coarse_boundary_->append_remote(out.coarse);
     for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
       Box const& box = level_.box(b);
-      if (coarser_) append_remote(*coarser_, parents_read(box, stack_.ratio[l_], kind_), out.coarse);
-      if (finer_) append_remote(*finer_, box.refine(stack_.ratio[l_ + 1]), out.fine);
+      if (coarser_) append_remote(*coarser_, parents_read(box, multigrid_.ratio[l_], kind_), out.coarse);
+      if (finer_) append_remote(*finer_, box.refine(multigrid_.ratio[l_ + 1]), out.fine);
     }
     for (auto* cells : {&out.coarse, &out.own, &out.fine}) sort_unique(*cells);
     return out;
@@ -168,9 +168,9 @@ class LevelAssembly {
   }
 
   void move_into(LevelOperators& out) {
-    out.level = stack_.levels[l_];
-    out.walls = stack_.walls[l_];
-    for (int d = 0; d < 3; ++d) out.last_width[d] = stack_.upper[l_][d].width;
+    out.level = multigrid_.levels[l_];
+    out.walls = multigrid_.walls[l_];
+    for (int d = 0; d < 3; ++d) out.last_width[d] = multigrid_.upper[l_][d].width;
     out.no_fine = no_fine_.take();
     if (coarser_) {
       out.coarse_boundary = coarse_boundary_->take();
@@ -187,15 +187,16 @@ class LevelAssembly {
  private:
   LocalIndex rows() const { return level_.local_cells(); }
   /// A multigrid level is covered whole by the next one.
-  bool hidden() const { return finer_ && !stack_.refines(l_ + 1); }
+  bool is_fully_covered() const { return finer_ && !multigrid_.refines(l_ + 1); }
 
   void count_laplacians(int b) {
     Box const& box = level_.box(b);
-    Neighbourhood const n = look_around(box, level_, stack_.refines(l_ + 1) ? finer_ : nullptr,
-                                        stack_.refines(l_) ? coarser_ : nullptr, stack_.walls[l_], seam_width_);
+    StencilCells const n =
+        stencil_cells_of(box, level_, multigrid_.refines(l_ + 1) ? finer_ : nullptr,
+                         multigrid_.refines(l_) ? coarser_ : nullptr, multigrid_.walls[l_], seam_width_);
     auto const kinds = kinds_without_finer(level_, box, n.own, seam_width_);
-    auto const composite = hidden() ? RowKinds(box, RowKind::covered) : composite_kinds(kinds, n.covered);
-    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    auto const composite = is_fully_covered() ? RowKinds(box, RowKind::covered) : composite_kinds(kinds, n.covered);
+    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return no_fine_.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run,
                       [&](Index3 const& cell, LocalIndex row) { count_special(n, cell, row, composite(cell)); });
@@ -204,7 +205,7 @@ class LevelAssembly {
   }
 
   /// A row that a missing neighbour makes special, and with it that of the composite where it is the same.
-  void count_special(Neighbourhood const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
+  void count_special(StencilCells const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
     terms_.set(laplacian_row(equation_, n, cell, Execution::without_finer));
     if (finer_ && composite == RowKind::special) composite_->put(row, terms_.own_row);
     if (composite == RowKind::covered) add_open_walls(n, cell);
@@ -212,9 +213,9 @@ class LevelAssembly {
     if (coarser_) coarse_boundary_->put(row, terms_.coarse_row);
   }
 
-  /// The composite's rows, but for the special ones, and restriction.
-  void count_composite(int b, Neighbourhood const& n, RowKinds const& kinds) {
-    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+  /// The composite's rows, except the special ones, and restriction.
+  void count_composite(int b, StencilCells const& n, RowKinds const& kinds) {
+    for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
       if (kind == RowKind::covered) {
         count_restriction(first, run);
@@ -230,9 +231,9 @@ class LevelAssembly {
   }
 
   /// Means over children; single rows where some are missing or weigh otherwise, at the upper ends of the finer level.
-  void count_restriction(Index3 const& first, Run const& run) {
-    Index3 const ratio = stack_.ratio[l_ + 1];
-    auto const weight = last_children_of(stack_, l_ + 1);
+  void count_restriction(Index3 const& first, RowRun const& run) {
+    Index3 const ratio = multigrid_.ratio[l_ + 1];
+    auto const weight = last_children_of(multigrid_, l_ + 1);
     auto special = [&](int d, int parent) {
       int const last = finer_->domain().upper[d];
       bool const otherwise = weight[d].last != 1 || weight[d].before != 1 || last % ratio[d] != ratio[d] - 1;
@@ -243,7 +244,7 @@ class LevelAssembly {
       restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { mean.append(c, w); });
       restriction_->put(row, mean);
     };
-    Run regular = run;
+    RowRun regular = run;
     if (special(1, first[1]) || special(2, first[2]))
       regular.count = 0;
     else if (special(0, first[0] + run.count - 1))
@@ -262,23 +263,23 @@ class LevelAssembly {
   }
 
   /// Covered cells hold corrections of finer ones alone.
-  void add_open_walls(Neighbourhood const& n, Index3 const& cell) {
+  void add_open_walls(StencilCells const& n, Index3 const& cell) {
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side) {
         bool const at_wall = cell[axis] == (side == 0 ? n.domain.lower[axis] : n.domain.upper[axis]);
-        if (at_wall && stack_.boundary[axis][side] == Boundary::open)
+        if (at_wall && multigrid_.boundary[axis][side] == Boundary::open)
           terms_.own_row.add(n.own(cell), equation_.weight[axis] * open_walls_.first(l_, cell, axis, side));
       }
   }
 
-  /// Prolongation reads beyond the parents' domain in cells at walls, along axes that it interpolates; where half a
+  /// Prolongation reads ghost cells of the parents in cells at walls, along axes that it interpolates; where half a
   /// pair was dropped, in two.
   RowKinds prolongation_kinds(Box const& box) const {
     Box inside = box;
     for (int d = 0; d < 3; ++d) {
-      if (stack_.ratio[l_][d] == 1) continue;
+      if (multigrid_.ratio[l_][d] == 1) continue;
       if (coarser_->periodic()[d]) {
-        if (stack_.upper[l_ - 1][d].width == 1) continue;
+        if (multigrid_.upper[l_ - 1][d].width == 1) continue;
         // children of the last cell and of its neighbours
         inside.lower[d] = std::max(inside.lower[d], level_.domain().lower[d] + 2);
         inside.upper[d] = std::min(inside.upper[d], level_.domain().upper[d] - 4);
@@ -296,11 +297,11 @@ class LevelAssembly {
 
   void count_prolongation(int b) {
     Box const& box = level_.box(b);
-    Index3 const ratio = stack_.ratio[l_];
-    Real3 const coarse_seam = seam_widths(coarser_->periodic(), stack_.upper[l_ - 1]);
-    std::optional<Window<GlobalIndex>> coarse;
+    Index3 const ratio = multigrid_.ratio[l_];
+    Real3 const coarse_seam = seam_widths(coarser_->periodic(), multigrid_.upper[l_ - 1]);
+    std::optional<ArrayOnBox<GlobalIndex>> coarse;
     for_each_run(prolongation_kinds(box), level_.local_offset(b),
-                 [&](RowKind kind, Index3 const& first, Run const& run) {
+                 [&](RowKind kind, Index3 const& first, RowRun const& run) {
                    if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
                    if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
                    for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
@@ -308,7 +309,7 @@ class LevelAssembly {
                      prolong(
                          cell, ratio, kind_, *coarse, coarser_->domain(), coarser_->periodic(), coarse_seam,
                          [&](Index3 const& parent, int axis, int side) {
-                           return prolonged_end(stack_, open_walls_, l_ - 1, parent, axis, side);
+                           return prolonged_end(multigrid_, open_walls_, l_ - 1, parent, axis, side);
                          },
                          [&](GlobalIndex c, Real w) { values.append(c, w); });
                      prolongation_->put(row, values);
@@ -318,12 +319,12 @@ class LevelAssembly {
 
   void fill_prolongation(int b, Exchange const& halo) {
     Box const& box = level_.box(b);
-    auto const places = halo.places(*coarser_, parents_read(box, stack_.ratio[l_], kind_));
+    auto const places = halo.places(*coarser_, parents_read(box, multigrid_.ratio[l_], kind_));
     prolongation_->fill_runs(box, level_.local_offset(b), [&](auto const&... where) { prolong_(places, where...); });
   }
 
   void fill_restriction(int b, Exchange const& halo) {
-    Index3 const ratio = stack_.ratio[l_ + 1];
+    Index3 const ratio = multigrid_.ratio[l_ + 1];
     Box const &box = level_.box(b), children = box.refine(ratio);
     if (!finer_->intersects(children)) return;
     auto const places = halo.places(*finer_, children);
@@ -331,7 +332,7 @@ class LevelAssembly {
                             [&](auto const&... where) { write_means(ratio, places, where...); });
   }
 
-  LevelStack const& stack_;
+  MultigridLevels const& multigrid_;
   std::size_t l_;
   Prolongation kind_;
   Level const& level_;
@@ -347,19 +348,19 @@ class LevelAssembly {
   std::vector<char> uncovered_;
 };
 
-/// Operators in `former` of those levels that lie there as they are, with the same neighbours in the stack; null for
-/// the others. Ghosts may be numbered otherwise.
-StackOperators lasting(LevelStack const& stack, Prolongation prolongation, Assembled const& former) {
-  std::size_t const count = stack.levels.size(), before = former.stack.levels.size();
-  StackOperators out(count);
-  if (prolongation != former.prolongation || stack.base != former.stack.base ||
-      stack.boundary != former.stack.boundary || stack.shift != former.stack.shift)
+/// The operators in `former` of levels that it has with the same neighbouring levels; null for the others. Ghosts may
+/// be numbered differently.
+MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolongation, Assembled const& former) {
+  std::size_t const count = multigrid.levels.size(), before = former.multigrid.levels.size();
+  MultigridOperators out(count);
+  if (prolongation != former.prolongation || multigrid.base != former.multigrid.base ||
+      multigrid.boundary != former.multigrid.boundary || multigrid.shift != former.multigrid.shift)
     return out;
   auto same = [&](std::size_t l) {
     return (l >= count && l >= before) ||
-           (l < count && l < before && stack.levels[l]->same_as(*former.stack.levels[l]));
+           (l < count && l < before && multigrid.levels[l]->same_as(*former.multigrid.levels[l]));
   };
-  bool const only_neighbours_count = !refines_open_wall(stack) && !refines_open_wall(former.stack);
+  bool const only_neighbours_count = !refines_open_wall(multigrid) && !refines_open_wall(former.multigrid);
   for (std::size_t l = 0; l < std::min(count, before); ++l) {
     bool lasts = (l == 0 || same(l - 1)) && same(l) && same(l + 1);
     for (std::size_t finer = l + 2; finer < std::max(count, before) && !only_neighbours_count; ++finer)
@@ -384,7 +385,7 @@ std::vector<std::vector<GlobalIndex>> ghosts_of(std::vector<RemoteCells> const& 
 
 /// Let go of operators whose columns have other ghosts now, on any rank. Collective.
 void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::vector<GlobalIndex>> const& ghosts,
-                     StackOperators& operators) {
+                     MultigridOperators& operators) {
   std::vector<int> other(ghosts.size());
   for (std::size_t l = 0; l < ghosts.size(); ++l)
     other[l] = l >= former.operators.size() || former.operators[l]->halo.ghost_numbers() != ghosts[l];
@@ -395,31 +396,31 @@ void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::ve
 
 }  // namespace
 
-LevelStack stack_of(Hierarchy const& hierarchy, Real shift) {
-  LevelStack stack;
-  stack.shift = shift;
-  stack.boundary = hierarchy.domain().boundary;
+MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
+  MultigridLevels multigrid;
+  multigrid.shift = shift;
+  multigrid.boundary = hierarchy.domain().boundary;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    stack.levels.push_back(hierarchy.share_level(l));
-    stack.ratio.push_back(refinement_ratio);
-    stack.upper.emplace_back();
+    multigrid.levels.push_back(hierarchy.share_level(l));
+    multigrid.ratio.push_back(refinement_ratio);
+    multigrid.upper.emplace_back();
     Real3 const h = hierarchy.level(l).spacing();
-    WallGhosts& walls = stack.walls.emplace_back();
+    WallGhosts& walls = multigrid.walls.emplace_back();
     for (int d = 0; d < 3; ++d)
-      for (int side = 0; side < 2; ++side) walls[d][side] = wall_ghost(stack.boundary[d][side], h[d]);
+      for (int side = 0; side < 2; ++side) walls[d][side] = wall_ghost(multigrid.boundary[d][side], h[d]);
   }
-  return stack;
+  return multigrid;
 }
 
-Assembled assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation, Assembled former) {
-  std::size_t const count = stack.levels.size();
-  Assembled result{stack, prolongation, lasting(stack, prolongation, former), 0};
-  StackOperators& out = result.operators;
+Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation prolongation, Assembled former) {
+  std::size_t const count = multigrid.levels.size();
+  Assembled result{multigrid, prolongation, reused(multigrid, prolongation, former), 0};
+  MultigridOperators& out = result.operators;
   std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
   auto make_missing = [&] {
     for (std::size_t l = 0; l < count; ++l) {
       if (out[l] || assemblies[l]) continue;
-      assemblies[l] = std::make_unique<LevelAssembly>(stack, l, prolongation);
+      assemblies[l] = std::make_unique<LevelAssembly>(multigrid, l, prolongation);
       assemblies[l]->count();
     }
   };
@@ -435,9 +436,9 @@ Assembled assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolonga
     if (out[l]) continue;
     ++result.made;
     out[l] = std::make_shared<LevelOperators>();
-    out[l]->halo = Exchange(comm, *stack.levels[l], ghosts[l]);
-    out[l]->stencil_halo =
-        Exchange(comm, *stack.levels[l], ghosts[l], remote_cells(*stack.levels[l], assemblies[l]->remote_stencil()));
+    out[l]->halo = Exchange(comm, *multigrid.levels[l], ghosts[l]);
+    out[l]->stencil_halo = Exchange(comm, *multigrid.levels[l], ghosts[l],
+                                    remote_cells(*multigrid.levels[l], assemblies[l]->remote_stencil()));
     out[l]->reads = std::move(reads[l]);
   }
   for (std::size_t l = 0; l < count; ++l) {

@@ -10,9 +10,9 @@ namespace amrpic {
 namespace {
 
 /// E along an axis.
-Form field_form(Neighbourhood const& n, Index3 const& cell, int axis, Execution execution) {
-  return field_between(field_factor(n.spacing[axis]), beyond(n, cell, axis, 0, execution),
-                       beyond(n, cell, axis, 1, execution));
+Form field_form(StencilCells const& n, Index3 const& cell, int axis, Execution execution) {
+  return field_between(field_factor(n.spacing[axis]), neighbour_value(n, cell, axis, 0, execution),
+                       neighbour_value(n, cell, axis, 1, execution));
 }
 
 std::array<CrsBuilder, 3> builders(LocalIndex rows, Level const& columns) {
@@ -32,9 +32,9 @@ void fill_regular(Level const& level, Exchange const& halo, std::array<CrsBuilde
 }
 
 /// The axes of the gradient in the uncovered cells of a level; `coarser` and `finer` may be null.
-std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, LevelOperators const* coarse,
+std::array<GradientAxis, 3> gradient_of(MultigridLevels const& multigrid, std::size_t l, LevelOperators const* coarse,
                                         LevelOperators const& operators, LevelOperators const* fine) {
-  Level const& level = *stack.levels[l];
+  Level const& level = *multigrid.levels[l];
   Level const *coarser = coarse ? coarse->level.get() : nullptr, *finer = fine ? fine->level.get() : nullptr;
   auto own = builders(level.local_cells(), level);
   auto below = builders(level.local_cells(), coarser ? *coarser : level);
@@ -42,9 +42,9 @@ std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, 
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const& box = level.box(b);
-    Neighbourhood const n = look_around(box, level, finer, coarser, stack.walls[l]);
+    StencilCells const n = stencil_cells_of(box, level, finer, coarser, multigrid.walls[l]);
     auto const kinds = composite_kinds(kinds_without_finer(level, box, n.own), n.covered);
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
       if (kind == RowKind::regular || kind == RowKind::covered) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
@@ -70,26 +70,27 @@ std::array<GradientAxis, 3> gradient_of(LevelStack const& stack, std::size_t l, 
 
 }  // namespace
 
-void assemble_gradient(LevelStack const& stack, StackOperators const& operators) {
-  for (std::size_t l = stack.base; l < stack.levels.size(); ++l)
+void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators const& operators) {
+  for (std::size_t l = multigrid.base; l < multigrid.levels.size(); ++l)
     if (!std::exchange(operators[l]->has_gradient, true))
-      operators[l]->gradient = gradient_of(stack, l, stack.refines(l) ? operators[l - 1].get() : nullptr, *operators[l],
-                                           stack.refines(l + 1) ? operators[l + 1].get() : nullptr);
+      operators[l]->gradient = gradient_of(multigrid, l, multigrid.refines(l) ? operators[l - 1].get() : nullptr,
+                                           *operators[l], multigrid.refines(l + 1) ? operators[l + 1].get() : nullptr);
 }
 
-std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators) {
-  Level const& level = *stack.levels[l];
+std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, std::size_t l,
+                                             LevelOperators const& operators) {
+  Level const& level = *multigrid.levels[l];
   auto axes = builders(level.local_cells(), level);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    // Levels nest, so the neighbours of a covered cell are cells of its level or lie beyond a wall.
+    // Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.
     Box const& box = level.box(b);
-    Neighbourhood const n = look_around(box, level, nullptr, nullptr, stack.walls[l]);
+    StencilCells const n = stencil_cells_of(box, level, nullptr, nullptr, multigrid.walls[l]);
     auto kinds = kinds_without_finer(level, box, n.own);
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())
-      if (operators.uncovered[row++]) kind = RowKind::covered;  // not asked for: stays empty
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+      if (operators.uncovered[row++]) kind = RowKind::covered;  // not wanted: stays empty
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) axes[d].put_run(run, RegularRows::gradient_terms);
       if (kind != RowKind::special) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex at) {

@@ -9,14 +9,14 @@ namespace amrpic {
 namespace {
 
 /// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
-Form special_row(Equation const& equation, LevelCopy const& copy, Neighbourhood const& n, Index3 const& cell) {
+Form special_row(Equation const& equation, LevelCopy const& copy, StencilCells const& n, Index3 const& cell) {
   return laplacian_form(equation, n.own(cell), [&](int axis, int side) {
     Index3 outer = cell, inner = cell;
     outer[axis] += side == 0 ? -1 : 1;
     inner[axis] -= side == 0 ? -1 : 1;
     bool const at_wall = n.behind_wall(outer, axis);
-    if (!at_wall && n.own(outer) != no_cell) return beyond(n, cell, axis, side, Execution::without_finer);
-    WallGhost ghost = at_wall ? copy.walls[axis][side] : copy.beyond(cell, axis, side);
+    if (!at_wall && n.own(outer) != no_cell) return neighbour_value(n, cell, axis, side, Execution::without_finer);
+    WallGhost ghost = at_wall ? copy.walls[axis][side] : copy.ghost(cell, axis, side);
     if (n.own(inner) == no_cell) ghost.second = 0;
     return ghost(own(n.own(cell)), own(n.own(inner)));
   });
@@ -31,9 +31,9 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
   CrsBuilder builder(level.local_cells(), level);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Neighbourhood const n = look_around(level.box(b), level, nullptr, nullptr, copy.walls, seam_width);
+    StencilCells const n = stencil_cells_of(level.box(b), level, nullptr, nullptr, copy.walls, seam_width);
     auto const kinds = kinds_without_finer(level, level.box(b), n.own, seam_width);
-    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, Run const& run) {
+    for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
         terms.set(special_row(equation, copy, n, cell));
@@ -57,11 +57,11 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
   return out;
 }
 
-/// A value of a copy, or beyond its end what corrections are there: emit(cell number, weight). Ends are passed axis
-/// after axis; `passes` of the six sides may be.
+/// A value of a copy, or of its ghost cell: emit(cell number, weight). Ghost cells follow axis after axis, on the first
+/// `passes` of the six sides.
 template <class Emit>
-bool emit_value(LevelCopy const& copy, Window<GlobalIndex> const& number, Index3 const& cell, Real weight, int passes,
-                Emit& emit) {
+bool emit_value(LevelCopy const& copy, ArrayOnBox<GlobalIndex> const& number, Index3 const& cell, Real weight,
+                int passes, Emit& emit) {
   if (!number.box().contains(cell)) return false;
   if (number(cell) != no_cell) {
     emit(number(cell), weight);

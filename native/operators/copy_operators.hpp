@@ -4,7 +4,7 @@
 
 namespace amrpic {
 
-/// What a local cycle holds of a copy as compressed rows.
+/// The operators of a copy as compressed rows.
 struct CopyOperators {
   LevelOperators level;  ///< `no_fine` and the halos alone are made
   Crs restriction;       ///< columns: the level above, whose remote cells `above` brings

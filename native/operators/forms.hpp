@@ -1,8 +1,8 @@
 // The formulas of native/stencil with unknowns for values: what they give are rows of operators.
 #pragma once
 
-#include "operators/neighbourhood.hpp"
 #include "operators/row.hpp"
+#include "operators/stencil_cells.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/laplacian.hpp"
 
@@ -40,7 +40,7 @@ struct Terms {
 class PlaneBehind {
  public:
   /// The plane around a cell whose face it is; `covered` has the extent of `cells`.
-  PlaneBehind(Index3 const& middle, int axis, Window<GlobalIndex> const& cells, Window<char> const& covered)
+  PlaneBehind(Index3 const& middle, int axis, ArrayOnBox<GlobalIndex> const& cells, ArrayOnBox<char> const& covered)
       : middle_(middle), along_(tangential_axes(axis)), cells_(cells) {
     auto look = [&](int reach) {
       for (int i = -reach; i <= reach; ++i)
@@ -72,16 +72,16 @@ class PlaneBehind {
   }
   Index3 middle_;
   std::array<int, 2> along_;
-  Window<GlobalIndex> const& cells_;
+  ArrayOnBox<GlobalIndex> const& cells_;
   unsigned usable_ = 0;
 };
 
 enum class Execution { without_finer, composite };
 
-/// phi beyond a face of a cell. Both Laplacian and field are made of it, so that every face has one flux: in
+/// phi across a face of a cell. Both Laplacian and field are made of it, so that every face has one flux: in
 /// `composite` execution that through a face which the finer level covers on the other side is the mean of the four
 /// fine fluxes; the cell itself must then be uncovered.
-inline Form beyond(Neighbourhood const& n, Index3 const& cell, int axis, int side, Execution execution) {
+inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution) {
   int const step = side == 0 ? -1 : 1;
   Index3 outer = cell, inner = cell;
   outer[axis] += step;
@@ -110,21 +110,21 @@ inline Form beyond(Neighbourhood const& n, Index3 const& cell, int axis, int sid
         Form const phi_1 = fine(n.fine(first));
         differences += phi_1 - ghost_at_interface(plane.fit(a == 1, b == 1, own), phi_1, fine(n.fine(second)));
       }
-    return beyond_fine_faces(here, differences);
+    return ghost_at_fine_faces(here, differences);
   }
   if (n.periodic[axis] && n.seam_width[axis] != 1)
-    return beyond_seam(seam_factor(cell[axis], side, n.domain.extent(axis), n.seam_width[axis]), here,
-                       own(n.own(outer)));
+    return neighbour_at_seam(seam_factor(cell[axis], side, n.domain.extent(axis), n.seam_width[axis]), here,
+                             own(n.own(outer)));
   return own(n.own(outer));
 }
 
-/// L phi in a cell of what lies beyond(axis, side) its faces; the diagonal comes first.
-template <class Beyond>
-inline Form laplacian_form(Equation const& equation, GlobalIndex cell, Beyond&& beyond) {
+/// L phi in a cell from the values neighbour(axis, side) across its faces; the diagonal comes first.
+template <class Neighbour>
+inline Form laplacian_form(Equation const& equation, GlobalIndex cell, Neighbour&& neighbour) {
   Form const here = own(cell);
   Form out({Unknown::On::own, cell}, 0);
-  return out +=
-         laplacian(equation, here, beyond(0, 0), beyond(0, 1), beyond(1, 0), beyond(1, 1), beyond(2, 0), beyond(2, 1));
+  return out += laplacian(equation, here, neighbour(0, 0), neighbour(0, 1), neighbour(1, 0), neighbour(1, 1),
+                          neighbour(2, 0), neighbour(2, 1));
 }
 
 }  // namespace amrpic

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 #include "stencil/coarse_end.hpp"
 
 namespace amrpic {
@@ -10,7 +10,7 @@ namespace amrpic {
 /// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
 /// cells along periodic axes.
 template <class Wall, class Emit>
-void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Window<GlobalIndex> const& coarse,
+void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, ArrayOnBox<GlobalIndex> const& coarse,
              Box const& coarse_domain, std::array<bool, 3> const& periodic, Real3 const& seam_width, Wall&& wall,
              Emit&& emit) {
   Index3 parent, step{0, 0, 0};

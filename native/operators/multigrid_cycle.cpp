@@ -19,10 +19,10 @@ void f_cycle(CycleSteps const& steps, std::size_t finest) {
 
 }  // namespace
 
-void run_cycle(LevelStack const& stack, CycleSteps const& steps) {
-  std::size_t const finest = stack.levels.size() - 1;
+void run_cycle(MultigridLevels const& multigrid, CycleSteps const& steps) {
+  std::size_t const finest = multigrid.levels.size() - 1;
   std::size_t l = finest;
-  for (; stack.halves_at_most(l); --l) steps.pre_smooth_and_restrict(l, Guess::zero);
+  for (; multigrid.halves_at_most(l); --l) steps.pre_smooth_and_restrict(l, Guess::zero);
   f_cycle(steps, l);
   while (l < finest) steps.prolong_and_post_smooth(++l);
 }

@@ -8,7 +8,7 @@ namespace amrpic {
 
 enum class Guess { zero, coarser };  ///< what a level's sweeps start from: nothing, or the coarser level's correction
 
-/// What a cycle is made of; levels are numbered as in a LevelStack. All are collective.
+/// What a cycle is made of; levels are numbered as in MultigridLevels. All are collective.
 struct CycleSteps {
   std::function<void(std::size_t)> restrict_right_hand_side;  ///< of a level, to the next coarser one
   std::function<void(std::size_t, Guess)> pre_smooth_and_restrict;
@@ -22,6 +22,6 @@ struct CycleSteps {
 ///
 /// The F-cycle costs a third more than a V-cycle. On one level it leaves 0.003 of the residual where that leaves 0.02,
 /// on nested ones 0.015 where that leaves 0.035. Collective.
-void run_cycle(LevelStack const& stack, CycleSteps const& steps);
+void run_cycle(MultigridLevels const& multigrid, CycleSteps const& steps);
 
 }  // namespace amrpic

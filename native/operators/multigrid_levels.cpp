@@ -8,7 +8,7 @@ namespace amrpic {
 namespace {
 
 constexpr GlobalIndex bottom = 64;            ///< cells of a level that is solved faster than coarsened
-constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level whose boxes are made anew: fewer cost less than messages
+constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level that gets new boxes: fewer cost less than messages
 constexpr int alignment = 8;                  ///< of such boxes, so that they can be halved three times
 
 /// By how much to coarsen each axis of a level; all ones if it must stay.
@@ -33,9 +33,9 @@ int ranks_in_use(Level const& level) {
 }
 
 /// New boxes for a level that covers the domain.
-Shared cut_anew(Box const& domain, int max_grid_size, int ranks, int active) {
-  Shared out{cut(domain, std::max(max_grid_size, alignment), alignment), {}};
-  out.first = share_along_curve(out.boxes, ranks, active);
+DistributedBoxes new_boxes(Box const& domain, int max_grid_size, int ranks, int active) {
+  DistributedBoxes out{cut(domain, std::max(max_grid_size, alignment), alignment), {}};
+  out.first = distribute_along_curve(out.boxes, ranks, active);
   return out;
 }
 
@@ -49,32 +49,32 @@ std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Bo
     return std::make_shared<Level const>(domain, periodic, spacing, std::vector<Box>{domain}, std::vector<int>{0, 1},
                                          0);
   int const worth = int(std::clamp<GlobalIndex>(domain.cells() / cells_per_rank, 1, finer.ranks()));
-  Shared shared = halved(finer, ratio, domain);
-  if (shared.boxes.empty() || ranks_in_use(finer) > worth)
-    shared = cut_anew(domain, policy.max_grid_size, finer.ranks(), worth);
-  return std::make_shared<Level const>(domain, periodic, spacing, std::move(shared.boxes), std::move(shared.first),
-                                       finer.rank());
+  DistributedBoxes distributed = halved(finer, ratio, domain);
+  if (distributed.boxes.empty() || ranks_in_use(finer) > worth)
+    distributed = new_boxes(domain, policy.max_grid_size, finer.ranks(), worth);
+  return std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
+                                       std::move(distributed.first), finer.rank());
 }
 
 /// How far behind upper open walls corrections vanish at the least: half a cell of the finest level there.
-Real3 behind_open_walls(LevelStack const& stack) {
+Real3 behind_open_walls(MultigridLevels const& multigrid) {
   Real3 out{0, 0, 0};
-  for (auto const& level : stack.levels)
+  for (auto const& level : multigrid.levels)
     for (int d = 0; d < 3; ++d) {
       bool const touches = std::any_of(level->boxes().begin(), level->boxes().end(),
                                        [&](Box const& b) { return b.upper[d] == level->domain().upper[d]; });
-      if (touches && stack.boundary[d][1] == Boundary::open) out[d] = 0.5 * level->spacing()[d];
+      if (touches && multigrid.boundary[d][1] == Boundary::open) out[d] = 0.5 * level->spacing()[d];
     }
   return out;
 }
 
 /// Put a level below the lowest one.
-void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, Real3 const& behind,
+void put_below(MultigridLevels& multigrid, Domain const& domain, Index3 const& ratio, Real3 const& behind,
                CoarseBoxes const& policy) {
-  Level const& finer = *stack.levels.front();
+  Level const& finer = *multigrid.levels.front();
   Box region = finer.domain();
-  std::array<UpperEnd, 3> upper = stack.upper.front();
-  WallGhosts walls = stack.walls.front();
+  std::array<UpperEnd, 3> upper = multigrid.upper.front();
+  WallGhosts walls = multigrid.walls.front();
   for (int d = 0; d < 3; ++d) {
     // Along an axis that keeps its cells, errors which oscillate meet the finer level's wall on every level below.
     if (ratio[d] == 1) continue;
@@ -86,18 +86,18 @@ void put_below(LevelStack& stack, Domain const& domain, Index3 const& ratio, Rea
                 coarse_wall_ghost(domain.boundary[d][1], axis.cells, axis.end)};
   }
   auto const level = coarser(finer, ratio, region, policy);
-  stack.ratio.front() = ratio;
-  stack.ratio.insert(stack.ratio.begin(), Index3{1, 1, 1});
-  stack.levels.insert(stack.levels.begin(), level);
-  stack.walls.insert(stack.walls.begin(), walls);
-  stack.upper.insert(stack.upper.begin(), upper);
-  ++stack.base;
+  multigrid.ratio.front() = ratio;
+  multigrid.ratio.insert(multigrid.ratio.begin(), Index3{1, 1, 1});
+  multigrid.levels.insert(multigrid.levels.begin(), level);
+  multigrid.walls.insert(multigrid.walls.begin(), walls);
+  multigrid.upper.insert(multigrid.upper.begin(), upper);
+  ++multigrid.base;
 }
 
 }  // namespace
 
-Shared halved(Level const& finer, Index3 const& ratio, Box const& domain) {
-  Shared out;
+DistributedBoxes halved(Level const& finer, Index3 const& ratio, Box const& domain) {
+  DistributedBoxes out;
   for (Box const& fine : finer.boxes()) {
     Box const box = fine.coarsen(ratio).intersect(domain);
     if (box.empty()) return {};
@@ -112,7 +112,7 @@ Shared halved(Level const& finer, Index3 const& ratio, Box const& domain) {
   return out;
 }
 
-std::vector<int> share_along_curve(std::vector<Box>& boxes, int ranks, int active) {
+std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks, int active) {
   sort_along_curve(boxes);
   std::vector<Real> load(boxes.size());
   std::transform(boxes.begin(), boxes.end(), load.begin(), [](Box const& b) { return Real(b.cells()); });
@@ -121,28 +121,29 @@ std::vector<int> share_along_curve(std::vector<Box>& boxes, int ranks, int activ
   return first;
 }
 
-LevelStack coarsen_below(LevelStack stack, Domain const& domain, CoarseBoxes const& boxes, int most) {
-  Real3 const behind = behind_open_walls(stack);
-  while (int(stack.base) < most) {
-    Index3 const ratio = coarsening_of(*stack.levels.front(), domain);
+MultigridLevels coarsen_below(MultigridLevels multigrid, Domain const& domain, CoarseBoxes const& boxes, int most) {
+  Real3 const behind = behind_open_walls(multigrid);
+  while (int(multigrid.base) < most) {
+    Index3 const ratio = coarsening_of(*multigrid.levels.front(), domain);
     if (ratio == Index3{1, 1, 1}) break;
-    put_below(stack, domain, ratio, behind, boxes);
+    put_below(multigrid, domain, ratio, behind, boxes);
   }
-  return stack;
+  return multigrid;
 }
 
-Real prolonged_end(LevelStack const& stack, OpenWalls const& open_walls, std::size_t l, Index3 const& cell, int axis,
-                   int side) {
-  Boundary const kind = stack.boundary[axis][side];
+Real prolonged_end(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l, Index3 const& cell,
+                   int axis, int side) {
+  Boundary const kind = multigrid.boundary[axis][side];
   if (kind == Boundary::open) return open_walls.first(l, cell, axis, side);
-  return prolonged_wall_ghost(kind, side == 0 ? UpperEnd{} : stack.upper[l][axis]);
+  return prolonged_wall_ghost(kind, side == 0 ? UpperEnd{} : multigrid.upper[l][axis]);
 }
 
-std::array<LastChildren, 3> last_children_of(LevelStack const& stack, std::size_t finer) {
+std::array<LastChildren, 3> last_children_of(MultigridLevels const& multigrid, std::size_t finer) {
   std::array<LastChildren, 3> out;
   for (int d = 0; d < 3; ++d)
-    if (stack.ratio[finer][d] == 2)
-      out[d] = last_children(stack.levels[finer]->domain().extent(d), stack.upper[finer][d], stack.boundary[d][1]);
+    if (multigrid.ratio[finer][d] == 2)
+      out[d] = last_children(multigrid.levels[finer]->domain().extent(d), multigrid.upper[finer][d],
+                             multigrid.boundary[d][1]);
   return out;
 }
 

@@ -5,7 +5,7 @@
 namespace amrpic {
 
 /// Whether a refinement level touches an open wall.
-bool refines_open_wall(LevelStack const& stack);
+bool refines_open_wall(MultigridLevels const& multigrid);
 
 /// Where corrections vanish behind open walls.
 ///
@@ -14,7 +14,7 @@ bool refines_open_wall(LevelStack const& stack);
 /// with rows that put the zero at their own ghost centres, a region refined twice at an open wall took 18 cycles for 7.
 class OpenWalls {
  public:
-  explicit OpenWalls(LevelStack const& stack);
+  explicit OpenWalls(MultigridLevels const& multigrid);
 
   /// Factor of the first cell inside in the ghost of a correction behind an open wall. The correction vanishes h / 2
   /// behind the wall, h the mean spacing of the finest cells at that part of it. Zero where nothing is finer.
@@ -24,7 +24,7 @@ class OpenWalls {
   /// Mean spacing along the axis of the finest cells behind a cell's face at the wall.
   Real finest_spacing(std::size_t l, Index3 const& cell, int axis, int side) const;
 
-  LevelStack const& stack_;
+  MultigridLevels const& multigrid_;
   std::array<std::array<bool, 2>, 3> refined_{};  ///< whether a refinement level touches the wall
 };
 

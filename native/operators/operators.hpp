@@ -56,9 +56,9 @@ struct LevelOperators {
   std::size_t bytes() const;
 };
 
-/// A column of levels for which operators are made, coarse to fine: multigrid levels, each of which covers the domain,
-/// up to and including the base, then the refinement levels.
-struct LevelStack {
+/// Levels for which operators are made, coarse to fine: up to and including the base each covers the domain; then come
+/// the refinement levels.
+struct MultigridLevels {
   std::vector<std::shared_ptr<Level const>> levels;
   std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
   std::vector<WallGhosts> walls;
@@ -77,30 +77,30 @@ struct LevelStack {
   }
 };
 
-/// The refinement levels alone. Multigrid levels are put below them by `coarsen_below`.
-LevelStack stack_of(Hierarchy const& hierarchy, Real shift);
+/// The base and the refinement levels; `coarsen_below` adds coarser ones.
+MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift);
 
-/// Operators of the levels of a stack, coarse to fine; several solvers may share those of a level.
-using StackOperators = std::vector<std::shared_ptr<LevelOperators>>;
+/// Operators of multigrid levels, coarse to fine; several solvers may share those of a level.
+using MultigridOperators = std::vector<std::shared_ptr<LevelOperators>>;
 
-/// A stack and its operators, from which those of another stack on the same domain can be taken.
+/// Multigrid levels and their operators, which may serve other multigrid levels on the same domain.
 struct Assembled {
-  LevelStack stack;
+  MultigridLevels multigrid;
   Prolongation prolongation = Prolongation::trilinear;
-  StackOperators operators;
+  MultigridOperators operators;
   int made = 0;  ///< number of levels whose operators were not taken over
 };
 
-/// All operators of a stack but the gradient, counted and filled directly. Those of levels that lie in `former` as they
-/// are, with the same neighbours in the stack, are taken over; the others are let go before new ones take memory.
-/// Collective.
-Assembled assemble(MPI_Comm comm, LevelStack const& stack, Prolongation prolongation, Assembled former = {});
+/// All operators of multigrid levels except the gradient, counted and filled directly. Those of levels that `former`
+/// has with the same neighbouring levels are reused; the others are freed before new ones take memory. Collective.
+Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation prolongation, Assembled former = {});
 
-/// Add the three axes of the gradient to those operators of a stack that lack them. Local.
-void assemble_gradient(LevelStack const& stack, StackOperators const& operators);
+/// Add the three axes of the gradient to those operators that lack them. Local.
+void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators const& operators);
 
 /// The three axes of E = -grad phi in the covered cells of level l, by differences between cells of that level alone;
 /// other rows are empty. Local.
-std::array<Crs, 3> assemble_covered_gradient(LevelStack const& stack, std::size_t l, LevelOperators const& operators);
+std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, std::size_t l,
+                                             LevelOperators const& operators);
 
 }  // namespace amrpic

@@ -6,7 +6,7 @@
 
 namespace amrpic {
 
-RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers,
+RowKinds kinds_without_finer(Level const& level, Box const& box, ArrayOnBox<GlobalIndex> const& numbers,
                              Real3 const& seam_width) {
   for (int d = 0; d < 3; ++d)  // both neighbours along a short period are the same cell
     if (level.periodic()[d] && level.domain().extent(d) <= 2) return RowKinds(box, RowKind::special);
@@ -32,7 +32,7 @@ RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIn
   return kinds;
 }
 
-RowKinds composite_kinds(RowKinds kinds, Window<char> const& covered) {
+RowKinds composite_kinds(RowKinds kinds, ArrayOnBox<char> const& covered) {
   auto const& values = covered.values();
   if (std::find(values.begin(), values.end(), 1) == values.end()) return kinds;
   Box const &box = kinds.box(), &wide = covered.box();
@@ -58,7 +58,7 @@ void append_remote_neighbours(Level const& level, Box const& box, std::vector<Gl
     }
 }
 
-RegularRows::RegularRows(Real3 const& spacing, Real shift, Window<LocalIndex> const& places)
+RegularRows::RegularRows(Real3 const& spacing, Real shift, ArrayOnBox<LocalIndex> const& places)
     : places_(places),
       stride_{1, places.box().extent(0), std::ptrdiff_t(places.box().extent(0)) * places.box().extent(1)} {
   // unknown 0 is the cell, 1 + 2 axis + side its neighbours

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 #include "operators/row.hpp"
 #include "stencil/equation.hpp"
 
@@ -14,15 +14,15 @@ enum class RowKind : char {
   covered   ///< a finer level covers the cell
 };
 
-using RowKinds = Window<RowKind>;
+using RowKinds = ArrayOnBox<RowKind>;
 
-/// Kinds of the rows of a box as if nothing finer existed; `numbers` reaches at least one cell beyond it. `seam_width`:
-/// of last cells along periodic axes.
-RowKinds kinds_without_finer(Level const& level, Box const& box, Window<GlobalIndex> const& numbers,
+/// Kinds of the rows of a box as if nothing finer existed; `numbers` has at least one layer of ghost cells.
+/// `seam_width`: of last cells along periodic axes.
+RowKinds kinds_without_finer(Level const& level, Box const& box, ArrayOnBox<GlobalIndex> const& numbers,
                              Real3 const& seam_width = {1, 1, 1});
 
-/// Kinds of the rows of the composite operator; `covered` reaches at least one cell beyond the box.
-RowKinds composite_kinds(RowKinds kinds, Window<char> const& covered);
+/// Kinds of the rows of the composite operator; `covered` has at least one layer of ghost cells.
+RowKinds composite_kinds(RowKinds kinds, ArrayOnBox<char> const& covered);
 
 /// Call `f(kind, first cell, run of rows)` for the longest runs of equal kind along x.
 template <class F>
@@ -35,27 +35,27 @@ void for_each_run(RowKinds const& kinds, LocalIndex first_row, F&& f) {
       for (int i = box.lower[0]; i <= box.upper[0];) {
         LocalIndex n = 1;
         while (i + n <= box.upper[0] && kind[n] == kind[0]) ++n;
-        f(kind[0], Index3{i, j, k}, Run{row, n});
+        f(kind[0], Index3{i, j, k}, RowRun{row, n});
         kind += n, row += n, i += n;
       }
 }
 
 /// Call `f(cell, row)` for each cell of a run.
 template <class F>
-void for_each_in_run(Index3 cell, Run const& run, F&& f) {
+void for_each_in_run(Index3 cell, RowRun const& run, F&& f) {
   for (LocalIndex n = 0; n < run.count; ++n, ++cell[0]) f(cell, run.row + n);
 }
 
 /// Append the numbers of the neighbours of a box's cells that other ranks own.
 void append_remote_neighbours(Level const& level, Box const& box, std::vector<GlobalIndex>& out);
 
-/// Writes regular rows of a box; `places` of its level's cells reach one cell beyond it.
+/// Writes regular rows of a box; `places` of its level's cells have one layer of ghost cells.
 class RegularRows {
  public:
   static constexpr std::size_t laplacian_terms = 7, gradient_terms = 2;
 
   /// `shift`: of the Equation.
-  RegularRows(Real3 const& spacing, Real shift, Window<LocalIndex> const& places);
+  RegularRows(Real3 const& spacing, Real shift, ArrayOnBox<LocalIndex> const& places);
 
   /// The Laplacian: the diagonal, then the neighbours.
   void laplacian(Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
@@ -64,7 +64,7 @@ class RegularRows {
   void gradient(int axis, Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
 
  private:
-  Window<LocalIndex> const& places_;
+  ArrayOnBox<LocalIndex> const& places_;
   std::array<std::ptrdiff_t, 3> stride_;
   std::array<Real, laplacian_terms> laplacian_;
   std::array<std::array<Real, gradient_terms>, 3> gradient_;

@@ -6,8 +6,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "mesh/array_on_box.hpp"
 #include "mesh/exchange.hpp"
-#include "mesh/window.hpp"
 #include "operators/crs.hpp"
 #include "stencil/linear_form.hpp"
 
@@ -25,7 +25,7 @@ inline void repeat(Real const* terms, std::size_t count, LocalIndex rows, Real* 
 }
 
 /// Rows of cells next to each other along x.
-struct Run {
+struct RowRun {
   LocalIndex row, count;
 };
 
@@ -48,7 +48,7 @@ class CrsBuilder {
     }
   }
   /// Runs come in ascending order.
-  void put_run(Run const& run, std::size_t length) {
+  void put_run(RowRun const& run, std::size_t length) {
     runs_.push_back(run);
     std::fill_n(crs_.row_start.begin() + run.row + 1, run.count, length);
   }
@@ -94,8 +94,8 @@ class CrsBuilder {
  private:
   Level const* columns_;
   Crs crs_;
-  std::vector<Run> runs_;
-  std::vector<Run> single_;          ///< row and its number of terms
+  std::vector<RowRun> runs_;
+  std::vector<RowRun> single_;       ///< row and its number of terms
   std::vector<GlobalIndex> column_;  ///< of the single rows' terms
   std::vector<Real> value_;
   std::size_t next_ = 0;

@@ -12,11 +12,11 @@ namespace {
 
 using Faces = std::array<std::array<Boundary, 2>, 3>;
 
-/// Cells of a refinement level as a copy with `size` of them per cell along each axis sees them. Corrections vanish at
-/// the centres of the coarser level's cells around the level, one of its own cells beyond its faces, and at walls.
-class Cells {
+/// Which cells a copy of a refinement level has, with `size` of the level's per cell along each axis. Corrections
+/// vanish at walls and one of the level's own cells outside its faces, at the centres of the coarser level's cells.
+class CopyCells {
  public:
-  Cells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
+  CopyCells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
       : level_(std::move(level)), boundary_(boundary), size_(size), domain_(domain) {
     for (int d = 0; d < 3; ++d) {
       whole_[d] = size[d] > 1 && domain.extent(d) == 1 && is_closed(boundary[d]);
@@ -84,7 +84,7 @@ class Cells {
     return out;
   }
 
-  /// A box of the level, and the cells around it before which corrections do not vanish.
+  /// A box of the level grown to where corrections vanish.
   Box reached(Box const& box) const {
     Box out = box.grow(reach_);
     for (int d = 0; d < 3; ++d) {
@@ -170,24 +170,24 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
     one_for_all = one_for_all || (axis.cells == 1 && is_closed(boundary[d]));
     periodic[d] = periodic[d] && axis.cells > 1;
   }
-  auto const cells = std::make_shared<Cells const>(level, boundary, size, domain);
-  out.beyond = [cells, size](Index3 const& cell, int axis, int side) -> WallGhost {
+  auto const cells = std::make_shared<CopyCells const>(level, boundary, size, domain);
+  out.ghost = [cells, size](Index3 const& cell, int axis, int side) -> WallGhost {
     if (size[axis] == 1) return {interface_ghost::first, interface_ghost::second, 0};
     return {ghost_that_vanishes(cells->distance(cell, axis, side)), 0, 0};
   };
-  out.prolonged = [beyond = out.beyond, wall_factor, domain, periodic](Index3 const& cell, int axis, int side) {
+  out.prolonged = [ghost = out.ghost, wall_factor, domain, periodic](Index3 const& cell, int axis, int side) {
     bool const at_wall = !periodic[axis] && cell[axis] == (side == 0 ? domain.lower[axis] : domain.upper[axis]);
-    return at_wall ? wall_factor[axis][side] : beyond(cell, axis, side).first;
+    return at_wall ? wall_factor[axis][side] : ghost(cell, axis, side).first;
   };
-  Shared shared;
-  if (!one_for_all) shared = halved(*above.level, ratio, domain);
-  if (shared.boxes.empty()) {
+  DistributedBoxes distributed;
+  if (!one_for_all) distributed = halved(*above.level, ratio, domain);
+  if (distributed.boxes.empty()) {
     for (Box const& box : cells->kept())
-      for (Box const& piece : cut(box, max_grid_size, 1)) shared.boxes.push_back(piece);
-    shared.first = share_along_curve(shared.boxes, above.level->ranks(), above.level->ranks());
+      for (Box const& piece : cut(box, max_grid_size, 1)) distributed.boxes.push_back(piece);
+    distributed.first = distribute_along_curve(distributed.boxes, above.level->ranks(), above.level->ranks());
   }
-  out.level = std::make_shared<Level const>(domain, periodic, spacing, std::move(shared.boxes), std::move(shared.first),
-                                            above.level->rank());
+  out.level = std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
+                                            std::move(distributed.first), above.level->rank());
   return out;
 }
 

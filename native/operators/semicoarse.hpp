@@ -44,7 +44,8 @@ struct Sweeps {
 inline int beside_local_cycle(int sweeps) { return (sweeps + 1) / 2; }
 
 /// Sweeps on copies, of those that the options name; after their corrections the level itself takes as many. Copies
-/// need some on either side, whatever the cycle around them does, and one more before for what the level is spared.
+/// need some on either side, whatever the whole cycle does, and one more before in place of those that the level does
+/// not take.
 inline Sweeps sweeps_of_copies(Sweeps const& chosen) { return {chosen.before + 1, std::max(1, chosen.after)}; }
 
 /// A copy of a refinement level with fewer cells along the axes of small spacing, on which corrections that are smooth
@@ -56,8 +57,8 @@ struct LevelCopy {
   std::array<UpperEnd, 3> upper;
   std::array<LastChildren, 3> children;  ///< what last cells above weigh in the means
 
-  /// The ghost where the copy ends inside the domain: cell, axis, side.
-  std::function<WallGhost(Index3 const&, int, int)> beyond;
+  /// The ghost cell where the copy ends inside the domain: cell, axis, side.
+  std::function<WallGhost(Index3 const&, int, int)> ghost;
   /// Factor of the last cell in the ghost that prolongation reads, at walls too.
   std::function<Real(Index3 const&, int, int)> prolonged;
 };

@@ -73,7 +73,7 @@ inline Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(MPI_Comm comm, Crs const&
   return tpetra_matrix(crs, range, column_map(comm, columns), row_map(comm, columns), range);
 }
 
-/// Copy values into a vector's local part, and out of it; values beyond it are left alone.
+/// Copy values into a vector's local part, and out of it; further values are left alone.
 inline void copy_in(std::vector<Real> const& values, TpetraTypes::MultiVector& vector) {
   auto const view = vector.getLocalViewHost(Tpetra::Access::OverwriteAll);
   for (std::size_t i = 0; i < view.extent(0); ++i) view(i, 0) = values[i];

@@ -11,10 +11,10 @@ namespace amrpic {
 /// A block of at least so many bytes, starting on a cache line, with whatever it holds. Throws std::bad_alloc.
 void* take_block(std::size_t bytes);
 
-/// Give back what `take_block` gave: kept for the next taker, unless more lies idle than the run can use.
+/// Give back what `take_block` gave: kept to be taken again, unless more lies idle than the run can use.
 void give_block(void* block) noexcept;
 
-/// Bytes that are kept for the next taker.
+/// Bytes that are kept to be taken again.
 std::size_t idle_bytes();
 
 /// Values that are needed for a while, not set.

@@ -14,9 +14,9 @@ Index3 ancestor(Index3 const& cell, int levels) {
 }
 
 /// 1 for the cells of `region` that have an uncovered cell among their 26 neighbours inside the domain.
-Window<char> beside_uncovered(Level const& level, Level const& finer, Box const& region) {
+ArrayOnBox<char> beside_uncovered(Level const& level, Level const& finer, Box const& region) {
   auto const covered = covered_cells(finer, refinement_ratio, region.grow(1));
-  Window<char> out(region, 0);
+  ArrayOnBox<char> out(region, 0);
   for_each_cell(region, [&](Index3 const& cell) {
     for_each_cell(Box{cell, cell}.grow(1), [&](Index3 const& other) {
       if (!covered(fold_at_walls(other, level))) out(cell) = 1;
@@ -26,28 +26,28 @@ Window<char> beside_uncovered(Level const& level, Level const& finer, Box const&
 }
 
 /// Mark the buffer cells of box b of level l; true if there are any.
-bool mark(Hierarchy const& hierarchy, int l, int b, Window<char>& rise) {
+bool mark(Hierarchy const& hierarchy, int l, int b, ArrayOnBox<char>& depth) {
   Box region = hierarchy.level(l).box(b);
-  rise = Window<char>(region.coarsen(refinement_ratio), 0);
+  depth = ArrayOnBox<char>(region.coarsen(refinement_ratio), 0);
   bool any = true;
   for (int r = 1; r <= l && any; ++r) {
     region = region.coarsen(refinement_ratio);
     auto const edge = beside_uncovered(hierarchy.level(l - r), hierarchy.level(l - r + 1), region);
     any = false;
-    for_each_cell(rise.box(), [&](Index3 const& parent) {
-      if (rise(parent) == r - 1 && edge(ancestor(parent, r - 1))) rise(parent) = char(r), any = true;
+    for_each_cell(depth.box(), [&](Index3 const& parent) {
+      if (depth(parent) == r - 1 && edge(ancestor(parent, r - 1))) depth(parent) = char(r), any = true;
     });
   }
-  auto const& values = rise.values();
+  auto const& values = depth.values();
   return std::any_of(values.begin(), values.end(), [](char r) { return r > 0; });
 }
 
 /// Numbers of the cells of level l - r that clouds r levels coarser touch, in the box grown by the reach; `no_cell`
 /// where none does. What overhangs a wall is folded onto the wall cell.
-std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, Window<char> const& rise, int r) {
-  Window<char> wanted(box.grow(tile_reach), 0);
-  for_each_cell(rise.box(), [&](Index3 const& parent) {
-    if (rise(parent) != r) return;
+std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, ArrayOnBox<char> const& depth, int r) {
+  ArrayOnBox<char> wanted(box.grow(tile_reach), 0);
+  for_each_cell(depth.box(), [&](Index3 const& parent) {
+    if (depth(parent) != r) return;
     Index3 const at = ancestor(parent, r - 1);
     for_each_cell(Box{at, at}.grow(tile_reach), [&](Index3 const& cell) { wanted(cell) = 1; });
   });
@@ -72,13 +72,13 @@ BufferZone::BufferZone(Hierarchy const& hierarchy) {
     for (int b = hierarchy.level(l).first_local_box(); b < hierarchy.level(l).last_local_box(); ++b) {
       BoxBuffer& buffer = boxes_.emplace_back();
       numbers.emplace_back();
-      if (l == 0 || !mark(hierarchy, l, b, buffer.rise)) continue;
-      auto const& rises = buffer.rise.values();
+      if (l == 0 || !mark(hierarchy, l, b, buffer.depth)) continue;
+      auto const& depths = buffer.depth.values();
       Box box = hierarchy.level(l).box(b);
-      for (int r = 1; r <= *std::max_element(rises.begin(), rises.end()); ++r) {
+      for (int r = 1; r <= *std::max_element(depths.begin(), depths.end()); ++r) {
         box = box.coarsen(refinement_ratio);
         buffer.coarse.push_back({l - r, box, {}});
-        numbers.back().push_back(touched(hierarchy.level(l - r), box, buffer.rise, r));
+        numbers.back().push_back(touched(hierarchy.level(l - r), box, buffer.depth, r));
         read[l - r].insert(read[l - r].end(), numbers.back().back().begin(), numbers.back().back().end());
       }
     }

@@ -1,8 +1,8 @@
 #pragma once
 
+#include "mesh/array_on_box.hpp"
 #include "mesh/exchange.hpp"
 #include "mesh/hierarchy.hpp"
-#include "mesh/window.hpp"
 #include "particle/geometry.hpp"
 
 namespace amrpic {
@@ -10,7 +10,7 @@ namespace amrpic {
 /// The cells of a coarser level that the clouds of one box's buffer particles touch.
 struct CoarseCells {
   int level;
-  Box box;  ///< the box coarsened to that level; clouds reach `tile_reach` cells beyond it
+  Box box;  ///< the box coarsened to that level; clouds reach `tile_reach` cells further
   /// For each cell of `box` grown by the reach: its place in [own | ghosts] of the level, -1: not touched.
   std::vector<LocalIndex> place;
 };
@@ -18,10 +18,10 @@ struct CoarseCells {
 /// One box of this rank in the matched treatment of coarse-fine faces.
 struct BoxBuffer {
   /// For each parent of the box's cells: how many levels coarser than the box the clouds of its particles are.
-  Window<char> rise{Box{}, 0};
+  ArrayOnBox<char> depth{Box{}, 0};
   std::vector<CoarseCells> coarse;  ///< coarse[r - 1] for the clouds that are r levels coarser; empty: none are
 
-  int rise_of(Index3 const& cell) const { return rise(cell_parent(cell)); }
+  int depth_of(Index3 const& cell) const { return depth(cell_parent(cell)); }
 };
 
 /// Where particles of a refined level lie so close to its edge that they deposit and gather with the cloud of the next
@@ -29,8 +29,8 @@ struct BoxBuffer {
 ///
 /// The buffer is one coarse cell deep: a particle lies in it if the parent of its cell has an unrefined cell among its
 /// 26 neighbours, which is to say that its distance to the unrefined region, the largest along the three axes, is below
-/// two fine cells. So all particles of a cell are treated alike. Walls are no edge, periodic faces are passed through.
-/// If the parent lies itself in the buffer of its level, the cloud is coarser still.
+/// two fine cells. So all particles of a cell are treated equally. Walls are no edge, periodic faces are passed
+/// through. If the parent lies itself in the buffer of its level, the cloud is coarser still.
 class BufferZone {
  public:
   /// Collective.

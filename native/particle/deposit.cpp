@@ -11,19 +11,20 @@ namespace amrpic {
 
 namespace {
 
-/// Own cells of a level and the ghosts beyond them, kept apart.
-struct Cells {
+/// Own cells of a level and the halo, stored apart.
+struct ChargeCells {
   Real* own;
-  Real* ghosts;
+  Real* halo;
   LocalIndex owned;
-  Real& operator[](LocalIndex place) const { return place < owned ? own[place] : ghosts[place - owned]; }
+  Real& operator[](LocalIndex place) const { return place < owned ? own[place] : halo[place - owned]; }
 };
 
 /// Cells along x that are added to at once.
 typedef Real TwoCells __attribute__((vector_size(16)));
 typedef Real FourCells __attribute__((vector_size(32)));
 
-/// Sums of charge in and around a slab. All are zero before clouds are added, and again after all were taken out.
+/// Sums of charge in a slab and its ghost cells. All are zero before clouds are added, and again after all were taken
+/// out.
 struct ChargeTile : Tile<1> {
   /// Take the place of the box that follows along z, after all planes but those that both have were taken out.
   void follow(Box const& next) {
@@ -50,21 +51,21 @@ struct ChargeTile : Tile<1> {
 };
 
 /// The clouds of a block of particles: where they start in a tile, for each row of cells its charge, and particle by
-/// particle the shares of the cells along a row.
+/// particle the weights of the cells along a row.
 template <int width>
 struct CloudBlock {
   static constexpr int row = width == 3 ? 4 : 2;  ///< cells; nothing is added to the last one of four
   using Row = std::conditional_t<width == 3, FourCells, TwoCells>;
   alignas(64) LocalIndex corner[block_size];
-  alignas(64) Real row_share[width * width][block_size];
-  alignas(64) Real x_share[block_size * row];
+  alignas(64) Real row_weight[width * width][block_size];
+  alignas(64) Real x_weight[block_size * row];
 
-  void put_x_shares(int i, std::array<Lanes, width> const& share) {
-    Real* const out = x_share + row * i;
+  void put_x_weights(int i, std::array<Lanes, width> const& weight) {
+    Real* const out = x_weight + row * i;
     if constexpr (width == 3) {
-      interleave(share[0], share[1], share[2], out);
+      interleave(weight[0], weight[1], weight[2], out);
     } else {
-      auto const pairs = interleaved(share[0], width > 1 ? share[width - 1] : Lanes{});
+      auto const pairs = interleaved(weight[0], width > 1 ? weight[width - 1] : Lanes{});
       for (int n = 0; n < 2; ++n) store(out + lane_count * n, pairs[std::size_t(n)]);
     }
   }
@@ -78,11 +79,11 @@ void add(CloudBlock<width> const& clouds, LaneBlock const& block, ChargeTile& ti
   Real* const origin = tile.values() + tile.box_corner();
   auto const add_one = [&](int i) {
     Real* const corner = origin + clouds.corner[i];
-    Row const shares = load<Row>(clouds.x_share + clouds.row * i);
+    Row const weights = load<Row>(clouds.x_weight + clouds.row * i);
     for (int k = 0; k < width; ++k)
       for (int j = 0; j < width; ++j) {
         Real* const cells = corner + j * stride_y + k * stride_z;
-        store(cells, load<Row>(cells) + clouds.row_share[width * k + j][i] * shares);
+        store(cells, load<Row>(cells) + clouds.row_weight[width * k + j][i] * weights);
       }
   };
   if (block.whole())
@@ -107,8 +108,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
       store(clouds.corner + i, to_index(x.first + stride_y * y.first + stride_z * z.first));
       Lanes const weight = load(particles.weight, particles.equal_weights, group);
       for (int k = 0; k < width; ++k)
-        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, weight * z.weight[k] * y.weight[j]);
-      clouds.put_x_shares(i, x.weight);
+        for (int j = 0; j < width; ++j) store(clouds.row_weight[width * k + j] + i, weight * z.weight[k] * y.weight[j]);
+      clouds.put_x_weights(i, x.weight);
     });
     all_in &= in;
     add(clouds, block, tile);
@@ -116,12 +117,13 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
   frame.require_inside(all_in, particles, chosen);
 }
 
-/// Moves the tiles of one box's slabs into the density: the interior to the box, whose cells are set, and the shell
-/// first to memory of its own, then, when all boxes are set, to whatever cells surround the box.
-class Taker {
+/// Moves the tiles of one box's slabs into the density. It sets the box's cells; ghost cells it collects, and adds them
+/// to the density when all boxes are set.
+class BoxSums {
  public:
-  /// `shell` has room for the sums of the shell's cells.
-  Taker(Level const& level, Surroundings const& at, Real charge, Cells const& cells, Cells const& coarse, Real* shell)
+  /// `ghosts` has room for the sums of the ghost cells.
+  BoxSums(Level const& level, BoxGhosts const& at, Real charge, ChargeCells const& cells, ChargeCells const& coarse,
+          Real* ghosts)
       : at_(at),
         level_(level),
         box_(level.box(at.box)),
@@ -129,28 +131,28 @@ class Taker {
         cells_(cells),
         coarse_(coarse),
         own_(cells.own + level.local_offset(at.box)),
-        shell_(shell) {}
+        ghost_sums_(ghosts) {}
 
   /// Take planes [first, last] out of the tile; each plane once.
   void take(int first, int last, ChargeTile& tile) const {
     for (int k = first; k <= last; ++k) {
       if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior(k, tile);
-      Real* out = shell_ + shell_cells_below(box_, k);
-      for_each_shell_row(box_, k, [&](int from, int to, int j) {
+      Real* out = ghost_sums_ + ghost_cells_below(box_, k);
+      for_each_ghost_row(box_, k, [&](int from, int to, int j) {
         tile.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { store(out + n, sums); });
         out += to - from + 1;
       });
     }
   }
 
-  /// Add the shell to the cells around the box.
-  void give() const {
-    for (ShellRun const& run : at_.shell.runs()) {
-      Real const* const sums = shell_ + run.number;
+  /// Add the ghost cells to the cells that they stand for.
+  void add_ghosts() const {
+    for (GhostRun const& run : at_.ghosts.runs()) {
+      Real const* const sums = ghost_sums_ + run.number;
       if (run.place < 0)
-        give_to_coarser(run, sums);
+        add_to_coarser(run, sums);
       else
-        give(run, sums, &cells_[run.place]);
+        add(run, sums, &cells_[run.place]);
     }
   }
 
@@ -165,7 +167,7 @@ class Taker {
     }
   }
 
-  void give(ShellRun const& run, Real const* sums, Real* out) const {
+  void add(GhostRun const& run, Real const* sums, Real* out) const {
     LocalIndex n = 0;
     if (run.place_stride == 1 && run.number_stride == 1)
       for (; n + lane_count <= run.count; n += lane_count)
@@ -174,7 +176,7 @@ class Taker {
   }
 
   /// A cell that the level lacks lies in one of the coarser level, of eight times its volume.
-  void give_to_coarser(ShellRun const& run, Real const* sums) const {
+  void add_to_coarser(GhostRun const& run, Real const* sums) const {
     for (LocalIndex n = 0; n < run.count; ++n)
       if (Real const sum = sums[n * run.number_stride]; sum != 0) {
         Index3 const parent = cell_parent(fold_at_walls(run.cell(n), level_));
@@ -182,30 +184,30 @@ class Taker {
       }
   }
 
-  Surroundings const& at_;
+  BoxGhosts const& at_;
   Level const& level_;
   Box box_;
   Real per_cell_;
-  Cells cells_, coarse_;
-  Real *own_, *shell_;
+  ChargeCells cells_, coarse_;
+  Real *own_, *ghost_sums_;
 };
 
-/// Zero the cells of boxes that hold no particle, and return how many cells surround the others.
+/// Zero the cells of boxes that hold no particle, and return how many ghost cells the others have.
 std::size_t clear_empty_boxes(ParticleMesh const& mesh, std::int64_t const* starts, Field& density) {
-  std::size_t shells = 0;
+  std::size_t ghosts = 0;
   for (std::size_t s = 0; s < mesh.boxes().size(); ++s) {
-    Surroundings const& at = mesh.boxes()[s];
+    BoxGhosts const& at = mesh.boxes()[s];
     Level const& level = mesh.hierarchy().level(at.level);
     if (starts[s] < starts[s + 1])
-      shells += at.shell.cells();
+      ghosts += at.ghosts.cells();
     else
       std::fill_n(density.level(at.level).data() + level.local_offset(at.box), level.box(at.box).cells(), Real(0));
   }
-  return shells;
+  return ghosts;
 }
 
 /// Move the tile of coarse clouds into the density of its level.
-void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cells const& cells) {
+void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, ChargeCells const& cells) {
   Box const box = at.box.grow(tile_reach);
   LocalIndex const* place = at.place.data();
   for_each_cell(box, [&](Index3 const& cell) {
@@ -217,18 +219,18 @@ void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cel
   });
 }
 
-/// Charge of this rank's particles on the cells of a level, and on ghosts that are to be given to their owners.
+/// Charge of this rank's particles on the cells of a level, and on the halo, which goes to its owners.
 class Layer {
  public:
   Layer(Exchange const& exchange, LargeArray<Real>& own)
-      : exchange_(&exchange), own_(own.data()), ghosts_(std::size_t(exchange.ghosts()), Real(0)) {}
-  Cells cells() { return {own_, ghosts_.data(), exchange_->owned()}; }
-  void fold() const { exchange_->fold({own_}, {ghosts_.data()}); }
+      : exchange_(&exchange), own_(own.data()), halo_(std::size_t(exchange.ghosts()), Real(0)) {}
+  ChargeCells cells() { return {own_, halo_.data(), exchange_->owned()}; }
+  void fold() const { exchange_->fold({own_}, {halo_.data()}); }
 
  private:
   Exchange const* exchange_;
   Real* own_;
-  std::vector<Real> ghosts_;
+  std::vector<Real> halo_;
 };
 
 }  // namespace
@@ -243,34 +245,34 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     if (zone) coarse.emplace_back(zone->exchange(l), density.level(l));
   }
 
-  Scratch<Real> const shells(clear_empty_boxes(mesh, starts, density));
-  Real* shell = shells.data();
-  std::vector<Taker> takers;
+  Scratch<Real> const ghost_sums(clear_empty_boxes(mesh, starts, density));
+  Real* ghosts = ghost_sums.data();
+  std::vector<BoxSums> box_sums;
   std::vector<ChargeTile> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
-    Surroundings const& at = mesh.boxes()[slot];
+    BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
     Box const& box = level.box(at.box);
-    std::size_t const rises = buffer ? buffer->coarse.size() : 0;
-    for (std::size_t r = 1; r <= rises; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
-    takers.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), shell);
-    shell += at.shell.cells();
+    std::size_t const depths = buffer ? buffer->coarse.size() : 0;
+    for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
+    box_sums.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), ghosts);
+    ghosts += at.ghosts.cells();
     for_each_slab(mesh, at, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
       slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-      for_each_rise(
-          mesh, at, slab, buffer, particles, from, to, [&](int rise, TileFrame const& frame, Chosen const& chosen) {
-            with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[rise]); });
+      for_each_coarsening_depth(
+          mesh, at, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+            with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]); });
           });
       bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
-      takers.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
+      box_sums.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
     });
-    for (std::size_t r = 1; r <= rises; ++r) {
+    for (std::size_t r = 1; r <= depths; ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());
     }
   });
-  for (Taker const& taker : takers) taker.give();
+  for (BoxSums const& sums : box_sums) sums.add_ghosts();
   for (Layer const& layer : own) layer.fold();
   for (Layer const& layer : coarse) layer.fold();
 

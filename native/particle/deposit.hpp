@@ -11,7 +11,7 @@ namespace amrpic {
 /// Collective.
 ///
 /// `charge` is that of one real particle. Particles are sorted by slot: those of slot s are starts[s] to starts[s + 1].
-/// Where a cloud leaves its level, the coarser cell there takes the share; the share of a covered cell is dealt out
+/// Where a cloud leaves its level, the coarser cell there takes that part; the part of a covered cell is distributed
 /// equally to its children; what overhangs a wall is folded onto the wall cell. So the total charge is kept to
 /// rounding. Throws std::out_of_range, on all ranks, if a particle lies outside the box it is sorted into.
 void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& particles, std::int64_t const* starts,

@@ -10,41 +10,41 @@ namespace {
 
 /// Three components per cell of a tile and one of padding, so that a cell fills a vector register.
 constexpr int lanes = 4;
-constexpr int rim_width = ElectricField::rim_width;  ///< numbers per cell of a rim
+constexpr int components = ElectricField::components_per_cell;  ///< numbers per boundary cell
 typedef Real Cell __attribute__((vector_size(8 * lanes)));
 
-/// The field at the rims of a level: those of this rank, and ghosts.
-struct RimCells {
+/// The field in the boundary cells of a level: own ones, and those of other ranks.
+struct BoundaryField {
   Real const* own;
   std::vector<Real> ghosts;
   LocalIndex owned;
 
   Real const* at(LocalIndex place) const {
-    return place < owned ? own + std::ptrdiff_t(rim_width) * place
-                         : ghosts.data() + std::ptrdiff_t(rim_width) * (place - owned);
+    return place < owned ? own + std::ptrdiff_t(components) * place
+                         : ghosts.data() + std::ptrdiff_t(components) * (place - owned);
   }
   /// Ask for `count` of them to be brought near.
   void bring_near(LocalIndex place, LocalIndex count) const {
     constexpr int line = 8;
-    for (LocalIndex n = 0; n < rim_width * count; n += line) amrpic::bring_near(at(place) + n);
+    for (LocalIndex n = 0; n < components * count; n += line) amrpic::bring_near(at(place) + n);
   }
   /// Write `count` of them, `stride` cells apart, to places `out_stride` numbers apart.
   void write(LocalIndex place, std::ptrdiff_t stride, LocalIndex count, Real* out, std::ptrdiff_t out_stride) const {
     Real const* from = at(place);
-    for (LocalIndex n = 0; n < count; ++n, from += rim_width * stride, out += out_stride) store(out, load<Cell>(from));
+    for (LocalIndex n = 0; n < count; ++n, from += components * stride, out += out_stride) store(out, load<Cell>(from));
   }
 };
 
-RimCells with_ghosts(ElectricField const& field, int level, Exchange const& exchange) {
-  RimCells out{field.at_rim(level), std::vector<Real>(rim_width * std::size_t(exchange.ghosts()) + 1),
-               exchange.owned()};
+BoundaryField with_ghosts(ElectricField const& field, int level, Exchange const& exchange) {
+  BoundaryField out{field.at_boundary(level), std::vector<Real>(components * std::size_t(exchange.ghosts()) + 1),
+                    exchange.owned()};
   std::vector<Real const*> own;
   std::vector<Real*> ghosts;
   for (int c = 0; c < 3; ++c) {
     own.push_back(out.own + c);
     ghosts.push_back(out.ghosts.data() + c);
   }
-  exchange.update(own, ghosts, rim_width);
+  exchange.update(own, ghosts, components);
   return out;
 }
 
@@ -55,7 +55,7 @@ void difference_row(Real const* phi, std::ptrdiff_t y, std::ptrdiff_t z, Real3 c
   };
   int const whole = count / lane_count * lane_count;
   for (int i = 0; i < whole; i += lane_count) {
-    bring_near(phi + i + z + page<Real>);  // harmless beyond the end
+    bring_near(phi + i + z + page<Real>);  // harmless past the end
     auto const eight = [](Real const* from) { return load<Lanes>(from); };
     interleave(between(eight, i, 0, 1), between(eight, i, 1, y), between(eight, i, 2, z), out + lanes * i);
   }
@@ -73,7 +73,7 @@ void interleave_row(std::array<Real const*, 3> const& from, int count, Real* out
 
 /// Trilinear value of the coarser level at the centre of `cell`, which lies inside the domain.
 void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex> const& places, Level const& coarser,
-                 RimCells const& coarse, Real* out) {
+                 BoundaryField const& coarse, Real* out) {
   Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
   for (int c = 0; c < 3; ++c) out[c] = 0;
   for (int corner = 0; corner < 8; ++corner) {
@@ -89,20 +89,20 @@ void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex>
   }
 }
 
-/// Brings the field in and around one box into tiles of its slabs, plane by plane.
+/// Brings the field of one box and its ghost cells into tiles of its slabs, plane by plane.
 class Filler {
  public:
-  /// `rims`: the field there, level by level.
-  Filler(ElectricField const& field, Surroundings const& at, RimPlaces::Around const& around,
-         std::vector<RimCells> const& rims)
+  /// `fields`: in the boundary cells, level by level.
+  Filler(ElectricField const& field, BoxGhosts const& at, BoundaryPlaces::GhostPlaces const& ghosts,
+         std::vector<BoundaryField> const& fields)
       : field_(field),
         at_(at),
-        around_(around),
+        ghosts_(ghosts),
         level_(field.hierarchy().level(at.level)),
         coarser_(field.hierarchy().level(std::max(0, at.level - 1))),
         box_(level_.box(at.box)),
-        rim_(rims[at.level]),
-        coarse_(rims[std::max(0, at.level - 1)]) {}
+        boundary_(fields[at.level]),
+        coarse_(fields[std::max(0, at.level - 1)]) {}
 
   /// Fill the tile of a slab. The tile may be that of the slab before, if that one `precedes`.
   void fill(Box const& slab, bool precedes, Tile<lanes>& tile) const {
@@ -118,13 +118,13 @@ class Filler {
 
  private:
   void fill_plane(int k, Tile<lanes>& tile) const {
-    bring_rims_near(k + 1);
-    around_.shell.for_each_run(k, [&](ShellRun const& run) {
+    bring_boundary_near(k + 1);
+    ghosts_.cells.for_each_run(k, [&](GhostRun const& run) {
       Real* const out = tile.row(run.first[0], run.first[1], k);
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
-      if (run.place >= 0) return rim_.write(run.place, run.place_stride, run.count, out, stride);
+      if (run.place >= 0) return boundary_.write(run.place, run.place_stride, run.count, out, stride);
       for (LocalIndex n = 0; n < run.count; ++n)
-        interpolate(fold_at_walls(run.cell(n), level_), at_.parents, around_.coarse, coarser_, coarse_,
+        interpolate(fold_at_walls(run.cell(n), level_), at_.parents, ghosts_.coarse, coarser_, coarse_,
                     out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;
@@ -134,34 +134,34 @@ class Filler {
       fill_by_components(k, tile);
   }
 
-  /// Those in plane k: rows and columns here and there in memory, which processors do not foresee.
-  void bring_rims_near(int k) const {
+  /// The ones of plane k: rows and columns here and there in memory, which processors do not foresee.
+  void bring_boundary_near(int k) const {
     if (k > box_.upper[2] + tile_reach) return;
-    around_.shell.for_each_run(k, [&](ShellRun const& run) {
-      if (run.place >= 0 && run.place_stride == 1) rim_.bring_near(run.place, run.count);
+    ghosts_.cells.for_each_run(k, [&](GhostRun const& run) {
+      if (run.place >= 0 && run.place_stride == 1) boundary_.bring_near(run.place, run.count);
     });
     if (field_.potential() && k >= box_.lower[2] && k <= box_.upper[2])
-      for_each_own_rim(k, [&](Rim::Run const& run) { rim_.bring_near(run.number, run.count); });
+      for_each_own_run(k, [&](BoundaryCells::CellRun const& run) { boundary_.bring_near(run.number, run.count); });
   }
 
-  /// Call f(run) for the rim of the box in plane k.
+  /// Call f(run) for the boundary cells of the box in plane k.
   template <class F>
-  void for_each_own_rim(int k, F&& f) const {
-    field_.rim(at_.level).for_each_run(at_.box - level_.first_local_box(), k - box_.lower[2], f);
+  void for_each_own_run(int k, F&& f) const {
+    field_.boundary(at_.level).for_each_run(at_.box - level_.first_local_box(), k - box_.lower[2], f);
   }
 
-  /// The box's own cells in plane k: what lies inside first, with what is left of it at the ends of rows.
+  /// The box's own cells in plane k: the inner ones first, with what rows leave at their ends.
   void fill_by_potential(int k, Tile<lanes>& tile) const {
     int const b = at_.box - level_.first_local_box(), nx = box_.extent(0), plane = nx * box_.extent(1);
-    if (!field_.rim(at_.level).is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
+    if (!field_.boundary(at_.level).is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
       Real const* const phi = field_.potential()->level(at_.level).data() + level_.local_offset(at_.box);
       for (int j = box_.lower[1] + 1; j < box_.upper[1]; ++j)
         difference_row(phi + box_.offset({box_.lower[0], j, k}), nx, plane, field_.factor(at_.level), nx,
                        tile.row(box_.lower[0], j, k));
     }
-    for_each_own_rim(k, [&](Rim::Run const& run) {
+    for_each_own_run(k, [&](BoundaryCells::CellRun const& run) {
       Real* const out = tile.row(box_.lower[0] + run.i, box_.lower[1] + run.j, k);
-      rim_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
+      boundary_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
     });
   }
 
@@ -177,27 +177,27 @@ class Filler {
   }
 
   ElectricField const& field_;
-  Surroundings const& at_;
-  RimPlaces::Around const& around_;
+  BoxGhosts const& at_;
+  BoundaryPlaces::GhostPlaces const& ghosts_;
   Level const &level_, &coarser_;
   Box box_;
-  RimCells const &rim_, &coarse_;
+  BoundaryField const &boundary_, &coarse_;
 };
 
-void fill_coarse(std::vector<LocalIndex> const& places, RimCells const& rims, Tile<lanes>& tile) {
+void fill_coarse(std::vector<LocalIndex> const& places, BoundaryField const& field, Tile<lanes>& tile) {
   Real* value = tile.values();
   for (LocalIndex place : places) {
-    if (place >= 0) store(value, load<Cell>(rims.at(place)));
+    if (place >= 0) store(value, load<Cell>(field.at(place)));
     value += lanes;
   }
 }
 
-/// Where in a tile the clouds of a block start, and their shares: along x, and the products of those along y and z.
+/// Where in a tile the clouds of a block start, and their weights: along x, and the products of those along y and z.
 template <int width>
 struct CloudBlock {
   alignas(64) LocalIndex corner[block_size];
-  alignas(64) Real row_share[width * width][block_size];
-  alignas(64) Real x_share[width][block_size];
+  alignas(64) Real row_weight[width * width][block_size];
+  alignas(64) Real x_weight[width][block_size];
 };
 
 /// The tile averaged over clouds in y and z: the first two cells along x, side by side, and the third one.
@@ -215,11 +215,11 @@ inline Averages average(Real const* origin, std::ptrdiff_t stride_y, std::ptrdif
   for (int k = 0; k < width; ++k)
     for (int j = 0; j < width; ++j) {
       Real const* const row = corner + j * stride_y + k * stride_z;
-      Real const share = clouds.row_share[width * k + j][i];
+      Real const weight = clouds.row_weight[width * k + j][i];
       bool const first = k == 0 && j == 0;
-      if constexpr (width > 1) out.pair = first ? share * load<Lanes>(row) : out.pair + share * load<Lanes>(row);
+      if constexpr (width > 1) out.pair = first ? weight * load<Lanes>(row) : out.pair + weight * load<Lanes>(row);
       Real const* const end = row + lanes * (width - 1);
-      if constexpr (width % 2) out.last = first ? share * load<Cell>(end) : out.last + share * load<Cell>(end);
+      if constexpr (width % 2) out.last = first ? weight * load<Cell>(end) : out.last + weight * load<Cell>(end);
     }
   return out;
 }
@@ -242,19 +242,19 @@ inline std::array<Components, 2> pairs_of_cells(std::array<Averages, lane_count>
 
 /// The averages of eight particles, averaged in x too.
 template <int width>
-inline Components average_in_x(std::array<Averages, lane_count> const& of, std::array<Lanes, width> const& share) {
+inline Components average_in_x(std::array<Averages, lane_count> const& of, std::array<Lanes, width> const& weight) {
   Components out;
   if constexpr (width > 1) {
     auto const cells = pairs_of_cells(of);
     for (int d = 0; d < 3; ++d) {
-      out[d] = share[0] * cells[0][d];  // by itself, so that compilers agree which product they add without rounding
-      out[d] += share[1] * cells[1][d];
+      out[d] = weight[0] * cells[0][d];  // by itself, so that compilers agree which product they add without rounding
+      out[d] += weight[1] * cells[1][d];
     }
   }
   if constexpr (width == 1) out = last_cells(of);
   if constexpr (width == 3) {
     auto const cells = last_cells(of);
-    for (int d = 0; d < 3; ++d) out[d] += share[2] * cells[d];
+    for (int d = 0; d < 3; ++d) out[d] += weight[2] * cells[d];
   }
   return out;
 }
@@ -279,8 +279,8 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
       store(clouds.corner + i, to_index(lanes * x.first + row_step * y.first + plane_step * z.first));
       for (int k = 0; k < width; ++k)
-        for (int j = 0; j < width; ++j) store(clouds.row_share[width * k + j] + i, z.weight[k] * y.weight[j]);
-      for (int j = 0; j < width; ++j) store(clouds.x_share[j] + i, x.weight[j]);
+        for (int j = 0; j < width; ++j) store(clouds.row_weight[width * k + j] + i, z.weight[k] * y.weight[j]);
+      for (int j = 0; j < width; ++j) store(clouds.x_weight[j] + i, x.weight[j]);
     });
     all_in &= in;
     for_each_group(block, [=, &clouds](LaneGroup const& group) {
@@ -288,9 +288,9 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       std::array<Averages, lane_count> averages;
 #pragma GCC unroll 8
       for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
-      std::array<Lanes, width> x_share;
-      for (int j = 0; j < width; ++j) x_share[j] = load<Lanes>(clouds.x_share[j] + start);
-      use(group, average_in_x<width>(averages, x_share));
+      std::array<Lanes, width> x_weight;
+      for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
+      use(group, average_in_x<width>(averages, x_weight));
     });
   });
   frame.require_inside(all_in, particles, chosen);
@@ -302,8 +302,8 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
                 std::int64_t const* starts, Use const& use) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
-  RimPlaces const& places = mesh.rim_places(clouds.matched);
-  std::vector<RimCells> own, coarse;
+  BoundaryPlaces const& places = mesh.boundary_places(clouds.matched);
+  std::vector<BoundaryField> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     own.push_back(with_ghosts(field, l, places.exchange(l)));
     if (zone) coarse.push_back(with_ghosts(field, l, places.exchange_of_matched(l)));
@@ -311,24 +311,24 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
-    Surroundings const& at = mesh.boxes()[slot];
+    BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       tiles[r].reset(c.box);
-      fill_coarse(places.around(slot).matched[r - 1], coarse[c.level], tiles[r]);
+      fill_coarse(places.ghosts(slot).matched[r - 1], coarse[c.level], tiles[r]);
     }
-    Filler const filler(field, at, places.around(slot), own);
+    Filler const filler(field, at, places.ghosts(slot), own);
     int const planes = planes_per_slab(hierarchy.level(at.level).box(at.box), lanes);
     bool precedes = false;  // whether tiles[0] is that of the slab before
     for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
       if (from < to) filler.fill(slab, precedes, tiles[0]);
       precedes = from < to;
-      for_each_rise(mesh, at, slab, buffer, particles, from, to,
-                    [&](int rise, TileFrame const& frame, Chosen const& chosen) {
-                      with_shape(clouds.shape,
-                                 [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[rise], use); });
-                    });
+      for_each_coarsening_depth(
+          mesh, at, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+            with_shape(clouds.shape,
+                       [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[depth], use); });
+          });
     });
   });
 }

@@ -1,4 +1,4 @@
-// How cells around a box are visited, folded and paired with their parents.
+// How the ghost cells of a box are visited, folded and paired with their parents.
 #pragma once
 
 #include <algorithm>
@@ -7,13 +7,14 @@
 
 namespace amrpic {
 
-/// Cells around a box that the clouds of its particles can touch; cloud shapes of a larger reach need wider nesting.
+/// Layers of ghost cells that the clouds of a box's particles can touch; cloud shapes of a larger reach need wider
+/// nesting.
 constexpr int tile_reach = 1;
 
 /// Call `f(first, last, j)` for each row part in plane k of `box` grown by `tile_reach` that lies outside `box`, x
 /// ascending fastest.
 template <class F>
-void for_each_shell_row(Box const& box, int k, F&& f) {
+void for_each_ghost_row(Box const& box, int k, F&& f) {
   Box const tile = box.grow(tile_reach);
   for (int j = tile.lower[1]; j <= tile.upper[1]; ++j) {
     if (j >= box.lower[1] && j <= box.upper[1] && k >= box.lower[2] && k <= box.upper[2]) {
@@ -27,19 +28,19 @@ void for_each_shell_row(Box const& box, int k, F&& f) {
 
 /// Call `f(first, last, j, k)` for those of all planes, ascending.
 template <class F>
-void for_each_shell_row(Box const& box, F&& f) {
+void for_each_ghost_row(Box const& box, F&& f) {
   for (int k = box.lower[2] - tile_reach; k <= box.upper[2] + tile_reach; ++k)
-    for_each_shell_row(box, k, [&](int first, int last, int j) { f(first, last, j, k); });
+    for_each_ghost_row(box, k, [&](int first, int last, int j) { f(first, last, j, k); });
 }
 
-/// Number of shell cells in the planes below plane k.
-inline std::size_t shell_cells_below(Box const& box, int k) {
+/// Number of ghost cells in the planes below plane k.
+inline std::size_t ghost_cells_below(Box const& box, int k) {
   Box below = box.grow(tile_reach);
   below.upper[2] = k - 1;
   return std::size_t(below.cells() - below.intersect(box).cells());
 }
 
-/// The cell inside the domain that stands for `cell` beyond a wall: the part of a cloud that overhangs a wall is folded
+/// The cell inside the domain that stands for `cell` behind a wall: the part of a cloud that overhangs a wall is folded
 /// onto the wall cell, and the field there is that of the wall cell. Periodic axes are left alone.
 inline Index3 fold_at_walls(Index3 cell, Level const& level) {
   for (int d = 0; d < 3; ++d)

@@ -7,13 +7,13 @@
 
 namespace amrpic {
 
-/// A brick in its level's coordinates, which particles are held against.
+/// A brick in its level's coordinates, to compare particles with.
 struct HomeBrick {
   LevelCoordinates coordinates;
   Real3 lower, upper;
 
   /// Which of eight particles lie in it.
-  WideLanes holds(std::array<Lanes, 3> const& x) const {
+  WideLanes contains(std::array<Lanes, 3> const& x) const {
     WideLanes in = WideLanes{} - 1;
     for (int d = 0; d < 3; ++d) {
       Lanes const s = coordinates.along(d, x[d]);
@@ -44,7 +44,7 @@ class HomeBox {
     return out;
   }
 
-  /// The brick where a point lives; -1 if it lies outside the box, or where a finer box may hold it.
+  /// The brick where a point lives; -1 if it lies outside the box, or where a finer box may contain it.
   int find(Real3 const& x) const {
     Real3 const s = coordinates_(x);
     Index3 cell;
@@ -72,7 +72,7 @@ class HomeBox {
     return out;
   }
 
-  /// Where a point lies as seen from the box: 0 to 26, x fastest; below, in or above its range along each axis.
+  /// On which side of the box a point lies: 0 to 26, x fastest; below, in or above its range along each axis.
   int direction(Real3 const& x) const {
     Real3 const s = coordinates_(x);
     int out = 0;

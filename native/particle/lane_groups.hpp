@@ -25,8 +25,8 @@ inline void bring_near(void const* address) {
   asm volatile("");  // else a function that does nothing but this counts as one without effect, and calls are dropped
 }
 
-/// The values at eight places. One by one: where processors mend the leak of gather instructions, these wait for each
-/// other.
+/// The values at eight places. One by one: where processors work around the leak of gather instructions, these wait for
+/// each other.
 inline Lanes pick(Real const* from, LocalIndex const* n) {
   return Lanes{from[n[0]], from[n[1]], from[n[2]], from[n[3]], from[n[4]], from[n[5]], from[n[6]], from[n[7]]};
 }

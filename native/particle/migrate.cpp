@@ -18,8 +18,8 @@ namespace {
 
 constexpr int tag_particles = 7201;
 
-/// Particles in a row of whom one column is copied after the other: so many that memory is read in long rows, so few
-/// that a column of theirs stays in the second-level cache for those who left.
+/// Particles that are copied one column after the other: so many that memory is read in long rows, so few that a column
+/// of them stays in the second-level cache for those that left.
 constexpr LocalIndex batch_size = 4096;
 
 bool is_finite(Real3 const& v) { return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]); }
@@ -86,26 +86,26 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles)
   first_brick_.push_back(0);
   for (HomeBox const& box : mesh.homes()) first_brick_.push_back(first_brick_.back() + box.bricks());
   next_.assign(std::size_t(first_brick_.back()), 0);
-  next_door_.fill(-1);
-  hold();
+  neighbours_.fill(-1);
+  compare();
   announce();
 }
 
-/// Hold each particle against the brick of its neighbour in memory.
-void Migration::hold() {
+/// Compare each particle with the brick of its neighbour in memory.
+void Migration::compare() {
   LocalIndex const count = LocalIndex(particles_.count), whole = count / lane_count * lane_count;
   for (LocalIndex n = 0; n < whole; n += lane_count) {
     for (int d = 0; d < 3; ++d) bring_near(particles_.position[d] + n + page<Real>);
-    hold({n, all_lanes});
+    compare({n, all_lanes});
   }
-  if (whole < count) hold({whole, all_lanes >> (lane_count - (count - whole))});
+  if (whole < count) compare({whole, all_lanes >> (lane_count - (count - whole))});
   find_leavers();
   end_run(count);
 }
 
-/// Hold a group against the brick at hand, or against that of its last particle.
-inline void Migration::hold(LaneGroup const& group) {
-  unsigned out = outside(at_hand_, group);
+/// Compare a group with the current brick, or with that of its last particle.
+inline void Migration::compare(LaneGroup const& group) {
+  unsigned out = outside(current_brick_, group);
   if (2 * __builtin_popcount(out) > __builtin_popcount(group.lanes)) {
     find_leavers();
     out = begin_run(group, out);
@@ -121,20 +121,20 @@ inline void Migration::hold(LaneGroup const& group) {
 inline unsigned Migration::outside(HomeBrick const& brick, LaneGroup const& group) const {
   std::array<Lanes, 3> x;
   for (int d = 0; d < 3; ++d) x[d] = load(particles_.position[d], group);
-  return ~bits_of(brick.holds(x)) & group.lanes;
+  return ~bits_of(brick.contains(x)) & group.lanes;
 }
 
-/// Find where those live who left the brick at hand: mostly in its box, else mostly in one that was found around it.
+/// Find where the particles are that left the current brick: mostly in its box, else mostly in one next to it.
 void Migration::find_leavers() {
   auto const& at = particles_.position;
   for (int first = 0; first < left_count_; first += lane_count) {
     LocalIndex const* const n = left_ + first;
     IndexLanes brick = IndexLanes{} - 1;
-    if (run_.at.slot >= 0) brick = box_at_hand().find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
+    if (run_.at.slot >= 0) brick = current_box().find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
     for (int i = 0; i < std::min(lane_count, left_count_ - first); ++i)
       if (brick[i] >= 0)
         move_to({run_.at.slot, brick[i]}, n[i], movers_);
-      else if (LocalBrick const at = next_door(particles_.at(n[i])); at.brick >= 0)
+      else if (LocalBrick const at = find_in_neighbours(particles_.at(n[i])); at.brick >= 0)
         move_to(at, n[i], movers_);
       else
         look_up(n[i]);
@@ -142,13 +142,13 @@ void Migration::find_leavers() {
   left_count_ = 0;
 }
 
-/// Take the brick of a group's last particle to hand if that holds more of the group than the one at hand, outside
-/// which `out` lie. Return who lies outside the brick that is at hand now.
+/// Make the brick of a group's last particle the current one if it contains more of the group than the current one,
+/// outside which `out` lie. Return which lie outside the brick that is current now.
 unsigned Migration::begin_run(LaneGroup const& group, unsigned out) {
   Real3 const x = particles_.at(group.first + group.last());
   LocalBrick at;
-  if (run_.at.slot >= 0) at = {run_.at.slot, box_at_hand().find(x)};
-  if (at.brick < 0) at = next_door(x);
+  if (run_.at.slot >= 0) at = {run_.at.slot, current_box().find(x)};
+  if (at.brick < 0) at = find_in_neighbours(x);
   if (at.brick < 0) at = find(x);
   if (at.brick < 0) return out;
   HomeBrick const next = mesh_.homes()[std::size_t(at.slot)].brick(at.brick);
@@ -156,8 +156,8 @@ unsigned Migration::begin_run(LaneGroup const& group, unsigned out) {
   if (__builtin_popcount(out_of_next) >= __builtin_popcount(out)) return out;
   LocalIndex const n = LocalIndex(group.first);
   end_run(n);
-  if (at.slot != run_.at.slot) next_door_.fill(-1);
-  at_hand_ = next;
+  if (at.slot != run_.at.slot) neighbours_.fill(-1);
+  current_brick_ = next;
   run_ = {at, n, n, 0};
   return out_of_next;
 }
@@ -170,7 +170,7 @@ void Migration::end_run(LocalIndex last) {
   staying_ += run_.stayed;
 }
 
-/// Where x lies, if that is in one of this rank's bricks, and no finer box may hold it.
+/// Where x lies, if that is in one of this rank's bricks, and no finer box may contain it.
 Migration::LocalBrick Migration::find(Real3 const& x) {
   Real3 wrapped = x;
   if (!is_finite(x) || !mesh_.locator().wrap(wrapped) || wrapped != x) return {};
@@ -181,10 +181,10 @@ Migration::LocalBrick Migration::find(Real3 const& x) {
   return {slot, mesh_.homes()[std::size_t(slot)].find(x)};
 }
 
-/// Where x lies, if that is in a box that was found around the one at hand.
-Migration::LocalBrick Migration::next_door(Real3 const& x) const {
+/// Where x lies, if that is in a box that was found next to the current one.
+Migration::LocalBrick Migration::find_in_neighbours(Real3 const& x) const {
   if (run_.at.slot < 0) return {};
-  int const next = next_door_[std::size_t(box_at_hand().direction(x))];
+  int const next = neighbours_[std::size_t(current_box().direction(x))];
   return next < 0 ? LocalBrick{} : LocalBrick{next, mesh_.homes()[std::size_t(next)].find(x)};
 }
 
@@ -213,7 +213,7 @@ void Migration::look_up(LocalIndex n) {
   if (owner == level.rank()) {
     int const slot = mesh_.slot(latest_.level, latest_.box);
     move_to({slot, latest_.brick}, n, x == before ? movers_ : wrapped_);
-    if (run_.at.slot >= 0 && x == before) next_door_[std::size_t(box_at_hand().direction(x))] = slot;
+    if (run_.at.slot >= 0 && x == before) neighbours_[std::size_t(current_box().direction(x))] = slot;
   } else {
     leaving_[owner].push_back({n, latest_});
   }
@@ -221,7 +221,7 @@ void Migration::look_up(LocalIndex n) {
 
 // ---- to other ranks ----
 
-/// Pack what leaves, and tell the ranks how much will come.
+/// Pack what leaves, and exchange how much will come.
 void Migration::announce() {
   std::vector<std::int64_t> leaving, coming(leaving_.size(), 0);
   for (auto const& to_rank : leaving_) leaving.push_back(std::int64_t(to_rank.size()));
@@ -270,7 +270,7 @@ bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
   LocalIndex const all = LocalIndex(particles_.count);
   std::int64_t const lower = received_start_[rank], end = received_start_.back();
   unpack(0, lower, false, out);
-  for (Run const& run : runs_) {
+  for (ParticleRun const& run : runs_) {
     assign_movers(movers_, run.first);
     for (LocalIndex first = run.first; first < run.last; first += batch_size) {
       LocalIndex const last = std::min(run.last, first + batch_size);
@@ -297,7 +297,7 @@ void Migration::pair_columns(ParticleView const& out) {
   if (!out.equal_weights) columns_.push_back({particles_.weight, out.weight, false});
 }
 
-/// Let starts[s] be where slot s starts, and `next_` tell where each brick does.
+/// Let starts[s] be where slot s starts, and `next_` where each brick does.
 void Migration::assign_places(std::int64_t* starts) {
   for (Parcel const& p : received_) ++next_[std::size_t(number({mesh_.slot(p.level, p.box), p.brick}))];
   std::exclusive_scan(next_.begin(), next_.end(), next_.begin(), std::int64_t(0));
@@ -305,7 +305,7 @@ void Migration::assign_places(std::int64_t* starts) {
   starts[mesh_.boxes().size()] = arriving();
 }
 
-/// Assign their places to those of the particles [first, last) who stayed in their brick.
+/// Assign their places to those of the particles [first, last) that stayed in their brick.
 void Migration::assign_stayers(LocalBrick const& at, LocalIndex first, LocalIndex last) {
   std::int64_t& next = next_[std::size_t(number(at))];
   assigned_.stayers.push_back({first, last, next});
@@ -325,13 +325,13 @@ void Migration::assign_movers(Movers& movers, LocalIndex last) {
   }
 }
 
-/// So many more have been assigned their places: copy who has one as soon as they are a batch.
+/// `more` particles have been assigned places: copy all that have one as soon as they fill a batch.
 void Migration::copy_a_batch(LocalIndex more) {
   assigned_.count += more;
   if (assigned_.count >= batch_size) copy_assigned();
 }
 
-/// Copy all who have been assigned their places, one column after the other.
+/// Copy all particles that have been assigned places, one column after the other.
 void Migration::copy_assigned() {
   for (Column const& c : columns_) {
     bool const far = are_far(arriving(), c.to);
@@ -371,10 +371,10 @@ void Migration::unpack(std::int64_t first, std::int64_t last, bool wrapped, Part
 std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::array<Real*, 3> const& position,
                                                      std::int64_t count) {
   std::vector<std::vector<std::int64_t>> out;
-  std::vector<std::vector<std::optional<HomeBox>>> seen;  // made when first wanted
+  std::vector<std::vector<std::optional<HomeBox>>> homes;  // made when first wanted
   for (int l = 0; l < locator.hierarchy().level_count(); ++l) {
     out.emplace_back(std::size_t(locator.hierarchy().level(l).box_count()), 0);
-    seen.emplace_back(out.back().size());
+    homes.emplace_back(out.back().size());
   }
   Home home;
   auto const count_one = [&](std::int64_t n) {
@@ -385,7 +385,7 @@ std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::arra
   };
   auto const all_in_last_one = [&](std::int64_t first) {
     if (home.box < 0) return false;
-    auto& box = seen[home.level][home.box];
+    auto& box = homes[home.level][home.box];
     if (!box) box.emplace(locator, home.level, home.box);
     LaneGroup const group{first, all_lanes};
     auto const bricks = box->find({load(position[0], group), load(position[1], group), load(position[2], group)});

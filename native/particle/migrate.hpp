@@ -15,13 +15,13 @@ namespace amrpic {
 
 /// Particles on their way to the ranks that own their boxes, and to their places there.
 ///
-/// Particles that were sorted before they moved mostly lie in the brick of their neighbour in memory. So one pass holds
-/// eight at a time against the brick at hand, and only those that left it are looked up. Then it is known how many live
-/// in each brick, and a second pass copies each particle once: what stays in a brick by vectors, the others one by one.
-/// That is a counting sort, so the particles of a brick keep the order in which they came.
+/// Particles that were sorted before they moved mostly lie in the brick of their neighbour in memory. So one pass
+/// compares eight at a time with the current brick, and looks up only those that left it. Then it is known how many
+/// live in each brick, and a second pass copies each particle once: what stays in a brick by vectors, the others one by
+/// one. That is a counting sort, so the particles of a brick keep the order in which they came.
 class Migration {
  public:
-  /// Find the home of each particle, wrapped along periodic axes, and tell the ranks how many will come. Collective.
+  /// Find the home of each particle, wrapped along periodic axes, and exchange how many will come. Collective.
   /// The particles must live until `finish`. Throws std::length_error on all ranks if one gets more than 2^31 of them.
   Migration(ParticleMesh& mesh, ParticleView const& particles);
 
@@ -52,8 +52,8 @@ class Migration {
   struct LocalBrick {
     int slot = -1, brick = -1;
   };
-  /// Particles [first, last), consecutive in memory, that were held against one brick; `first` is a multiple of eight.
-  struct Run {
+  /// Particles [first, last), consecutive in memory, that were compared with one brick; `first` is a multiple of eight.
+  struct ParticleRun {
     LocalBrick at;
     LocalIndex first, last, stayed;
   };
@@ -68,7 +68,7 @@ class Migration {
     std::vector<Mover> all{};
     std::size_t assigned = 0;
   };
-  /// Those of the particles [first, last) who stayed, from the place on where they are written.
+  /// Those of the particles [first, last) that stayed, from the place on where they are written.
   struct Stayers {
     LocalIndex first, last;
     std::int64_t to;
@@ -78,29 +78,29 @@ class Migration {
     std::int64_t to;
     bool wrapped;
   };
-  /// Who knows where to, and is yet to be copied.
+  /// Particles that have a place and are still to be copied.
   struct Assigned {
     std::vector<Stayers> stayers;
     std::vector<AssignedMover> movers;
     LocalIndex count = 0;  ///< of particles, also of those between stayers
   };
 
-  /// Values that are copied from place to place, one for each particle. Ids are held for numbers, of which only the
-  /// bytes count.
+  /// Values that are copied from place to place, one for each particle. Ids are copied as numbers, since only the bytes
+  /// count.
   struct Column {
     Real const* from;
     Real* to;
     bool is_momentum;
   };
 
-  void hold();
-  void hold(LaneGroup const& group);
+  void compare();
+  void compare(LaneGroup const& group);
   void find_leavers();
-  HomeBox const& box_at_hand() const { return mesh_.homes()[std::size_t(run_.at.slot)]; }
+  HomeBox const& current_box() const { return mesh_.homes()[std::size_t(run_.at.slot)]; }
   unsigned outside(HomeBrick const& brick, LaneGroup const& group) const;
   unsigned begin_run(LaneGroup const& group, unsigned out);
   void end_run(LocalIndex last);
-  LocalBrick next_door(Real3 const& x) const;
+  LocalBrick find_in_neighbours(Real3 const& x) const;
   LocalBrick find(Real3 const& x);
   void move_to(LocalBrick const& at, LocalIndex n, Movers& movers);
   void look_up(LocalIndex n);
@@ -120,19 +120,19 @@ class Migration {
   std::vector<Column> columns_;  ///< position, momentum, id, and weight if it is not equal; none before `finish`
   /// Of each slot: the number of its first brick among all of this rank, and how many there are.
   std::vector<LocalIndex> first_brick_;
-  Run run_{{}, 0, 0, 0};           ///< of the brick at hand
-  HomeBrick at_hand_{};            ///< that brick; at first one that holds nothing
-  std::array<int, 27> next_door_;  ///< slots found around its box, by direction; -1: none yet
-  /// Who left the brick at hand: looked after a few dozen at a time, so that the processor need not guess after each
-  /// eight who that is.
+  ParticleRun run_{{}, 0, 0, 0};    ///< of the current brick
+  HomeBrick current_brick_{};       ///< at first one that contains nothing
+  std::array<int, 27> neighbours_;  ///< slots found next to its box, by direction; -1: none yet
+  /// Particles that left the current brick: looked up a few dozen at a time, so that the processor need not guess after
+  /// each eight which these are.
   LocalIndex left_[block_size] = {};
   int left_count_ = 0;
   Home latest_;  ///< of the particle that was looked up last
   bool finite_ = true;
   std::vector<std::int64_t> lost_;
   std::int64_t staying_ = 0;
-  std::vector<Run> runs_;        ///< in order of their places
-  Scratch<std::uint8_t> stays_;  ///< for each eight particles, a bit for each that stayed in its run's brick
+  std::vector<ParticleRun> runs_;  ///< in order of their places
+  Scratch<std::uint8_t> stays_;    ///< for each eight particles, a bit for each that stayed in its run's brick
   Movers movers_{false}, wrapped_{true};
   Assigned assigned_;
   std::vector<std::vector<Leaving>> leaving_;  ///< by rank

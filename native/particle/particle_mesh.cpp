@@ -3,21 +3,21 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// Surroundings by global numbers, before it is known where the ghosts are kept.
+/// Ghost cells by global numbers, before it is known where their values are stored.
 struct Numbered {
-  std::vector<GlobalIndex> shell;  ///< in the order of `for_each_shell_row`; `no_cell`: the level has none
+  std::vector<GlobalIndex> ghosts;  ///< in the order of `for_each_ghost_row`; `no_cell`: the level has none
   Box parents;
   std::vector<GlobalIndex> coarse;  ///< `no_cell`: not needed
 };
 
-/// Mark the coarse cells from which deposit and gather at a cell beyond the edge of its level take or give.
-void mark_coarse(Numbered& out, Window<GlobalIndex> const& numbers, Level const& coarser, Index3 const& cell) {
+/// Mark the coarse cells that deposit and gather use for a ghost cell that its level lacks.
+void mark_coarse(Numbered& out, ArrayOnBox<GlobalIndex> const& numbers, Level const& coarser, Index3 const& cell) {
   Index3 const parent = cell_parent(cell), other = nearest_other_parent(cell);
   for (int corner = 0; corner < 8; ++corner) {
     Index3 c;
@@ -29,26 +29,26 @@ void mark_coarse(Numbered& out, Window<GlobalIndex> const& numbers, Level const&
   }
 }
 
-Numbered number_surroundings(Hierarchy const& hierarchy, int l, int b) {
+Numbered number_ghosts(Hierarchy const& hierarchy, int l, int b) {
   Level const& level = hierarchy.level(l);
   Box const& box = level.box(b);
   auto const numbers = cell_numbers(level, box.grow(tile_reach));
   Numbered out;
-  std::vector<Index3> beyond;  // shell cells that the level lacks
-  for_each_shell_row(box, [&](int first, int last, int j, int k) {
+  std::vector<Index3> missing;  // ghost cells that the level lacks
+  for_each_ghost_row(box, [&](int first, int last, int j, int k) {
     for (int i = first; i <= last; ++i) {
       Index3 const cell = fold_at_walls({i, j, k}, level);
-      out.shell.push_back(numbers(cell));
-      if (numbers(cell) == no_cell) beyond.push_back(cell);
+      out.ghosts.push_back(numbers(cell));
+      if (numbers(cell) == no_cell) missing.push_back(cell);
     }
   });
-  if (beyond.empty()) return out;
+  if (missing.empty()) return out;
 
   Level const& coarser = hierarchy.level(l - 1);
   out.parents = box.coarsen(refinement_ratio).grow(1);
   out.coarse.assign(std::size_t(out.parents.cells()), no_cell);
   auto const coarse_numbers = cell_numbers(coarser, out.parents);
-  for (Index3 const& cell : beyond) mark_coarse(out, coarse_numbers, coarser, cell);
+  for (Index3 const& cell : missing) mark_coarse(out, coarse_numbers, coarser, cell);
   return out;
 }
 
@@ -70,9 +70,9 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
     first_slot_.push_back(int(boxes_.size()));
     Level const& level = hierarchy_->level(l);
     for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-      numbered.push_back(number_surroundings(*hierarchy_, l, b));
-      std::vector<GlobalIndex> const &shell = numbered.back().shell, &coarse = numbered.back().coarse;
-      read[l].insert(read[l].end(), shell.begin(), shell.end());
+      numbered.push_back(number_ghosts(*hierarchy_, l, b));
+      std::vector<GlobalIndex> const &ghosts = numbered.back().ghosts, &coarse = numbered.back().coarse;
+      read[l].insert(read[l].end(), ghosts.begin(), ghosts.end());
       if (l > 0) read[l - 1].insert(read[l - 1].end(), coarse.begin(), coarse.end());
       boxes_.push_back({l, b, {}, numbered.back().parents, {}});
       homes_.emplace_back(locator_, l, b);
@@ -83,9 +83,10 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
     exchanges_.emplace_back(hierarchy_->comm(), level, remote_cells(level, std::move(read[l])));
   }
   for (std::size_t s = 0; s < boxes_.size(); ++s) {
-    Surroundings& at = boxes_[s];
+    BoxGhosts& at = boxes_[s];
     Exchange const& exchange = exchanges_[at.level];
-    at.shell = Shell(hierarchy_->level(at.level).box(at.box), places(numbered[s].shell, exchange), exchange.owned());
+    at.ghosts =
+        GhostCells(hierarchy_->level(at.level).box(at.box), places(numbered[s].ghosts, exchange), exchange.owned());
     if (at.level > 0) at.coarse = places(numbered[s].coarse, exchanges_[at.level - 1]);
   }
 }
@@ -95,9 +96,9 @@ BufferZone const& ParticleMesh::buffer_zone() {
   return *buffer_zone_;
 }
 
-RimPlaces const& ParticleMesh::rim_places(bool matched) {
-  auto& places = matched ? with_matched_ : rim_places_;
-  if (!places) places = std::make_unique<RimPlaces const>(*this, matched ? &buffer_zone() : nullptr);
+BoundaryPlaces const& ParticleMesh::boundary_places(bool matched) {
+  auto& places = matched ? with_matched_ : without_matched_;
+  if (!places) places = std::make_unique<BoundaryPlaces const>(*this, matched ? &buffer_zone() : nullptr);
   return *places;
 }
 

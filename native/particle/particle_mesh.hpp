@@ -5,26 +5,26 @@
 
 #include "mesh/exchange.hpp"
 #include "mesh/transfer.hpp"
+#include "particle/boundary_places.hpp"
 #include "particle/buffer_zone.hpp"
 #include "particle/geometry.hpp"
+#include "particle/ghost_cells.hpp"
 #include "particle/home_box.hpp"
 #include "particle/locate.hpp"
-#include "particle/rim_places.hpp"
-#include "particle/shell.hpp"
 
 namespace amrpic {
 
-/// What lies around one box of this rank.
-struct Surroundings {
+/// The ghost cells of one box of this rank.
+struct BoxGhosts {
   int level, box;
-  Shell shell;
-  Box parents;  ///< the box coarsened and grown by one; empty if the level has all cells of the shell
+  GhostCells ghosts;
+  Box parents;  ///< the box coarsened and grown by one; empty if the level has all ghost cells
   std::vector<LocalIndex>
       coarse;  ///< for each cell of `parents`, its place in [own | ghosts] of the coarser level; -1: not needed
 };
 
-/// A hierarchy as particles see it: who holds a point, and which cells surround each box of this rank, wherever they
-/// live. Deposit and gather share it; it is made once per hierarchy.
+/// What deposit and gather need of a hierarchy: which box holds a point, and where the ghost cells of this rank's boxes
+/// are stored. It is made once per hierarchy.
 class ParticleMesh {
  public:
   /// Collective.
@@ -39,11 +39,11 @@ class ParticleMesh {
   /// Which particles are treated as matched at coarse-fine faces. Collective at the first call.
   BufferZone const& buffer_zone();
 
-  /// Where the field around this rank's boxes is found; collective at the first call with matched clouds.
-  RimPlaces const& rim_places(bool matched);
+  /// Where the field in the boxes' ghost cells is stored; collective at the first call with matched clouds.
+  BoundaryPlaces const& boundary_places(bool matched);
 
   /// This rank's boxes, level by level. Their numbers are called slots.
-  std::vector<Surroundings> const& boxes() const { return boxes_; }
+  std::vector<BoxGhosts> const& boxes() const { return boxes_; }
   int slot(int level, int local_box) const {
     return first_slot_[level] + local_box - hierarchy_->level(level).first_local_box();
   }
@@ -56,12 +56,12 @@ class ParticleMesh {
   Locator locator_;
   Transfer transfer_;
   std::vector<Exchange> exchanges_;  ///< per level: ghosts are all cells of other ranks that `boxes_` names
-  std::vector<Surroundings> boxes_;
+  std::vector<BoxGhosts> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;
-  // none until asked for
+  // null until first used
   std::unique_ptr<BufferZone const> buffer_zone_;
-  std::unique_ptr<RimPlaces const> rim_places_, with_matched_;
+  std::unique_ptr<BoundaryPlaces const> without_matched_, with_matched_;
 };
 
 }  // namespace amrpic

@@ -15,14 +15,14 @@
 
 namespace amrpic {
 
-/// A box and the cells around it in memory of their own, `components` numbers per cell: what one box's particles touch.
+/// A box and its ghost cells in memory of their own, `components` numbers per cell: what one box's particles touch.
 template <int components>
 class Tile {
  public:
   /// Take the place of another box. Values keep their places in memory, new ones are zero.
   void reset(Box const& box) {
     box_ = box.grow(tile_reach);
-    lines_.resize(std::size_t(box_.cells()) * components / lane_count + 2);  // vectors may touch what lies beyond
+    lines_.resize(std::size_t(box_.cells()) * components / lane_count + 2);  // vectors may touch what follows
   }
   /// Take the place of the box that follows along z. Values of the planes that both have are moved along.
   void follow(Box const& next) {
@@ -51,10 +51,10 @@ struct Stray {
   std::int64_t id;
 };
 
-/// Particles [first, last) of a slab, or those of them that `rise` marks with a number.
+/// Particles [first, last) of a slab, or those of them with one coarsening `depth`.
 struct Chosen {
   std::int64_t first, last;
-  char const* rise = nullptr;  ///< of each from `first` on; null: all are chosen
+  char const* depth = nullptr;  ///< of each from `first` on; null: all are chosen
   int wanted = 0;
 
   /// Call f(block) for the blocks in which there are any.
@@ -64,7 +64,7 @@ struct Chosen {
       int const from = int(std::max<std::int64_t>(0, first - n)),
                 to = int(std::min<std::int64_t>(block_size, last - n));
       std::uint64_t bits = (~std::uint64_t(0) >> (block_size - to)) & (~std::uint64_t(0) << from);
-      for (int i = from; rise && i < to; ++i) bits &= ~(std::uint64_t(rise[n + i - first] != wanted) << i);
+      for (int i = from; depth && i < to; ++i) bits &= ~(std::uint64_t(depth[n + i - first] != wanted) << i);
       if (bits != 0) f(LaneBlock{n, bits});
     }
   }
@@ -76,7 +76,7 @@ class TileFrame {
   TileFrame(LevelCoordinates const& coordinates, Box const& box) : coordinates_(coordinates), box_(box) {}
 
   /// Coordinate in cell widths from the lower corner of the box, in [0, extent): the difference is exact, where adding
-  /// the reach could round it up to a cell beyond. Throws Stray if the particle lies outside the box.
+  /// the reach could round it up to the next cell. Throws Stray if the particle lies outside the box.
   Real3 inside(ParticleView const& particles, std::int64_t n) const {
     Real3 s = coordinates_(particles.at(n));
     bool in = true;
@@ -134,7 +134,7 @@ inline int planes_per_slab(Box const& box, int components) {
 /// Call f(slab, first, last) for the slabs of so many planes that a box is cut into, and the particles of each: those
 /// of a box are sorted by brick, and slabs are whole bricks.
 template <class F>
-void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes, ParticleView const& particles,
+void for_each_slab(ParticleMesh const& mesh, BoxGhosts const& at, int planes, ParticleView const& particles,
                    std::int64_t first, std::int64_t last, F&& f) {
   LevelCoordinates const coordinates = mesh.locator().coordinates(at.level);
   Box const& box = mesh.hierarchy().level(at.level).box(at.box);
@@ -154,21 +154,21 @@ void for_each_slab(ParticleMesh const& mesh, Surroundings const& at, int planes,
   }
 }
 
-/// Call f(rise, frame, chosen) for those of a slab's particles whose clouds lie on one level: `rise` levels coarser
+/// Call f(depth, frame, chosen) for those of a slab's particles whose clouds lie on one level: `depth` levels coarser
 /// than the slab, in a tile that `frame` describes. Without a buffer all of them lie on the slab's own level.
 template <class F>
-void for_each_rise(ParticleMesh const& mesh, Surroundings const& at, Box const& slab, BoxBuffer const* buffer,
-                   ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
+void for_each_coarsening_depth(ParticleMesh const& mesh, BoxGhosts const& at, Box const& slab, BoxBuffer const* buffer,
+                               ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
   TileFrame const own(mesh.locator().coordinates(at.level), slab);
   if (first == last) return;
   if (!buffer) return f(0, own, Chosen{first, last});
-  std::vector<char> rise;
-  for (std::int64_t n = first; n < last; ++n) rise.push_back(char(buffer->rise_of(own.cell(particles, n))));
-  auto const is_any = [&](int r) { return std::find(rise.begin(), rise.end(), r) != rise.end(); };
-  if (is_any(0)) f(0, own, Chosen{first, last, rise.data(), 0});
+  std::vector<char> depth;
+  for (std::int64_t n = first; n < last; ++n) depth.push_back(char(buffer->depth_of(own.cell(particles, n))));
+  auto const is_any = [&](int r) { return std::find(depth.begin(), depth.end(), r) != depth.end(); };
+  if (is_any(0)) f(0, own, Chosen{first, last, depth.data(), 0});
   for (int r = 1; r <= int(buffer->coarse.size()); ++r) {
     CoarseCells const& c = buffer->coarse[std::size_t(r - 1)];
-    if (is_any(r)) f(r, TileFrame(mesh.locator().coordinates(c.level), c.box), Chosen{first, last, rise.data(), r});
+    if (is_any(r)) f(r, TileFrame(mesh.locator().coordinates(c.level), c.box), Chosen{first, last, depth.data(), r});
   }
 }
 

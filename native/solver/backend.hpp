@@ -33,7 +33,7 @@ class Backend {
   virtual Real largest_right_hand_side() = 0;
   virtual Real right_hand_side_norm() = 0;
 
-  /// Take phi, which holds the first guess (V), to be improved until `finish`; `is_zero`: nothing but zeros.
+  /// Take phi, whose values are the first guess (V), to be improved until `finish`; `is_zero`: nothing but zeros.
   virtual void start(Field& phi, bool is_zero) = 0;
   /// The norm of the residual, which the next cycle will reduce.
   virtual Real residual() = 0;
@@ -43,7 +43,7 @@ class Backend {
   virtual Real largest_correction() = 0;  ///< change of phi by the latest cycle, V
   /// Norm of the largest single term in the residual: what rounding is relative to.
   virtual Real largest_phi_term() = 0;
-  /// Estimate of the largest error of phi that the mesh makes, V; 0 if it cannot be told, or not yet.
+  /// Estimate of the largest error of phi that the mesh makes, V; 0 if it cannot be estimated, or not yet.
   virtual Real discretisation_error() = 0;
   /// Leave in phi what was found, means of the children in covered cells.
   virtual void finish() = 0;
@@ -51,12 +51,12 @@ class Backend {
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   virtual ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) = 0;
 
-  /// The operators of a level as compressed rows, those of E among them; assembled now if the backend does without.
+  /// The operators of a level as compressed rows, those of E among them; assembled now if the backend has none.
   virtual LevelOperators const& operators_with_gradient(int level) = 0;
 
   virtual std::int64_t assemblies() const = 0;                 ///< of operators, so far
-  virtual std::int64_t levels_assembled() const { return 0; }  ///< the others were handed on
-  virtual std::int64_t bottom_setups() const { return 0; }     ///< 1 if the bottom was set up here and not handed on
+  virtual std::int64_t levels_assembled() const { return 0; }  ///< the others were taken over
+  virtual std::int64_t bottom_setups() const { return 0; }     ///< 1 if the bottom was set up here and not taken over
   virtual std::int64_t messages() const = 0;                   ///< halo messages sent by this rank so far
   virtual std::int64_t message_bytes() const = 0;
   virtual std::size_t bytes() const = 0;  ///< of this rank's operators, lists and vectors

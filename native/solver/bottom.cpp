@@ -25,7 +25,7 @@ using MultiVector = TpetraTypes::MultiVector;
 using Operator = TpetraTypes::Operator;
 using Matrix = TpetraTypes::Matrix;
 
-constexpr GlobalIndex most_cells = 1 << 22;            // each rank holds all of them
+constexpr GlobalIndex most_cells = 1 << 22;            // each rank stores all of them
 constexpr GlobalIndex most_cells_of_a_factor = 10000;  // KLU2 takes 11 s for 32^3, and grows with the square
 
 /// For each cell of a level its place in the order of the domain, x fastest: the library's aggregation along mesh lines
@@ -38,7 +38,7 @@ std::vector<LocalIndex> order_of_domain(Level const& level) {
   return out;
 }
 
-/// The whole matrix of a level in the order of the domain, alike on all ranks; the diagonal comes first in each row.
+/// The whole matrix of a level in the order of the domain, the same on all ranks; the diagonal comes first in each row.
 Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
   Crs const& local = operators.no_fine;
   GlobalIndex const first = operators.level->first_local_cell();
@@ -111,7 +111,7 @@ bool symmetric(Crs const& matrix) {
   return true;
 }
 
-/// The refusal of a matrix that the chosen method cannot solve; all ranks hold the same one.
+/// The refusal of a matrix that the chosen method cannot solve; all ranks give the same one.
 void require_fit(Crs const& matrix, SolverOptions const& options) {
   std::string const cells = std::to_string(matrix.rows());
   if (options.bottom == BottomKind::cg && !symmetric(matrix))
@@ -127,7 +127,7 @@ void require_fit(Crs const& matrix, SolverOptions const& options) {
 
 }  // namespace
 
-struct Bottom::Problem {
+struct Bottom::GatheredProblem {
   using Linear = Belos::LinearProblem<Real, MultiVector, Operator>;
   using Iterations = Belos::SolverManager<Real, MultiVector, Operator>;
 
@@ -143,7 +143,7 @@ struct Bottom::Problem {
     x = Teuchos::null, b = Teuchos::null, matrix = Teuchos::null;
   }};
 
-  Problem(Crs const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
+  GatheredProblem(Crs const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
       : rows(whole.rows()), scale(scale) {
     auto const self = Teuchos::rcp(new Teuchos::MpiComm<int>(MPI_COMM_SELF));
     auto const map = Teuchos::rcp(new TpetraTypes::Map(Tpetra::global_size_t(rows), 0, self));
@@ -221,7 +221,7 @@ struct Bottom::Problem {
       factors->solve();
     } else {
       linear->setProblem();
-      // Whatever it reached is a correction; the residual of the whole problem tells whether it was good enough.
+      // Whatever it reached is a correction; the residual of the whole problem shows whether it was good enough.
       try {
         iterations->solve();
       } catch (Belos::BelosError const&) {  // such as CG's, when it hits on the exact solution and finds nothing left
@@ -254,8 +254,8 @@ Bottom::Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, So
   Real const scale = normalise(whole, volume_, singular);
   require_fit(whole, options);
   Box const& domain = operators.level->domain();
-  problem_ =
-      std::make_unique<Problem>(whole, scale, Index3{domain.extent(0), domain.extent(1), domain.extent(2)}, options);
+  problem_ = std::make_unique<GatheredProblem>(whole, scale,
+                                               Index3{domain.extent(0), domain.extent(1), domain.extent(2)}, options);
 }
 
 Bottom::~Bottom() = default;

@@ -16,8 +16,8 @@ namespace amrpic {
 /// the same for any decomposition, and no solver of the library runs on shared rows.
 class Bottom {
  public:
-  /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, alike on all ranks, for a
-  /// matrix that the method cannot solve.
+  /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, the same on all ranks, for
+  /// a matrix that the method cannot solve.
   Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, SolverOptions const& options);
   ~Bottom();
 
@@ -29,7 +29,7 @@ class Bottom {
   bool serves(LevelOperators const& operators) const;
 
  private:
-  struct Problem;
+  struct GatheredProblem;
   MPI_Comm comm_;
   bool singular_;
   LocalIndex rows_;  ///< of this rank
@@ -38,7 +38,7 @@ class Bottom {
   std::vector<LocalIndex> place_;     ///< in the order of the domain, of each cell
   std::vector<Real> volume_;          ///< of each cell in the order of the domain, over that of ordinary ones
   std::vector<Real> gathered_, whole_right_hand_side_, whole_correction_;
-  std::unique_ptr<Problem> problem_;
+  std::unique_ptr<GatheredProblem> problem_;
 };
 
 }  // namespace amrpic

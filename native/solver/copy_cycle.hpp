@@ -5,10 +5,10 @@
 
 namespace amrpic {
 
-/// What the copies of a refinement level of long or flat cells find for its residual: a V-cycle over them.
+/// Reduces the residual of a refinement level of long or flat cells by a V-cycle over its copies.
 ///
 /// A point smoother reduces no error that is smooth along the axes of small spacing, and the next coarser level, with
-/// half the cells along all axes, does not see it where it oscillates along the others: cells of 1:1:10 took 100
+/// half the cells along all axes, does not resolve it where it oscillates along the others: cells of 1:1:10 took 100
 /// cycles.
 class CopyCycle {
  public:

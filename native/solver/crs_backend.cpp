@@ -13,11 +13,12 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
     : problem_(problem),
       hierarchy_(problem.hierarchy),
       options_(problem.options),
-      stack_(coarsen_below(stack_of(*hierarchy_, shift_of(options_)), hierarchy_->domain(),
-                           {hierarchy_->max_grid_size()}, options_.coarse_levels)),
+      multigrid_levels_(coarsen_below(refinement_levels(*hierarchy_, shift_of(options_)), hierarchy_->domain(),
+                                      {hierarchy_->max_grid_size()}, options_.coarse_levels)),
       operators_(assembled(reusable)),
       transfer_(hierarchy_),
-      multigrid_(hierarchy_->comm(), stack_, operators_, bottom(reusable), hierarchy_->max_grid_size(), options_),
+      multigrid_(hierarchy_->comm(), multigrid_levels_, operators_, bottom(reusable), hierarchy_->max_grid_size(),
+                 options_),
       messages_before_(halo_sum(&Exchange::messages)),
       bytes_before_(halo_sum(&Exchange::bytes)),
       krylov_(make_krylov(options_.krylov, equations())) {
@@ -25,17 +26,17 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
   phi_ = zero();
 }
 
-/// The operators, with what was handed on of them.
-StackOperators CrsBackend::assembled(Reusable& reusable) {
+/// The operators; those that can be are taken over.
+MultigridOperators CrsBackend::assembled(Reusable& reusable) {
   Assembled former;
   if (reusable.operators) former = std::move(*reusable.operators);
-  reusable.operators =
-      std::make_shared<Assembled>(assemble(hierarchy_->comm(), stack_, options_.prolongation, std::move(former)));
+  reusable.operators = std::make_shared<Assembled>(
+      assemble(hierarchy_->comm(), multigrid_levels_, options_.prolongation, std::move(former)));
   levels_assembled_ = reusable.operators->made;
   return reusable.operators->operators;
 }
 
-/// The bottom that was handed on if it serves, else a new one.
+/// The bottom that was taken over if it serves, else a new one.
 std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   if (!reusable.bottom || !reusable.bottom->serves(*operators_.front())) {
     reusable.bottom.reset();  // the old one goes before the new one comes
@@ -47,8 +48,8 @@ std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
 }
 
 /// Zeros on all levels, with room for ghosts.
-Composite CrsBackend::zero() const {
-  Composite out;
+CompositeVector CrsBackend::zero() const {
+  CompositeVector out;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.ghosts()));
   return out;
@@ -78,7 +79,8 @@ Integral CrsBackend::integrate_right_hand_side() {
     });
     Walls const& walls = problem_.walls[l];
     std::vector<Real> of_walls(rho.size());
-    subtract_from_laplacian(walls, operators(l).walls, stack_.equation(stack_.base + std::size_t(l)), of_walls);
+    subtract_from_laplacian(walls, operators(l).walls,
+                            multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)), of_walls);
     Real net = 0, size = 0;
     for_each_uncovered(l, [&](LocalIndex row) {
       net += right_hand_side_[l][row];
@@ -102,7 +104,8 @@ void CrsBackend::take_away(Background const& background) {
     auto& f = right_hand_side_[l];
     auto const& density = rho_->level(l);
     for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = background.right_hand_side(density[row]); });
-    subtract_from_laplacian(problem_.walls[l], operators(l).walls, stack_.equation(stack_.base + std::size_t(l)), f);
+    subtract_from_laplacian(problem_.walls[l], operators(l).walls,
+                            multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)), f);
   }
 }
 
@@ -142,7 +145,7 @@ void CrsBackend::finish() {
 
 /// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
 /// face may be a covered one.
-void CrsBackend::average_down(Composite& x) const {
+void CrsBackend::average_down(CompositeVector& x) const {
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     if (hierarchy_->has_finer(l)) {
       Crs const& restriction = operators(l).restriction;
@@ -156,7 +159,7 @@ void CrsBackend::average_down(Composite& x) const {
 
 /// f - A x in the uncovered cells of a level, zero in the others; x is averaged down.
 template <class F>
-void CrsBackend::subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const {
+void CrsBackend::subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const {
   LevelOperators const& o = operators(l);
   Real const* const own = x[l].data();
   for_rows(o.rows(),
@@ -179,7 +182,7 @@ Real CrsBackend::residual() {
 }
 
 CompositeEquations CrsBackend::equations() {
-  auto multiply = [this](Composite& x, Composite& out) {
+  auto multiply = [this](CompositeVector& x, CompositeVector& out) {
     average_down(x);
     for (int l = 0; l < hierarchy_->level_count(); ++l) {
       subtract(
@@ -187,7 +190,7 @@ CompositeEquations CrsBackend::equations() {
       for (Real& v : out[l]) v = -v;
     }
   };
-  auto dot = [this](Composite const& x, Composite const& y) {
+  auto dot = [this](CompositeVector const& x, CompositeVector const& y) {
     Real sum = 0;
     for (int l = 0; l < hierarchy_->level_count(); ++l)
       for_each_uncovered(l, [&](LocalIndex row) { sum += x[l][row] * y[l][row]; });
@@ -200,10 +203,10 @@ CompositeEquations CrsBackend::equations() {
 /// One cycle for the residual, and what it gives added to phi.
 void CrsBackend::improve() {
   std::size_t const levels = phi_.size();
-  Composite values(levels);
+  CompositeVector values(levels);
   if (krylov_) {
     for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
-    Composite const& direction = krylov_->direction(values);
+    CompositeVector const& direction = krylov_->direction(values);
     for (std::size_t l = 0; l < levels; ++l)
       std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
   }
@@ -225,7 +228,7 @@ void CrsBackend::accelerate() {
 
 LevelOperators const& CrsBackend::operators_with_gradient(int level) {
   if (!has_gradient_) {
-    assemble_gradient(stack_, operators_);
+    assemble_gradient(multigrid_levels_, operators_);
     has_gradient_ = true;
     ++assemblies_;
   }
@@ -268,7 +271,8 @@ ElectricField CrsBackend::electric_field(std::shared_ptr<Field const> potential,
 void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
   if (covered_gradient_.empty())
     for (int l = 0; hierarchy_->has_finer(l); ++l)
-      covered_gradient_.push_back(assemble_covered_gradient(stack_, stack_.base + std::size_t(l), operators(l)));
+      covered_gradient_.push_back(
+          assemble_covered_gradient(multigrid_levels_, multigrid_levels_.base + std::size_t(l), operators(l)));
   for (int l = 0; hierarchy_->has_finer(l); ++l)
     for (int axis = 0; axis < 3; ++axis) {
       LevelOperators const& o = operators(l);

@@ -33,7 +33,7 @@ class CrsBackend : public Backend {
 
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) override;
 
-  LevelOperators const& operators(int level) const { return *operators_[stack_.base + std::size_t(level)]; }
+  LevelOperators const& operators(int level) const { return *operators_[multigrid_levels_.base + std::size_t(level)]; }
   LevelOperators const& operators_with_gradient(int level) override;
 
   std::int64_t assemblies() const override { return assemblies_; }
@@ -44,7 +44,7 @@ class CrsBackend : public Backend {
   std::size_t bytes() const override;
 
  private:
-  MultigridLevel& cycle_level(int l) { return multigrid_.level(stack_.base + std::size_t(l)); }
+  MultigridLevel& cycle_level(int l) { return multigrid_.level(multigrid_levels_.base + std::size_t(l)); }
   /// Call f(row) for each cell of a level that no finer level covers.
   template <class F>
   void for_each_uncovered(int l, F&& f) const {
@@ -55,13 +55,13 @@ class CrsBackend : public Backend {
   template <class Value>
   Real norm(Norm norm, Value&& value) const;
   void fill_right_hand_side();
-  StackOperators assembled(Reusable& reusable);
+  MultigridOperators assembled(Reusable& reusable);
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
   std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
-  Composite zero() const;
-  void average_down(Composite& x) const;
+  CompositeVector zero() const;
+  void average_down(CompositeVector& x) const;
   template <class F>
-  void subtract(int l, F&& f, Composite const& x, std::vector<Real>& out) const;
+  void subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const;
   void compute_residual();
   CompositeEquations equations();
   void set_truncation();
@@ -71,22 +71,22 @@ class CrsBackend : public Backend {
   Problem problem_;
   std::shared_ptr<Hierarchy const> hierarchy_;
   SolverOptions const& options_;
-  LevelStack stack_;
+  MultigridLevels multigrid_levels_;
   std::int64_t levels_assembled_ = 0;
-  StackOperators operators_;
+  MultigridOperators operators_;
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::int64_t messages_before_, bytes_before_;  ///< by operators that were handed on
+  std::int64_t messages_before_, bytes_before_;  ///< by operators that were taken over
   std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
-  Composite phi_;                                ///< own cells and ghosts
-  Composite right_hand_side_;                    ///< f = -rho / eps0 - background minus what walls add
+  CompositeVector phi_;                          ///< own cells and ghosts
+  CompositeVector right_hand_side_;              ///< f = -rho / eps0 - background minus what walls add
   Field const* rho_ = nullptr;
   Background background_;
   Real unit_ = 1;  ///< what 1 stands for in all vectors of a solve, V and V/m^2; a power of two, so exact
   Field* result_ = nullptr;
   bool has_gradient_ = false;
-  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until asked for
+  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until first used
   std::int64_t assemblies_ = 1;
 };
 

@@ -52,7 +52,7 @@ void CrsBackend::set_truncation() {
     LevelOperators const& fine = operators(l);
     auto& truncation = cycle_level(l).right_hand_side();
     std::fill(truncation.begin(), truncation.end(), 0.0);
-    std::size_t const place = stack_.base + std::size_t(l);
+    std::size_t const place = multigrid_levels_.base + std::size_t(l);
     if (place == 0) continue;
     LevelOperators const& coarse = *operators_[place - 1];
     std::size_t const here = std::size_t(fine.rows() + fine.halo.ghosts());
@@ -69,7 +69,7 @@ void CrsBackend::set_truncation() {
       multiply(coarse.restriction, phi_[0].data(), phi.data());
     coarse.halo.update(phi.data());
 
-    auto const at_end = rows_at_ends(hierarchy_->domain(), *coarse.level, *fine.level, stack_.ratio[place]);
+    auto const at_end = rows_at_ends(hierarchy_->domain(), *coarse.level, *fine.level, multigrid_levels_.ratio[place]);
     coarse.restriction.for_each_row([&](LocalIndex row) {
       bool const usable = coarse.restriction.dot(row, uncovered.data()) > 1 - 1e-9;  // no child is covered
       if (usable && !at_end[row])
@@ -84,7 +84,7 @@ void CrsBackend::set_truncation() {
 }
 
 /// Estimate of the largest error of phi that the mesh makes: one cycle with the truncation error; 0 while the residual
-/// is too large beside it to tell. What the cells of phi stand for is what those of f stand for: where f is the mean
+/// is too large beside it. What the cells of phi stand for is what those of f stand for: where f is the mean
 /// over a cell, this is the error of the means of phi, which at cell centres is another one, by h^2/24 times f. Finds
 /// and leaves the residual in the right-hand sides of the cycle.
 Real CrsBackend::discretisation_error() {

@@ -10,7 +10,7 @@ namespace amrpic {
 namespace {
 
 /// y = scale y + a x.
-void combine(Real scale, Composite& y, Real a, Composite const& x) {
+void combine(Real scale, CompositeVector& y, Real a, CompositeVector const& x) {
   for (std::size_t l = 0; l < y.size(); ++l) {
     Real* const to = y[l].data();
     Real const* const from = x[l].data();
@@ -25,9 +25,9 @@ class FlexibleGmres : public Krylov {
  public:
   explicit FlexibleGmres(CompositeEquations equations) : equations_(std::move(equations)), step_(equations_.zero()) {}
 
-  Composite const& direction(Composite const& residual) override { return residual_ = residual; }
+  CompositeVector const& direction(CompositeVector const& residual) override { return residual_ = residual; }
 
-  Composite const& step(Composite const& correction) override {
+  CompositeVector const& step(CompositeVector const& correction) override {
     if (kept_.size() == most_directions) {
       kept_.push_back(std::move(kept_.front()));
       kept_.pop_front();
@@ -57,11 +57,11 @@ class FlexibleGmres : public Krylov {
  private:
   static constexpr std::size_t most_directions = 20;
   struct Direction {
-    Composite change, image;  ///< of the approximation, and A times it; images are orthonormal
+    CompositeVector change, image;  ///< of the approximation, and A times it; images are orthonormal
   };
   CompositeEquations equations_;
   std::deque<Direction> kept_;
-  Composite residual_, step_;
+  CompositeVector residual_, step_;
 };
 
 /// BiCGStab (van der Vorst), two cycles to an iteration.
@@ -74,12 +74,12 @@ class BiCgStab : public Krylov {
         half_image_(equations_.zero()),
         step_(equations_.zero()) {}
 
-  Composite const& direction(Composite const& residual) override {
+  CompositeVector const& direction(CompositeVector const& residual) override {
     residual_ = residual;
     if (half_) return residual_;
     Real next = shadow_.empty() ? 0 : equations_.dot(shadow_, residual_);
     Real const size = equations_.dot(residual_, residual_);
-    if (std::abs(next) < 1e-12 * size || shadow_.empty()) {  // begin, or begin anew where the iteration breaks down
+    if (std::abs(next) < 1e-12 * size || shadow_.empty()) {  // begin, or begin again where the iteration breaks down
       shadow_ = residual_;
       next = size;
       combine(0, search_, 1, residual_);
@@ -92,9 +92,9 @@ class BiCgStab : public Krylov {
     return search_;
   }
 
-  Composite const& step(Composite const& correction) override {
+  CompositeVector const& step(CompositeVector const& correction) override {
     combine(0, step_, 1, correction);
-    Composite& image = half_ ? half_image_ : image_;
+    CompositeVector& image = half_ ? half_image_ : image_;
     equations_.multiply(step_, image);
     if (half_) {
       omega_ = quotient(equations_.dot(image, residual_), equations_.dot(image, image));
@@ -114,7 +114,7 @@ class BiCgStab : public Krylov {
   CompositeEquations equations_;
   bool half_ = false;  ///< the next cycle is the second one of an iteration
   Real product_ = 1, alpha_ = 1, omega_ = 1;
-  Composite residual_, shadow_, search_, image_, half_image_, step_;
+  CompositeVector residual_, shadow_, search_, image_, half_image_, step_;
 };
 
 }  // namespace

@@ -9,13 +9,14 @@
 namespace amrpic {
 
 /// Values of all levels, own cells first on each.
-using Composite = std::vector<std::vector<Real>>;
+using CompositeVector = std::vector<std::vector<Real>>;
 
 /// What an acceleration needs of the equations r = f - A x over all uncovered cells.
 struct CompositeEquations {
-  std::function<Composite()> zero;                              ///< fresh values
-  std::function<void(Composite& x, Composite& out)> multiply;   ///< out = A x; fills x in covered cells and ghosts
-  std::function<Real(Composite const&, Composite const&)> dot;  ///< over uncovered cells of all ranks
+  std::function<CompositeVector()> zero;  ///< fresh values
+  /// out = A x; fills x in covered cells and ghosts.
+  std::function<void(CompositeVector& x, CompositeVector& out)> multiply;
+  std::function<Real(CompositeVector const&, CompositeVector const&)> dot;  ///< over uncovered cells of all ranks
 };
 
 /// Krylov iteration with one cycle as its right preconditioner, which may change from one cycle to the next.
@@ -27,10 +28,10 @@ class Krylov {
   virtual ~Krylov() = default;
 
   /// Given the residual of the approximation, return what the next cycle is applied to. Collective.
-  virtual Composite const& direction(Composite const& residual) = 0;
+  virtual CompositeVector const& direction(CompositeVector const& residual) = 0;
 
   /// Given the cycle's correction, return what to add to the approximation. Collective.
-  virtual Composite const& step(Composite const& correction) = 0;
+  virtual CompositeVector const& step(CompositeVector const& correction) = 0;
 };
 
 /// Null if nothing is to be accelerated.

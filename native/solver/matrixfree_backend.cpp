@@ -171,7 +171,7 @@ Real MatrixFreeBackend::largest(Blocks<float> const& blocks, std::vector<Real> c
 
 Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*phi_, problem_.options.norm); }
 
-/// One cycle with the truncation error; 0 while the residual is too large beside it to tell.
+/// One cycle with the truncation error; 0 while the residual is too large beside it.
 Real MatrixFreeBackend::discretisation_error() {
   Index3 const below = cycle_.ratio_below_base();
   if (levels() == 1 && below == Index3{1, 1, 1}) return 0;  // nothing is coarser than the base, nothing finer
@@ -205,9 +205,9 @@ std::size_t MatrixFreeBackend::bytes() const {
 
 LevelOperators const& MatrixFreeBackend::operators_with_gradient(int level) {
   if (shown_.operators.empty()) {
-    shown_ = assemble(problem_.hierarchy->comm(), stack_of(*problem_.hierarchy, shift_of(problem_.options)),
+    shown_ = assemble(problem_.hierarchy->comm(), refinement_levels(*problem_.hierarchy, shift_of(problem_.options)),
                       problem_.options.prolongation);
-    assemble_gradient(shown_.stack, shown_.operators);
+    assemble_gradient(shown_.multigrid, shown_.operators);
   }
   return *shown_.operators[std::size_t(level)];
 }

@@ -61,7 +61,7 @@ class MatrixFreeBackend : public Backend {
   Real latest_residual_ = 0;    ///< its norm, V/m^2
   Real latest_correction_ = 0;  ///< the largest on this rank, V
   bool phi_is_zero_ = false;
-  Assembled shown_;  ///< empty until asked for
+  Assembled shown_;  ///< empty until first used
 };
 
 }  // namespace amrpic

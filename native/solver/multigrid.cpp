@@ -55,24 +55,24 @@ void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
   smoother_->smooth(Side::after, right_hand_side_, correction_);
 }
 
-Multigrid::Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators,
+Multigrid::Multigrid(MPI_Comm comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
                      std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
-    : stack_(stack), bottom_(std::move(bottom)) {
+    : multigrid_levels_(multigrid), bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());
   for (std::size_t l = 0; l < operators.size(); ++l) {
     LevelOperators const& o = *operators[l];
     std::unique_ptr<Smoother> smoother;  // the coarsest level needs none
-    if (stack.refines(l)) {
-      auto const copies = semicoarse_copies(o.level, o.walls, stack.boundary, max_grid_size);
+    if (multigrid.refines(l)) {
+      auto const copies = semicoarse_copies(o.level, o.walls, multigrid.boundary, max_grid_size);
       smoother = make_refined_smoother(comm, o, copies, options);
     }
-    if (l > 0 && !smoother) smoother = make_smoother(comm, o, stack.halves_at_most(l), options);
+    if (l > 0 && !smoother) smoother = make_smoother(comm, o, multigrid.halves_at_most(l), options);
     levels_.emplace_back(o, std::move(smoother));
   }
 }
 
 void Multigrid::cycle(Stopwatch& stopwatch) {
-  run_cycle(stack_,
+  run_cycle(multigrid_levels_,
             {[&](std::size_t l) {
                stopwatch.time("pre_smooth_and_restrict", [&] { levels_[l].restrict_right_hand_side(levels_[l - 1]); });
              },

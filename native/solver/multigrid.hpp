@@ -48,18 +48,18 @@ class MultigridLevel {
 /// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form.
 class Multigrid {
  public:
-  /// The stack outlives it. Collective.
-  Multigrid(MPI_Comm comm, LevelStack const& stack, StackOperators const& operators, std::shared_ptr<Bottom> bottom,
-            int max_grid_size, SolverOptions const& options);
+  /// The levels must outlive it. Collective.
+  Multigrid(MPI_Comm comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
+            std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options);
 
   std::vector<MultigridLevel> const& levels() const { return levels_; }
-  MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< of the stack, coarse to fine
+  MultigridLevel& level(std::size_t l) { return levels_[l]; }  ///< coarse to fine
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void cycle(Stopwatch& stopwatch);
 
  private:
-  LevelStack const& stack_;
+  MultigridLevels const& multigrid_levels_;
   std::vector<MultigridLevel> levels_;
   std::shared_ptr<Bottom> bottom_;
 };

@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <limits>
 
-#include "mesh/window.hpp"
+#include "mesh/array_on_box.hpp"
 
 namespace amrpic {
 
@@ -31,8 +31,9 @@ Real rounding_of_subtraction(Field const& rho) {
     Level const& level = hierarchy.level(l);
     for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
       Box const& box = level.box(b);
-      Window<char> const covered =
-          hierarchy.has_finer(l) ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box) : Window<char>(box, 0);
+      ArrayOnBox<char> const covered = hierarchy.has_finer(l)
+                                           ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box)
+                                           : ArrayOnBox<char>(box, 0);
       Real const* value = rho.level(l).data() + level.local_offset(b);
       for_each_cell(box, [&](Index3 const& cell) {
         if (!covered(cell) && *value != 0) unit = std::min(unit, last_digit(*value));

@@ -49,7 +49,7 @@ ParameterList ifpack2_parameters(BottomPreconditioner kind) {
 namespace {
 
 /// MueLu's factories for aggregates along the lines of a mesh, which its plain list of parameters does not offer: each
-/// factory by name, and who takes what from whom.
+/// factory by name, and their inputs.
 ParameterList structured_aggregation(Index3 const& cells) {
   ParameterList list;
   auto factory = [&](char const* name, char const* kind) -> ParameterList& {

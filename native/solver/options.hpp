@@ -42,7 +42,7 @@ enum class KrylovKind { none, fgmres, bicgstab };
 
 constexpr int as_many_as_possible = 1 << 30;
 
-/// What a solver is asked to do; the reasons for the defaults stand beside them.
+/// The options of a solver; the reasons for the defaults stand beside them.
 struct SolverOptions {
   Real tolerance = 1e-10;          ///< residual over right-hand side, in `norm`
   Real absolute_tolerance = 0;     ///< residual in `norm`, V/m^2 (times m^3 for l1, times m^1.5 for l2)

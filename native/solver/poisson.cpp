@@ -81,7 +81,7 @@ void PoissonSolver::set_open_walls(Field const& rho) {
 /// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
 /// be by the rounding of what cancelled in it alone.
 Real PoissonSolver::remove_net_charge(Field const& rho) {
-  constexpr Real balanced = 1e-10;  // share of all charge that sums over many cells and particles may miss
+  constexpr Real balanced = 1e-10;  // fraction of all charge that sums over many cells and particles may miss
   constexpr Real last_digits = 4 * std::numeric_limits<Real>::epsilon();
   Real volume = 1;
   for (int d = 0; d < 3; ++d) volume *= hierarchy_->domain().upper[d] - hierarchy_->domain().lower[d];

@@ -12,8 +12,8 @@ namespace amrpic {
 
 enum class Side { before, after };  ///< of the coarse correction
 
-/// Damps those errors of a level that the next coarser one cannot see, in no_fine x = f. Vectors x hold own cells and
-/// ghosts; only own cells of the result are valid.
+/// Damps those errors of a level that the next coarser one cannot resolve, in no_fine x = f. Vectors x hold own cells
+/// and ghosts; only own cells of the result are valid.
 class Smoother {
  public:
   virtual ~Smoother() = default;
@@ -21,7 +21,7 @@ class Smoother {
   /// x from zero, by the sweeps before the coarse correction. Collective.
   virtual void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) = 0;
 
-  /// x from what it holds, by the sweeps before or after the coarse correction. Collective.
+  /// x from its present values, by the sweeps before or after the coarse correction. Collective.
   virtual void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) = 0;
 
   /// Operators of levels that it has for itself.

@@ -42,10 +42,10 @@ Values make_values(std::ptrdiff_t size, Real value) {
 
 /// A box of nx · ny · nz cells within one layer of ghosts; rows start on a cache line, ghosts in x are the ends of
 /// neighbouring rows.
-struct Shape {
+struct UnitBox {
   std::ptrdiff_t nx, ny, nz;
 
-  explicit Shape(GlobalIndex cells) {
+  explicit UnitBox(GlobalIndex cells) {
     Real const edge = std::cbrt(Real(cells));
     nx = std::max<std::ptrdiff_t>(1, std::lround(edge / VALUES_PER_LINE)) * VALUES_PER_LINE;
     ny = std::max<std::ptrdiff_t>(1, std::lround(std::sqrt(Real(cells) / Real(nx))));
@@ -60,7 +60,7 @@ struct Shape {
 
 /// y = sum of the six neighbours - 6 x. Tiles of rows keep three planes of x in the cache, so x is read once from
 /// memory.
-void apply(Shape s, Real const* __restrict x, Real* __restrict y) {
+void apply(UnitBox s, Real const* __restrict x, Real* __restrict y) {
   std::ptrdiff_t const row = s.nx, plane = s.plane();
   for (std::ptrdiff_t tile = 0; tile < s.ny; tile += ROWS_PER_TILE)
     for (std::ptrdiff_t k = 0; k < s.nz; ++k)
@@ -94,7 +94,7 @@ Real seconds_of(F&& f) {
 }  // namespace
 
 WorkUnit measure_work_unit(GlobalIndex cells) {
-  Shape const shape(cells);
+  UnitBox const shape(cells);
   Real of_apply = std::numeric_limits<Real>::max(), of_triad = of_apply;
   {
     auto const x = make_values(shape.size(), 1.0), y = make_values(shape.size(), 2.0);

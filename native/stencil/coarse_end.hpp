@@ -74,7 +74,7 @@ inline Real prolonged_wall_ghost(Boundary kind, UpperEnd const& end) {
 }
 
 /// Factor of the difference to the neighbour of cell i on a side, along a periodic axis whose last of n cells has a
-/// width of its own: finite volumes, over that of ordinary cells. Indices beyond the axis are those of images.
+/// width of its own: finite volumes, over that of ordinary cells. Indices outside the axis are those of images.
 inline Real seam_factor(int i, int side, int n, Real width) {
   auto const is_last = [n](int c) { return ((c + 1) % n + n) % n == 0; };
   Real const distance = (1 + width) / 2;
@@ -89,9 +89,9 @@ inline Real prolonged_far(int i, int side, int n, Real width) {
   return in_last ? 0 : prolongation::far * seam_factor(i, side, n, width);
 }
 
-/// The value beyond a face towards the last cell of such an axis, as an ordinary face's.
+/// The value across a face towards the last cell of such an axis, as an ordinary face's.
 template <class Value>
-inline Value beyond_seam(Real factor, Value const& inner, Value const& outer) {
+inline Value neighbour_at_seam(Real factor, Value const& inner, Value const& outer) {
   return factor * outer + (1 - factor) * inner;
 }
 

@@ -33,9 +33,9 @@ inline Value difference_at_interface(Value const& phi_1, Value const& phi_2) {
 /// quarter of the face each, and half the distance.
 constexpr Real fine_face_weight = 2.0 / 4;
 
-/// The value beyond a coarse face that has the flux of the four fine ones: of the sum of their differences.
+/// The ghost value at a coarse face that gives the flux of the four fine ones: of the sum of their differences.
 template <class Value>
-inline Value beyond_fine_faces(Value const& inner, Value const& differences) {
+inline Value ghost_at_fine_faces(Value const& inner, Value const& differences) {
   return inner + fine_face_weight * differences;
 }
 
@@ -88,7 +88,7 @@ constexpr std::array<std::pair<int, int>, 9> biquadratic_corners{
     {{-1, -1}, {-2, -1}, {-1, -2}, {0, -1}, {-1, 0}, {-2, 0}, {-2, -2}, {0, -2}, {0, 0}}};
 constexpr std::array<std::pair<int, int>, 4> bilinear_corners{{{-1, -1}, {0, -1}, {0, 0}, {-1, 0}}};
 
-/// The fit of phi* at (x, y) coarse cell widths from the coarse cell behind the ghost; `usable` tells which of the 25
+/// The fit of phi* at (x, y) coarse cell widths from the coarse cell behind the ghost; `usable` says which of the 25
 /// cells around it exist, lie inside the domain and are uncovered (that cell itself always is).
 ///
 /// 2-D second-order Lagrange interpolation (Frey and Adelmann) where one of the nine blocks is complete; else bilinear;

@@ -39,7 +39,7 @@ inline Value mean_of_children(Value const* child, std::ptrdiff_t y, std::ptrdiff
 }
 
 /// What the mean over the upper or lower half of a cell takes of the means of the cell on the left, of the cell itself
-/// and of that on the right, by the parabola with these three means; beyond a wall the slope is that towards the other
+/// and of that on the right, by the parabola with these three means; behind a wall the slope is that towards the other
 /// side.
 inline std::array<Real, 3> half_cell_weights(bool upper, bool has_left, bool has_right) {
   Real const s = upper ? 1.0 / 8 : -1.0 / 8;

@@ -22,7 +22,7 @@ inline Value weighted_sum(std::array<Weight, 3> const& weight, Value const& x, V
   return fused(weight[2], z, fused(weight[1], y, weight[0] * x));
 }
 
-/// L phi of the value in a cell and those beyond its faces. Of forms the differences are taken first: terms that
+/// L phi of the value in a cell and those across its faces. Of forms the differences are taken first: terms that
 /// cancel, at walls that no flux passes, do so before any rounding.
 template <class Value>
 inline Value laplacian(Equation const& l, Value const& c, Value const& xm, Value const& xp, Value const& ym,

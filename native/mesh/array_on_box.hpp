@@ -8,11 +8,11 @@
 
 namespace amrpic {
 
-/// Values on a block of cells with any corner: a small dense picture of a part of a level.
+/// A dense array of values on a box, x fastest.
 template <class T>
-class Window {
+class ArrayOnBox {
  public:
-  Window(Box const& box, T value) : box_(box), values_(std::size_t(box.cells()), value) {}
+  ArrayOnBox(Box const& box, T value) : box_(box), values_(std::size_t(box.cells()), value) {}
   Box const& box() const { return box_; }
   T& operator()(Index3 const& cell) { return values_[std::size_t(box_.offset(cell))]; }
   T const& operator()(Index3 const& cell) const { return values_[std::size_t(box_.offset(cell))]; }
@@ -23,6 +23,9 @@ class Window {
   Box box_;
   std::vector<T> values_;
 };
+
+template <class T>
+using Window = ArrayOnBox<T>;
 
 constexpr GlobalIndex no_cell = -1;
 
@@ -39,8 +42,8 @@ void for_each_row(Level const& level, int b, Box const& part, Index3 const& shif
 }
 
 /// The numbers of a level's cells in a region, `no_cell` where the level has none; periodic images included.
-inline Window<GlobalIndex> cell_numbers(Level const& level, Box const& region) {
-  Window<GlobalIndex> out(region, no_cell);
+inline ArrayOnBox<GlobalIndex> cell_numbers(Level const& level, Box const& region) {
+  ArrayOnBox<GlobalIndex> out(region, no_cell);
   level.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
     for_each_row(level, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
       std::iota(&out(cell), &out(cell) + count, first);
@@ -50,8 +53,8 @@ inline Window<GlobalIndex> cell_numbers(Level const& level, Box const& region) {
 }
 
 /// 1 where the next finer level covers a cell of `region` (indices of the coarser level), 0 elsewhere.
-inline Window<char> covered_cells(Level const& finer, Index3 const& ratio, Box const& region) {
-  Window<char> out(region, 0);
+inline ArrayOnBox<char> covered_cells(Level const& finer, Index3 const& ratio, Box const& region) {
+  ArrayOnBox<char> out(region, 0);
   finer.for_each_overlap(region.refine(ratio), [&](int, Box const& part, Index3 const&) {
     Box const parents = part.coarsen(ratio).intersect(region);
     for (int k = parents.lower[2]; k <= parents.upper[2]; ++k)

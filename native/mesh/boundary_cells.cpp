@@ -1,4 +1,4 @@
-#include "mesh/rim.hpp"
+#include "mesh/boundary_cells.hpp"
 
 #include <algorithm>
 #include <stdexcept>
@@ -6,7 +6,7 @@
 
 namespace amrpic {
 
-Rim::Rim(Level const& level, Level const* finer) : first_{0}, first_cell_{0} {
+BoundaryCells::BoundaryCells(Level const& level, Level const* finer) : first_{0}, first_cell_{0} {
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     Box const& box = level.box(b);
     Index3 const n{box.extent(0), box.extent(1), box.extent(2)};
@@ -20,7 +20,7 @@ Rim::Rim(Level const& level, Level const* finer) : first_{0}, first_cell_{0} {
   }
 }
 
-LocalIndex Rim::number(int b, Index3 const& cell) const {
+LocalIndex BoundaryCells::number(int b, Index3 const& cell) const {
   auto const [nx, ny, nz] = extent_[std::size_t(b)];
   auto const [i, j, k] = cell;
   LocalIndex const plane = nx * ny, rows = 2 * plane, columns = rows + 2 * (nz - 2) * nx;
@@ -36,14 +36,13 @@ LocalIndex Rim::number(int b, Index3 const& cell) const {
   return out < 0 ? out : first_[std::size_t(b)] + out;
 }
 
-LocalIndex Rim::number(LocalIndex place, std::size_t& box) const {
+LocalIndex BoundaryCells::number(LocalIndex place, std::size_t& box) const {
   if (place < first_cell_[box] || place >= first_cell_[box + 1])
     box = std::size_t(std::upper_bound(first_cell_.begin(), first_cell_.end(), place) - first_cell_.begin() - 1);
   int const cell = place - first_cell_[box], nx = extent_[box][0], ny = extent_[box][1];
   LocalIndex const out =
       whole_[box] ? first_[box] + cell : number(int(box), {cell % nx, cell / nx % ny, cell / nx / ny});
-  if (out < 0)
-    throw std::logic_error("cell " + std::to_string(place) + " of a level lies inside a box, not at its rim");
+  if (out < 0) throw std::logic_error("cell " + std::to_string(place) + " of a level is no boundary cell of its box");
   return out;
 }
 

@@ -6,14 +6,14 @@
 
 namespace amrpic {
 
-/// Cells around a box that follow each other along x or y, at equal distances in memory.
-struct ShellRun {
+/// Ghost cells of a box that follow each other along x or y, at equal distances in memory.
+struct GhostRun {
   Index3 first;
   int axis;
   LocalIndex count;
   /// In [own | ghosts] of the level, all of them in one of both; -1: the level has no such cells.
   LocalIndex place, place_stride;
-  LocalIndex number, number_stride;  ///< among the cells of the shell, in the order of `for_each_shell_row`
+  LocalIndex number, number_stride;  ///< among the box's ghost cells, in the order of `for_each_ghost_row`
 
   Index3 cell(LocalIndex n) const {
     Index3 out = first;
@@ -22,26 +22,26 @@ struct ShellRun {
   }
 };
 
-/// The cells around a box that its particles touch, as runs.
-class Shell {
+/// The ghost cells of a box, which its particles touch, as runs.
+class GhostCells {
  public:
-  Shell() = default;
-  /// `places` of all its cells in the order of `for_each_shell_row`, in [own | ghosts], negative where the level has
-  /// none; so many are own.
-  Shell(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
+  GhostCells() = default;
+  /// `places` of all its cells in the order of `for_each_ghost_row`, in [own | ghosts], `owned` of which are own;
+  /// negative where the level has none.
+  GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
 
   /// The same cells where the values at `places` are kept elsewhere: place(one of those), `owned` of them own.
   template <class Place>
-  Shell kept_elsewhere(Box const& box, LocalIndex owned, Place const& place) const {
+  GhostCells kept_elsewhere(Box const& box, LocalIndex owned, Place const& place) const {
     std::vector<LocalIndex> places(cells_, -1);
-    for (ShellRun const& run : runs_)
+    for (GhostRun const& run : runs_)
       for (LocalIndex n = 0; run.place >= 0 && n < run.count; ++n)
         places[std::size_t(run.number + n * run.number_stride)] = place(run.place + n * run.place_stride);
-    return Shell(box, places, owned);
+    return GhostCells(box, places, owned);
   }
 
   std::size_t cells() const { return cells_; }
-  std::vector<ShellRun> const& runs() const { return runs_; }
+  std::vector<GhostRun> const& runs() const { return runs_; }
 
   /// Call f(run) for those in plane k.
   template <class F>
@@ -53,7 +53,7 @@ class Shell {
  private:
   std::size_t cells_ = 0;
   int first_plane_ = 0;
-  std::vector<ShellRun> runs_;
+  std::vector<GhostRun> runs_;
   std::vector<std::size_t> plane_start_;
 };
 

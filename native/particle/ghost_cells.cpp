@@ -1,15 +1,15 @@
-#include "particle/shell.hpp"
+#include "particle/ghost_cells.hpp"
 
 namespace amrpic {
 
 namespace {
 
 /// Cut a row or column of cells, of which `whole` is given all but how they lie in memory, into runs.
-void cut(ShellRun const& whole, std::vector<LocalIndex> const& places, LocalIndex owned, std::vector<ShellRun>& runs) {
+void cut(GhostRun const& whole, std::vector<LocalIndex> const& places, LocalIndex owned, std::vector<GhostRun>& runs) {
   auto const place = [&](LocalIndex n) { return places[std::size_t(whole.number + n * whole.number_stride)]; };
   auto const kind = [&](LocalIndex n) { return place(n) < 0 ? 0 : place(n) < owned ? 1 : 2; };
   for (LocalIndex n = 0; n < whole.count;) {
-    ShellRun run = whole;
+    GhostRun run = whole;
     run.first = whole.cell(n);
     run.number += n * whole.number_stride;
     run.place = std::max(place(n), LocalIndex(-1));
@@ -28,7 +28,7 @@ void cut(ShellRun const& whole, std::vector<LocalIndex> const& places, LocalInde
 
 }  // namespace
 
-Shell::Shell(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned)
+GhostCells::GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned)
     : cells_(places.size()), first_plane_(box.lower[2] - tile_reach) {
   Box const tile = box.grow(tile_reach);
   LocalIndex number = 0;

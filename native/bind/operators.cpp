@@ -31,12 +31,12 @@ Crs const& find(LevelOperators const& o, std::string const& name, int axis) {
 /// This rank's rows of an operator, columns in global numbers: (row starts, columns, values).
 nb::tuple rows_of(LevelOperators const& o, std::string const& name, LevelOperators const& columns, int axis) {
   Crs const& crs = find(o, name, axis);
-  auto const& ghosts = columns.halo.ghost_numbers();
+  auto const& halo = columns.halo.halo_numbers();
   GlobalIndex const first = columns.level->first_local_cell();
   LocalIndex const owned = columns.rows();
   std::vector<std::int64_t> start(crs.row_start.begin(), crs.row_start.end()), column;
   column.reserve(crs.entries());
-  for (LocalIndex c : crs.column) column.push_back(c < owned ? first + c : ghosts[std::size_t(c - owned)]);
+  for (LocalIndex c : crs.column) column.push_back(c < owned ? first + c : halo[std::size_t(c - owned)]);
   return nb::make_tuple(bind::to_array(std::move(start)), bind::to_array(std::move(column)),
                         bind::to_array(std::vector<Real>(crs.value.begin(), crs.value.end())));
 }

@@ -24,6 +24,7 @@ class ArrayOnBox {
   std::vector<T> values_;
 };
 
+// The same by the name that matrixfree/composite_truncation.cpp uses.
 template <class T>
 using Window = ArrayOnBox<T>;
 

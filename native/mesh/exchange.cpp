@@ -29,23 +29,23 @@ void append_remote(Level const& level, Box const& region, std::vector<GlobalInde
   });
 }
 
-Exchange::Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> ghosts) : ghosts_(std::move(ghosts)) {
-  make(comm, level, ghosts_);
+Exchange::Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> halo) : halo_(std::move(halo)) {
+  make(comm, level, halo_);
 }
 
-Exchange::Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& all_ghosts,
+Exchange::Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& whole_halo,
                    std::vector<GlobalIndex> const& subset)
-    : ghosts_(all_ghosts) {
+    : halo_(whole_halo) {
   make(comm, level, subset);
 }
 
 LocalIndex Exchange::local(GlobalIndex cell) const {
   GlobalIndex const own = cell - first_;
   if (own >= 0 && own < owned_) return LocalIndex(own);
-  auto const at = std::lower_bound(ghosts_.begin(), ghosts_.end(), cell);
-  if (at == ghosts_.end() || *at != cell)
-    throw std::logic_error("cell " + std::to_string(cell) + " is neither owned nor a ghost");
-  return owned_ + LocalIndex(at - ghosts_.begin());
+  auto const at = std::lower_bound(halo_.begin(), halo_.end(), cell);
+  if (at == halo_.end() || *at != cell)
+    throw std::logic_error("cell " + std::to_string(cell) + " is neither owned nor in the halo");
+  return owned_ + LocalIndex(at - halo_.begin());
 }
 
 ArrayOnBox<LocalIndex> Exchange::places(Level const& level, Box const& region) const {
@@ -62,9 +62,8 @@ ArrayOnBox<LocalIndex> Exchange::places(Level const& level, Box const& region) c
 void Exchange::write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const {
   GlobalIndex const own = first - first_;
   if (own >= 0 && own < owned_) return std::iota(out, out + count, LocalIndex(own));
-  for (auto at = std::lower_bound(ghosts_.begin(), ghosts_.end(), first); at != ghosts_.end() && *at < first + count;
-       ++at)
-    out[*at - first] = owned_ + LocalIndex(at - ghosts_.begin());
+  for (auto at = std::lower_bound(halo_.begin(), halo_.end(), first); at != halo_.end() && *at < first + count; ++at)
+    out[*at - first] = owned_ + LocalIndex(at - halo_.begin());
 }
 
 void Exchange::make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted) {
@@ -137,19 +136,19 @@ void Exchange::pack(std::vector<Neighbour> const& neighbours, std::vector<Real c
   }
 }
 
-void Exchange::update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts,
+void Exchange::update(std::vector<Real const*> const& own, std::vector<Real*> const& halo,
                       std::ptrdiff_t stride) const {
   pack(readers_, own, stride);
   post(sources_, readers_, own.size());
   for (auto const& n : sources_) {
     Real const* in = n.buffer.data();
-    for (Real* field : ghosts)
-      for (LocalIndex ghost : n.cells) field[ghost * stride] = *in++;
+    for (Real* field : halo)
+      for (LocalIndex cell : n.cells) field[cell * stride] = *in++;
   }
 }
 
-void Exchange::fold(std::vector<Real*> const& own, std::vector<Real const*> const& ghosts) const {
-  pack(sources_, ghosts, 1);
+void Exchange::fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo) const {
+  pack(sources_, halo, 1);
   post(readers_, sources_, own.size());
   for (auto const& n : readers_) {
     Real const* in = n.buffer.data();

@@ -20,22 +20,22 @@ void append_remote(Level const& level, Box const& region, std::vector<GlobalInde
 
 /// The plan by which a rank reads cells of a level that other ranks own, and gives charge back to them.
 ///
-/// Values of a level are kept as [own cells | ghosts], ghosts in ascending global number. All that passes between two
+/// Values of a level are stored as [own cells | halo], the halo in ascending global number. All that passes between two
 /// ranks, for all boxes and all fields of a call, is one message. Made once per hierarchy; a call allocates nothing
 /// after the first with as many fields.
 class Exchange {
  public:
   Exchange() = default;
 
-  /// Plan for the given ghosts (ascending global numbers, none of them owned here). Collective.
-  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> ghosts);
+  /// Plan for a halo of the given cells (ascending global numbers, none of them owned here). Collective.
+  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> halo);
 
-  /// Plan for some ghosts of another plan, into that plan's places; `subset` ascending. Collective.
-  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& all_ghosts,
+  /// Plan for a part of another plan's halo, into that plan's places; `subset` ascending. Collective.
+  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& whole_halo,
            std::vector<GlobalIndex> const& subset);
 
   /// The same plan for values of which `owned` are kept, those of an own cell at place(its place among all of them).
-  /// It can `update` ghosts; cells are found by the plan that it comes from.
+  /// It can `update` the halo; cells are found by the plan that it comes from.
   template <class Place>
   Exchange kept_elsewhere(LocalIndex owned, Place const& place) const {
     Exchange out = *this;
@@ -47,24 +47,24 @@ class Exchange {
   }
 
   LocalIndex owned() const { return owned_; }
-  LocalIndex ghosts() const { return LocalIndex(ghosts_.size()); }
-  std::vector<GlobalIndex> const& ghost_numbers() const { return ghosts_; }
+  LocalIndex halo_size() const { return LocalIndex(halo_.size()); }
+  std::vector<GlobalIndex> const& halo_numbers() const { return halo_; }
 
-  /// Place of a cell in [own cells | ghosts]; the cell must be owned or a ghost.
+  /// Place of a cell in [own cells | halo]; the cell must be in one of both.
   LocalIndex local(GlobalIndex cell) const;
 
-  /// Places of a level's cells in a region, `no_place` where a cell is neither owned nor a ghost or does not exist;
+  /// Places of a level's cells in a region, `no_place` where a cell is neither owned nor in the halo or does not exist;
   /// periodic images included.
   ArrayOnBox<LocalIndex> places(Level const& level, Box const& region) const;
 
-  /// Fill the ghosts of each field from their owners; values of a field lie `stride` numbers apart. Collective.
-  void update(std::vector<Real const*> const& own, std::vector<Real*> const& ghosts, std::ptrdiff_t stride = 1) const;
+  /// Fill the halo of each field from its owners; values of a field lie `stride` numbers apart. Collective.
+  void update(std::vector<Real const*> const& own, std::vector<Real*> const& halo, std::ptrdiff_t stride = 1) const;
 
-  /// The same for one field kept as [own cells | ghosts].
+  /// The same for one field stored as [own cells | halo].
   void update(Real* field) const { update({field}, {field + owned_}); }
 
-  /// Add each field's ghosts to their owners' cells, in the order of ranks; the ghosts keep their values. Collective.
-  void fold(std::vector<Real*> const& own, std::vector<Real const*> const& ghosts) const;
+  /// Add each field's halo to its owners' cells, in the order of ranks; the halo keeps its values. Collective.
+  void fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo) const;
 
   std::int64_t messages() const { return messages_; }  ///< sent by this rank so far
   std::int64_t bytes() const { return bytes_; }
@@ -72,7 +72,7 @@ class Exchange {
  private:
   struct Neighbour {
     int rank;
-    std::vector<LocalIndex> cells;  ///< places among the ghosts, or among the own cells
+    std::vector<LocalIndex> cells;  ///< places in the halo, or among the own cells
     mutable std::vector<Real> buffer;
   };
   void make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted);
@@ -84,8 +84,8 @@ class Exchange {
   MPI_Comm comm_ = MPI_COMM_NULL;
   GlobalIndex first_ = 0;
   LocalIndex owned_ = 0;
-  std::vector<GlobalIndex> ghosts_;
-  std::vector<Neighbour> sources_;  ///< ranks that own my ghosts; places among the ghosts
+  std::vector<GlobalIndex> halo_;
+  std::vector<Neighbour> sources_;  ///< ranks that own my halo; places in the halo
   std::vector<Neighbour> readers_;  ///< ranks that read my cells; places among the own cells
   mutable std::vector<MPI_Request> requests_;
   mutable std::int64_t messages_ = 0;

@@ -16,8 +16,8 @@ class Reader {
   /// Collective.
   Reader(MPI_Comm comm, Level const& level, std::vector<Box> const& regions, LargeArray<Real> const& own)
       : level_(level), exchange_(comm, level, remote(level, regions)), own_(own) {
-    ghosts_.resize(std::size_t(exchange_.ghosts()));
-    exchange_.update({own_.data()}, {ghosts_.data()});
+    halo_.resize(std::size_t(exchange_.halo_size()));
+    exchange_.update({own_.data()}, {halo_.data()});
   }
 
   /// Call `f(values, count, first cell)` for each row along x of the level's cells in one of the regions; periodic
@@ -26,9 +26,9 @@ class Reader {
   void for_each_row(Box const& region, F&& f) const {
     level_.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
       amrpic::for_each_row(level_, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
-        // ghosts stand in the order of their numbers, so those of a row stand side by side as own cells do
+        // the halo is in the order of its numbers, so the cells of a row are side by side as own cells are
         LocalIndex const place = exchange_.local(first), owned = exchange_.owned();
-        f(place < owned ? &own_[std::size_t(place)] : &ghosts_[std::size_t(place - owned)], count, cell);
+        f(place < owned ? &own_[std::size_t(place)] : &halo_[std::size_t(place - owned)], count, cell);
       });
     });
   }
@@ -43,7 +43,7 @@ class Reader {
   Level const& level_;
   Exchange exchange_;
   LargeArray<Real> const& own_;
-  std::vector<Real> ghosts_;
+  std::vector<Real> halo_;
 };
 
 std::vector<Box> local_boxes(Level const& level) {

@@ -68,8 +68,8 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
   for (int l = int(pairs_.size()) - 1; l >= 0; --l) {
     LevelPair const& pair = pairs_[l];
     std::vector<Real*> own;
-    std::vector<Real const*> ghosts;
-    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.ghosts())));
+    std::vector<Real const*> halos;
+    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.halo_size())));
     for (std::size_t f = 0; f < fields.size(); ++f) {
       Real const* fine = fields[f]->level(l + 1).data();
       Real* coarse = fields[f]->level(l).data();
@@ -81,9 +81,9 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
         average_children(1, fine + child, y, z, place < owned ? coarse + place : &halo[f][std::size_t(place - owned)]);
       });
       own.push_back(coarse);
-      ghosts.push_back(halo[f].data());
+      halos.push_back(halo[f].data());
     }
-    pair.parents.fold(own, ghosts);
+    pair.parents.fold(own, halos);
   }
 }
 
@@ -92,7 +92,7 @@ void Transfer::spread(Field& field) const {
     LevelPair const& pair = pairs_[l];
     Real const* coarse = field.level(l).data();
     Real* fine = field.level(l + 1).data();
-    std::vector<Real> halo(std::size_t(pair.parents.ghosts()));
+    std::vector<Real> halo(std::size_t(pair.parents.halo_size()));
     pair.parents.update({coarse}, {halo.data()});
     std::size_t n = 0;
     LocalIndex const owned = pair.parents.owned();

@@ -25,8 +25,8 @@ class Transfer {
 
  private:
   struct LevelPair {
-    Exchange parents;               ///< on the coarser level; ghosts: parents of own fine cells that others own
-    std::vector<LocalIndex> place;  ///< of each parent of own fine cells in [own | ghosts], fine box by fine box
+    Exchange parents;               ///< on the coarser level; halo: parents of own fine cells that others own
+    std::vector<LocalIndex> place;  ///< of each parent of own fine cells in [own | halo], fine box by fine box
     std::vector<LocalIndex> children_elsewhere;  ///< own covered cells whose children live on other ranks
   };
   LevelPair make_pair(int coarse) const;

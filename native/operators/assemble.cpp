@@ -348,8 +348,8 @@ class LevelAssembly {
   std::vector<char> uncovered_;
 };
 
-/// The operators in `former` of levels that it has with the same neighbouring levels; null for the others. Ghosts may
-/// be numbered differently.
+/// The operators in `former` of levels that it has with the same neighbouring levels; null for the others. The
+/// halo may be numbered differently.
 MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolongation, Assembled const& former) {
   std::size_t const count = multigrid.levels.size(), before = former.multigrid.levels.size();
   MultigridOperators out(count);
@@ -370,8 +370,8 @@ MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolong
   return out;
 }
 
-/// The ghosts of each level: what its own operators and its neighbours' read.
-std::vector<std::vector<GlobalIndex>> ghosts_of(std::vector<RemoteCells> const& reads) {
+/// The halo of each level: what its own operators and its neighbours' read.
+std::vector<std::vector<GlobalIndex>> halos_of(std::vector<RemoteCells> const& reads) {
   std::vector<std::vector<GlobalIndex>> out;
   for (std::size_t l = 0; l < reads.size(); ++l) {
     out.push_back(reads[l].own);
@@ -383,15 +383,15 @@ std::vector<std::vector<GlobalIndex>> ghosts_of(std::vector<RemoteCells> const& 
   return out;
 }
 
-/// Let go of operators whose columns have other ghosts now, on any rank. Collective.
-void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::vector<GlobalIndex>> const& ghosts,
+/// Free operators whose columns have another halo now, on any rank. Collective.
+void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::vector<GlobalIndex>> const& halos,
                      MultigridOperators& operators) {
-  std::vector<int> other(ghosts.size());
-  for (std::size_t l = 0; l < ghosts.size(); ++l)
-    other[l] = l >= former.operators.size() || former.operators[l]->halo.ghost_numbers() != ghosts[l];
+  std::vector<int> other(halos.size());
+  for (std::size_t l = 0; l < halos.size(); ++l)
+    other[l] = l >= former.operators.size() || former.operators[l]->halo.halo_numbers() != halos[l];
   MPI_Allreduce(MPI_IN_PLACE, other.data(), int(other.size()), MPI_INT, MPI_MAX, comm);
-  for (std::size_t l = 0; l < ghosts.size(); ++l)
-    if (other[l] || (l > 0 && other[l - 1]) || (l + 1 < ghosts.size() && other[l + 1])) operators[l].reset();
+  for (std::size_t l = 0; l < halos.size(); ++l)
+    if (other[l] || (l > 0 && other[l - 1]) || (l + 1 < halos.size() && other[l + 1])) operators[l].reset();
 }
 
 }  // namespace
@@ -427,8 +427,8 @@ Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation
   make_missing();
   std::vector<RemoteCells> reads(count);
   for (std::size_t l = 0; l < count; ++l) reads[l] = out[l] ? out[l]->reads : assemblies[l]->reads();
-  auto const ghosts = ghosts_of(reads);
-  drop_renumbered(comm, former, ghosts, out);
+  auto const halos = halos_of(reads);
+  drop_renumbered(comm, former, halos, out);
   former = {};
   make_missing();
 
@@ -436,8 +436,8 @@ Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation
     if (out[l]) continue;
     ++result.made;
     out[l] = std::make_shared<LevelOperators>();
-    out[l]->halo = Exchange(comm, *multigrid.levels[l], ghosts[l]);
-    out[l]->stencil_halo = Exchange(comm, *multigrid.levels[l], ghosts[l],
+    out[l]->halo = Exchange(comm, *multigrid.levels[l], halos[l]);
+    out[l]->stencil_halo = Exchange(comm, *multigrid.levels[l], halos[l],
                                     remote_cells(*multigrid.levels[l], assemblies[l]->remote_stencil()));
     out[l]->reads = std::move(reads[l]);
   }

@@ -46,7 +46,7 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
     append_remote_neighbours(level, level.box(b), remote);
   out.halo = Exchange(comm, level, remote_cells(level, std::move(remote)));
-  out.stencil_halo = Exchange(comm, level, out.halo.ghost_numbers());
+  out.stencil_halo = Exchange(comm, level, out.halo.halo_numbers());
   builder.start_filling(out.halo);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     auto const places = out.halo.places(level, level.box(b).grow(1));

@@ -55,11 +55,11 @@ inline Teuchos::RCP<TpetraTypes::Map const> row_map(MPI_Comm comm, LevelOperator
       new TpetraTypes::Map(Tpetra::global_size_t(operators.level->cells()), std::size_t(operators.rows()), 0, ranks));
 }
 
-/// The cells of a level that this rank's operators read: its own, then the ghosts of the halo. Collective.
+/// The cells of a level that this rank's operators read: its own, then the halo. Collective.
 inline Teuchos::RCP<TpetraTypes::Map const> column_map(MPI_Comm comm, LevelOperators const& operators) {
   std::vector<TpetraTypes::Global> cells;
   for (LocalIndex i = 0; i < operators.rows(); ++i) cells.push_back(operators.level->first_local_cell() + i);
-  cells.insert(cells.end(), operators.halo.ghost_numbers().begin(), operators.halo.ghost_numbers().end());
+  cells.insert(cells.end(), operators.halo.halo_numbers().begin(), operators.halo.halo_numbers().end());
   auto const ranks = Teuchos::rcp(new Teuchos::MpiComm<int>(comm));
   auto const unknown = Teuchos::OrdinalTraits<Tpetra::global_size_t>::invalid();
   return Teuchos::rcp(new TpetraTypes::Map(unknown, Teuchos::ArrayView<TpetraTypes::Global const>(cells), 0, ranks));

@@ -8,7 +8,7 @@ namespace amrpic {
 
 namespace {
 
-/// Places among all cells of a level and the ghosts of a plan, as places among its boundary cells and the same ghosts;
+/// Places among all cells of a level and the halo of a plan, as places among its boundary cells and the same halo;
 /// negative ones stand for no cell and stay.
 struct ToBoundary {
   BoundaryCells const& boundary;

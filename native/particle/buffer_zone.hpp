@@ -11,7 +11,7 @@ namespace amrpic {
 struct CoarseCells {
   int level;
   Box box;  ///< the box coarsened to that level; clouds reach `tile_reach` cells further
-  /// For each cell of `box` grown by the reach: its place in [own | ghosts] of the level, -1: not touched.
+  /// For each cell of `box` grown by the reach: its place in [own | halo] of the level, -1: not touched.
   std::vector<LocalIndex> place;
 };
 
@@ -38,7 +38,7 @@ class BufferZone {
 
   /// The buffer in one of this rank's boxes, numbered level by level; null if it has none.
   BoxBuffer const* box(std::size_t slot) const { return boxes_[slot].coarse.empty() ? nullptr : &boxes_[slot]; }
-  Exchange const& exchange(int level) const { return exchanges_[level]; }  ///< ghosts: remote cells that `box` names
+  Exchange const& exchange(int level) const { return exchanges_[level]; }  ///< halo: remote cells that `box` names
 
  private:
   std::vector<BoxBuffer> boxes_;

@@ -223,7 +223,7 @@ void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cha
 class Layer {
  public:
   Layer(Exchange const& exchange, LargeArray<Real>& own)
-      : exchange_(&exchange), own_(own.data()), halo_(std::size_t(exchange.ghosts()), Real(0)) {}
+      : exchange_(&exchange), own_(own.data()), halo_(std::size_t(exchange.halo_size()), Real(0)) {}
   ChargeCells cells() { return {own_, halo_.data(), exchange_->owned()}; }
   void fold() const { exchange_->fold({own_}, {halo_.data()}); }
 

@@ -16,12 +16,12 @@ typedef Real Cell __attribute__((vector_size(8 * lanes)));
 /// The field in the boundary cells of a level: own ones, and those of other ranks.
 struct BoundaryField {
   Real const* own;
-  std::vector<Real> ghosts;
+  std::vector<Real> halo;
   LocalIndex owned;
 
   Real const* at(LocalIndex place) const {
     return place < owned ? own + std::ptrdiff_t(components) * place
-                         : ghosts.data() + std::ptrdiff_t(components) * (place - owned);
+                         : halo.data() + std::ptrdiff_t(components) * (place - owned);
   }
   /// Ask for `count` of them to be brought near.
   void bring_near(LocalIndex place, LocalIndex count) const {
@@ -35,16 +35,16 @@ struct BoundaryField {
   }
 };
 
-BoundaryField with_ghosts(ElectricField const& field, int level, Exchange const& exchange) {
-  BoundaryField out{field.at_boundary(level), std::vector<Real>(components * std::size_t(exchange.ghosts()) + 1),
+BoundaryField with_halo(ElectricField const& field, int level, Exchange const& exchange) {
+  BoundaryField out{field.at_boundary(level), std::vector<Real>(components * std::size_t(exchange.halo_size()) + 1),
                     exchange.owned()};
   std::vector<Real const*> own;
-  std::vector<Real*> ghosts;
+  std::vector<Real*> halo;
   for (int c = 0; c < 3; ++c) {
     own.push_back(out.own + c);
-    ghosts.push_back(out.ghosts.data() + c);
+    halo.push_back(out.halo.data() + c);
   }
-  exchange.update(own, ghosts, components);
+  exchange.update(own, halo, components);
   return out;
 }
 
@@ -305,8 +305,8 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
   BoundaryPlaces const& places = mesh.boundary_places(clouds.matched);
   std::vector<BoundaryField> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    own.push_back(with_ghosts(field, l, places.exchange(l)));
-    if (zone) coarse.push_back(with_ghosts(field, l, places.exchange_of_matched(l)));
+    own.push_back(with_halo(field, l, places.exchange(l)));
+    if (zone) coarse.push_back(with_halo(field, l, places.exchange_of_matched(l)));
   }
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box

@@ -11,7 +11,7 @@ struct GhostRun {
   Index3 first;
   int axis;
   LocalIndex count;
-  /// In [own | ghosts] of the level, all of them in one of both; -1: the level has no such cells.
+  /// In [own | halo] of the level, all of them in one of both; -1: the level has no such cells.
   LocalIndex place, place_stride;
   LocalIndex number, number_stride;  ///< among the box's ghost cells, in the order of `for_each_ghost_row`
 
@@ -26,7 +26,7 @@ struct GhostRun {
 class GhostCells {
  public:
   GhostCells() = default;
-  /// `places` of all its cells in the order of `for_each_ghost_row`, in [own | ghosts], `owned` of which are own;
+  /// `places` of all its cells in the order of `for_each_ghost_row`, in [own | halo], `owned` of which are own;
   /// negative where the level has none.
   GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
 

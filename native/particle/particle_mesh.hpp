@@ -20,7 +20,7 @@ struct BoxGhosts {
   GhostCells ghosts;
   Box parents;  ///< the box coarsened and grown by one; empty if the level has all ghost cells
   std::vector<LocalIndex>
-      coarse;  ///< for each cell of `parents`, its place in [own | ghosts] of the coarser level; -1: not needed
+      coarse;  ///< for each cell of `parents`, its place in [own | halo] of the coarser level; -1: not needed
 };
 
 /// What deposit and gather need of a hierarchy: which box holds a point, and where the ghost cells of this rank's boxes
@@ -55,7 +55,7 @@ class ParticleMesh {
   std::shared_ptr<Hierarchy const> hierarchy_;
   Locator locator_;
   Transfer transfer_;
-  std::vector<Exchange> exchanges_;  ///< per level: ghosts are all cells of other ranks that `boxes_` names
+  std::vector<Exchange> exchanges_;  ///< per level: the halo is all cells of other ranks that `boxes_` names
   std::vector<BoxGhosts> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;

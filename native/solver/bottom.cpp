@@ -42,10 +42,10 @@ std::vector<LocalIndex> order_of_domain(Level const& level) {
 Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
   Crs const& local = operators.no_fine;
   GlobalIndex const first = operators.level->first_local_cell();
-  auto const& ghosts = operators.halo.ghost_numbers();
+  auto const& halo = operators.halo.halo_numbers();
   std::vector<LocalIndex> columns, lengths;
   for (LocalIndex c : local.column)
-    columns.push_back(LocalIndex(c < local.rows() ? first + c : ghosts[std::size_t(c - local.rows())]));
+    columns.push_back(LocalIndex(c < local.rows() ? first + c : halo[std::size_t(c - local.rows())]));
   for (LocalIndex r = 0; r < local.rows(); ++r)
     lengths.push_back(LocalIndex(local.row_start[r + 1] - local.row_start[r]));
   auto const column = all_gather(comm, columns).values;

@@ -43,10 +43,10 @@ CopyCycle::CopyCycle(MPI_Comm comm, LevelOperators const& above, LevelCopy const
     : above_(above),
       copy_(copy_operators(comm, *above.level, *copies, shift_of(options))),
       smoother_(make_smoother(comm, copy_.level, true, options)),
-      residual_(std::size_t(above.rows()) + std::size_t(copy_.above.ghosts())),
+      residual_(std::size_t(above.rows()) + std::size_t(copy_.above.halo_size())),
       f_(std::size_t(copy_.level.rows())),
-      x_(f_.size() + std::size_t(copy_.level.halo.ghosts())),
-      values_(f_.size() + std::size_t(copy_.own.ghosts())) {
+      x_(f_.size() + std::size_t(copy_.level.halo.halo_size())),
+      values_(f_.size() + std::size_t(copy_.own.halo_size())) {
   if (count > 1) next_ = std::make_unique<CopyCycle>(comm, copy_.level, copies + 1, count - 1, options);
 }
 

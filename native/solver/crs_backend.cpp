@@ -47,11 +47,11 @@ std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   return reusable.bottom;
 }
 
-/// Zeros on all levels, with room for ghosts.
+/// Zeros on all levels, with room for the halo.
 CompositeVector CrsBackend::zero() const {
   CompositeVector out;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.ghosts()));
+    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.halo_size()));
   return out;
 }
 
@@ -143,8 +143,8 @@ void CrsBackend::finish() {
                    [&](Real v) { return unit_ * v; });
 }
 
-/// Covered cells become the mean of their children, and ghosts follow: the second cell behind a wall or a coarse-fine
-/// face may be a covered one.
+/// Covered cells become the mean of their children, and the halo follows: the second cell behind a wall or a
+/// coarse-fine face may be a covered one.
 void CrsBackend::average_down(CompositeVector& x) const {
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
     if (hierarchy_->has_finer(l)) {
@@ -267,7 +267,7 @@ ElectricField CrsBackend::electric_field(std::shared_ptr<Field const> potential,
   return ElectricField({made[0], made[1], made[2]});
 }
 
-/// The field in covered cells from the potentials in `phi_`, whose ghosts are up to date; not yet stretched.
+/// The field in covered cells from the potentials in `phi_`, whose halo is up to date; not yet stretched.
 void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
   if (covered_gradient_.empty())
     for (int l = 0; hierarchy_->has_finer(l); ++l)

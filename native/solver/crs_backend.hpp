@@ -79,7 +79,7 @@ class CrsBackend : public Backend {
   Multigrid multigrid_;
   std::int64_t messages_before_, bytes_before_;  ///< by operators that were taken over
   std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
-  CompositeVector phi_;                          ///< own cells and ghosts
+  CompositeVector phi_;                          ///< own cells and halo
   CompositeVector right_hand_side_;              ///< f = -rho / eps0 - background minus what walls add
   Field const* rho_ = nullptr;
   Background background_;

@@ -55,8 +55,8 @@ void CrsBackend::set_truncation() {
     std::size_t const place = multigrid_levels_.base + std::size_t(l);
     if (place == 0) continue;
     LevelOperators const& coarse = *operators_[place - 1];
-    std::size_t const here = std::size_t(fine.rows() + fine.halo.ghosts());
-    std::size_t const there = std::size_t(coarse.rows() + coarse.halo.ghosts());
+    std::size_t const here = std::size_t(fine.rows() + fine.halo.halo_size());
+    std::size_t const there = std::size_t(coarse.rows() + coarse.halo.halo_size());
 
     std::vector<Real> f(here), uncovered(here), phi(there), error(there);
     std::copy_n(right_hand_side_[l].begin(), fine.rows(), f.begin());

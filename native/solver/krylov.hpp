@@ -14,7 +14,7 @@ using CompositeVector = std::vector<std::vector<Real>>;
 /// What an acceleration needs of the equations r = f - A x over all uncovered cells.
 struct CompositeEquations {
   std::function<CompositeVector()> zero;  ///< fresh values
-  /// out = A x; fills x in covered cells and ghosts.
+  /// out = A x; fills x in covered cells and the halo.
   std::function<void(CompositeVector& x, CompositeVector& out)> multiply;
   std::function<Real(CompositeVector const&, CompositeVector const&)> dot;  ///< over uncovered cells of all ranks
 };

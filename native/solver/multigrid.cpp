@@ -7,7 +7,7 @@ namespace amrpic {
 
 MultigridLevel::MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother)
     : operators_(operators), smoother_(std::move(smoother)) {
-  std::size_t const own = std::size_t(operators.rows()), all = own + std::size_t(operators.halo.ghosts());
+  std::size_t const own = std::size_t(operators.rows()), all = own + std::size_t(operators.halo.halo_size());
   right_hand_side_.resize(own);
   correction_.resize(all);
   residual_.resize(all);

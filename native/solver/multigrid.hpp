@@ -36,7 +36,7 @@ class MultigridLevel {
   /// Operators of this level and of those that its smoother has for itself.
   std::vector<LevelOperators const*> all_operators() const;
   std::vector<Real>& right_hand_side() { return right_hand_side_; }  ///< own cells
-  std::vector<Real>& correction() { return correction_; }            ///< own cells and ghosts
+  std::vector<Real>& correction() { return correction_; }            ///< own cells and halo
   std::vector<Real> const& correction() const { return correction_; }
 
  private:

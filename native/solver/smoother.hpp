@@ -13,7 +13,7 @@ namespace amrpic {
 enum class Side { before, after };  ///< of the coarse correction
 
 /// Damps those errors of a level that the next coarser one cannot resolve, in no_fine x = f. Vectors x hold own cells
-/// and ghosts; only own cells of the result are valid.
+/// and halo; only own cells of the result are valid.
 class Smoother {
  public:
   virtual ~Smoother() = default;

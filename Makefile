@@ -167,10 +167,10 @@ NATIVE_TESTS := $(foreach name,solver_oracle poisson matrixfree composite deposi
 
 sanitize: setup  ## tests of the native side under the address and undefined behaviour sanitizers
 	@mkdir -p $(SANITIZE)/python
-	@[ -f $(SANITIZE)/build.ninja ] || cmake -G Ninja -S . -B $(SANITIZE) -DCMAKE_BUILD_TYPE=None \
+	@[ -f $(SANITIZE)/build.ninja ] || cmake -G Ninja -S . -B $(SANITIZE) -DCMAKE_BUILD_TYPE=None -DAMRPIC_NATIVE_ARCH=ON \
 	  -DPython_EXECUTABLE=$(CURDIR)/$(BIN)/python -DCMAKE_CXX_FLAGS="$(SANITIZERS)" >/dev/null
 	@nice ninja -C $(SANITIZE) -j $(JOBS) --quiet | { grep -v '^ninja: no work' || true; }
-	@rm -rf $(SANITIZE)/python/amrpic && cp -r amrpic $(SANITIZE)/python/ && cp $(SANITIZE)/_native.*.so $(SANITIZE)/python/amrpic/
+	@rm -rf $(SANITIZE)/python/amrpic && cp -r amrpic $(SANITIZE)/python/ && cp $(SANITIZE)/_native_native.*.so $(SANITIZE)/_processor.*.so $(SANITIZE)/python/amrpic/
 	@cp tests/support/sanitized/sitecustomize.py $(SANITIZE)/python/
 	@$(SANITIZED) $(BIN)/python -c 'import amrpic._native as n; assert "$(SANITIZE)" in n.__file__, n.__file__'
 	@failed=0; \

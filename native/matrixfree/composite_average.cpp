@@ -93,7 +93,7 @@ Real CompositeAverage::add(Blocks<T> const& correction, Real scale, Field& phi) 
       Block<T> const& from = correction[std::size_t(l)][std::size_t(b)];
       for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
         // the largest of all cells does not depend on which of the covered ones fill a box
-        if (mesh_.plan(l, b).hidden)
+        if (mesh_.plan(l, b).is_fully_covered)
           for (int j = 0; j < mesh_.box(l, b).extent(1); ++j)
             largest.add(from.origin + j * from.pitch_y + k * from.pitch_z, mesh_.box(l, b).extent(0));
         else

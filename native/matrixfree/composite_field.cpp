@@ -52,14 +52,16 @@ void CompositeField::field_plane(int l, int b, int k, Where where, Field const& 
   });
 }
 
-/// Give the means of a level's cells, box by box, to the covered cells of the coarser level, whose rim is all of their
-/// box.
+/// Give the means of a level's cells, box by box, to the covered cells of the coarser level, all cells of whose boxes
+/// are boundary cells.
 void CompositeField::give_means(int l, Real const* means, ElectricField& field) {
-  constexpr std::ptrdiff_t width = ElectricField::rim_width;
+  constexpr std::ptrdiff_t width = ElectricField::components_per_cell;
   LevelPlan& coarse = mesh_.plan(l - 1);
   auto const first_of = [&](int b) { return means + width * (mesh_.level(l).local_offset(b) / children); };
   auto const parents_of = [&](int b) { return mesh_.level(l).box(b).coarsen(refinement_ratio); };
-  auto const at_rim = [&](LocalIndex place) { return field.at_rim(l - 1) + width * field.rim(l - 1).number(place); };
+  auto const at_boundary = [&](LocalIndex place) {
+    return field.at_boundary(l - 1) + width * field.boundary(l - 1).number(place);
+  };
 
   for (int b = 0; b < mesh_.boxes(l); ++b)
     for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
@@ -68,7 +70,7 @@ void CompositeField::give_means(int l, Real const* means, ElectricField& field) 
       Index3 const pitch = pitches(parents_of(box));
       Real const* from = first_of(box);
       for (int d = 0; d < 3; ++d) from += width * (family.child[d] / 2) * pitch[d];
-      Real* const to = at_rim(family.parent);
+      Real* const to = at_boundary(family.parent);
       for (int k = 0; k < family.parents[2]; ++k)
         for (int j = 0; j < family.parents[1]; ++j)
           std::copy_n(from + width * (j * pitch[1] + k * pitch[2]), width * family.parents[0],
@@ -84,7 +86,7 @@ void CompositeField::give_means(int l, Real const* means, ElectricField& field) 
     coarse.finer_means.finish();
     for (RemoteMeans const& m : coarse.remote_means) {
       Real const* from = coarse.finer_means.values(m.owner) + m.from;
-      Real* const to = at_rim(m.parent);
+      Real* const to = at_boundary(m.parent);
       for (int k = 0; k < m.parents[2]; ++k)
         for (int j = 0; j < m.parents[1]; ++j)
           for (int i = 0; i < m.parents[0]; ++i) {
@@ -99,9 +101,9 @@ void CompositeField::give_means(int l, Real const* means, ElectricField& field) 
 void CompositeField::average_field(int l, int b, int k, Real* means) {
   Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
   std::ptrdiff_t const nx = parents.extent(0), plane = nx * parents.extent(1);
-  Real* to = means + ElectricField::rim_width * (mesh_.offset(l, b) / children + k / 2 * plane);
+  Real* to = means + ElectricField::components_per_cell * (mesh_.offset(l, b) / children + k / 2 * plane);
   std::array<Real*, 3> const row{rows_.data(), rows_.data() + nx, rows_.data() + 2 * nx};
-  for (int j = 0; j < parents.extent(1); ++j, to += ElectricField::rim_width * nx) {
+  for (int j = 0; j < parents.extent(1); ++j, to += ElectricField::components_per_cell * nx) {
     for (int d = 0; d < 3; ++d)
       average_children(int(nx), planes_.data() + 2 * d * 4 * plane + 4 * j * nx, 2 * nx, 4 * plane, row[d]);
     write_cells({row[0], row[1], row[2]}, int(nx), to);
@@ -119,7 +121,8 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
   bool const averages = covered == CoveredField::mean;
   std::vector<LargeArray<Real>> means(std::size_t(mesh_.levels()));  // of each level's cells
   for (int l = 1; averages && l < mesh_.levels(); ++l)
-    means[std::size_t(l)].resize(ElectricField::rim_width * std::size_t(mesh_.level(l).local_cells() / children));
+    means[std::size_t(l)].resize(ElectricField::components_per_cell *
+                                 std::size_t(mesh_.level(l).local_cells() / children));
 
   auto planes_of = [&](int l, int b, int k) {  // set two by two, in memory that all boxes share
     std::array<Real*, 3> e;
@@ -127,11 +130,11 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
     return e;
   };
   auto set_box = [&](int l, int b) {
-    bool const whole = out.rim(l).is_whole(b), is_averaged = averages && l > 0 && !whole;
+    bool const whole = out.boundary(l).is_whole(b), is_averaged = averages && l > 0 && !whole;
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       auto const e = planes_of(l, b, k);
       field_plane(l, b, k, whole || is_averaged ? Where::everywhere : Where::at_faces, phi, e);
-      out.set_rim(l, b, k, {e[0], e[1], e[2]});
+      out.set_boundary(l, b, k, {e[0], e[1], e[2]});
       if (is_averaged && k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
     }
   };
@@ -139,7 +142,7 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
     stream_end();
     if (averages && mesh_.hierarchy().has_finer(l)) give_means(l + 1, means[std::size_t(l) + 1].data(), out);
     for (int b = 0; b < mesh_.boxes(l) && averages && l > 0; ++b)
-      for (int k = 0; out.rim(l).is_whole(b) && k < mesh_.box(l, b).extent(2); ++k) {
+      for (int k = 0; out.boundary(l).is_whole(b) && k < mesh_.box(l, b).extent(2); ++k) {
         out.write_plane(l, b, k, planes_of(l, b, k));
         if (k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
       }

@@ -24,7 +24,8 @@ void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, F
         waiting = false;
       }
       for (int b = 0; b < mesh_.boxes(l); ++b) {
-        if (mesh_.plan(l, b).remote != remote || (mesh_.plan(l, b).hidden && fully_covered == FullyCovered::skip))
+        if (mesh_.plan(l, b).remote != remote ||
+            (mesh_.plan(l, b).is_fully_covered && fully_covered == FullyCovered::skip))
           continue;
         fill(l, b, phi, walls[std::size_t(l)]);
         f(l, b);

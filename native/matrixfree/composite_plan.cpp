@@ -102,7 +102,7 @@ class LevelPlanner {
         plan_means(b, o.box, part, families);
       }
       plan_->covered.last = std::int32_t(out_.covered.size());
-      plan_->hidden = cells == box_.cells();
+      plan_->is_fully_covered = cells == box_.cells();
       plan_->refined.first = std::int32_t(out_.refined.size());
       // By axis and side first: a cell with several such faces rounds alike however the boxes are cut.
       for (int axis = 0; axis < 3; ++axis)

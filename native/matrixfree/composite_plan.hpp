@@ -56,7 +56,7 @@ struct BoxPlan {
   Range covered;                  ///< parts covered by finer boxes
   Range refined;                  ///< refined sides
   Range families;                 ///< parents that are cells of this rank
-  bool hidden = false;            ///< covered whole
+  bool is_fully_covered = false;  ///< covered whole
   bool remote = false;            ///< a face, or the plane behind it, takes values from other ranks
 };
 

@@ -161,7 +161,7 @@ template Real CompositeResidual::residual(Source const&, Field const&, Norm, std
 template <class T>
 void CompositeResidual::clear_fully_covered(Blocks<T> const& blocks) {
   mesh_.for_each_box([&](int l, int b) {
-    if (mesh_.plan(l, b).hidden) mesh_.clear(l, b, blocks[std::size_t(l)][std::size_t(b)]);
+    if (mesh_.plan(l, b).is_fully_covered) mesh_.clear(l, b, blocks[std::size_t(l)][std::size_t(b)]);
   });
 }
 
@@ -169,7 +169,7 @@ void CompositeResidual::clear_fully_covered(Blocks<T> const& blocks) {
 template <class Fill, class Use>
 void CompositeResidual::for_each_plane(Fill&& fill, Use&& use) {
   mesh_.for_each_box([&](int l, int b) {
-    if (mesh_.plan(l, b).hidden) return;
+    if (mesh_.plan(l, b).is_fully_covered) return;
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       fill(l, b, k);
       use(l, b, k, std::ptrdiff_t(mesh_.box(l, b).extent(0)) * mesh_.box(l, b).extent(1));

@@ -66,8 +66,8 @@ std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, std
 }
 
 /// The values of a window, zero where the level has no cells.
-Window<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, Imports const& imports) {
-  Window<Real> out(box, 0.0);
+ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, Imports const& imports) {
+  ArrayOnBox<Real> out(box, 0.0);
   for (Part const& p : parts) {
     Real const* from = (p.owner == Rectangle::here ? own : imports.values(p.owner)) + p.from;
     for (int k = 0; k < p.place.extent(2); ++k)
@@ -125,8 +125,8 @@ struct Task {
 };
 
 /// Parents in which the coarser Laplacian is an estimate: all children are uncovered, and they are not at a wall.
-Window<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
-  Window<char> out(parents, 0);
+ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
+  ArrayOnBox<char> out(parents, 0);
   Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
   auto set = [&](Box const& part, char value) {
     if (part.empty()) return;
@@ -191,7 +191,7 @@ void estimate_row(int n, Equation const& coarse, Real const* __restrict potentia
 
 /// What is known in the parents, in the uncovered cells of a box.
 template <class T>
-void prolong_truncation(CompositeMesh const& mesh, int l, int b, Index3 const& ratio, Window<Real> const& error,
+void prolong_truncation(CompositeMesh const& mesh, int l, int b, Index3 const& ratio, ArrayOnBox<Real> const& error,
                         Real scale, Block<T> const& out, Magnitude& largest) {
   Box const& own = mesh.box(l, b);
   int const width = error.box().extent(0), first = error.box().lower[0];
@@ -257,7 +257,7 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
       Real3 spacing;
       for (int d = 0; d < 3; ++d) spacing[d] = ratio[d] * mesh.level(l).spacing()[d];
       Equation const coarse = equation_on(spacing, mesh.shift());
-      Window<Real> error(task.parents, 0.0);
+      ArrayOnBox<Real> error(task.parents, 0.0);
       Box const& p = task.parents;
       for (int k = p.lower[2]; k <= p.upper[2]; ++k)
         for (int j = p.lower[1]; j <= p.upper[1]; ++j) {

@@ -24,10 +24,6 @@ class ArrayOnBox {
   std::vector<T> values_;
 };
 
-// The same by the name that matrixfree/composite_truncation.cpp uses.
-template <class T>
-using Window = ArrayOnBox<T>;
-
 constexpr GlobalIndex no_cell = -1;
 
 /// Call `f(number of the first cell, count, first cell in the region's indices)` for each row along x of a part of box

@@ -32,12 +32,6 @@ class ElectricField {
   Real* at_boundary(int level) { return boundary_values_.data() + levels_[std::size_t(level)].first; }
   static constexpr int components_per_cell = 3;
 
-  // The same by the names that matrixfree/composite_field.cpp uses.
-  static constexpr int rim_width = components_per_cell;
-  BoundaryCells const& rim(int level) const { return boundary(level); }
-  Real* at_rim(int level) { return at_boundary(level); }
-  void set_rim(int level, int b, int k, std::array<Real const*, 3> const& plane) { set_boundary(level, b, k, plane); }
-
   Field const* potential() const { return potential_.get(); }  ///< null if components are given
   /// Only if they are given.
   Field const& component(int axis) const { return *components_[std::size_t(axis)]; }

@@ -1,4 +1,9 @@
-"""The small part of a checkpoint: what the state is, where its arrays lie, and by which checksums they are known."""
+"""The layout of a checkpoint, and its manifest: what the state is, where its arrays lie, and their checksums.
+
+checkpoint_00001200/
+    manifest.json      everything small: step, time, scene, boxes, owners; size and checksum of each part
+    part_0000.h5       the cells and particles of a group of ranks, in the order of ranks
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,5 @@
-"""Checkpoints: the whole state of a run in a directory that is there whole or not at all. `checkpoint_reader` reads them.
-
-The layout:
-    checkpoint_00001200/
-        manifest.json      everything small: step, time, scene, boxes, owners; size and checksum of each part
-        part_0000.h5       the cells and particles of a group of ranks, in the order of ranks
+"""Checkpoints: the whole state of a run in a directory that is there whole or not at all. `checkpoint_manifest` has its layout,
+`checkpoint_reader` reads it.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 #include <vector>
 
-#include "stencil/coarse_end.hpp"
 #include "stencil/equation.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic::matrixfree {
 

@@ -6,8 +6,8 @@
 #include <unordered_map>
 
 #include "matrixfree/layout.hpp"
-#include "stencil/coarse_end.hpp"
 #include "stencil/equation.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic::matrixfree {
 

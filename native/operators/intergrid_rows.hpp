@@ -1,7 +1,7 @@
 #pragma once
 
 #include "mesh/array_on_box.hpp"
-#include "stencil/coarse_end.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 

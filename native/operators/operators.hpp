@@ -9,9 +9,9 @@
 #include "mesh/hierarchy.hpp"
 #include "operators/crs.hpp"
 #include "stencil/boundary.hpp"
-#include "stencil/coarse_end.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/intergrid.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 

@@ -1,8 +1,8 @@
 #include "operators/regular_rows.hpp"
 
-#include "stencil/coarse_end.hpp"
 #include "stencil/field_difference.hpp"
 #include "stencil/laplacian.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 

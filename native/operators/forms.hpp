@@ -18,7 +18,6 @@ struct Unknown {
 using Form = LinearForm<Unknown>;
 
 inline Form own(GlobalIndex cell) { return {{Unknown::On::own, cell}, 1}; }
-inline Form coarse(GlobalIndex cell) { return {{Unknown::On::coarser, cell}, 1}; }
 inline Form fine(GlobalIndex cell) { return {{Unknown::On::finer, cell}, 1}; }
 
 /// A form as rows of three operators, by the level of the columns.
@@ -51,15 +50,15 @@ class PlaneBehind {
     if (usable_ != plane_block(-1, -1, 3)) look(2);  // the central block is the first to be tried
   }
 
-  /// phi* in front of the children in the lower or upper half of the cell along either axis of the plane; `unknown`
-  /// makes a form of a cell's number.
-  template <class Make>
-  Form fit(bool upper_u, bool upper_v, Make const& unknown) const {
+  /// phi* in front of the children in the lower or upper half of the cell along either axis of the plane, whose cells
+  /// are of the given level.
+  Form fit(bool upper_u, bool upper_v, Unknown::On level) const {
     PlaneFit const fit = plane_fit(usable_, quarter(upper_u), quarter(upper_v));
     Form out;
-    for (int t = 0; t < fit.count; ++t)
-      out += fit.terms[std::size_t(t)].weight *
-             unknown(cells_(at(fit.terms[std::size_t(t)].i, fit.terms[std::size_t(t)].j)));
+    for (int t = 0; t < fit.count; ++t) {
+      auto const& term = fit.terms[std::size_t(t)];
+      out.append({level, cells_(at(term.i, term.j))}, term.weight);
+    }
     return out;
   }
 
@@ -93,7 +92,7 @@ inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis,
   if (n.own(outer) == no_cell) {
     Index3 const behind{floor_divide(outer[0], 2), floor_divide(outer[1], 2), floor_divide(outer[2], 2)};
     PlaneBehind const plane(behind, axis, n.coarse, n.coarse_covered);
-    Form const star = plane.fit(outer[u] != 2 * behind[u], outer[v] != 2 * behind[v], coarse);
+    Form const star = plane.fit(outer[u] != 2 * behind[u], outer[v] != 2 * behind[v], Unknown::On::coarser);
     return ghost_at_interface(star, here, own(n.own(inner)));
   }
   if (execution == Execution::composite && n.covered(outer)) {
@@ -108,7 +107,8 @@ inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis,
         Index3 second = first;
         second[axis] += step;
         Form const phi_1 = fine(n.fine(first));
-        differences += phi_1 - ghost_at_interface(plane.fit(a == 1, b == 1, own), phi_1, fine(n.fine(second)));
+        differences +=
+            phi_1 - ghost_at_interface(plane.fit(a == 1, b == 1, Unknown::On::own), phi_1, fine(n.fine(second)));
       }
     return ghost_at_fine_faces(here, differences);
   }

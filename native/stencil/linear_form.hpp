@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <stdexcept>
+#include <utility>
 
 #include "base/types.hpp"
 
@@ -56,9 +57,13 @@ class LinearForm {
     for (int k = 0; k < size_; ++k) values_[std::size_t(k)] *= weight;
     return *this;
   }
-  friend LinearForm operator+(LinearForm a, LinearForm const& b) { return a += b; }
-  friend LinearForm operator-(LinearForm a, LinearForm const& b) { return a -= b; }
-  friend LinearForm operator*(Real weight, LinearForm form) { return form *= weight; }
+  // A form is large: what an expression has made already takes the next operation in place.
+  friend LinearForm operator+(LinearForm const& a, LinearForm const& b) { return LinearForm(a) + b; }
+  friend LinearForm&& operator+(LinearForm&& a, LinearForm const& b) { return std::move(a += b); }
+  friend LinearForm operator-(LinearForm const& a, LinearForm const& b) { return LinearForm(a) - b; }
+  friend LinearForm&& operator-(LinearForm&& a, LinearForm const& b) { return std::move(a -= b); }
+  friend LinearForm operator*(Real weight, LinearForm const& form) { return weight * LinearForm(form); }
+  friend LinearForm&& operator*(Real weight, LinearForm&& form) { return std::move(form *= weight); }
 
  private:
   static constexpr int capacity = 160;  // 7 + 6 faces x 25 cells of the plane

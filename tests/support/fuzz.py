@@ -10,6 +10,7 @@ tells what is drawn, `judge` what must hold; the ranks live on between cases (`f
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import math
 import secrets
 import statistics
@@ -260,8 +261,11 @@ def warm_up(pool: Pool) -> None:
 
 
 def instruction_sets() -> list[str]:
-    """Those that this processor has, the plainest first; "" where one alone was built, for the sanitizers."""
-    if SANITIZED:
+    """Those that were built and that this processor has, the plainest first; "" where one alone was built."""
+    package = importlib.util.find_spec("amrpic")  # does not import it: MPI is for the processes that solve
+    folders = [Path(folder) for folder in (package and package.submodule_search_locations) or ()]
+    built = {path.name.split(".")[0] for folder in folders for path in folder.glob("_native_*.so")}
+    if "_native_v2" not in built:
         return [""]
     text = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
     flags = set(next((line for line in text.splitlines() if line.startswith("flags")), "").split())

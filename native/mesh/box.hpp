@@ -49,6 +49,12 @@ struct Box {
     for (int d = 0; d < 3; ++d) out.lower[d] += by[d], out.upper[d] += by[d];
     return out;
   }
+  /// The layer of cells inside a face, side 0 or 1 of an axis, or `outwards` layers further.
+  Box layer(int axis, int side, int outwards) const {
+    Box out = *this;
+    out.lower[axis] = out.upper[axis] = side == 0 ? lower[axis] - outwards : upper[axis] + outwards;
+    return out;
+  }
   /// The same region in cells `ratio` times finer.
   Box refine(Index3 const& ratio) const {
     Box out;

@@ -80,7 +80,7 @@ void interpolate(Level const& coarser, ArrayOnBox<Real> const& parent_values, Bo
                  Real* values) {
   auto exists = [&](Index3 parent, int axis, int step) {
     parent[axis] += step;
-    return coarser.periodic()[axis] || coarser.domain().contains(parent);
+    return !coarser.is_behind_wall(parent, axis);
   };
   std::ptrdiff_t const y = parent_values.box().extent(0), z = y * parent_values.box().extent(1);
   for_each_cell(box.coarsen(refinement_ratio), [&](Index3 const& parent) {

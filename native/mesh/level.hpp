@@ -22,6 +22,33 @@ class Level {
 
   Box const& domain() const { return domain_; }
   std::array<bool, 3> const& periodic() const { return periodic_; }
+
+  // Walls are the faces of the domain across axes that are not periodic.
+  /// Whether a face of a box, side 0 or 1 of an axis, lies on a wall.
+  bool is_at_wall(Box const& box, int axis, int side) const {
+    return !periodic_[axis] &&
+           (side == 0 ? box.lower[axis] == domain_.lower[axis] : box.upper[axis] == domain_.upper[axis]);
+  }
+  /// Whether a cell lies behind a wall across an axis.
+  bool is_behind_wall(Index3 const& cell, int axis) const {
+    return !periodic_[axis] && (cell[axis] < domain_.lower[axis] || cell[axis] > domain_.upper[axis]);
+  }
+  /// The cell itself, or the cell at the wall that is nearest to one behind it.
+  Index3 fold_at_walls(Index3 cell) const {
+    for (int d = 0; d < 3; ++d)
+      if (!periodic_[d]) cell[d] = std::max(domain_.lower[d], std::min(domain_.upper[d], cell[d]));
+    return cell;
+  }
+  /// The part of a box that lies behind no wall.
+  Box cut_at_walls(Box box) const {
+    for (int d = 0; d < 3; ++d) {
+      if (periodic_[d]) continue;
+      box.lower[d] = std::max(box.lower[d], domain_.lower[d]);
+      box.upper[d] = std::min(box.upper[d], domain_.upper[d]);
+    }
+    return box;
+  }
+
   Real3 const& spacing() const { return spacing_; }
   /// The same boxes on the same ranks, with `factor` times the spacing.
   std::shared_ptr<Level const> stretched(Real3 const& factor) const;

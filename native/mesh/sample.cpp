@@ -7,10 +7,12 @@ namespace amrpic {
 
 namespace {
 
-/// A cell index brought into the domain: wrapped where periodic, else the nearest inside.
-int into_domain(int i, int n, bool periodic) {
-  if (periodic) return i - floor_divide(i, n) * n;
-  return std::min(std::max(i, 0), n - 1);
+/// A cell brought into the domain: wrapped along periodic axes, else the nearest inside.
+Index3 into_domain(Level const& level, Index3 const& cell) {
+  Index3 out = level.fold_at_walls(cell);
+  for (int d = 0; d < 3; ++d)
+    if (level.periodic()[d]) out[d] -= floor_divide(out[d], level.domain().extent(d)) * level.domain().extent(d);
+  return out;
 }
 
 /// Cell of a level at a point, before wrapping.
@@ -45,10 +47,6 @@ Real local_part(Field const& field, int l, Index3 const& home, Real3 const& poin
     step[d] = s < 0 ? -1 : 1;
     far[d] = std::abs(s);
   }
-  auto wrapped = [&](Index3 cell) {
-    for (int d = 0; d < 3; ++d) cell[d] = into_domain(cell[d], level.domain().extent(d), level.periodic()[d]);
-    return cell;
-  };
   Real sum = 0;
   for (int corner = 0; corner < 8; ++corner) {
     Index3 cell = home;
@@ -58,7 +56,7 @@ Real local_part(Field const& field, int l, Index3 const& home, Real3 const& poin
       if (other) cell[d] += step[d];
       weight *= other ? far[d] : 1 - far[d];
     }
-    Index3 const found = wrapped(cell);
+    Index3 const found = into_domain(level, cell);
     int const b = level.find(found);
     if (b < 0) {
       Real3 centre;
@@ -81,9 +79,7 @@ std::vector<Real> sample(Field const& field, std::vector<Real3> const& points) {
     for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
       Level const& level = hierarchy.level(l);
       Index3 const home = cell_at(hierarchy.domain(), level, points[p]);
-      Index3 wrapped = home;
-      for (int d = 0; d < 3; ++d) wrapped[d] = into_domain(home[d], level.domain().extent(d), level.periodic()[d]);
-      if (level.find(wrapped) < 0) continue;
+      if (level.find(into_domain(level, home)) < 0) continue;
       values[p] = local_part(field, l, home, points[p]);
       break;
     }

@@ -5,20 +5,17 @@ namespace amrpic {
 OpenWalls::OpenWalls(MultigridLevels const& multigrid) : multigrid_(multigrid) {
   for (std::size_t l = multigrid.base + 1; l < multigrid.levels.size(); ++l)
     for (Box const& box : multigrid.levels[l]->boxes())
-      for (int d = 0; d < 3; ++d) {
-        refined_[d][0] |= box.lower[d] == multigrid.levels[l]->domain().lower[d];
-        refined_[d][1] |= box.upper[d] == multigrid.levels[l]->domain().upper[d];
-      }
+      for (int d = 0; d < 3; ++d)
+        for (int side = 0; side < 2; ++side) refined_[d][side] |= multigrid.levels[l]->is_at_wall(box, d, side);
 }
 
 bool refines_open_wall(MultigridLevels const& multigrid) {
   for (std::size_t l = multigrid.base + 1; l < multigrid.levels.size(); ++l)
     for (Box const& box : multigrid.levels[l]->boxes())
-      for (int d = 0; d < 3; ++d) {
-        Box const& domain = multigrid.levels[l]->domain();
-        if (multigrid.boundary[d][0] == Boundary::open && box.lower[d] == domain.lower[d]) return true;
-        if (multigrid.boundary[d][1] == Boundary::open && box.upper[d] == domain.upper[d]) return true;
-      }
+      for (int d = 0; d < 3; ++d)
+        for (int side = 0; side < 2; ++side)
+          if (multigrid.boundary[d][side] == Boundary::open && multigrid.levels[l]->is_at_wall(box, d, side))
+            return true;
   return false;
 }
 

@@ -60,8 +60,6 @@ class CopyCells {
   }
 
  private:
-  bool is_wall(int axis, int side) const { return boundary_[axis][side] != Boundary::periodic; }
-
   /// The level's cells within a quarter of a spacing of a cell's centre; inside the domain where half a cell is kept
   /// anyway. All cells along a closed axis where there is one for all of them: it stands for what is constant there.
   Box core(Index3 const& cell) const {
@@ -85,14 +83,7 @@ class CopyCells {
   }
 
   /// A box of the level grown to where corrections vanish.
-  Box reached(Box const& box) const {
-    Box out = box.grow(reach_);
-    for (int d = 0; d < 3; ++d) {
-      if (is_wall(d, 0)) out.lower[d] = std::max(out.lower[d], level_->domain().lower[d]);
-      if (is_wall(d, 1)) out.upper[d] = std::min(out.upper[d], level_->domain().upper[d]);
-    }
-    return out;
-  }
+  Box reached(Box const& box) const { return level_->cut_at_walls(box.grow(reach_)); }
 
   bool covers(Box const& region) const {
     std::vector<Box> rest{region};
@@ -175,10 +166,6 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
     if (size[axis] == 1) return {interface_ghost::first, interface_ghost::second, 0};
     return {ghost_that_vanishes(cells->distance(cell, axis, side)), 0, 0};
   };
-  out.prolonged = [ghost = out.ghost, wall_factor, domain, periodic](Index3 const& cell, int axis, int side) {
-    bool const at_wall = !periodic[axis] && cell[axis] == (side == 0 ? domain.lower[axis] : domain.upper[axis]);
-    return at_wall ? wall_factor[axis][side] : ghost(cell, axis, side).first;
-  };
   DistributedBoxes distributed;
   if (!one_for_all) distributed = halved(*above.level, ratio, domain);
   if (distributed.boxes.empty()) {
@@ -188,6 +175,9 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
   }
   out.level = std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
                                             std::move(distributed.first), above.level->rank());
+  out.prolonged = [ghost = out.ghost, wall_factor, copy = out.level](Index3 const& cell, int axis, int side) {
+    return copy->is_at_wall({cell, cell}, axis, side) ? wall_factor[axis][side] : ghost(cell, axis, side).first;
+  };
   return out;
 }
 

@@ -22,13 +22,11 @@ Walls find_walls(Domain const& domain, Level const& level) {
     for (int side = 0; side < 2; ++side) {
       Boundary const kind = domain.boundary[axis][side];
       if (kind == Boundary::periodic) continue;
-      int const at = side == 0 ? level.domain().lower[axis] : level.domain().upper[axis];
       for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-        Box layer = level.box(b);
-        if (at < layer.lower[axis] || at > layer.upper[axis]) continue;
-        layer.lower[axis] = layer.upper[axis] = at;
-        for_each_cell(layer, [&](Index3 const& cell) {
-          out.faces.push_back({level.local_offset(b) + LocalIndex(level.box(b).offset(cell)), cell, axis, side, kind});
+        Box const& box = level.box(b);
+        if (!level.is_at_wall(box, axis, side)) continue;
+        for_each_cell(box.layer(axis, side, 0), [&](Index3 const& cell) {
+          out.faces.push_back({level.local_offset(b) + LocalIndex(box.offset(cell)), cell, axis, side, kind});
         });
       }
     }

@@ -19,7 +19,7 @@ ArrayOnBox<char> beside_uncovered(Level const& level, Level const& finer, Box co
   ArrayOnBox<char> out(region, 0);
   for_each_cell(region, [&](Index3 const& cell) {
     for_each_cell(Box{cell, cell}.grow(1), [&](Index3 const& other) {
-      if (!covered(fold_at_walls(other, level))) out(cell) = 1;
+      if (!covered(level.fold_at_walls(other))) out(cell) = 1;
     });
   });
   return out;
@@ -55,7 +55,7 @@ std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, ArrayOnBox
   std::vector<GlobalIndex> out;
   out.reserve(wanted.values().size());
   for_each_cell(wanted.box(), [&](Index3 const& cell) {
-    out.push_back(wanted(cell) ? numbers(fold_at_walls(cell, coarse)) : no_cell);
+    out.push_back(wanted(cell) ? numbers(coarse.fold_at_walls(cell)) : no_cell);
     if (wanted(cell) && out.back() == no_cell)
       throw std::logic_error("cell " + to_string(cell) + " beside a covered one does not exist, although levels nest");
   });

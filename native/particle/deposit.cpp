@@ -179,7 +179,7 @@ class BoxSums {
   void add_to_coarser(GhostRun const& run, Real const* sums) const {
     for (LocalIndex n = 0; n < run.count; ++n)
       if (Real const sum = sums[n * run.number_stride]; sum != 0) {
-        Index3 const parent = cell_parent(fold_at_walls(run.cell(n), level_));
+        Index3 const parent = cell_parent(level_.fold_at_walls(run.cell(n)));
         coarse_[at_.coarse[std::size_t(at_.parents.offset(parent))]] += per_cell_ / 8 * sum;
       }
   }

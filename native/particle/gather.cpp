@@ -84,7 +84,7 @@ void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex>
       weight *= is_far ? prolongation::far : prolongation::near;
       from[d] = is_far ? far[d] : near[d];
     }
-    Real const* const value = coarse.at(places[std::size_t(parents.offset(fold_at_walls(from, coarser)))]);
+    Real const* const value = coarse.at(places[std::size_t(parents.offset(coarser.fold_at_walls(from)))]);
     for (int c = 0; c < 3; ++c) out[c] += weight * value[c];
   }
 }
@@ -124,7 +124,7 @@ class Filler {
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
       if (run.place >= 0) return boundary_.write(run.place, run.place_stride, run.count, out, stride);
       for (LocalIndex n = 0; n < run.count; ++n)
-        interpolate(fold_at_walls(run.cell(n), level_), at_.parents, ghosts_.coarse, coarser_, coarse_,
+        interpolate(level_.fold_at_walls(run.cell(n)), at_.parents, ghosts_.coarse, coarser_, coarse_,
                     out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;

@@ -1,4 +1,5 @@
-// How the ghost cells of a box are visited, folded and paired with their parents.
+// How the ghost cells of a box are visited and paired with their parents. The part of a cloud that overhangs a wall is
+// folded onto the wall cell, and the field there is that of the wall cell: see `Level::fold_at_walls`.
 #pragma once
 
 #include <algorithm>
@@ -38,14 +39,6 @@ inline std::size_t ghost_cells_below(Box const& box, int k) {
   Box below = box.grow(tile_reach);
   below.upper[2] = k - 1;
   return std::size_t(below.cells() - below.intersect(box).cells());
-}
-
-/// The cell inside the domain that stands for `cell` behind a wall: the part of a cloud that overhangs a wall is folded
-/// onto the wall cell, and the field there is that of the wall cell. Periodic axes are left alone.
-inline Index3 fold_at_walls(Index3 cell, Level const& level) {
-  for (int d = 0; d < 3; ++d)
-    if (!level.periodic()[d]) cell[d] = std::max(level.domain().lower[d], std::min(level.domain().upper[d], cell[d]));
-  return cell;
 }
 
 inline Index3 cell_parent(Index3 const& cell) {

@@ -22,7 +22,7 @@ void mark_coarse(Numbered& out, ArrayOnBox<GlobalIndex> const& numbers, Level co
   for (int corner = 0; corner < 8; ++corner) {
     Index3 c;
     for (int d = 0; d < 3; ++d) c[d] = (corner >> d) & 1 ? other[d] : parent[d];
-    c = fold_at_walls(c, coarser);
+    c = coarser.fold_at_walls(c);
     if (numbers(c) == no_cell)
       throw std::logic_error("cell " + to_string(c) + " beside a finer level does not exist, although levels nest");
     out.coarse[std::size_t(out.parents.offset(c))] = numbers(c);
@@ -37,7 +37,7 @@ Numbered number_ghosts(Hierarchy const& hierarchy, int l, int b) {
   std::vector<Index3> missing;  // ghost cells that the level lacks
   for_each_ghost_row(box, [&](int first, int last, int j, int k) {
     for (int i = first; i <= last; ++i) {
-      Index3 const cell = fold_at_walls({i, j, k}, level);
+      Index3 const cell = level.fold_at_walls({i, j, k});
       out.ghosts.push_back(numbers(cell));
       if (numbers(cell) == no_cell) missing.push_back(cell);
     }

@@ -15,8 +15,8 @@ Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Inde
       gathers_(coarse.level().ranks() == 1 && fine.level().ranks() > 1) {
   lay_out_coarse_patches(comm, ghosts);
   if (refines)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), coarse_patches_, fine.stencil().weight(),
-                                coarse.stencil().weight());
+    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), fine.faces(), coarse_patches_,
+                                fine.stencil().weight(), coarse.stencil().weight());
 }
 
 /// Whether on all ranks the parents of each own block make up the own block of the same number. Collective.
@@ -46,22 +46,20 @@ void Coarsening::lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghost
     patch.cells.pitch_y = patch.box.extent(0);
     patch.cells.pitch_z = patch.cells.pitch_y * patch.box.extent(1);
     size += std::size_t(patch.cells.pitch_z * patch.box.extent(2));
-    std::vector<char> known(std::size_t(patch.box.cells()), 0);
+    ArrayOnBox<char> known(patch.box, 0);
     coarser.for_each_overlap(patch.box, [&](int n, Box const& part, Index3 const& shift) {
       Placement copy = patch.cells;
       copy.origin = patch.place(part.lower);
       wanted.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
-      for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-        for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-          std::fill_n(&known[std::size_t(patch.box.offset({part.lower[0], j, k}))], part.extent(0), 1);
+      known.fill(part, 1);
     });
     Placement cells = patch.cells;
     cells.origin = patch.place(parents.lower);
+    Box const inside = coarser.cut_at_walls(parents);
     Parents source{cells, ratio_, {}, {}, {-1, -1, -1}, ghosts.weight, parents.lower, {}, ghosts.seam_width};
     for (int d = 0; d < 3; ++d) {
       source.odd[d] = box.lower[d] - ratio_[d] * parents.lower[d];
-      int const last = coarser.periodic()[d] ? parents.upper[d] : std::min(parents.upper[d], coarser.domain().upper[d]);
-      source.extent[d] = last - parents.lower[d] + 1;
+      source.extent[d] = inside.extent(d);
       bool const otherwise = ghosts.weight[d].last != 1 || ghosts.weight[d].before != 1;
       int const end = fine_.level().domain().upper[d] - box.lower[d];
       if (otherwise && end <= box.extent(d)) source.last[d] = end;
@@ -78,12 +76,12 @@ void Coarsening::lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghost
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.
-void Coarsening::add_ghosts(CoarsePatch const& patch, std::vector<char>& known, CoarseGhosts const& ghosts) {
-  Box const domain = coarse_.level().domain(), region = patch.box.grow(refines_ ? -1 : 0);
+void Coarsening::add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, CoarseGhosts const& ghosts) {
+  Box const region = patch.box.grow(refines_ ? -1 : 0);
   std::vector<Index3> missing;
   for (int k = region.lower[2]; k <= region.upper[2]; ++k)
     for (int j = region.lower[1]; j <= region.upper[1]; ++j) {
-      char const* const first = &known[std::size_t(patch.box.offset({region.lower[0], j, k}))];
+      char const* const first = &known({region.lower[0], j, k});
       char const* const end = first + region.extent(0);
       for (char const* at = first; (at = std::find(at, end, 0)) != end; ++at)
         missing.push_back({region.lower[0] + int(at - first), j, k});
@@ -94,17 +92,12 @@ void Coarsening::add_ghosts(CoarsePatch const& patch, std::vector<char>& known, 
       for (Index3 const& ghost : missing) {
         Index3 before = ghost;
         before[axis] += side == 0 ? 1 : -1;
-        if (known[std::size_t(patch.box.offset(ghost))] || !region.contains(before) ||
-            !known[std::size_t(patch.box.offset(before))])
-          continue;
-        Index3 inside = before;
-        for (int d = 0; d < 3; ++d)
-          if (!coarse_.level().periodic()[d]) inside[d] = std::clamp(before[d], domain.lower[d], domain.upper[d]);
+        if (known(ghost) || !region.contains(before) || !known(before)) continue;
         ghosts_.push_back({std::int32_t(patch.place(before)), std::int32_t(patch.place(ghost)),
-                           float(ghosts.factor(inside, axis, side))});
+                           float(ghosts.factor(coarse_.level().fold_at_walls(before), axis, side))});
         filled.push_back(ghost);
       }
-      for (Index3 const& ghost : filled) known[std::size_t(patch.box.offset(ghost))] = 1;
+      for (Index3 const& ghost : filled) known(ghost) = 1;
     }
 }
 

@@ -52,7 +52,7 @@ class Coarsening {
   Vector& clear_target();
   float weight() const;
   void add_to_coarse_level();
-  void add_ghosts(CoarsePatch const& patch, std::vector<char>& known, CoarseGhosts const& ghosts);
+  void add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, CoarseGhosts const& ghosts);
 
   MPI_Comm comm_;
   SweptLevel& fine_;

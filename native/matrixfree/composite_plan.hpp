@@ -27,7 +27,7 @@ struct Rectangle {
   static constexpr int here = -1;
 };
 
-/// What lies beyond a face of a box: cells of the level where `neighbours` tell, a wall, or coarser cells.
+/// Where the values beyond a face of a box come from.
 struct FacePlan {
   Range neighbours;    ///< rectangles of the level
   int wall = -1;       ///< place of the face's data among the wall data of the level
@@ -103,13 +103,5 @@ struct CompositePlan {
   std::int64_t messages() const;       ///< sent by this rank so far
   std::int64_t message_bytes() const;  ///< sent by this rank so far
 };
-
-/// A part of a level's box that meets a region: `part` in the region's indices, `part` minus `shift` inside the box.
-struct Overlap {
-  int box;
-  Box part;
-  Index3 shift;
-};
-std::vector<Overlap> overlaps(Level const& level, Box const& region);
 
 }  // namespace amrpic

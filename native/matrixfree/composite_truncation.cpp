@@ -52,7 +52,7 @@ std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, std
                              Box const& window, Imports& imports) {
   std::vector<Part> out;
   for (auto const& o : overlaps_of_parents(level, ratio, window.refine(ratio))) {
-    Box const own = o.part.shift({-o.shift[0], -o.shift[1], -o.shift[2]}).coarsen(ratio);
+    Box const own = o.in_box().coarsen(ratio);
     Box const box = level.box(o.box).coarsen(ratio), place = o.part.coarsen(ratio);
     if (level.owner(o.box) == level.rank())
       out.push_back({Rectangle::here,
@@ -128,24 +128,18 @@ struct Task {
 ArrayOnBox<char> usable_parents(Level const& level, Level const* finer, Index3 const& ratio, Box const& parents) {
   ArrayOnBox<char> out(parents, 0);
   Box const children = parents.refine(ratio), domain = level.domain().coarsen(ratio);
-  auto set = [&](Box const& part, char value) {
-    if (part.empty()) return;
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-        std::fill_n(&out({part.lower[0], j, k}), part.extent(0), value);
-  };
-  for (auto const& o : overlaps_of_parents(level, ratio, children)) set(o.part.coarsen(ratio), 1);
+  for (auto const& o : overlaps_of_parents(level, ratio, children)) out.fill(o.part.coarsen(ratio), 1);
   if (finer)
     for (auto const& o : overlaps(*finer, children.refine(refinement_ratio)))
-      set(o.part.coarsen(refinement_ratio).coarsen(ratio), 0);
+      out.fill(o.part.coarsen(refinement_ratio).coarsen(ratio), 0);
   for (int d = 0; d < 3; ++d) {
     bool const is_left = leaves_a_cell(level, ratio, d);
     if (level.periodic()[d] && !is_left) continue;
     Box below = parents, above = parents;  // with what lies beyond
     below.upper[d] = domain.lower[d];
     above.lower[d] = domain.upper[d] - (is_left ? 1 : 0);
-    set(below.intersect(parents), 0);
-    set(above.intersect(parents), 0);
+    out.fill(below, 0);
+    out.fill(above, 0);
   }
   return out;
 }

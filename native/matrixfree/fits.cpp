@@ -3,6 +3,8 @@
 #include <cstdlib>
 #include <vector>
 
+#include "mesh/hierarchy.hpp"
+
 namespace amrpic {
 
 namespace {
@@ -49,11 +51,42 @@ std::vector<NumberedFit> make_table() {
   return out;
 }
 
+/// The fit at a cell of a plane with 1 for usable cells.
+FitNumber fit_at(char const* cell, std::ptrdiff_t pitch) {
+  int central = 1;
+  for (char const* c : {cell - pitch, cell, cell + pitch}) central &= c[-1] & c[0] & c[1];
+  if (central) return central_fit;
+  unsigned usable = 0;
+  for (int j = -2; j <= 2; ++j)
+    for (int i = -2; i <= 2; ++i)
+      if (cell[i + j * pitch]) usable |= plane_bit(i, j);
+  return fit_number(usable);
+}
+
 }  // namespace
 
 FitNumber fit_number(unsigned usable) {
   constexpr unsigned central = plane_block(-1, -1, 3);
   return FitNumber((usable & central) == central ? central_fit : number_of(usable));
+}
+
+ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overlap> const& coarser,
+                                  std::vector<Overlap> const& refined) {
+  ArrayOnBox<FitNumber> out(face.layer.coarsen(refinement_ratio), central_fit);
+  for (Overlap const& o : face.neighbours) out.fill(o.part.coarsen(refinement_ratio), no_fit);
+  Index3 around{2, 2, 2};
+  around[axis] = 0;
+  ArrayOnBox<char> usable(out.box().grow(around), 0);
+  for (Overlap const& o : coarser) usable.fill(o.part, 1);
+  for (Overlap const& o : refined) usable.fill(o.part.coarsen(refinement_ratio), 0);
+  auto const [u, v] = tangential_axes(axis);
+  std::ptrdiff_t const pitch = usable.box().extent(u);  // a plane: rows along u, one after the other
+  FitNumber* fit = out.values().data();
+  char const* middle = usable.values().data() + 2 + 2 * pitch;
+  for (int j = 0; j < out.box().extent(v); ++j, middle += 4)
+    for (int i = 0; i < out.box().extent(u); ++i, ++middle, ++fit)
+      if (*fit != no_fit) *fit = fit_at(middle, pitch);
+  return out;
 }
 
 NumberedFit const& numbered_fit(FitNumber number) {

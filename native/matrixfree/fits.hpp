@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "mesh/faces.hpp"
 #include "stencil/interface.hpp"
 
 namespace amrpic {
@@ -30,6 +31,12 @@ struct NumberedFit {
 
 /// The number of the fit for the usable cells of the coarse plane (bits as in `plane_fit`).
 FitNumber fit_number(unsigned usable);
+
+/// The fits behind a face, one for each coarse cell of its layer, `no_fit` where the level goes on. `coarser`,
+/// `refined`: parts that the coarser level has and the level refines, in the layer and two coarse cells around it in
+/// its plane.
+ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overlap> const& coarser,
+                                  std::vector<Overlap> const& refined);
 
 /// The fit of a number.
 NumberedFit const& numbered_fit(FitNumber number);

@@ -20,16 +20,18 @@ bool is_its_own_neighbour(Level const& level, GhostRules const& rules, int axis)
 
 }  // namespace
 
-Stencil::Stencil(Level const& level, Layout const& layout, GhostRules const& rules, Equation const& equation,
-                 Real relaxation)
+Stencil::Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
+                 Equation const& equation, Real relaxation)
     : relaxation_(relaxation), shift_(float(equation.shift)), keep_(float(1 - relaxation)) {
   for (int d = 0; d < 3; ++d) weight_[d] = is_its_own_neighbour(level, rules, d) ? 0 : float(equation.weight[d]);
-  for (CellBlock const& block : layout.blocks()) {
+  for (std::size_t b = 0; b < faces.size(); ++b) {
+    CellBlock const& block = layout.blocks()[b];
     BlockStencil out;
     out.rows.reserve(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)));
     std::array<std::array<std::vector<Ghost>, 2>, 3> all;
     for (int axis = 0; axis < 3; ++axis)
-      for (int side = 0; side < 2; ++side) all[axis][side] = ghosts(level, layout, rules, block, axis, side);
+      for (int side = 0; side < 2; ++side)
+        all[axis][side] = ghosts(level, layout, rules, block, faces[b].sides[std::size_t(2 * axis + side)], axis, side);
     add_rows(out, layout, block, all);
     add_coefficients(out, block, all);
     blocks_.push_back(std::move(out));
@@ -39,14 +41,12 @@ Stencil::Stencil(Level const& level, Layout const& layout, GhostRules const& rul
 
 /// The layer behind a face, cell by cell, the lower tangential axis fastest.
 std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
-                                   CellBlock const& block, int axis, int side) {
-  Box layer = block.box;
-  layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
+                                   CellBlock const& block, Face const& face, int axis, int side) {
+  Box const& layer = face.layer;
   int const inward = side == 0 ? 1 : -1;
-  bool const wall = !level.periodic()[axis] &&
-                    (layer.lower[axis] < level.domain().lower[axis] || layer.lower[axis] > level.domain().upper[axis]);
-  bool const thick = block.box.extent(axis) > 1;
-  std::vector<Ghost> out(std::size_t(layer.cells()), Ghost{nothing, 0, 0});
+  bool const thick = block.box.extent(axis) > 1, ends = face.is_wall || face.has_coarser;
+  // cells of the level behind the outer faces of copies are not stored here: their ghosts stay zero
+  std::vector<Ghost> out(std::size_t(layer.cells()), Ghost{ends ? nothing : 0, 0, 0});
   auto for_each_row = [&](Box const& part, auto&& f) {  // of ghosts
     for (int k = part.lower[2]; k <= part.upper[2]; ++k)
       for (int j = part.lower[1]; j <= part.upper[1]; ++j) {
@@ -59,9 +59,9 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
       if (row[i].source != nothing) continue;
       Index3 cell{first[0] + i, first[1], first[2]};
       cell[axis] += inward;
-      WallGhost const end = wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
+      WallGhost const end = face.is_wall ? rules.walls[axis][side] : rules.inside(cell, axis, side);
       Ghost ghost{0, float(end.second), float(end.first)};
-      if (wall && rules.more) ghost.first += float(rules.more(cell, axis, side));
+      if (face.is_wall && rules.more) ghost.first += float(rules.more(cell, axis, side));
       if (ghost.factor != 0) {
         cell[axis] += inward;
         std::ptrdiff_t const second = thick ? block.place(cell) : layout.find(cell);
@@ -71,28 +71,21 @@ std::vector<Ghost> Stencil::ghosts(Level const& level, Layout const& layout, Gho
       row[i] = ghost;
     }
   };
-  if (!wall) {
+  if (face.has_coarser)
+    for (Overlap const& o : face.neighbours)
+      for_each_row(o.part, [&](Ghost* row, Index3 const&) { std::fill_n(row, o.part.extent(0), Ghost{}); });
+  if (!face.is_wall) {
     int const n = level.domain().extent(axis);
     float const factor =
         level.periodic()[axis] ? float(seam_factor(layer.lower[axis] + inward, side, n, rules.seam_width[axis])) : 1;
-    GlobalIndex unknown = layer.cells();
     layout.for_each_overlap(layer, [&](CellBlock const& other, Box const& part, Index3 const& shift) {
-      unknown -= part.cells();
       for_each_row(part, [&](Ghost* row, Index3 const& first) {
         std::ptrdiff_t const place = other.place({first[0] - shift[0], first[1] - shift[1], first[2] - shift[2]});
         for (int i = 0; i < part.extent(0); ++i) row[i] = {std::int32_t(place + i), factor, 1 - factor};
       });
     });
-    if (unknown == 0 && !layout.has_images()) return out;
-    // cells of the level behind the outer faces of copies: not stored here, but not outside the level
-    level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
-      for_each_row(part, [&](Ghost* row, Index3 const&) {
-        for (int i = 0; i < part.extent(0); ++i)
-          if (row[i].source == nothing) row[i] = Ghost{};
-      });
-    });
   }
-  for_each_row(layer, fill_ghosts);
+  if (ends) for_each_row(layer, fill_ghosts);
   return out;
 }
 

@@ -6,6 +6,7 @@
 #include <unordered_map>
 
 #include "matrixfree/layout.hpp"
+#include "mesh/faces.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/odd_extents.hpp"
 
@@ -62,8 +63,9 @@ struct BlockStencil {
 /// S e - d e, S the weighted sum over neighbours, d the diagonal with what ghosts add to it.
 class Stencil {
  public:
-  /// `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
-  Stencil(Level const& level, Layout const& layout, GhostRules const& rules, Equation const& equation, Real relaxation);
+  /// `faces`: of the blocks; `equation`: times h²; `relaxation`: factor of a Gauss-Seidel step.
+  Stencil(Level const& level, Layout const& layout, LevelFaces const& faces, GhostRules const& rules,
+          Equation const& equation, Real relaxation);
 
   BlockStencil const& block(std::size_t b) const { return blocks_[b]; }
   /// h² / h_d²; zero along axes of one cell that is its own neighbour: what cancels there does so before any rounding.
@@ -81,7 +83,7 @@ class Stencil {
 
  private:
   static std::vector<Ghost> ghosts(Level const& level, Layout const& layout, GhostRules const& rules,
-                                   CellBlock const& block, int axis, int side);
+                                   CellBlock const& block, Face const& face, int axis, int side);
   static void add_rows(BlockStencil& out, Layout const& layout, CellBlock const& block,
                        std::array<std::array<std::vector<Ghost>, 2>, 3> const& ghosts);
   static std::int32_t compose(BlockStencil& out, Ghost const* ghosts, int n, std::ptrdiff_t zero_row);

@@ -2,75 +2,35 @@
 
 #include <algorithm>
 
-#include "mesh/array_on_box.hpp"
-
 namespace amrpic::matrixfree {
 
 namespace {
 
 constexpr int margin = 2;  ///< of coarser cells that fits take, around the parents
 
-/// 1 for the cells of a region that hold a potential of their own: cells of the level that no finer one covers.
-ArrayOnBox<char> usable_cells(Level const& level, Level const& finer, Box const& region) {
-  ArrayOnBox<char> out(region, 0);
-  auto mark = [&](Box const& part, char value) {
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
-      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
-        std::fill_n(&out({part.lower[0], j, k}), part.extent(0), value);
-  };
-  level.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { mark(part, 1); });
-  finer.for_each_overlap(region.refine({2, 2, 2}), [&](int, Box const& part, Index3 const&) {
-    mark(part.coarsen({2, 2, 2}), 0);
-  });
-  return out;
-}
-
-/// The usable ones among the 25 cells of the plane around a cell; `stride`: steps in memory along its two axes.
-unsigned usable_around(char const* cell, std::array<std::ptrdiff_t, 2> const& stride) {
-  unsigned out = 0;
-  for (int i = -2; i <= 2; ++i)
-    for (int j = -2; j <= 2; ++j)
-      if (cell[i * stride[0] + j * stride[1]]) out |= plane_bit(i, j);
-  return out;
-}
-
 }  // namespace
 
-InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout const& layout,
+InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout const& layout, LevelFaces const& faces,
                                std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
                                std::array<float, 3> const& coarse_weight) {
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
+    if (!faces[b].ends_level()) continue;
     CellBlock const& block = layout.blocks()[b];
     CoarsePatch const& patch = patches[b];
-    ArrayOnBox<char> usable({}, 0);
+    auto const near = overlaps(coarser, patch.box), refined = overlaps(level, patch.box.refine({2, 2, 2}));
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side) {
-        Box layer = block.box;
-        layer.lower[axis] = layer.upper[axis] = side == 0 ? block.box.lower[axis] - 1 : block.box.upper[axis] + 1;
-        if (!level.periodic()[axis] && !level.domain().contains(layer)) continue;
-        ArrayOnBox<char> level_has(layer, 0);
-        GlobalIndex missing = layer.cells();
-        level.for_each_overlap(layer, [&](int, Box const& part, Index3 const&) {
-          missing -= part.cells();
-          for_each_cell(part, [&](Index3 const& c) { level_has(c) = 1; });
-        });
-        if (missing == 0) continue;
-        if (usable.values().empty()) usable = usable_cells(coarser, level, block.box.coarsen({2, 2, 2}).grow(3));
+        Face const& beyond = faces[b].sides[std::size_t(2 * axis + side)];
+        if (!beyond.has_coarser) continue;
         auto const [u, v] = tangential_axes(axis);
-        Box const& region = usable.box();
-        std::array<std::ptrdiff_t, 3> const step{1, region.extent(0),
-                                                 std::ptrdiff_t(region.extent(0)) * region.extent(1)};
-        Box const parents = layer.coarsen({2, 2, 2});
+        auto const fits = fits_behind(beyond, axis, near, refined);
+        Box const& parents = fits.box();
         InterfaceSide face;
         face.nu = parents.extent(u);
         face.nv = parents.extent(v);
         face.fits = fits_.size();
-        for_each_cell(parents, [&, u = u, v = v](Index3 const& parent) {
-          Index3 ghost{2 * parent[0], 2 * parent[1], 2 * parent[2]};
-          ghost[axis] = layer.lower[axis];
-          fits_.push_back(level_has(ghost) ? no_fit : fit_number(usable_around(&usable(parent), {step[u], step[v]})));
-        });
-        Index3 first = layer.lower;
+        fits_.insert(fits_.end(), fits.values().begin(), fits.values().end());
+        Index3 first = beyond.layer.lower;
         first[axis] += side == 0 ? 1 : -1;
         face.cell = block.place(first);
         face.cell_u = block.cells.stride(u);

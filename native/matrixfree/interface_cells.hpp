@@ -2,6 +2,7 @@
 
 #include "matrixfree/fits.hpp"
 #include "matrixfree/layout.hpp"
+#include "mesh/faces.hpp"
 
 namespace amrpic::matrixfree {
 
@@ -18,9 +19,9 @@ struct CoarsePatch {
 class InterfaceCells {
  public:
   InterfaceCells() = default;
-  /// `patches`: of the own blocks, with two cells around the parents; weights: those of the stencils of this level and
-  /// the coarser one.
-  InterfaceCells(Level const& level, Level const& coarser, Layout const& layout,
+  /// `faces`: of the blocks; `patches`: of the own blocks, with two cells around the parents; weights: those of the
+  /// stencils of this level and the coarser one.
+  InterfaceCells(Level const& level, Level const& coarser, Layout const& layout, LevelFaces const& faces,
                  std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
                  std::array<float, 3> const& coarse_weight);
 

@@ -70,8 +70,6 @@ class Layout {
   /// Place of a cell, also where its image is read in place; -1 if it is not in memory.
   std::ptrdiff_t find(Index3 const& cell) const;
 
-  bool has_images() const { return images_.size() > 1; }  ///< that are read in place
-
   /// Call f(block, part, shift) where a region meets blocks, images that are read in place first: `part` in the
   /// region's indices, `part` minus `shift` inside the block.
   template <class F>

@@ -6,24 +6,24 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// Add those layers of wanted cells that have ghost cells outside the level.
+LevelFaces faces_of_blocks(Level const& level, Layout const& layout) {
+  LevelFaces out;
+  for (CellBlock const& block : layout.blocks()) out.emplace_back(level, block.box);
+  return out;
+}
+
+/// Add those layers of wanted cells that have coarser cells beside them.
 void add_boundary_layers(Level const& level, Wanted const& wanted, std::vector<Wanted>& out) {
-  Box const& box = level.box(wanted.box);
-  for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 2; ++side) {
-      int const last = side == 0 ? box.lower[axis] : box.upper[axis];
-      if ((side == 0 ? wanted.cells.lower : wanted.cells.upper)[axis] != last) continue;
-      Wanted layer = wanted;
-      layer.cells.lower[axis] = layer.cells.upper[axis] = last;
-      layer.copy.origin =
-          wanted.copy.place(layer.cells.lower[0] - wanted.cells.lower[0], layer.cells.lower[1] - wanted.cells.lower[1],
-                            layer.cells.lower[2] - wanted.cells.lower[2]);
-      Box ghosts = layer.cells;
-      ghosts.lower[axis] = ghosts.upper[axis] = last + (side == 0 ? -1 : 1);
-      GlobalIndex missing = ghosts.cells();
-      level.for_each_overlap(ghosts, [&](int, Box const& part, Index3 const&) { missing -= part.cells(); });
-      if (missing > 0) out.push_back(layer);
-    }
+  BoxFaces const faces(level, wanted.cells);
+  for (int f = 0; f < 6; ++f) {
+    if (!faces.sides[std::size_t(f)].has_coarser) continue;
+    Wanted layer = wanted;
+    layer.cells = wanted.cells.layer(f / 2, f % 2, 0);
+    Index3 const& first = layer.cells.lower;
+    layer.copy.origin = wanted.copy.place(first[0] - wanted.cells.lower[0], first[1] - wanted.cells.lower[1],
+                                          first[2] - wanted.cells.lower[2]);
+    out.push_back(layer);
+  }
 }
 
 }  // namespace
@@ -33,7 +33,9 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, GhostR
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       layout_(*level_, halo, rules.seams()),
-      stencil_(*level_, layout_, rules, scaled(equation_on(level_->spacing(), shift), scale_), relaxation.factor),
+      faces_(faces_of_blocks(*level_, layout_)),
+      stencil_(*level_, layout_, faces_, rules, scaled(equation_on(level_->spacing(), shift), scale_),
+               relaxation.factor),
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {

@@ -49,6 +49,7 @@ class SweptLevel {
 
   Level const& level() const { return *level_; }
   Layout const& layout() const { return layout_; }
+  LevelFaces const& faces() const { return faces_; }  ///< of the layout's blocks
   Stencil const& stencil() const { return stencil_; }
   Sweep const& sweep() const { return sweep_; }
   Vector& right_hand_side() { return r_; }
@@ -66,6 +67,7 @@ class SweptLevel {
   std::shared_ptr<Level const> level_;
   Real scale_;
   Layout layout_;
+  LevelFaces faces_;
   Stencil stencil_;
   Sweep sweep_;
   Vector r_, e_;

@@ -19,6 +19,15 @@ class ArrayOnBox {
   std::vector<T> const& values() const { return values_; }
   std::vector<T>& values() { return values_; }
 
+  /// Set the cells that the box has in common with another one.
+  void fill(Box const& other, T value) {
+    Box const part = box_.intersect(other);
+    if (part.empty()) return;
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+        std::fill_n(&(*this)({part.lower[0], j, k}), part.extent(0), value);
+  }
+
  private:
   Box box_;
   std::vector<T> values_;
@@ -52,12 +61,8 @@ inline ArrayOnBox<GlobalIndex> cell_numbers(Level const& level, Box const& regio
 /// 1 where the next finer level covers a cell of `region` (indices of the coarser level), 0 elsewhere.
 inline ArrayOnBox<char> covered_cells(Level const& finer, Index3 const& ratio, Box const& region) {
   ArrayOnBox<char> out(region, 0);
-  finer.for_each_overlap(region.refine(ratio), [&](int, Box const& part, Index3 const&) {
-    Box const parents = part.coarsen(ratio).intersect(region);
-    for (int k = parents.lower[2]; k <= parents.upper[2]; ++k)
-      for (int j = parents.lower[1]; j <= parents.upper[1]; ++j)
-        std::fill_n(&out({parents.lower[0], j, k}), parents.extent(0), 1);
-  });
+  finer.for_each_overlap(region.refine(ratio),
+                         [&](int, Box const& part, Index3 const&) { out.fill(part.coarsen(ratio), 1); });
   return out;
 }
 

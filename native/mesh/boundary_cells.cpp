@@ -6,12 +6,11 @@
 
 namespace amrpic {
 
-BoundaryCells::BoundaryCells(Level const& level, Level const* finer) : first_{0}, first_cell_{0} {
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Box const& box = level.box(b);
+BoundaryCells::BoundaryCells(LevelFaces const& boxes) : first_{0}, first_cell_{0} {
+  for (BoxFaces const& faces : boxes) {
+    Box const& box = faces.box;
     Index3 const n{box.extent(0), box.extent(1), box.extent(2)};
-    bool const whole =
-        std::min({n[0], n[1], n[2]}) <= 2 || (finer != nullptr && finer->intersects(box.refine(refinement_ratio)));
+    bool const whole = std::min({n[0], n[1], n[2]}) <= 2 || !faces.covered.empty();
     LocalIndex const cells = LocalIndex(box.cells()), inside = (n[0] - 2) * (n[1] - 2) * (n[2] - 2);
     extent_.push_back(n);
     whole_.push_back(whole);

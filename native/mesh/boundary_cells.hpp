@@ -15,8 +15,7 @@ namespace amrpic {
 /// then their last ones, and what is left of their first columns, then of their last ones.
 class BoundaryCells {
  public:
-  /// `finer` may be null.
-  BoundaryCells(Level const& level, Level const* finer);
+  explicit BoundaryCells(LevelFaces const& boxes);
 
   LocalIndex cells() const { return first_.back(); }  ///< of this rank
 

@@ -40,7 +40,7 @@ ElectricField::ElectricField(std::array<std::shared_ptr<Field const>, 3> compone
 void ElectricField::lay_out_boundary() {
   std::size_t all = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    BoundaryCells boundary(hierarchy_->level(l), hierarchy_->has_finer(l) ? &hierarchy_->level(l + 1) : nullptr);
+    BoundaryCells boundary(hierarchy_->faces(l));
     std::size_t const values = components_per_cell * std::size_t(boundary.cells());
     levels_.push_back({std::move(boundary), all, {0, 0, 0}});
     all += values;

@@ -82,12 +82,7 @@ void check_disjoint(int number, Level const& level) {
 /// Each cell of the coarser level that touches the finer one, corners included, must exist or lie outside the domain.
 void check_nesting(int number, Level const& level, Level const& coarser) {
   for (int b = 0; b < level.box_count(); ++b) {
-    Box region = level.box(b).coarsen(refinement_ratio).grow(1);
-    for (int d = 0; d < 3; ++d)
-      if (!coarser.periodic()[d]) {
-        region.lower[d] = std::max(region.lower[d], coarser.domain().lower[d]);
-        region.upper[d] = std::min(region.upper[d], coarser.domain().upper[d]);
-      }
+    Box const region = coarser.cut_at_walls(level.box(b).coarsen(refinement_ratio).grow(1));
     GlobalIndex inside = 0;
     coarser.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { inside += part.cells(); });
     if (inside != region.cells())
@@ -205,6 +200,15 @@ Hierarchy::Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vecto
     }
     levels_.push_back(std::move(level));
   }
+}
+
+std::shared_ptr<LevelFaces const> Hierarchy::share_faces(int l) const {
+  std::call_once(faces_->found, [&] {
+    for (int n = 0; n < level_count(); ++n)
+      faces_->levels.push_back(
+          std::make_shared<LevelFaces const>(faces_of_boxes(level(n), has_finer(n) ? &level(n + 1) : nullptr)));
+  });
+  return faces_->levels[std::size_t(l)];
 }
 
 std::shared_ptr<Hierarchy const> Hierarchy::stretched(Real3 const& factor) const {

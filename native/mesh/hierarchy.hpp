@@ -3,9 +3,10 @@
 #include <mpi.h>
 
 #include <memory>
+#include <mutex>
 #include <vector>
 
-#include "mesh/level.hpp"
+#include "mesh/faces.hpp"
 
 namespace amrpic {
 
@@ -30,6 +31,9 @@ class Hierarchy {
   Level const& level(int l) const { return *levels_[l]; }
   std::shared_ptr<Level const> share_level(int l) const { return levels_[l]; }
   bool has_finer(int l) const { return l + 1 < level_count(); }
+  /// What lies beyond the faces of this rank's boxes of a level; found at the first call. Local.
+  std::shared_ptr<LevelFaces const> share_faces(int l) const;
+  LevelFaces const& faces(int l) const { return *share_faces(l); }
 
   /// The same boxes on the same ranks, in a space whose lengths are those of this one times `factor`.
   std::shared_ptr<Hierarchy const> stretched(Real3 const& factor) const;
@@ -39,6 +43,11 @@ class Hierarchy {
   Domain domain_;
   int max_grid_size_, blocking_factor_;
   std::vector<std::shared_ptr<Level const>> levels_;
+  struct Faces {
+    std::once_flag found;
+    std::vector<std::shared_ptr<LevelFaces const>> levels;
+  };
+  std::shared_ptr<Faces> faces_ = std::make_shared<Faces>();  ///< a stretched hierarchy shares them
 };
 
 /// `region` cut into boxes of at most `max_grid_size` cells per axis that start on multiples of `blocking_factor`. Its

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "mesh/array_on_box.hpp"
-
 namespace amrpic {
 
 namespace {
@@ -28,23 +26,22 @@ template <class Plane>
 Real integral_on_all(Hierarchy const& hierarchy, Plane const& plane) {
   Real total = 0;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    Level const& level = hierarchy.level(l);
+    LevelFaces const& boxes = hierarchy.faces(l);
     Real on_level = 0;
-    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-      Box const& box = level.box(b);
+    for (std::size_t b = 0; b < boxes.size(); ++b) {
+      Box const& box = boxes[b].box;
       LocalIndex const cells = box.extent(0) * box.extent(1);
-      bool const refined = hierarchy.has_finer(l) && hierarchy.level(l + 1).intersects(box.refine(refinement_ratio));
-      auto const covered =
-          refined ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box) : ArrayOnBox<char>(Box{}, 0);
+      bool const refined = !boxes[b].covered.empty();
+      auto const covered = refined ? boxes[b].covered_cells() : ArrayOnBox<char>(Box{}, 0);
       for (int k = 0; k < box.extent(2); ++k) {
-        auto const value = plane(l, b - level.first_local_box(), k);
+        auto const value = plane(l, int(b), k);
         auto const uncovered = [&](LocalIndex n) {
           return covered.values()[std::size_t(k * cells + n)] ? 0 : value(n);
         };
         on_level += refined ? sum(cells, uncovered) : sum(cells, value);
       }
     }
-    total += level.cell_volume() * on_level;
+    total += hierarchy.level(l).cell_volume() * on_level;
   }
   MPI_Allreduce(MPI_IN_PLACE, &total, 1, MPI_DOUBLE, MPI_SUM, hierarchy.comm());
   return total;

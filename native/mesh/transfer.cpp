@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "mesh/array_on_box.hpp"
 #include "mesh/means.hpp"
 
 namespace amrpic {
@@ -22,21 +21,17 @@ void for_each_family(Level const& fine, F&& f) {
   }
 }
 
-/// Own covered cells of `coarse` that are not among the places of the parents of own fine cells.
-std::vector<LocalIndex> with_children_elsewhere(Level const& coarse, Level const& fine,
-                                                std::vector<LocalIndex> const& parents) {
-  std::vector<char> has_children_here(std::size_t(coarse.local_cells()), 0);
-  for (LocalIndex place : parents)
-    if (place < coarse.local_cells()) has_children_here[std::size_t(place)] = 1;
+/// Places, ascending, of own covered cells of a level whose children other ranks own.
+std::vector<LocalIndex> with_children_elsewhere(LevelFaces const& faces, Level const& fine) {
   std::vector<LocalIndex> out;
-  for (int b = coarse.first_local_box(); b < coarse.last_local_box(); ++b) {
-    auto const covered = covered_cells(fine, refinement_ratio, coarse.box(b));
-    LocalIndex place = coarse.local_offset(b);
-    for (char c : covered.values()) {
-      if (c && !has_children_here[std::size_t(place)]) out.push_back(place);
-      ++place;
-    }
+  LocalIndex first = 0;
+  for (BoxFaces const& at : faces) {
+    for (Overlap const& o : at.covered)
+      if (fine.owner(o.box) != fine.rank())
+        for_each_cell(o.part, [&](Index3 const& cell) { out.push_back(first + LocalIndex(at.box.offset(cell))); });
+    first += LocalIndex(at.box.cells());
   }
+  std::sort(out.begin(), out.end());
   return out;
 }
 
@@ -60,7 +55,7 @@ Transfer::LevelPair Transfer::make_pair(int l) const {
     auto const places = pair.parents.places(coarse, fine.box(b).coarsen(refinement_ratio));
     pair.place.insert(pair.place.end(), places.values().begin(), places.values().end());
   }
-  if (coarse.ranks() > 1) pair.children_elsewhere = with_children_elsewhere(coarse, fine, pair.place);
+  if (coarse.ranks() > 1) pair.children_elsewhere = with_children_elsewhere(hierarchy_->faces(l), fine);
   return pair;
 }
 

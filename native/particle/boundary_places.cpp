@@ -33,8 +33,7 @@ struct ToBoundary {
 BoundaryPlaces::BoundaryPlaces(ParticleMesh const& mesh, BufferZone const* zone) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   std::vector<BoundaryCells> boundaries;
-  for (int l = 0; l < hierarchy.level_count(); ++l)
-    boundaries.emplace_back(hierarchy.level(l), hierarchy.has_finer(l) ? &hierarchy.level(l + 1) : nullptr);
+  for (int l = 0; l < hierarchy.level_count(); ++l) boundaries.emplace_back(hierarchy.faces(l));
   auto const to_boundary = [&](int l) {
     return ToBoundary{boundaries[std::size_t(l)], hierarchy.level(l).local_cells()};
   };

@@ -5,8 +5,6 @@
 #include <cstdint>
 #include <limits>
 
-#include "mesh/array_on_box.hpp"
-
 namespace amrpic {
 
 namespace {
@@ -28,17 +26,13 @@ Real rounding_of_subtraction(Field const& rho) {
   Hierarchy const& hierarchy = *rho.share_hierarchy();
   int unit = std::numeric_limits<int>::max();
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    Level const& level = hierarchy.level(l);
-    for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-      Box const& box = level.box(b);
-      ArrayOnBox<char> const covered = hierarchy.has_finer(l)
-                                           ? covered_cells(hierarchy.level(l + 1), refinement_ratio, box)
-                                           : ArrayOnBox<char>(box, 0);
-      Real const* value = rho.level(l).data() + level.local_offset(b);
-      for_each_cell(box, [&](Index3 const& cell) {
-        if (!covered(cell) && *value != 0) unit = std::min(unit, last_digit(*value));
+    Real const* value = rho.level(l).data();
+    for (BoxFaces const& faces : hierarchy.faces(l)) {
+      auto const covered = faces.covered_cells();
+      for (char const is_covered : covered.values()) {
+        if (!is_covered && *value != 0) unit = std::min(unit, last_digit(*value));
         ++value;
-      });
+      }
     }
   }
   MPI_Allreduce(MPI_IN_PLACE, &unit, 1, MPI_INT, MPI_MIN, hierarchy.comm());

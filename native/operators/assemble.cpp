@@ -101,12 +101,14 @@ class LevelAssembly {
         l_(l),
         kind_(kind),
         level_(*multigrid.levels[l]),
+        faces_(multigrid.faces[l]),
         equation_(multigrid.equation(l)),
         open_walls_(multigrid),
         seam_width_(seam_widths(level_.periodic(), multigrid.upper[l])),
         prolong_(multigrid.ratio[l], kind),
         no_fine_(rows(), level_),
         uncovered_(std::size_t(rows()), 1) {
+    if (!faces_) faces_ = std::make_shared<LevelFaces const>(faces_of_boxes(level_, nullptr));
     if (l > 0) {
       coarser_ = multigrid.levels[l - 1].get();
       coarse_boundary_.emplace(rows(), *coarser_);
@@ -190,12 +192,12 @@ class LevelAssembly {
   bool is_fully_covered() const { return finer_ && !multigrid_.refines(l_ + 1); }
 
   void count_laplacians(int b) {
-    Box const& box = level_.box(b);
-    StencilCells const n =
-        stencil_cells_of(box, level_, multigrid_.refines(l_ + 1) ? finer_ : nullptr,
-                         multigrid_.refines(l_) ? coarser_ : nullptr, multigrid_.walls[l_], seam_width_);
-    auto const kinds = kinds_without_finer(level_, box, n.own, seam_width_);
-    auto const composite = is_fully_covered() ? RowKinds(box, RowKind::covered) : composite_kinds(kinds, n.covered);
+    StencilCells const n = stencil_cells_of(
+        (*faces_)[std::size_t(b - level_.first_local_box())], level_, multigrid_.refines(l_ + 1) ? finer_ : nullptr,
+        multigrid_.refines(l_) ? coarser_ : nullptr, multigrid_.walls[l_], seam_width_);
+    auto const kinds = row_kinds(n, Execution::without_finer);
+    auto const composite =
+        is_fully_covered() ? RowKinds(level_.box(b), RowKind::covered) : row_kinds(n, Execution::composite);
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return no_fine_.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run,
@@ -265,11 +267,9 @@ class LevelAssembly {
   /// Covered cells hold corrections of finer ones alone.
   void add_open_walls(StencilCells const& n, Index3 const& cell) {
     for (int axis = 0; axis < 3; ++axis)
-      for (int side = 0; side < 2; ++side) {
-        bool const at_wall = cell[axis] == (side == 0 ? n.domain.lower[axis] : n.domain.upper[axis]);
-        if (at_wall && multigrid_.boundary[axis][side] == Boundary::open)
+      for (int side = 0; side < 2; ++side)
+        if (n.faces(cell)(axis, side) == Beyond::wall && multigrid_.boundary[axis][side] == Boundary::open)
           terms_.own_row.add(n.own(cell), equation_.weight[axis] * open_walls_.first(l_, cell, axis, side));
-      }
   }
 
   /// Prolongation reads ghost cells of the parents in cells at walls, along axes that it interpolates; where half a
@@ -307,7 +307,7 @@ class LevelAssembly {
                    for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
                      Row values;
                      prolong(
-                         cell, ratio, kind_, *coarse, coarser_->domain(), coarser_->periodic(), coarse_seam,
+                         cell, ratio, kind_, *coarser_, *coarse, coarse_seam,
                          [&](Index3 const& parent, int axis, int side) {
                            return prolonged_end(multigrid_, open_walls_, l_ - 1, parent, axis, side);
                          },
@@ -336,6 +336,7 @@ class LevelAssembly {
   std::size_t l_;
   Prolongation kind_;
   Level const& level_;
+  std::shared_ptr<LevelFaces const> faces_;
   Equation equation_;
   Level const* coarser_ = nullptr;
   Level const* finer_ = nullptr;
@@ -402,6 +403,7 @@ MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
   multigrid.boundary = hierarchy.domain().boundary;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     multigrid.levels.push_back(hierarchy.share_level(l));
+    multigrid.faces.push_back(hierarchy.share_faces(l));
     multigrid.ratio.push_back(refinement_ratio);
     multigrid.upper.emplace_back();
     Real3 const h = hierarchy.level(l).spacing();

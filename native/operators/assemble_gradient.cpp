@@ -11,7 +11,7 @@ namespace {
 
 /// E along an axis.
 Form field_form(StencilCells const& n, Index3 const& cell, int axis, Execution execution) {
-  return field_between(field_factor(n.spacing[axis]), neighbour_value(n, cell, axis, 0, execution),
+  return field_between(field_factor(n.level->spacing()[axis]), neighbour_value(n, cell, axis, 0, execution),
                        neighbour_value(n, cell, axis, 1, execution));
 }
 
@@ -41,9 +41,9 @@ std::array<GradientAxis, 3> gradient_of(MultigridLevels const& multigrid, std::s
   auto above = builders(level.local_cells(), finer ? *finer : level);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    Box const& box = level.box(b);
-    StencilCells const n = stencil_cells_of(box, level, finer, coarser, multigrid.walls[l]);
-    auto const kinds = composite_kinds(kinds_without_finer(level, box, n.own), n.covered);
+    BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
+    StencilCells const n = stencil_cells_of(faces, level, finer, coarser, multigrid.walls[l]);
+    auto const kinds = row_kinds(n, Execution::composite);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
       if (kind == RowKind::regular || kind == RowKind::covered) return;
@@ -84,9 +84,9 @@ std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, s
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     // Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.
-    Box const& box = level.box(b);
-    StencilCells const n = stencil_cells_of(box, level, nullptr, nullptr, multigrid.walls[l]);
-    auto kinds = kinds_without_finer(level, box, n.own);
+    BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
+    StencilCells const n = stencil_cells_of(faces, level, nullptr, nullptr, multigrid.walls[l]);
+    auto kinds = row_kinds(n, Execution::without_finer);
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())
       if (operators.uncovered[row++]) kind = RowKind::covered;  // not wanted: stays empty

@@ -11,13 +11,12 @@ namespace {
 /// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
 Form special_row(Equation const& equation, LevelCopy const& copy, StencilCells const& n, Index3 const& cell) {
   return laplacian_form(equation, n.own(cell), [&](int axis, int side) {
-    Index3 outer = cell, inner = cell;
-    outer[axis] += side == 0 ? -1 : 1;
-    inner[axis] -= side == 0 ? -1 : 1;
-    bool const at_wall = n.behind_wall(outer, axis);
-    if (!at_wall && n.own(outer) != no_cell) return neighbour_value(n, cell, axis, side, Execution::without_finer);
-    WallGhost ghost = at_wall ? copy.walls[axis][side] : copy.ghost(cell, axis, side);
-    if (n.own(inner) == no_cell) ghost.second = 0;
+    CellFaces const& faces = n.faces(cell);
+    if (faces(axis, side) == Beyond::same_level) return neighbour_value(n, cell, axis, side, Execution::without_finer);
+    WallGhost ghost = faces(axis, side) == Beyond::wall ? copy.walls[axis][side] : copy.ghost(cell, axis, side);
+    if (faces(axis, 1 - side) != Beyond::same_level) ghost.second = 0;
+    Index3 inner = cell;
+    inner[axis] += side == 0 ? 1 : -1;
     return ghost(own(n.own(cell)), own(n.own(inner)));
   });
 }
@@ -31,8 +30,9 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
   CrsBuilder builder(level.local_cells(), level);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    StencilCells const n = stencil_cells_of(level.box(b), level, nullptr, nullptr, copy.walls, seam_width);
-    auto const kinds = kinds_without_finer(level, level.box(b), n.own, seam_width);
+    StencilCells const n =
+        stencil_cells_of(BoxFaces(level, level.box(b)), level, nullptr, nullptr, copy.walls, seam_width);
+    auto const kinds = row_kinds(n, Execution::without_finer);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {

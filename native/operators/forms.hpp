@@ -1,8 +1,8 @@
 // The formulas of native/stencil with unknowns for values: what they give are rows of operators.
 #pragma once
 
+#include "operators/regular_rows.hpp"
 #include "operators/row.hpp"
-#include "operators/stencil_cells.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/laplacian.hpp"
 
@@ -75,11 +75,9 @@ class PlaneBehind {
   unsigned usable_ = 0;
 };
 
-enum class Execution { without_finer, composite };
-
 /// phi across a face of a cell. Both Laplacian and field are made of it, so that every face has one flux: in
 /// `composite` execution that through a face which the finer level covers on the other side is the mean of the four
-/// fine fluxes; the cell itself must then be uncovered.
+/// fine fluxes.
 inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution) {
   int const step = side == 0 ? -1 : 1;
   Index3 outer = cell, inner = cell;
@@ -88,14 +86,15 @@ inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis,
   Form const here = own(n.own(cell));
   auto const [u, v] = tangential_axes(axis);
 
-  if (n.behind_wall(outer, axis)) return n.walls[axis][side](here, own(n.own(inner)));
-  if (n.own(outer) == no_cell) {
+  Beyond const beyond = n.faces(cell)(axis, side);
+  if (beyond == Beyond::wall) return n.walls[axis][side](here, own(n.own(inner)));
+  if (beyond == Beyond::coarser) {
     Index3 const behind{floor_divide(outer[0], 2), floor_divide(outer[1], 2), floor_divide(outer[2], 2)};
     PlaneBehind const plane(behind, axis, n.coarse, n.coarse_covered);
     Form const star = plane.fit(outer[u] != 2 * behind[u], outer[v] != 2 * behind[v], Unknown::On::coarser);
     return ghost_at_interface(star, here, own(n.own(inner)));
   }
-  if (execution == Execution::composite && n.covered(outer)) {
+  if (execution == Execution::composite && beyond == Beyond::finer) {
     PlaneBehind const plane(cell, axis, n.own, n.covered);
     Form differences;
     for (int b = 0; b < 2; ++b)
@@ -112,8 +111,8 @@ inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis,
       }
     return ghost_at_fine_faces(here, differences);
   }
-  if (n.periodic[axis] && n.seam_width[axis] != 1)
-    return neighbour_at_seam(seam_factor(cell[axis], side, n.domain.extent(axis), n.seam_width[axis]), here,
+  if (n.level->periodic()[axis] && n.seam_width[axis] != 1)
+    return neighbour_at_seam(seam_factor(cell[axis], side, n.level->domain().extent(axis), n.seam_width[axis]), here,
                              own(n.own(outer)));
   return own(n.own(outer));
 }

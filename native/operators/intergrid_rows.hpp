@@ -10,26 +10,25 @@ namespace amrpic {
 /// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
 /// cells along periodic axes.
 template <class Wall, class Emit>
-void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, ArrayOnBox<GlobalIndex> const& coarse,
-             Box const& coarse_domain, std::array<bool, 3> const& periodic, Real3 const& seam_width, Wall&& wall,
-             Emit&& emit) {
+void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Level const& coarser,
+             ArrayOnBox<GlobalIndex> const& number, Real3 const& seam_width, Wall&& wall, Emit&& emit) {
   Index3 parent, step{0, 0, 0};
   Real3 near{1, 1, 1}, far{0, 0, 0};
   for (int d = 0; d < 3; ++d) parent[d] = floor_divide(cell[d], ratio[d]);
   for (int d = 0; d < 3; ++d) {
     if (ratio[d] == 1) continue;
-    if (!periodic[d] && parent[d] > coarse_domain.upper[d]) {
-      parent[d] = coarse_domain.upper[d];
+    if (coarser.is_behind_wall(parent, d)) {
+      parent[d] = coarser.domain().upper[d];
       near[d] = prolonged(wall(parent, d, 1), Real(1));
       continue;
     }
     if (kind == Prolongation::constant) continue;
     int const side = cell[d] - 2 * parent[d];
-    int const neighbour = parent[d] + 2 * side - 1;
-    if (!periodic[d] && (neighbour < coarse_domain.lower[d] || neighbour > coarse_domain.upper[d])) {
+    if (coarser.is_at_wall({parent, parent}, d, side)) {
       near[d] = prolonged(Real(1), wall(parent, d, side));
     } else {
-      far[d] = periodic[d] ? prolonged_far(parent[d], side, coarse_domain.extent(d), seam_width[d]) : prolongation::far;
+      far[d] = coarser.periodic()[d] ? prolonged_far(parent[d], side, coarser.domain().extent(d), seam_width[d])
+                                     : prolongation::far;
       near[d] = 1 - far[d], step[d] = 2 * side - 1;
     }
   }
@@ -41,7 +40,7 @@ void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, ArrayOn
       weight *= other ? far[d] : near[d];
       if (other) source[d] += step[d];
     }
-    if (weight != 0) emit(coarse(source), weight);
+    if (weight != 0) emit(number(source), weight);
   }
 }
 

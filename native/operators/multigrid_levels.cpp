@@ -62,7 +62,7 @@ Real3 behind_open_walls(MultigridLevels const& multigrid) {
   for (auto const& level : multigrid.levels)
     for (int d = 0; d < 3; ++d) {
       bool const touches = std::any_of(level->boxes().begin(), level->boxes().end(),
-                                       [&](Box const& b) { return b.upper[d] == level->domain().upper[d]; });
+                                       [&](Box const& box) { return level->is_at_wall(box, d, 1); });
       if (touches && multigrid.boundary[d][1] == Boundary::open) out[d] = 0.5 * level->spacing()[d];
     }
   return out;
@@ -89,6 +89,7 @@ void put_below(MultigridLevels& multigrid, Domain const& domain, Index3 const& r
   multigrid.ratio.front() = ratio;
   multigrid.ratio.insert(multigrid.ratio.begin(), Index3{1, 1, 1});
   multigrid.levels.insert(multigrid.levels.begin(), level);
+  multigrid.faces.insert(multigrid.faces.begin(), nullptr);
   multigrid.walls.insert(multigrid.walls.begin(), walls);
   multigrid.upper.insert(multigrid.upper.begin(), upper);
   ++multigrid.base;

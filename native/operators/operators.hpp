@@ -60,6 +60,7 @@ struct LevelOperators {
 /// the refinement levels.
 struct MultigridLevels {
   std::vector<std::shared_ptr<Level const>> levels;
+  std::vector<std::shared_ptr<LevelFaces const>> faces;  ///< [l], of the base and finer levels; null on coarser ones
   std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
   std::vector<WallGhosts> walls;
   std::vector<std::array<UpperEnd, 3>> upper;  ///< [l][axis]

@@ -1,61 +1,44 @@
 #include "operators/regular_rows.hpp"
 
+#include <algorithm>
+
 #include "stencil/field_difference.hpp"
 #include "stencil/laplacian.hpp"
-#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 
-RowKinds kinds_without_finer(Level const& level, Box const& box, ArrayOnBox<GlobalIndex> const& numbers,
-                             Real3 const& seam_width) {
-  for (int d = 0; d < 3; ++d)  // both neighbours along a short period are the same cell
-    if (level.periodic()[d] && level.domain().extent(d) <= 2) return RowKinds(box, RowKind::special);
+RowKinds row_kinds(StencilCells const& cells, Execution execution) {
+  bool const composite = execution == Execution::composite;
+  auto kind_of = [composite](CellFaces const& faces) {
+    RowKind const own = faces.any_wall_or_coarser() ? RowKind::special : RowKind::regular;
+    RowKind const kind = composite && faces.any_finer() ? RowKind::beside : own;
+    return composite && faces.is_covered() ? RowKind::covered : kind;
+  };
+  Box const& box = cells.faces.box();
   RowKinds kinds(box, RowKind::regular);
-  for (int d = 0; d < 3; ++d)
-    for (int side = 0; side < 2; ++side) {
-      Box layer = box;
-      (side == 0 ? layer.upper : layer.lower)[d] = (side == 0 ? box.lower : box.upper)[d];
-      for_each_cell(layer, [&](Index3 const& cell) {
-        Index3 outer = cell;
-        outer[d] += side == 0 ? -1 : 1;
-        if (numbers(outer) == no_cell) kinds(cell) = RowKind::special;
-      });
-    }
-  for (int d = 0; d < 3; ++d) {
-    if (seam_width[d] == 1) continue;
-    int const n = level.domain().extent(d);
-    for_each_cell(box, [&](Index3 const& cell) {
-      if (seam_factor(cell[d], 0, n, seam_width[d]) != 1 || seam_factor(cell[d], 1, n, seam_width[d]) != 1)
-        kinds(cell) = RowKind::special;
+  std::transform(cells.faces.values().begin(), cells.faces.values().end(), kinds.values().begin(), kind_of);
+  auto set_special = [&](Box const& part) {
+    for_each_cell(part.intersect(box), [&](Index3 const& cell) {
+      if (kinds(cell) == RowKind::regular) kinds(cell) = RowKind::special;
     });
-  }
-  return kinds;
-}
-
-RowKinds composite_kinds(RowKinds kinds, ArrayOnBox<char> const& covered) {
-  auto const& values = covered.values();
-  if (std::find(values.begin(), values.end(), 1) == values.end()) return kinds;
-  Box const &box = kinds.box(), &wide = covered.box();
-  std::ptrdiff_t const y = wide.extent(0), z = y * wide.extent(1);
-  for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-    for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
-      char const* c = &covered({box.lower[0], j, k});
-      RowKind* kind = &kinds({box.lower[0], j, k});
-      for (int i = 0; i < box.extent(0); ++i, ++c) {
-        if (c[-1] | c[1] | c[-y] | c[y] | c[-z] | c[z]) kind[i] = RowKind::beside;
-        if (c[0]) kind[i] = RowKind::covered;
-      }
+  };
+  for (int d = 0; d < 3; ++d) {
+    int const n = cells.level->domain().extent(d);
+    Real const width = cells.seam_width[d];
+    if (cells.level->periodic()[d] && n <= 2) set_special(box);  // both neighbours are the same cell
+    if (width == 1) continue;
+    Box layer = box;
+    for (int i = box.lower[d]; i <= box.upper[d]; ++i) {
+      layer.lower[d] = layer.upper[d] = i;
+      if (seam_factor(i, 0, n, width) != 1 || seam_factor(i, 1, n, width) != 1) set_special(layer);
     }
+  }
   return kinds;
 }
 
 void append_remote_neighbours(Level const& level, Box const& box, std::vector<GlobalIndex>& out) {
   for (int d = 0; d < 3; ++d)
-    for (int side = 0; side < 2; ++side) {
-      Box beside = box;
-      beside.lower[d] = beside.upper[d] = side == 0 ? box.lower[d] - 1 : box.upper[d] + 1;
-      append_remote(level, beside, out);
-    }
+    for (int side = 0; side < 2; ++side) append_remote(level, box.layer(d, side, 1), out);
 }
 
 RegularRows::RegularRows(Real3 const& spacing, Real shift, ArrayOnBox<LocalIndex> const& places)

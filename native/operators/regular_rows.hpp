@@ -1,7 +1,7 @@
 #pragma once
 
-#include "mesh/array_on_box.hpp"
 #include "operators/row.hpp"
+#include "operators/stencil_cells.hpp"
 #include "stencil/equation.hpp"
 
 namespace amrpic {
@@ -16,13 +16,11 @@ enum class RowKind : char {
 
 using RowKinds = ArrayOnBox<RowKind>;
 
-/// Kinds of the rows of a box as if nothing finer existed; `numbers` has at least one layer of ghost cells.
-/// `seam_width`: of last cells along periodic axes.
-RowKinds kinds_without_finer(Level const& level, Box const& box, ArrayOnBox<GlobalIndex> const& numbers,
-                             Real3 const& seam_width = {1, 1, 1});
+/// Whether rows are made as if nothing finer existed, or those of the composite operator.
+enum class Execution { without_finer, composite };
 
-/// Kinds of the rows of the composite operator; `covered` has at least one layer of ghost cells.
-RowKinds composite_kinds(RowKinds kinds, ArrayOnBox<char> const& covered);
+/// Kinds of the rows of a box.
+RowKinds row_kinds(StencilCells const& cells, Execution execution);
 
 /// Call `f(kind, first cell, run of rows)` for the longest runs of equal kind along x.
 template <class F>

@@ -55,7 +55,7 @@ aarch64: setup .venv/.qemu $(ARM)/.packages  ## cross-compile for 64-bit ARM and
 	nice ninja -C $(ARM)/native -j $(JOBS) --quiet
 	@ln -sfn $(CURDIR)/amrpic/* -t $(ARM)/packages/amrpic; cp tests/support/aarch64_python $(ARM)/python
 	@for module in _native_baseline _processor; do cp $(ARM)/native/$$module*.so $(ARM)/packages/amrpic/$$module.so; done
-	$(ARM)/python -m pytest -p no:cacheprovider -k "not 2r and not 3r and not 4r" $(ARM_TESTS) $(ARGS)
+	AMRPIC_TEST_PATIENCE=10 $(ARM)/python -m pytest -p no:cacheprovider -k "not 2r and not 3r and not 4r" $(ARM_TESTS) $(ARGS)
 
 $(ARM)/.packages: .venv/.packages .venv/.qemu
 	@missing=; for tool in mmdebstrap aarch64-linux-gnu-g++; do command -v $$tool >/dev/null || missing=yes; done; \

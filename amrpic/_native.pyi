@@ -1,10 +1,30 @@
 """Native part of amrpic: meshes, operators, solver and particle kernels."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import enum
 
 import numpy
 from numpy.typing import NDArray
+
+def end_job_on_failure(comm: int) -> None:
+    """
+    Let a failure of MPI on a communicator of the library's own end the job with one sentence.
+    """
+
+def traffic() -> list[int]:
+    """
+    Messages and bytes that this process has sent to other ranks so far, and collective calls.
+    """
+
+def count_collective() -> None:
+    """Count a collective call that Python makes."""
+
+def exchange(
+    comm: int, asked: Sequence[tuple[int, int]], wanted: Sequence[tuple[int, int]], pack: Callable
+) -> list[list[float]]:
+    """
+    Values of parcels between ranks, (rank, number) each, once; pack(n) gives those that rank asked[n][0] reads.
+    """
 
 def initialize() -> None:
     """Start Kokkos and Tpetra on MPI_COMM_WORLD, once; MPI must be up."""
@@ -170,10 +190,6 @@ class CompositeLaplacian:
     def electric_field(
         self, potential: Field, walls: Sequence[NDArray[numpy.float64]], covered: CoveredField
     ) -> ElectricField: ...
-    @property
-    def messages(self) -> int: ...
-    @property
-    def message_bytes(self) -> int: ...
     @property
     def bytes(self) -> int: ...
 
@@ -507,9 +523,5 @@ class PoissonSolver:
     def levels_assembled(self) -> int: ...
     @property
     def assemblies(self) -> int: ...
-    @property
-    def messages(self) -> int: ...
-    @property
-    def message_bytes(self) -> int: ...
     @property
     def backend_bytes(self) -> int: ...

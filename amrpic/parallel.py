@@ -3,15 +3,77 @@
 from __future__ import annotations
 
 import contextlib
-import sys
-import traceback
-from collections.abc import Iterator
-from types import TracebackType
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from mpi4py import MPI
 
+from . import _native
 from .errors import AmrpicError
+from .failure import Meeting, end_scripts_together
+
+
+class Communicator(MPI.Intracomm):
+    """A communicator of the library's own: no message of the user's can be taken for one of ours, and calls are counted."""
+
+
+def _counted(name: str) -> Callable[..., Any]:
+    call = getattr(MPI.Intracomm, name)
+
+    def counting(self: Communicator, *given: Any, **named: Any) -> Any:
+        if self.size > 1:
+            _native.count_collective()
+        return call(self, *given, **named)
+
+    counting.__name__, counting.__doc__ = name, call.__doc__
+    return counting
+
+
+COLLECTIVES = ("allreduce", "Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
+for _name in COLLECTIVES:
+    setattr(Communicator, _name, _counted(_name))
+
+_OWN = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, mine: mine.Free())
+
+
+def own(comm: MPI.Comm) -> Communicator:
+    """Return the library's duplicate of a communicator, made at the first call and freed with it. Collective.
+
+    From then on a failure of MPI on it ends the job with one sentence, as does an exception that a script does not catch on
+    some of several ranks.
+    """
+    if isinstance(comm, Communicator):
+        return comm
+    mine = cast(Communicator | None, comm.Get_attr(_OWN))
+    if mine is None:
+        mine = Communicator(comm.Dup())
+        comm.Set_attr(_OWN, mine)
+        _native.end_job_on_failure(mine.py2f())
+        if mine.size > 1:
+            end_scripts_together(Meeting(mine))
+    return mine
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """What this process has sent to other ranks, and the collective calls that it took part in."""
+
+    messages: int = 0
+    bytes: int = 0
+    collectives: int = 0
+
+    def __sub__(self, other: Traffic) -> Traffic:
+        return Traffic(self.messages - other.messages, self.bytes - other.bytes, self.collectives - other.collectives)
+
+    def __add__(self, other: Traffic) -> Traffic:
+        return Traffic(self.messages + other.messages, self.bytes + other.bytes, self.collectives + other.collectives)
+
+
+def traffic() -> Traffic:
+    """Return the traffic of this process so far; what Trilinos and HDF5 send by themselves is not counted."""
+    return Traffic(*_native.traffic())
 
 
 def raise_together(comm: MPI.Comm, message: str | None, error: type[Exception] = AmrpicError) -> None:
@@ -56,21 +118,3 @@ def global_max(comm: MPI.Comm, value: float) -> float:
     """Return the largest `value` of all ranks; nan if any rank holds nan. Collective."""
     values = comm.allgather(float(value))
     return float(np.max(values))
-
-
-def install_abort_hook(comm: MPI.Comm) -> None:
-    """End all ranks when one of them dies of an exception that nobody caught.
-
-    Without it the other ranks would wait for the dead one for ever.
-    """
-    if comm.size == 1:
-        return
-
-    def hook(kind: type[BaseException], value: BaseException, trace: TracebackType | None) -> None:
-        sys.stderr.write(f"rank {comm.rank} of {comm.size} failed:\n")
-        traceback.print_exception(kind, value, trace)
-        sys.stdout.flush()
-        sys.stderr.flush()
-        comm.Abort(1)
-
-    sys.excepthook = hook

@@ -35,6 +35,7 @@ CONFINED = {
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
     r"#include\s*<(Tpetra|Teuchos)": {"base", "matrixfree", "operators", "solver"},
     r"\bParameterList\b": {"solver"},
+    r"\bMPI_(?!Comm_f2c|Wtime)\w+\(": {"base"},  # `Communicator` and `Messages` send, and count
     r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
 }
 
@@ -45,6 +46,7 @@ ORDER = (
     "isa",
     "_native",
     "units",
+    "failure",
     "parallel",
     "mesh",
     "particles",

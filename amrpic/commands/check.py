@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 
+from ..failure import BAD_INPUT
 from ..run.limits import check_scene
 from ..scene.scene import RefusedScene
 from .arguments import Commands, command, count, scene_arguments, scene_of
-from .failure import BAD_INPUT
 
 
 def add(commands: Commands) -> None:

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import argparse
 import sys
+import traceback
 from collections.abc import Sequence
 
+from mpi4py import MPI
+
+from ..failure import Meeting, sentence
 from . import check, doctor, plot, preview, run, scaling, schema, verify
 from .arguments import Parser
-from .failure import Meeting
 
 COMMANDS = (run, check, preview, plot, schema, verify, scaling, doctor)  # as --help lists them
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command that the arguments name and exit with its status. Collective under mpiexec."""
-    meeting, show_traceback = Meeting(), False
+    meeting, show_traceback = Meeting(MPI.COMM_WORLD), False
     try:
         chosen = parser().parse_args(arguments)
         show_traceback = chosen.traceback
         status = chosen.command(chosen)
     except (Exception, KeyboardInterrupt) as failure:
-        status = meeting.report(failure, show_traceback)
+        status = meeting.report(failure, traceback.format_exc() if show_traceback else sentence(failure))
     sys.exit(status)
 
 

@@ -24,12 +24,12 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError, OutputError
+from ..failure import Meeting, sentence
 from ..mesh.boxes import scaled_cells
 from ..run.plan import Plan
 from ..run.step import advance, begin
 from ..scene.scene import Scene
 from .arguments import Commands, command, count, scene_arguments, scene_of
-from .failure import Meeting
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,6 +48,7 @@ class Measured:
     particles: int
     seconds: float  # of a step
     stages: dict[str, float]  # s, of each stage of a step
+    traffic: dict[str, dict[str, float]]  # of each stage of a step: messages, bytes and collectives of the busiest rank
 
     @property
     def work(self) -> float:
@@ -69,13 +70,17 @@ def measure(comm: MPI.Comm, scene: Scene, kind: str, steps: int) -> Measured:
     state = advance(begin(plan), plan)
     taken: list[float] = []
     stages: dict[str, list[float]] = {}
+    passed: dict[str, dict[str, list[float]]] = {}
     for _ in range(steps):
         comm.Barrier()
         start = time.perf_counter()
         state = advance(state, plan)
         taken.append(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
-        for stage, spent in state.seconds.items():
-            stages.setdefault(stage, []).append(comm.allreduce(spent, op=MPI.MAX))
+        for stage, spent in state.spent.items():
+            stages.setdefault(stage, []).append(comm.allreduce(spent.seconds, op=MPI.MAX))
+            for what, number in asdict(spent.traffic).items():
+                most = comm.allreduce(number, op=MPI.MAX)
+                passed.setdefault(stage, {}).setdefault(what, []).append(most)
     mesh = state.hierarchy
     return Measured(
         kind,
@@ -84,6 +89,7 @@ def measure(comm: MPI.Comm, scene: Scene, kind: str, steps: int) -> Measured:
         state.particles.global_count(comm),
         statistics.median(taken),
         {stage: statistics.median(spent) for stage, spent in stages.items()},
+        {stage: {what: statistics.median(n) for what, n in each.items()} for stage, each in passed.items()},
     )
 
 
@@ -167,6 +173,19 @@ def table(found: Sequence[Measured]) -> str:
     return "\n".join(lines)
 
 
+def stage_table(one: Measured) -> str:
+    """Return what the stages of a step take and send on the slowest and on the busiest rank, as lines of text."""
+    lines = [f"{one.kind}, {one.ranks} ranks{'ms':>11}{'messages':>12}{'kB':>9}{'collectives':>14}  of a step"]
+    width = len(lines[0].split(" ranks")[0]) + 6
+    for stage, seconds in one.stages.items():
+        sent = one.traffic[stage]
+        lines.append(
+            f"  {stage:{width - 2}}{1e3 * seconds:11.3g}{sent['messages']:12.0f}{sent['bytes'] / 1e3:9.0f}"
+            f"{sent['collectives']:14.0f}"
+        )
+    return "\n".join(lines)
+
+
 def by_kind(found: Sequence[Measured]) -> dict[str, list[Measured]]:
     """Return the runs of each kind, fewest ranks first."""
     kinds = dict.fromkeys(one.kind for one in found)
@@ -244,6 +263,8 @@ def _scaling(chosen: argparse.Namespace) -> int:
         found.append(measured)
         print(f"{measured.kind}, {measured.ranks} ranks: {measured.seconds:.4g} s/step", flush=True)
     print(table(found))
+    for runs in by_kind(found).values():
+        print(stage_table(runs[-1]))
     print(*write(found, folder), sep="\n")
     return 0
 
@@ -256,11 +277,11 @@ def _main() -> int:
     parser.add_argument("overrides", nargs="*")
     given = parser.parse_args()
     comm = MPI.COMM_WORLD
-    meeting = Meeting()
+    meeting = Meeting(comm)
     try:
         found = measure(comm, Scene.from_toml(given.scene, given.overrides), given.kind, given.steps)
     except Exception as failure:
-        return meeting.report(failure, False)
+        return meeting.report(failure, sentence(failure))
     if comm.rank == 0:
         Path(given.output).write_text(json.dumps(asdict(found)), encoding="utf-8")
     return 0

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from .. import _native
 from ..errors import HierarchyError
+from ..parallel import own
 from .domain import BOUNDARIES, Domain
 
 
@@ -54,9 +55,10 @@ class Hierarchy:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
         loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
+        self.comm = own(comm)
         try:
             self.native = _native.Hierarchy(
-                comm.py2f(),
+                self.comm.py2f(),
                 domain.lower,
                 domain.upper,
                 domain.cells,
@@ -68,7 +70,6 @@ class Hierarchy:
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
-        self.comm = comm
         self.domain = domain
         self.max_grid_size = int(max_grid_size)
         self.blocking_factor = int(blocking_factor)

@@ -1,32 +1,54 @@
-"""A clock that adds up the seconds of the stages of a step."""
+"""What the stages of a step take: time, and what passes between ranks."""
 
 from __future__ import annotations
 
 import contextlib
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from ..parallel import Traffic, traffic
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a rank spent on a stage."""
+
+    seconds: float = 0.0
+    traffic: Traffic = field(default_factory=Traffic)
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(self.seconds + other.seconds, self.traffic + other.traffic)
+
+    def __sub__(self, other: Spent) -> Spent:
+        return Spent(self.seconds - other.seconds, self.traffic - other.traffic)
+
+    @classmethod
+    def so_far(cls) -> Spent:
+        """Return what this process has spent since some time in the past."""
+        return cls(time.perf_counter(), traffic())
 
 
 class Clock:
-    """Adds up the seconds of stages; those of a stage within another count for the inner one alone."""
+    """Adds up what stages take; that of a stage within another counts for the inner one alone."""
 
     def __init__(self) -> None:
-        self._seconds: dict[str, float] = {}
-        self._within: list[float] = []  # for each stage that runs, the seconds of stages within it
+        self._stages: dict[str, Spent] = {}
+        self._within: list[Spent] = []  # for each stage that runs, what stages within it have spent
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
-        self._within.append(0.0)
+        start = Spent.so_far()
+        self._within.append(Spent())
         try:
             yield
         finally:
-            spent = time.perf_counter() - start
-            self._seconds[stage] = self._seconds.get(stage, 0.0) + spent - self._within.pop()
+            spent = Spent.so_far() - start
+            self._stages[stage] = self._stages.get(stage, Spent()) + (spent - self._within.pop())
             if self._within:
                 self._within[-1] += spent
 
-    def take(self) -> dict[str, float]:
-        """Return the seconds per stage since the last call."""
-        taken, self._seconds = self._seconds, {}
+    def take(self) -> dict[str, Spent]:
+        """Return what each stage took since the last call."""
+        taken, self._stages = self._stages, {}
         return taken

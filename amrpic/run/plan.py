@@ -10,6 +10,7 @@ from mpi4py import MPI
 from ..errors import SolverError
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
+from ..parallel import own
 from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
@@ -23,7 +24,7 @@ class Plan:
     """The scene, and a solver that is kept as long as its hierarchy."""
 
     def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
-        self.comm = comm
+        self.comm = own(comm)
         self.scene = scene
         self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
         self.clock = Clock()

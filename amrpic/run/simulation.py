@@ -12,7 +12,6 @@ from ..io import checkpoint_writer
 from ..io.openpmd_writer import write as write_particles
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import install_abort_hook
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
@@ -31,7 +30,6 @@ class Simulation:
     """
 
     def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
-        install_abort_hook(comm)  # a script whose callback fails on one rank must not leave the others waiting
         plan = Plan(comm, scene)
         self._hold(plan, begin(plan))
 
@@ -49,7 +47,6 @@ class Simulation:
         `scene` takes the place of the one in the checkpoint, to go on for longer or write something else; its domain and box
         sizes must be those of the checkpoint. On as many ranks as wrote it, the run goes on bit by bit as it would have.
         """
-        install_abort_hook(comm)
         state, plan = load(comm, Path(path), scene)
         run = cls.__new__(cls)
         run._hold(plan, state)

@@ -11,6 +11,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles, concatenate
 from ..stages.diagnostics import Moments, moments
 from ..stages.poisson import SolveReport
+from .clock import Spent
 from .leapfrog import Staggered
 
 
@@ -50,7 +51,7 @@ class State:
     step: int
     time: float  # s
     regridded: bool = False  # whether the latest step changed the mesh
-    seconds: dict[str, float] = field(default_factory=dict)  # of the stages of the latest step, on this rank
+    spent: dict[str, Spent] = field(default_factory=dict)  # on the stages of the latest step, by this rank
 
     @property
     def hierarchy(self) -> Hierarchy:
@@ -75,6 +76,11 @@ class State:
     def report(self) -> SolveReport:
         """How the solve went."""
         return self.solution.report
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """What the stages of the latest step took on this rank, s."""
+        return {stage: spent.seconds for stage, spent in self.spent.items()}
 
     @property
     def synchronized(self) -> Particles:

@@ -83,7 +83,7 @@ void bind_freespace(nb::module_& m) {
             options.acceptance = acceptance;
             options.lattice_limit = lattice_limit;
             options.separation = separation;
-            new (self) FreeSpace(MPI_Comm_f2c(comm), Lattice{lower, spacing, cells}, options);
+            new (self) FreeSpace(Communicator(MPI_Comm_f2c(comm)), Lattice{lower, spacing, cells}, options);
           },
           "comm"_a, "lower"_a, "spacing"_a, "cells"_a, "acceptance"_a = Options{}.acceptance,
           "lattice_limit"_a = Options{}.lattice_limit, "separation"_a = Options{}.separation)

@@ -30,7 +30,8 @@ void bind_hierarchy(nb::module_& m) {
             std::vector<std::vector<Real>> loads;
             for (auto const& w : weights) loads.emplace_back(w.data(), w.data() + w.size());
             nb::gil_scoped_release release;
-            new (self) Hierarchy(MPI_Comm_f2c(comm), domain, boxes, max_grid_size, blocking_factor, loads);
+            new (self)
+                Hierarchy(Communicator(MPI_Comm_f2c(comm)), domain, boxes, max_grid_size, blocking_factor, loads);
           },
           "comm"_a, "lower"_a, "upper"_a, "cells"_a, "boundary"_a, "levels"_a, "max_grid_size"_a, "blocking_factor"_a,
           "weights"_a)

@@ -1,11 +1,57 @@
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
+#include <algorithm>
+
+#include "base/communicator.hpp"
 #include "base/runtime.hpp"
 #include "bind/bind.hpp"
+#include "mesh/exchange.hpp"
 
 namespace nb = nanobind;
+using namespace nb::literals;
 
 void bind_machine(nb::module_& m) {
+  m.def(
+      "end_job_on_failure", [](int comm) { amrpic::end_job_on_failure(MPI_Comm_f2c(comm)); }, "comm"_a,
+      "Let a failure of MPI on a communicator of the library's own end the job with one sentence.");
+  m.def(
+      "traffic",
+      [] {
+        amrpic::Traffic const& all = amrpic::traffic();
+        return std::array{all.messages, all.bytes, all.collectives};
+      },
+      "Messages and bytes that this process has sent to other ranks so far, and collective calls.");
+  m.def(
+      "count_collective", [] { ++amrpic::traffic().collectives; }, "Count a collective call that Python makes.");
+  m.def(
+      "exchange",
+      [](int comm, std::vector<std::pair<int, std::int64_t>> const& asked,
+         std::vector<std::pair<int, std::int64_t>> const& wanted, nb::callable const& pack) {
+        auto parcels = [](auto const& list) {
+          std::vector<amrpic::Parcel> out;
+          for (auto const& [rank, values] : list) out.push_back({rank, values});
+          return out;
+        };
+        std::vector<std::vector<double>> out(wanted.size());
+        amrpic::Exchange<double> const exchange(amrpic::Communicator(MPI_Comm_f2c(comm)), parcels(asked),
+                                                parcels(wanted));
+        exchange.update(
+            [&](std::size_t n, double* to) {
+              try {
+                auto const values = nb::cast<std::vector<double>>(pack(n));
+                std::copy(values.begin(), values.end(), to);
+              } catch (nb::python_error& e) {  // whose text has many lines
+                throw std::runtime_error(nb::str(e.value()).c_str());
+              }
+            },
+            [&](std::size_t n, double const* from) { out[n].assign(from, from + wanted[n].second); });
+        return out;
+      },
+      "comm"_a, "asked"_a, "wanted"_a, "pack"_a,
+      "Values of parcels between ranks, (rank, number) each, once; pack(n) gives those that rank asked[n][0] reads.");
   m.def("initialize", &amrpic::initialize, "Start Kokkos and Tpetra on MPI_COMM_WORLD, once; MPI must be up.");
   m.def("finalize", &amrpic::finalize, "Release what solvers hold of Trilinos, then stop it; MPI must still be up.");
   m.def("trilinos_version", &amrpic::trilinos_version, "Version of the Trilinos headers, such as '13.2'.");

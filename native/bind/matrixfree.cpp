@@ -175,7 +175,5 @@ void bind_matrixfree(nb::module_& m) {
             return laplacian.electric_field(std::move(potential), data, covered);
           },
           "potential"_a, "walls"_a, "covered"_a)
-      .def_prop_ro("messages", &CompositeLaplacian::messages)
-      .def_prop_ro("message_bytes", &CompositeLaplacian::message_bytes)
       .def_prop_ro("bytes", &CompositeLaplacian::bytes);
 }

@@ -31,7 +31,7 @@ Crs const& find(LevelOperators const& o, std::string const& name, int axis) {
 /// This rank's rows of an operator, columns in global numbers: (row starts, columns, values).
 nb::tuple rows_of(LevelOperators const& o, std::string const& name, LevelOperators const& columns, int axis) {
   Crs const& crs = find(o, name, axis);
-  auto const& halo = columns.halo.halo_numbers();
+  auto const halo = columns.halo.numbers();
   GlobalIndex const first = columns.level->first_local_cell();
   LocalIndex const owned = columns.rows();
   std::vector<std::int64_t> start(crs.row_start.begin(), crs.row_start.end()), column;
@@ -47,7 +47,7 @@ nb::ndarray<nb::numpy, Real> multiply_by_tpetra(LevelOperators const& o, std::st
   std::vector<Real> in(values.data(), values.data() + values.size()), out(std::size_t(o.rows()));
   {
     nb::gil_scoped_release release;
-    auto const matrix = tpetra_matrix(MPI_Comm_f2c(comm), find(o, name, axis), o, columns);
+    auto const matrix = tpetra_matrix(Communicator(MPI_Comm_f2c(comm)), find(o, name, axis), o, columns);
     TpetraTypes::MultiVector x(matrix->getDomainMap(), 1), y(matrix->getRangeMap(), 1);
     copy_in(in, x);
     matrix->apply(x, y);

@@ -149,7 +149,8 @@ void bind_particle(nb::module_& m) {
          OnePerParticle mass, ConstColumns later, Real share) {
         nb::gil_scoped_release release;
         auto const particles = view(position, momentum, weight, id);
-        return beam_sums(MPI_Comm_f2c(comm), particles, mass.data(), mass.stride(0) == 0, columns(later), share);
+        return beam_sums(Communicator(MPI_Comm_f2c(comm)), particles, mass.data(), mass.stride(0) == 0, columns(later),
+                         share);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
 

@@ -136,7 +136,5 @@ void bind_solver(nb::module_& m) {
       .def_prop_ro("bottom_setups", [](PoissonSolver const& s) { return s.backend().bottom_setups(); })
       .def_prop_ro("levels_assembled", [](PoissonSolver const& s) { return s.backend().levels_assembled(); })
       .def_prop_ro("assemblies", [](PoissonSolver const& s) { return s.backend().assemblies(); })
-      .def_prop_ro("messages", [](PoissonSolver const& s) { return s.backend().messages(); })
-      .def_prop_ro("message_bytes", [](PoissonSolver const& s) { return s.backend().message_bytes(); })
       .def_prop_ro("backend_bytes", [](PoissonSolver const& s) { return s.backend().bytes(); });
 }

@@ -3,25 +3,16 @@
 #include <algorithm>
 #include <stdexcept>
 
-#include "base/all_gather.hpp"
+#include "base/communicator.hpp"
 #include "base/error.hpp"
 
 namespace amrpic::freespace {
 
 namespace {
 
-/// Whether something holds on any rank, so that all may raise together. Collective.
-bool on_any_rank(MPI_Comm comm, bool here) {
-  int any = here;
-  MPI_Allreduce(MPI_IN_PLACE, &any, 1, MPI_INT, MPI_MAX, comm);
-  return any != 0;
-}
-
 /// The patches of this rank: consecutive ones, with an equal part of the work.
-std::array<std::size_t, 2> patches_of_rank(MPI_Comm comm, std::vector<Interactions> const& interactions) {
-  int rank = 0, ranks = 1;
-  MPI_Comm_rank(comm, &rank);
-  MPI_Comm_size(comm, &ranks);
+std::array<std::size_t, 2> patches_of_rank(Communicator const& comm, std::vector<Interactions> const& interactions) {
+  int const rank = comm.rank(), ranks = comm.ranks();
   double total = 0;
   for (Interactions const& of_patch : interactions) total += of_patch.cost();
   std::array<std::size_t, 2> out{interactions.size(), interactions.size()};
@@ -36,7 +27,7 @@ std::array<std::size_t, 2> patches_of_rank(MPI_Comm comm, std::vector<Interactio
 
 }  // namespace
 
-FreeSpace::FreeSpace(MPI_Comm comm, Lattice const& lattice, Options const& options)
+FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, Options const& options)
     : comm_(comm),
       lattice_(lattice),
       options_(options),
@@ -50,7 +41,7 @@ void FreeSpace::set_charges(std::vector<PointCharge> const& local) {
     for (int d = 0; d < 3; ++d)
       outside = outside || (charge.charge != 0 && (cell[d] < 0 || cell[d] >= (lattice_.cells[d] << charge.level)));
   }
-  if (on_any_rank(comm_, outside))
+  if (comm_.any(outside))
     throw SolverError("open boundary: a charge lies outside the domain; remove lost particles before the solve");
   charges_.blocks.assign(local);
   build_tree();
@@ -120,8 +111,8 @@ std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) 
     number = cell[u] % patch_points + patch_points * (cell[v] % patch_points);
     if (mine.empty() || !(mine.back() == block)) mine.push_back(block);
   }
-  if (on_any_rank(comm_, is_no_ghost)) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
-  auto blocks = all_gather(comm_, mine).values;
+  if (comm_.any(is_no_ghost)) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
+  auto blocks = comm_.gather(mine).values;
   std::sort(blocks.begin(), blocks.end());
   blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
   auto const values = ghosts(blocks);
@@ -138,7 +129,7 @@ std::vector<double> FreeSpace::ghosts(std::vector<GhostBlock> const& blocks) con
   auto const patches = patches_around(lattice_, blocks);
   auto const interactions = evaluate_->interactions(charges_.tree, patches);
   auto const [first, last] = patches_of_rank(comm_, interactions);
-  auto values = all_gather(comm_, evaluate_->at(comm_, charges_, patches, interactions, first, last)).values;
+  auto values = comm_.gather(evaluate_->at(comm_, charges_, patches, interactions, first, last)).values;
   interpolate_down(patches, values);
   values.resize(blocks.size() * patch_values);
   for (double& value : values) value *= scale();

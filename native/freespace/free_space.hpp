@@ -1,12 +1,11 @@
 // The potential of charges in free space by the 7-point operator: what an open wall needs.
 #pragma once
 
-#include <mpi.h>
-
 #include <array>
 #include <memory>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "freespace/tree_potential.hpp"
 
 namespace amrpic::freespace {
@@ -22,7 +21,7 @@ struct PointTarget {
 /// All functions are collective. Results depend on how the charges are distributed only by rounding.
 class FreeSpace {
  public:
-  FreeSpace(MPI_Comm comm, Lattice const& lattice, Options const& options = {});
+  FreeSpace(Communicator const& comm, Lattice const& lattice, Options const& options = {});
   Lattice const& lattice() const { return lattice_; }
 
   /// The charges of the uncovered cells of this rank. One exchange: which leaves there are, with their moments.
@@ -41,7 +40,7 @@ class FreeSpace {
   std::vector<double> ghosts(std::vector<GhostBlock> const& blocks) const;
   double scale() const;  ///< of 4 pi times the potential, lengths in units of the smallest spacing
 
-  MPI_Comm comm_;
+  Communicator comm_;
   Lattice lattice_;
   Options options_;
   ChargeTree charges_;

@@ -5,7 +5,7 @@
 #include <map>
 #include <stdexcept>
 
-#include "base/all_gather.hpp"
+#include "base/communicator.hpp"
 
 namespace amrpic::freespace {
 
@@ -61,9 +61,9 @@ int find(std::vector<LeafMoments> const& leaves, LeafMoments const& leaf) {
 
 }  // namespace
 
-std::vector<LeafMoments> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& blocks, Point const& shape,
+std::vector<LeafMoments> agree_on_leaves(Communicator const& comm, ChargeBlocks const& blocks, Point const& shape,
                                          double dropped) {
-  auto const all = all_gather(comm, blocks.leaves());
+  auto const all = comm.gather(blocks.leaves());
   std::vector<std::size_t> order(all.values.size());
   for (std::size_t n = 0; n < order.size(); ++n) order[n] = n;
   std::stable_sort(order.begin(), order.end(),
@@ -81,7 +81,7 @@ std::vector<LeafMoments> agree_on_leaves(MPI_Comm comm, ChargeBlocks const& bloc
   return out;
 }
 
-LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<LeafMoments> const& leaves,
+LeafCharges::LeafCharges(Communicator const& comm, ChargeBlocks const& blocks, std::vector<LeafMoments> const& leaves,
                          std::vector<char> const& wanted, std::array<int, 3> const& across)
     : place_(leaves.size(), -1) {
   int count = 0;
@@ -105,8 +105,8 @@ LeafCharges::LeafCharges(MPI_Comm comm, ChargeBlocks const& blocks, std::vector<
         charges.insert(charges.end(), row, row + leaf.extent[0]);
       }
   }
-  auto const given = all_gather(comm, mine).values;
-  auto const all = all_gather(comm, charges).values;
+  auto const given = comm.gather(mine).values;
+  auto const all = comm.gather(charges).values;
 
   std::array<int, 3> step;
   for (int t = 0, width = 1; t < 3; ++t, width *= block_edge) step[across[t]] = width;

@@ -457,7 +457,8 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   }
 }
 
-std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
+std::vector<double> TreePotential::at(Communicator const& comm, ChargeTree const& charges,
+                                      std::vector<GhostPatch> const& patches,
                                       std::vector<Interactions> const& interactions, std::size_t first,
                                       std::size_t last) const {
   std::vector<double> out((last - first) * patch_values, 0.0);
@@ -472,7 +473,7 @@ std::vector<double> TreePotential::at(MPI_Comm comm, ChargeTree const& charges, 
   std::vector<int> nodes;
   for (NearRow const& row : near) nodes.push_back(row.node);
   mark_leaves(charges.tree, std::move(nodes), wanted);
-  MPI_Allreduce(MPI_IN_PLACE, wanted.data(), int(wanted.size()), MPI_SIGNED_CHAR, MPI_MAX, comm);
+  comm.largest_each(wanted);
   auto const across = axes_of_rows(shape_);
   LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted, across);
   ChargesOfNodes of_nodes(charges.tree, fetched, across);

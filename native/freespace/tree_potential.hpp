@@ -2,11 +2,10 @@
 // nearby.
 #pragma once
 
-#include <mpi.h>
-
 #include <optional>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "freespace/ghost_patches.hpp"
 #include "freespace/kernel_table.hpp"
 #include "freespace/leaves.hpp"
@@ -56,7 +55,7 @@ class TreePotential {
 
   /// 4 pi times the potential that its interactions make at the points of each patch first .. last - 1, lengths in
   /// units of the smallest spacing; a value depends on nothing but the tree and its patch. Collective.
-  std::vector<double> at(MPI_Comm comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
+  std::vector<double> at(Communicator const& comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
                          std::vector<Interactions> const& interactions, std::size_t first, std::size_t last) const;
 
  private:

@@ -54,12 +54,8 @@ void check_places(Hierarchy const& hierarchy, int halo) {
     Level const& level = hierarchy.level(l);
     if (fullest(level, halo).places <= most) continue;  // as all ranks find, for they know all boxes
     // The bound counts copies that are boxes of the rank itself; so near the limit the layout itself decides.
-    struct {
-      double places;
-      int rank;
-    } own{double(Layout(level, halo, {}).size()), level.rank()}, all{};
-    MPI_Allreduce(&own, &all, 1, MPI_DOUBLE_INT, MPI_MAXLOC, hierarchy.comm());
-    std::string const refusal = refusal_of_places(std::int64_t(all.places), l, all.rank);
+    auto const [places, rank] = hierarchy.comm().largest_and_rank(Real(Layout(level, halo, {}).size()));
+    std::string const refusal = refusal_of_places(std::int64_t(places), l, rank);
     if (!refusal.empty()) throw SolverError(refusal);
   }
 }

@@ -4,8 +4,8 @@
 
 namespace amrpic::matrixfree {
 
-Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
-                       CoarseGhosts const& ghosts)
+Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio,
+                       bool refines, CoarseGhosts const& ghosts)
     : comm_(comm),
       fine_(fine),
       coarse_(coarse),
@@ -23,34 +23,36 @@ Coarsening::Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Inde
 bool Coarsening::keeps_children_together() const {
   Layout const &fine = fine_.layout(), &coarse = coarse_.layout();
   Level const &level = fine_.level(), &coarser = coarse_.level();
-  int together = fine.own_blocks() == coarse.own_blocks() && coarser.ranks() == level.ranks();
+  bool together = fine.own_blocks() == coarse.own_blocks() && coarser.ranks() == level.ranks();
   for (std::size_t b = 0; together && b < fine.own_blocks(); ++b) {
     Box const& box = fine.blocks()[b].box;
     together = box.coarsen(ratio_).intersect(coarser.domain()) == coarse.blocks()[b].box;
     for (int d = 0; d < 3; ++d) together = together && box.lower[d] % ratio_[d] == 0;
   }
-  if (level.ranks() > 1) MPI_Allreduce(MPI_IN_PLACE, &together, 1, MPI_INT, MPI_MIN, comm_);
-  return together;
+  return level.ranks() > 1 ? comm_.all(together) : together;
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
-void Coarsening::lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghosts) {
+void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
-  std::vector<Wanted> wanted;
+  std::vector<Copied> local;
   std::size_t size = 0;
+  int const reach = refines_ ? 2 : 1;  // the ghosts' fits reach one cell further
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
-    CoarsePatch patch{parents.grow(refines_ ? 2 : 1), {}};  // the ghosts' fits reach one cell further
+    CoarsePatch patch{parents.grow(reach), {}};
     patch.cells.origin = std::ptrdiff_t(size);
     patch.cells.pitch_y = patch.box.extent(0);
     patch.cells.pitch_z = patch.cells.pitch_y * patch.box.extent(1);
     size += std::size_t(patch.cells.pitch_z * patch.box.extent(2));
     ArrayOnBox<char> known(patch.box, 0);
     coarser.for_each_overlap(patch.box, [&](int n, Box const& part, Index3 const& shift) {
-      Placement copy = patch.cells;
-      copy.origin = patch.place(part.lower);
-      wanted.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
+      if (coarser.owner(n) == coarser.rank()) {
+        Placement copy = patch.cells;
+        copy.origin = patch.place(part.lower);
+        local.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
+      }
       known.fill(part, 1);
     });
     Placement cells = patch.cells;
@@ -72,7 +74,20 @@ void Coarsening::lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghost
     add_ghosts(patch, known, ghosts);
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach past it
-  parents_ = RectangleExchange(comm, coarser, coarse_.layout(), wanted);
+  Level const& level = fine_.level();
+  auto const reads = reads_across_ranks(
+      level, coarser, [&](Box const& o) { return o.grow(reach).refine(ratio_); },
+      [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(reach)); });
+  parents_ = RectangleExchange(comm, coarse_.layout(), local, copies_across_ranks(reads),
+                               [this](Box const& box, Part const& f) {
+                                 for (CoarsePatch const& patch : coarse_patches_) {
+                                   Box const part = box.intersect(patch.box);
+                                   if (part.empty()) continue;
+                                   Placement at = patch.cells;
+                                   at.origin = patch.place(part.lower);
+                                   f(part, at);
+                                 }
+                               });
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.
@@ -145,7 +160,7 @@ void Coarsening::add_to_coarse_level() {
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
   parents_.add(values_.data(), r.data());
-  if (gathers_) MPI_Allreduce(MPI_IN_PLACE, r.data(), int(r.size()), MPI_FLOAT, MPI_SUM, comm_);
+  if (gathers_) comm_.sum_each(r);
 }
 
 std::vector<PlaneStage> Coarsening::prolongation(Into into) {

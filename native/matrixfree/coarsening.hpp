@@ -2,6 +2,7 @@
 
 #include <functional>
 
+#include "base/communicator.hpp"
 #include "matrixfree/interface_cells.hpp"
 #include "matrixfree/swept_level.hpp"
 
@@ -20,7 +21,7 @@ class Coarsening {
  public:
   /// `refines`: the finer level covers but a part of the coarser one, whose right-hand side elsewhere is its own.
   /// Collective.
-  Coarsening(MPI_Comm comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
+  Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
              CoarseGhosts const& ghosts);
 
   /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
@@ -38,8 +39,6 @@ class Coarsening {
   enum class Into { sum, place };
   std::vector<PlaneStage> prolongation(Into into);
 
-  std::int64_t messages() const { return parents_.messages(); }
-  std::int64_t message_bytes() const { return parents_.bytes(); }
   std::size_t bytes() const;
 
  private:
@@ -48,13 +47,13 @@ class Coarsening {
     float factor;
   };
   bool keeps_children_together() const;
-  void lay_out_coarse_patches(MPI_Comm comm, CoarseGhosts const& ghosts);
+  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts);
   Vector& clear_target();
   float weight() const;
   void add_to_coarse_level();
   void add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, CoarseGhosts const& ghosts);
 
-  MPI_Comm comm_;
+  Communicator comm_;
   SweptLevel& fine_;
   SweptLevel& coarse_;
   Index3 ratio_;

@@ -85,8 +85,6 @@ class CompositeLaplacian {
   }
 
   Hierarchy const& hierarchy() const { return mesh_.hierarchy(); }
-  std::int64_t messages() const { return mesh_.plan().messages(); }            ///< sent by this rank so far
-  std::int64_t message_bytes() const { return mesh_.plan().message_bytes(); }  ///< sent by this rank so far
   /// Of lists and buffers on this rank.
   std::size_t bytes() const {
     return mesh_.plan().bytes() + ghosts_.bytes() + average_.bytes() + residual_.bytes() + field_.bytes();

@@ -56,11 +56,10 @@ void CompositeAverage::average_pair(int l, int b, int k, Field& phi) const {
 /// The same between ranks, for all boxes of a level.
 void CompositeAverage::average_across_ranks(int l, Field& phi) {
   LevelPlan& coarse = mesh_.plan(l - 1);
-  coarse.finer_means.start([&](Piece const& piece, Real* out) {
-    Box const& own = mesh_.level(l).box(piece.box);
+  coarse.finer_means.start([&](int, Read const& read, Real* out) {
+    Box const &own = mesh_.level(l).box(read.owner), part = read.cells();
     Index3 const pitch = pitches(own);
-    Real const* const cells = phi.level(l).data() + mesh_.level(l).local_offset(piece.box);
-    Box const& part = piece.part;
+    Real const* const cells = phi.level(l).data() + mesh_.level(l).local_offset(read.owner);
     for (int k = part.lower[2]; k <= part.upper[2]; ++k)
       for (int j = part.lower[1]; j <= part.upper[1]; ++j, out += part.extent(0))
         average_children(part.extent(0), cells + own.offset({2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
@@ -68,7 +67,7 @@ void CompositeAverage::average_across_ranks(int l, Field& phi) {
   });
   coarse.finer_means.finish();
   for (RemoteMeans const& m : coarse.remote_means) {
-    Real const* from = coarse.finer_means.values(m.owner) + m.from;
+    Real const* from = coarse.finer_means.values() + m.from;
     for (int k = 0; k < m.parents[2]; ++k)
       for (int j = 0; j < m.parents[1]; ++j, from += m.parents[0])
         std::copy_n(from, m.parents[0],

@@ -78,14 +78,14 @@ void CompositeField::give_means(int l, Real const* means, ElectricField& field) 
     }
 
   for (int axis = 0; axis < 3; ++axis) {
-    coarse.finer_means.start([&](Piece const& piece, Real* out) {
-      for_each_cell(piece.part, [&](Index3 const& parent) {
-        *out++ = first_of(piece.box)[width * parents_of(piece.box).offset(parent) + axis];
+    coarse.finer_means.start([&](int, Read const& read, Real* out) {
+      for_each_cell(read.cells(), [&](Index3 const& parent) {
+        *out++ = first_of(read.owner)[width * parents_of(read.owner).offset(parent) + axis];
       });
     });
     coarse.finer_means.finish();
     for (RemoteMeans const& m : coarse.remote_means) {
-      Real const* from = coarse.finer_means.values(m.owner) + m.from;
+      Real const* from = coarse.finer_means.values() + m.from;
       Real* const to = at_boundary(m.parent);
       for (int k = 0; k < m.parents[2]; ++k)
         for (int j = 0; j < m.parents[1]; ++j)

@@ -14,7 +14,9 @@ CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh) {
 
 void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, FullyCovered fully_covered,
                             std::function<void(int, int)> const& f, std::function<void(int)> const& done) {
-  mesh_.plan().cells.start([&](Piece const& piece, Real* out) { mesh_.pack_cells(phi, piece, out); });
+  mesh_.plan().cells.start([&](int purpose, Read const& read, Real* out) {
+    mesh_.pack_cells(phi, CompositePlan::level_of(purpose), read, out);
+  });
   bool waiting = true;
   for (int l = mesh_.levels() - 1; l >= 0; --l) {
     if (mesh_.hierarchy().has_finer(l)) mesh_.plan(l).finer_fluxes.finish();
@@ -37,16 +39,16 @@ void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, F
 }
 
 void CompositeGhosts::send_fluxes(int l) {
-  mesh_.plan(l - 1).finer_fluxes.start([&](Piece const& piece, Real* out) {
-    auto const [u, v] = tangential_axes(piece.face / 2);
-    int const b = piece.box - mesh_.level(l).first_local_box();
-    Interface const& i =
-        mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(piece.face)].interface)];
+  mesh_.plan(l - 1).finer_fluxes.start([&](int, Read const& read, Real* out) {
+    int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
+    auto const [u, v] = tangential_axes(face / 2);
+    Box const part = read.cells();
+    Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
     Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
-    for (int y = piece.part.lower[v]; y <= piece.part.upper[v]; ++y) {
-      std::ptrdiff_t const from = i.fluxes + (piece.part.lower[u] - parents.lower[u] - i.u) +
-                                  std::ptrdiff_t(i.nu) * (y - parents.lower[v] - i.v);
-      out = std::copy_n(fluxes_[l].data() + from, piece.part.extent(u), out);
+    for (int y = part.lower[v]; y <= part.upper[v]; ++y) {
+      std::ptrdiff_t const from =
+          i.fluxes + (part.lower[u] - parents.lower[u] - i.u) + std::ptrdiff_t(i.nu) * (y - parents.lower[v] - i.v);
+      out = std::copy_n(fluxes_[l].data() + from, part.extent(u), out);
     }
   });
 }
@@ -68,7 +70,7 @@ void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {
 }
 
 void CompositeGhosts::copy(Rectangle const& r, Real const* own, Real* to, std::ptrdiff_t pitch) const {
-  Real const* from = (r.owner == Rectangle::here ? own : mesh_.plan().cells.values(r.owner)) + r.from;
+  Real const* from = (r.here ? own : mesh_.plan().cells.values()) + r.from;
   to += r.u + pitch * r.v;
   for (int v = 0; v < r.nv; ++v, from += r.pv, to += pitch) {
     if (r.pu == 1)

@@ -36,9 +36,7 @@ class CompositeGhosts {
       if (k < r.cells.lower[2] || k > r.cells.upper[2]) continue;
       auto const [u, v] = tangential_axes(r.axis);
       Real const* const fluxes =
-          (r.fluxes.owner == Rectangle::here ? fluxes_[std::size_t(l) + 1].data()
-                                             : mesh_.plan(l).finer_fluxes.values(r.fluxes.owner)) +
-          r.fluxes.from;
+          (r.fluxes.here ? fluxes_[std::size_t(l) + 1].data() : mesh_.plan(l).finer_fluxes.values()) + r.fluxes.from;
       int const layer = r.cells.lower[r.axis];
       bool const inside = r.side == 0 ? layer > 0 : layer + 1 < own.extent(r.axis);
       std::ptrdiff_t const outward = r.side == 0 ? -pitch[r.axis] : pitch[r.axis];

@@ -20,13 +20,12 @@ void CompositeMesh::clear_covered(int l, int b, int k, Real* plane) const {
   for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) { std::fill_n(plane + at, n, 0.0); });
 }
 
-Real* CompositeMesh::pack_cells(Field const& field, Piece const& piece, Real* out) const {
-  Box const& own = level(piece.level).box(piece.box);
-  Real const* from = field.level(piece.level).data() + level(piece.level).local_offset(piece.box);
-  for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
-    for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
-      out = std::copy_n(from + own.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
-  return out;
+void CompositeMesh::pack_cells(Field const& field, int l, Read const& read, Real* out) const {
+  Box const &own = level(l).box(read.owner), part = read.cells();
+  Real const* from = field.level(l).data() + level(l).local_offset(read.owner);
+  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+      out = std::copy_n(from + own.offset({part.lower[0], j, k}), part.extent(0), out);
 }
 
 }  // namespace amrpic

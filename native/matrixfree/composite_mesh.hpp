@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "base/fetch.hpp"
 #include "matrixfree/composite_plan.hpp"
 #include "mesh/field.hpp"
@@ -36,7 +37,7 @@ class CompositeMesh {
   CompositeMesh(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Real3 const& stretch);
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
-  MPI_Comm comm() const { return hierarchy_->comm(); }
+  Communicator const& comm() const { return hierarchy_->comm(); }
   int levels() const { return hierarchy_->level_count(); }
   Level const& level(int l) const { return hierarchy_->level(l); }
   CompositePlan& plan() { return plan_; }
@@ -75,8 +76,8 @@ class CompositeMesh {
   }
   void clear_covered(int l, int b, int k, Real* plane) const;
 
-  /// The cells of a piece, x fastest; returns the place after the last.
-  Real* pack_cells(Field const& field, Piece const& piece, Real* out) const;
+  /// The cells of level l that others read, x fastest.
+  void pack_cells(Field const& field, int l, Read const& read, Real* out) const;
 
   /// Round scale times a plane of cells into plane k of a block.
   template <class T>

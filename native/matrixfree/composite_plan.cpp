@@ -21,10 +21,18 @@ Box cells_with_fit(ArrayOnBox<FitNumber> const& fits) {
   return out;
 }
 
+/// The means that boxes of a level read of finer ones.
+Reads reads_of_means(Level const& level, Level const& finer) {
+  return coarsened(reads_across_ranks(
+                       level, finer, [](Box const& o) { return o.coarsen(refinement_ratio); },
+                       [&](int b, auto&& read) { read(level.box(b).refine(refinement_ratio)); }),
+                   refinement_ratio);
+}
+
 /// Makes the lists of one level of this rank.
 class LevelPlanner {
  public:
-  LevelPlanner(Hierarchy const& hierarchy, int l, Imports& cells, LevelPlan& out)
+  LevelPlanner(Hierarchy const& hierarchy, int l, Imports const& cells, LevelPlan& out)
       : l_(l),
         level_(hierarchy.level(l)),
         faces_(hierarchy.faces(l)),
@@ -37,6 +45,7 @@ class LevelPlanner {
   void plan_faces() {
     number_walls();
     for (std::size_t b = 0; b < faces_.size(); ++b) {
+      number_ = level_.first_local_box() + int(b);
       box_ = faces_[b].box;
       plan_ = &out_.boxes[b];
       if (faces_[b].ends_level()) {
@@ -44,7 +53,7 @@ class LevelPlanner {
         coarse_near_ = overlaps(*coarser_, behind);
         refined_near_ = overlaps(level_, behind.refine(refinement_ratio));
       }
-      for (std::size_t f = 0; f < 6; ++f) plan_face(plan_->faces[f], faces_[b].sides[f], int(f) / 2);
+      for (int f = 0; f < 6; ++f) plan_face(plan_->faces[std::size_t(f)], faces_[b].sides[std::size_t(f)], f);
     }
   }
 
@@ -52,17 +61,18 @@ class LevelPlanner {
   void plan_refinement(LevelPlan& fine) {
     std::vector<std::pair<int, Family>> families;
     for (std::size_t b = 0; b < faces_.size(); ++b) {
+      number_ = level_.first_local_box() + int(b);
       box_ = faces_[b].box;
       plan_ = &out_.boxes[b];
       plan_->covered.first = std::int32_t(out_.covered.size());
       for (Overlap const& o : faces_[b].covered) {
         out_.covered.push_back(counted_from_first(o.part));
-        plan_means(level_.first_local_box() + int(b), o.box, o.part, families);
+        plan_means(b, o, families);
       }
       plan_->covered.last = std::int32_t(out_.covered.size());
       plan_->is_fully_covered = faces_[b].is_fully_covered();
       plan_->refined.first = std::int32_t(out_.refined.size());
-      for (FinerNeighbour const& n : faces_[b].beside) plan_refined_side(fine, n);
+      for (std::size_t n = 0; n < faces_[b].beside.size(); ++n) plan_refined_side(fine, int(n), faces_[b].beside[n]);
       plan_->refined.last = std::int32_t(out_.refined.size());
     }
     std::stable_sort(families.begin(), families.end(), [](auto const& a, auto const& b) { return a.first < b.first; });
@@ -93,19 +103,19 @@ class LevelPlanner {
       }
   }
 
-  void plan_face(FacePlan& plan, Face const& face, int axis) {
+  void plan_face(FacePlan& plan, Face const& face, int f) {
     if (face.is_wall) return;
     plan.neighbours.first = std::int32_t(out_.neighbours.size());
-    for (Overlap const& o : face.neighbours)
-      out_.neighbours.push_back(rectangle(level_, l_, o, axis, face.layer.lower));
+    for (Overlap const& o : face.neighbours) out_.neighbours.push_back(rectangle(l_, o, f, face.layer.lower));
     plan.neighbours.last = std::int32_t(out_.neighbours.size());
     if (!face.has_coarser) return;
     plan.interface = int(out_.interfaces.size());
-    out_.interfaces.push_back(interface_at(fits_behind(face, axis, coarse_near_, refined_near_), axis));
+    out_.interfaces.push_back(interface_at(fits_behind(face, f / 2, coarse_near_, refined_near_), f));
   }
 
-  /// The interface where coarser cells lie behind a face across an axis.
-  Interface interface_at(ArrayOnBox<FitNumber> const& fits, int axis) {
+  /// The interface where coarser cells lie behind a face.
+  Interface interface_at(ArrayOnBox<FitNumber> const& fits, int f) {
+    int const axis = f / 2;
     auto const [u, v] = tangential_axes(axis);
     Box const region = cells_with_fit(fits);
     Interface out{};
@@ -123,63 +133,74 @@ class LevelPlanner {
     Box const read = region.grow(margin);
     for (Overlap const& o : coarse_near_) {
       Box const part = o.part.intersect(read);
-      if (!part.empty()) out_.coarse.push_back(rectangle(*coarser_, l_ - 1, {o.box, part, o.shift}, axis, read.lower));
+      if (!part.empty()) out_.coarse.push_back(rectangle(l_ - 1, {o.box, part, o.shift}, f, read.lower));
     }
     out.coarse.last = std::int32_t(out_.coarse.size());
     return out;
   }
 
-  /// The part of a plane that a box covers, placed from `origin`.
-  Rectangle rectangle(Level const& level, int l, Overlap const& o, int axis, Index3 const& origin) {
-    auto const [u, v] = tangential_axes(axis);
+  /// The part of the plane beyond face f that a box of level l covers, placed from `origin`.
+  Rectangle rectangle(int l, Overlap const& o, int f, Index3 const& origin) {
+    auto const [u, v] = tangential_axes(f / 2);
+    Level const& level = l == l_ ? level_ : *coarser_;
     Rectangle out{};
     out.u = o.part.lower[u] - origin[u], out.v = o.part.lower[v] - origin[v];
     out.nu = o.part.extent(u), out.nv = o.part.extent(v);
-    Box const own = o.in_box();
+    out.here = level.owner(o.box) == level.rank();
     Box const& box = level.box(o.box);
-    int const owner = level.owner(o.box);
-    if (owner == level.rank()) {
-      Index3 const pitch{1, box.extent(0), box.extent(0) * box.extent(1)};
-      out.owner = Rectangle::here;
-      out.from = level.local_offset(o.box) + std::int32_t(box.offset(own.lower));
-      out.pu = pitch[u], out.pv = pitch[v];
-    } else {
-      out.owner = owner;
-      out.from = cells_.ask(owner, {l, o.box, -1, own});
-      out.pu = 1, out.pv = out.nu;
-      plan_->remote = true;
-    }
+    if (out.here)
+      place(out,
+            {level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
+             box.extent(0) * box.extent(1)},
+            f / 2);
+    else
+      place(out,
+            cells_.find(l == l_ ? CompositePlan::as_neighbours(l) : CompositePlan::behind_edges(l), number_, f, o.box,
+                        o.shift, o.part),
+            f / 2);
+    plan_->remote = plan_->remote || !out.here;
     return out;
   }
 
-  void plan_means(int b, int fine_box, Box const& part, std::vector<std::pair<int, Family>>& families) {
-    std::int32_t const parent = level_.local_offset(b) + std::int32_t(box_.offset(part.lower));
+  /// Put a rectangle across an axis where values lie.
+  static void place(Rectangle& rectangle, Imports::Values const& values, int axis) {
+    Index3 const pitch{1, values.pitch_y, values.pitch_z};
+    auto const [u, v] = tangential_axes(axis);
+    rectangle.from = values.from;
+    rectangle.pu = pitch[u], rectangle.pv = pitch[v];
+  }
+
+  void plan_means(std::size_t b, Overlap const& covered, std::vector<std::pair<int, Family>>& families) {
+    Box const& part = covered.part;
+    std::int32_t const parent =
+        level_.local_offset(level_.first_local_box() + int(b)) + std::int32_t(box_.offset(part.lower));
     std::int32_t const pitch_y = box_.extent(0), pitch_z = box_.extent(0) * box_.extent(1);
     Index3 const parents{part.extent(0), part.extent(1), part.extent(2)};
-    int const owner = finer_->owner(fine_box);
-    if (owner == level_.rank()) {
-      Box const child = counted_from(finer_->box(fine_box).lower, part.refine(refinement_ratio));
-      families.push_back({fine_box, {parent, pitch_y, pitch_z, child.lower, parents}});
+    if (finer_->owner(covered.box) == level_.rank()) {
+      Box const child = counted_from(finer_->box(covered.box).lower, part.refine(refinement_ratio));
+      families.push_back({covered.box, {parent, pitch_y, pitch_z, child.lower, parents}});
     } else {
-      std::int32_t const from = out_.finer_means.ask(owner, {l_ + 1, fine_box, -1, part});
-      out_.remote_means.push_back({owner, from, parent, pitch_y, pitch_z, parents});
+      Imports::Values const values = out_.finer_means.find(0, number_, 0, covered.box, covered.shift, part);
+      out_.remote_means.push_back({values.from, parent, pitch_y, pitch_z, parents});
     }
   }
 
-  void plan_refined_side(LevelPlan const& fine, FinerNeighbour const& n) {
+  void plan_refined_side(LevelPlan const& fine, int number, FinerNeighbour const& n) {
     auto const [u, v] = tangential_axes(n.axis);
     Box const own = n.cells.in_box();
-    int const face = 2 * n.axis + 1 - n.side, owner = finer_->owner(n.cells.box);  // the finer box's face
-    Rectangle fluxes{owner, 0, 1, own.extent(u), 0, 0, own.extent(u), own.extent(v)};
-    if (owner == level_.rank()) {
+    int const face = 2 * n.axis + 1 - n.side;  // the finer box's
+    Rectangle fluxes{};
+    fluxes.here = finer_->owner(n.cells.box) == level_.rank();
+    fluxes.nu = own.extent(u), fluxes.nv = own.extent(v);
+    if (fluxes.here) {
       auto const& box = fine.boxes[std::size_t(n.cells.box - finer_->first_local_box())];
       Interface const& i = fine.interfaces[std::size_t(box.faces[std::size_t(face)].interface)];
       Box const parents = finer_->box(n.cells.box).coarsen(refinement_ratio);
-      fluxes.owner = Rectangle::here;
       fluxes.from = i.fluxes + (own.lower[u] - parents.lower[u] - i.u) + i.nu * (own.lower[v] - parents.lower[v] - i.v);
-      fluxes.pv = i.nu;
+      fluxes.pu = 1, fluxes.pv = i.nu;
     } else {
-      fluxes.from = out_.finer_fluxes.ask(owner, {l_ + 1, n.cells.box, face, own});
+      place(fluxes, out_.finer_fluxes.find(0, number_, 6 * number + face, n.cells.box, n.cells.shift, n.cells.part),
+            n.axis);
     }
     out_.refined.push_back({n.axis, n.side, counted_from_first(n.cells.part), fluxes});
   }
@@ -189,9 +210,10 @@ class LevelPlanner {
   LevelFaces const& faces_;
   Level const* coarser_;
   Level const* finer_;
-  Imports& cells_;
+  Imports const& cells_;
   LevelPlan& out_;
   // of the box under way
+  int number_ = 0;
   Box box_;
   BoxPlan* plan_ = nullptr;
   std::vector<Overlap> coarse_near_, refined_near_;  ///< coarser cells around it, and those that this level refines
@@ -205,28 +227,25 @@ std::size_t bytes_of(std::vector<T> const& list) {
 }  // namespace
 
 CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hierarchy.level_count())) {
-  for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
-    LevelPlan& plan = levels[std::size_t(l)];
-    LevelPlanner planner(hierarchy, l, cells, plan);
-    planner.plan_faces();
+  Communicator const& comm = hierarchy.comm();
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    Level const& level = hierarchy.level(l);
+    cells.add(as_neighbours(l), reads_beyond_faces(level));
+    if (l > 0) cells.add(behind_edges(l - 1), reads_behind_edges(level, hierarchy.level(l - 1)));
     if (!hierarchy.has_finer(l)) continue;
-    planner.plan_refinement(levels[std::size_t(l) + 1]);
-    plan.finer_fluxes.connect(hierarchy.comm());
-    plan.finer_means.connect(hierarchy.comm());
+    Level const& finer = hierarchy.level(l + 1);
+    LevelPlan& plan = levels[std::size_t(l)];
+    plan.finer_fluxes.add(0, reads_of_fine_fluxes(level, finer));
+    plan.finer_means.add(0, reads_of_means(level, finer));
+    plan.finer_fluxes.plan(comm);
+    plan.finer_means.plan(comm);
   }
-  cells.connect(hierarchy.comm());
-}
-
-std::int64_t CompositePlan::messages() const {
-  std::int64_t sum = cells.messages();
-  for (auto const& l : levels) sum += l.finer_fluxes.messages() + l.finer_means.messages();
-  return sum;
-}
-
-std::int64_t CompositePlan::message_bytes() const {
-  std::int64_t sum = cells.bytes();
-  for (auto const& l : levels) sum += l.finer_fluxes.bytes() + l.finer_means.bytes();
-  return sum;
+  cells.plan(comm);
+  for (int l = hierarchy.level_count() - 1; l >= 0; --l) {
+    LevelPlanner planner(hierarchy, l, cells, levels[std::size_t(l)]);
+    planner.plan_faces();
+    if (hierarchy.has_finer(l)) planner.plan_refinement(levels[std::size_t(l) + 1]);
+  }
 }
 
 std::size_t CompositePlan::bytes() const {

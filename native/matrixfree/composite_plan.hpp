@@ -20,11 +20,10 @@ struct Range {
 /// A rectangle of values of a box, in its memory or as another rank sent it. Along u and v, the lower and the higher
 /// axis in the plane.
 struct Rectangle {
-  int owner;            ///< rank that sends it, or `here`
-  std::int32_t from;    ///< place of the first value among the own cells (or fluxes) of its level, or of those sent
+  bool here;            ///< in this rank's memory
+  std::int32_t from;    ///< place of the first value among the own cells (or fluxes) of its level, or of those imported
   std::int32_t pu, pv;  ///< distance between neighbours
   int u, v, nu, nv;     ///< where it lies, and how far it goes
-  static constexpr int here = -1;
 };
 
 /// Where the values beyond a face of a box come from.
@@ -69,8 +68,7 @@ struct Family {
 
 /// Means that another rank sends for covered cells of this one.
 struct RemoteMeans {
-  int owner;
-  std::int32_t from;                      ///< place among what the owner sends, x fastest
+  std::int32_t from;                      ///< place among what is imported, x fastest
   std::int32_t parent, pitch_y, pitch_z;  ///< as in Family
   Index3 parents;
 };
@@ -93,15 +91,17 @@ struct LevelPlan {
 /// All that the composite Laplacian must know of a hierarchy besides the formulas: made of faces and rectangles, so
 /// that it costs far less than a pass over the cells.
 struct CompositePlan {
-  /// Collective.
   explicit CompositePlan(Hierarchy const& hierarchy);
 
   std::vector<LevelPlan> levels;
-  Imports cells;  ///< cells of other ranks, of all levels
 
-  std::size_t bytes() const;           ///< of this rank's lists
-  std::int64_t messages() const;       ///< sent by this rank so far
-  std::int64_t message_bytes() const;  ///< sent by this rank so far
+  Imports cells;  ///< of other ranks, of all levels
+  /// Their purposes: cells of level l as ghosts of that level, or for those of the next finer one.
+  static int as_neighbours(int l) { return 2 * l; }
+  static int behind_edges(int l) { return 2 * l + 1; }
+  static int level_of(int purpose) { return purpose / 2; }
+
+  std::size_t bytes() const;  ///< of this rank's lists
 };
 
 }  // namespace amrpic

@@ -5,6 +5,7 @@
 
 #include "matrixfree/composite_kernels.hpp"
 #include "stencil/boundary.hpp"
+#include "stencil/laplacian.hpp"
 
 namespace amrpic {
 
@@ -87,8 +88,8 @@ void CompositeResidual::for_each_wall_term(int l, int b, int k, Source const& so
   for (int face = 0; face < 6; ++face) {
     int const wall = mesh_.plan(l, b).faces[face].wall, axis = face / 2;
     if (wall < 0) continue;
-    WallGhost const ghost = wall_ghost(mesh_.hierarchy().domain().boundary[axis][face % 2], h[axis]);
-    Real const weight = mesh_.equation(l).weight[axis] * ghost.datum;
+    Boundary const kind = mesh_.hierarchy().domain().boundary[axis][face % 2];
+    Real const weight = datum_weight(mesh_.equation(l), axis, wall_ghost(kind, h[axis]));
     for_each_on_face(mesh_.box(l, b), face, k, [&](std::ptrdiff_t at, int u, int v, int nu) {
       f(at, weight * source.walls[std::size_t(l)].datum[std::size_t(wall + u + std::ptrdiff_t(v) * nu)]);
     });
@@ -200,7 +201,7 @@ Real CompositeResidual::right_hand_side_norm(Source const& source, Norm norm) {
 }
 
 IntegralOfSource CompositeResidual::integrate_right_hand_side(Source const& source) {
-  Real sums[2] = {0, 0};
+  std::array<Real, 2> sums{};
   auto const add_to = [&](Real& total) {
     return [&](int l, int, int, std::ptrdiff_t n) {
       Real sum = 0;
@@ -210,7 +211,7 @@ IntegralOfSource CompositeResidual::integrate_right_hand_side(Source const& sour
   };
   for_each_plane([&](int l, int b, int k) { right_hand_side_plane(l, b, k, source); }, add_to(sums[0]));
   for_each_plane([&](int l, int b, int k) { term_sizes_plane(l, b, k, source); }, add_to(sums[1]));
-  MPI_Allreduce(MPI_IN_PLACE, sums, 2, MPI_DOUBLE, MPI_SUM, mesh_.comm());
+  mesh_.comm().sum_each(sums);
   return {sums[0], sums[1]};
 }
 

@@ -12,8 +12,8 @@ namespace {
 
 /// A part of a window, in the memory of a box of this rank or as another rank sent it.
 struct Part {
-  int owner;  ///< rank that sends it, or Rectangle::here
-  std::int32_t from, pitch_y, pitch_z;
+  bool here;
+  Imports::Values values;
   Box place;  ///< in the window
 };
 
@@ -23,19 +23,46 @@ bool leaves_a_cell(Level const& level, Index3 const& ratio, int axis) {
   return level.domain().extent(axis) % ratio[axis] != 0;
 }
 
-/// The overlaps with a region, except those across periodic faces where the last cell is alone: parents do not go on
-/// there.
+/// Whether values that come from another image of the domain cross a periodic face where the last cell is alone:
+/// parents do not go on there.
+bool crosses_lone_cell(Level const& level, Index3 const& ratio, Index3 const& shift) {
+  bool out = false;
+  for (int d = 0; d < 3; ++d) out = out || (shift[d] != 0 && leaves_a_cell(level, ratio, d));
+  return out;
+}
+
+/// The overlaps with a region of parents' children where parents go on.
 std::vector<Overlap> overlaps_of_parents(Level const& level, Index3 const& ratio, Box const& region) {
   auto out = overlaps(level, region);
   out.erase(std::remove_if(out.begin(), out.end(),
-                           [&](Overlap const& o) {
-                             bool crosses = false;
-                             for (int d = 0; d < 3; ++d)
-                               crosses = crosses || (o.shift[d] != 0 && leaves_a_cell(level, ratio, d));
-                             return crosses;
-                           }),
+                           [&](Overlap const& o) { return crosses_lone_cell(level, ratio, o.shift); }),
             out.end());
   return out;
+}
+
+/// Values that are read for a window around the parents of each box of a level: one for each `ratio` cells of a level,
+/// up to `reach` beyond the parents, which are `parent_ratio` cells of the boxes' level.
+struct Window {
+  int purpose;  ///< of imports
+  int level;
+  Index3 ratio, parent_ratio;
+  Index3 reach;
+
+  Box around(Box const& box) const { return box.coarsen(parent_ratio).grow(reach); }
+};
+
+/// What passes between ranks for the windows of a level's boxes.
+Reads reads_of(Hierarchy const& hierarchy, int boxes, Window const& window) {
+  Level const &readers = hierarchy.level(boxes), &owners = hierarchy.level(window.level);
+  Reads reads = reads_across_ranks(
+      readers, owners,
+      [&](Box const& o) { return o.coarsen(window.ratio).grow(window.reach).refine(window.parent_ratio); },
+      [&](int b, auto&& read) { read(window.around(readers.box(b)).refine(window.ratio)); });
+  for (auto* list : {&reads.wanted, &reads.asked})
+    list->erase(std::remove_if(list->begin(), list->end(),
+                               [&](Read const& r) { return crosses_lone_cell(owners, window.ratio, r.shift); }),
+                list->end());
+  return coarsened(std::move(reads), window.ratio);
 }
 
 /// Where the parents of this rank's boxes start, one box after the other; boxes + 1 values.
@@ -46,21 +73,25 @@ std::vector<std::int32_t> first_parents(Level const& level, Index3 const& ratio)
   return out;
 }
 
-/// Lists the parts of a window that lie in the boxes of a level, all in cells `ratio` times coarser than the level's,
-/// and asks for those of other ranks. `first`: of `first_parents`.
-std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, std::vector<std::int32_t> const& first,
-                             Box const& window, Imports& imports) {
+/// The parts of the window of box b that lie in boxes of the level. `first`: of `first_parents`.
+std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Window const& window,
+                             std::vector<std::int32_t> const& first, Imports const& imports) {
+  Level const& level = hierarchy.level(window.level);
   std::vector<Part> out;
-  for (auto const& o : overlaps_of_parents(level, ratio, window.refine(ratio))) {
-    Box const own = o.in_box().coarsen(ratio);
-    Box const box = level.box(o.box).coarsen(ratio), place = o.part.coarsen(ratio);
-    if (level.owner(o.box) == level.rank())
-      out.push_back({Rectangle::here,
-                     first[std::size_t(o.box - level.first_local_box())] + std::int32_t(box.offset(own.lower)),
-                     box.extent(0), box.extent(0) * box.extent(1), place});
+  Box const around = window.around(hierarchy.level(boxes).box(b));
+  for (auto const& o : overlaps_of_parents(level, window.ratio, around.refine(window.ratio))) {
+    Box const box = level.box(o.box).coarsen(window.ratio), place = o.part.coarsen(window.ratio);
+    Index3 shift = o.shift;
+    for (int d = 0; d < 3; ++d) shift[d] /= window.ratio[d];
+    Box const own = place.shift({-shift[0], -shift[1], -shift[2]});
+    bool const here = level.owner(o.box) == level.rank();
+    if (here)
+      out.push_back({here,
+                     {first[std::size_t(o.box - level.first_local_box())] + std::int32_t(box.offset(own.lower)),
+                      box.extent(0), box.extent(0) * box.extent(1)},
+                     place});
     else
-      out.push_back({level.owner(o.box), imports.ask(level.owner(o.box), {l, o.box, -1, own}), own.extent(0),
-                     own.extent(0) * own.extent(1), place});
+      out.push_back({here, imports.find(window.purpose, b, 0, o.box, shift, place), place});
   }
   return out;
 }
@@ -69,11 +100,11 @@ std::vector<Part> find_parts(Level const& level, int l, Index3 const& ratio, std
 ArrayOnBox<Real> gather(Box const& box, std::vector<Part> const& parts, Real const* own, Imports const& imports) {
   ArrayOnBox<Real> out(box, 0.0);
   for (Part const& p : parts) {
-    Real const* from = (p.owner == Rectangle::here ? own : imports.values(p.owner)) + p.from;
+    Real const* from = (p.here ? own : imports.values()) + p.values.from;
     for (int k = 0; k < p.place.extent(2); ++k)
       for (int j = 0; j < p.place.extent(1); ++j)
-        std::copy_n(from + std::ptrdiff_t(j) * p.pitch_y + std::ptrdiff_t(k) * p.pitch_z, p.place.extent(0),
-                    &out({p.place.lower[0], p.place.lower[1] + j, p.place.lower[2] + k}));
+        std::copy_n(from + std::ptrdiff_t(j) * p.values.pitch_y + std::ptrdiff_t(k) * p.values.pitch_z,
+                    p.place.extent(0), &out({p.place.lower[0], p.place.lower[1] + j, p.place.lower[2] + k}));
   }
   return out;
 }
@@ -105,14 +136,14 @@ std::vector<Real> means(Level const& level, Index3 const& ratio, std::vector<std
   return out;
 }
 
-/// Pack a piece of such means.
+/// Pack a part of such means.
 Real* pack_means(Level const& level, Index3 const& ratio, std::vector<std::int32_t> const& first,
-                 std::vector<Real> const& means, Piece const& piece, Real* out) {
-  Box const parents = level.box(piece.box).coarsen(ratio);
-  Real const* const from = means.data() + first[std::size_t(piece.box - level.first_local_box())];
-  for (int k = piece.part.lower[2]; k <= piece.part.upper[2]; ++k)
-    for (int j = piece.part.lower[1]; j <= piece.part.upper[1]; ++j)
-      out = std::copy_n(from + parents.offset({piece.part.lower[0], j, k}), piece.part.extent(0), out);
+                 std::vector<Real> const& means, Read const& read, Real* out) {
+  Box const parents = level.box(read.owner).coarsen(ratio), part = read.cells();
+  Real const* const from = means.data() + first[std::size_t(read.owner - level.first_local_box())];
+  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+      out = std::copy_n(from + parents.offset({part.lower[0], j, k}), part.extent(0), out);
   return out;
 }
 
@@ -222,30 +253,37 @@ Real composite_truncation(CompositeMesh& mesh, Source const& source, Field const
     }
     auto const first = first_parents(mesh.level(l), ratio);
     auto const first_coarse = l > 0 ? first_parents(mesh.level(l - 1), {1, 1, 1}) : first;
-    Imports rho_imports, phi_imports;
+    enum Purpose { of_rho, of_phi };
+    Index3 const beside{ratio[0] - 1, ratio[1] - 1, ratio[2] - 1};
+    Index3 const further{ratio[0], ratio[1], ratio[2]};
+    Window const rho{of_rho, l, ratio, ratio, beside};
+    Window const potential_window =
+        l > 0 ? Window{of_phi, l - 1, {1, 1, 1}, ratio, further} : Window{of_phi, 0, ratio, ratio, further};
+    Imports imports;
+    for (Window const& window : {rho, potential_window})
+      imports.add(window.purpose, reads_of(mesh.hierarchy(), l, window));
+    imports.plan(mesh.comm());
     std::vector<Task> tasks;
     for (int b = 0; b < mesh.boxes(l); ++b) {
-      Box const parents = mesh.box(l, b).coarsen(ratio).grow({ratio[0] - 1, ratio[1] - 1, ratio[2] - 1});
-      Task task{b, parents, find_parts(mesh.level(l), l, ratio, first, parents, rho_imports), {}};
-      task.phi = l > 0 ? find_parts(mesh.level(l - 1), l - 1, {1, 1, 1}, first_coarse, parents.grow(1), phi_imports)
-                       : find_parts(mesh.level(0), 0, ratio, first, parents.grow(1), phi_imports);
-      tasks.push_back(std::move(task));
+      int const number = mesh.level(l).first_local_box() + b;
+      tasks.push_back({b, rho.around(mesh.box(l, b)), find_parts(mesh.hierarchy(), l, number, rho, first, imports),
+                       find_parts(mesh.hierarchy(), l, number, potential_window, first_coarse, imports)});
     }
     auto const charges = means(mesh.level(l), ratio, first, source.rho.level(l).data());
     auto const potentials = l > 0 ? std::vector<Real>() : means(mesh.level(0), ratio, first, phi.level(0).data());
     Real const* const coarse_phi = l > 0 ? phi.level(l - 1).data() : potentials.data();
-    rho_imports.connect(mesh.comm());
-    phi_imports.connect(mesh.comm());
-    rho_imports.start(
-        [&](Piece const& piece, Real* out) { pack_means(mesh.level(l), ratio, first, charges, piece, out); });
-    phi_imports.start([&](Piece const& piece, Real* out) {
-      l > 0 ? mesh.pack_cells(phi, piece, out) : pack_means(mesh.level(0), ratio, first, potentials, piece, out);
+    imports.start([&](int purpose, Read const& read, Real* out) {
+      if (purpose == of_rho)
+        pack_means(mesh.level(l), ratio, first, charges, read, out);
+      else if (l > 0)
+        mesh.pack_cells(phi, l - 1, read, out);
+      else
+        pack_means(mesh.level(0), ratio, first, potentials, read, out);
     });
-    rho_imports.finish();
-    phi_imports.finish();
+    imports.finish();
     for (Task const& task : tasks) {
-      auto const charge = gather(task.parents, task.rho, charges.data(), rho_imports);
-      auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, phi_imports);
+      auto const charge = gather(task.parents, task.rho, charges.data(), imports);
+      auto const potential = gather(task.parents.grow(1), task.phi, coarse_phi, imports);
       auto const usable = usable_parents(mesh.level(l), mesh.hierarchy().has_finer(l) ? &mesh.level(l + 1) : nullptr,
                                          ratio, task.parents);
       Real3 spacing;

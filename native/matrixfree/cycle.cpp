@@ -62,7 +62,7 @@ WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const&
 
 }  // namespace
 
-Cycle::Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
+Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
     : comm_(comm),
       multigrid_(coarsen_below(refinement_levels(hierarchy, shift), hierarchy.domain(),
                                {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max())),
@@ -144,27 +144,12 @@ void Cycle::solve_coarsest() {
   };
   Vector const& r = levels_[0].swept->right_hand_side();
   for_each_own_row([&](std::size_t place, std::size_t value, int n) { std::copy_n(&r[place], n, &values_[value]); });
-  if (level.ranks() > 1) MPI_Allreduce(MPI_IN_PLACE, values_.data(), int(values_.size()), MPI_DOUBLE, MPI_SUM, comm_);
+  if (level.ranks() > 1) comm_.sum_each(values_);
   direct_->solve(values_);
   Vector& e = levels_[0].swept->correction();
   for_each_own_row([&](std::size_t place, std::size_t value, int n) {
     std::transform(&values_[value], &values_[value] + n, &e[place], [](Real v) { return float(v); });
   });
-}
-
-std::int64_t Cycle::messages() const {
-  std::int64_t sum = 0;
-  for (auto const& l : levels_)
-    sum += l.swept->messages() + (l.coarsening ? l.coarsening->messages() : 0) + (l.local ? l.local->messages() : 0);
-  return sum;
-}
-
-std::int64_t Cycle::message_bytes() const {
-  std::int64_t sum = 0;
-  for (auto const& l : levels_)
-    sum += l.swept->message_bytes() + (l.coarsening ? l.coarsening->message_bytes() : 0) +
-           (l.local ? l.local->message_bytes() : 0);
-  return sum;
 }
 
 std::size_t Cycle::bytes() const {

@@ -2,6 +2,7 @@
 
 #include <memory>
 
+#include "base/communicator.hpp"
 #include "matrixfree/coarsening.hpp"
 #include "matrixfree/direct.hpp"
 #include "matrixfree/local_cycle.hpp"
@@ -15,7 +16,7 @@ namespace amrpic::matrixfree {
 class Cycle {
  public:
   /// `shift`: of the Equation. Collective.
-  Cycle(MPI_Comm comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation);
+  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation);
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();
@@ -25,8 +26,6 @@ class Cycle {
   /// Cells of the base per cell of the multigrid level below it, along each axis; ones if there is none.
   Index3 ratio_below_base() const { return multigrid_.base > 0 ? multigrid_.ratio[multigrid_.base] : Index3{1, 1, 1}; }
 
-  std::int64_t messages() const;
-  std::int64_t message_bytes() const;
   std::size_t bytes() const;  ///< of this rank's memory
 
  private:
@@ -39,7 +38,7 @@ class Cycle {
   void prolong_and_post_smooth(CycleLevel& level);
   void solve_coarsest();
 
-  MPI_Comm comm_;
+  Communicator comm_;
   MultigridLevels multigrid_;
   Relaxation relaxation_;
   std::vector<CycleLevel> levels_;

@@ -1,77 +1,50 @@
 #include "matrixfree/imports.hpp"
 
-#include <type_traits>
+#include <algorithm>
 
 namespace amrpic {
 
-namespace {
-constexpr int tag_plan = 7201;
-constexpr int tag_values = 7202;
-constexpr int ints = sizeof(Piece) / sizeof(int);
-static_assert(std::is_trivially_copyable_v<Piece> && ints * sizeof(int) == sizeof(Piece));
-}  // namespace
-
-std::int32_t Imports::ask(int owner, Piece const& piece) {
-  if (slot_.size() <= std::size_t(owner)) slot_.resize(std::size_t(owner) + 1, -1);
-  int& slot = slot_[std::size_t(owner)];
-  if (slot < 0) {
-    slot = int(sources_.size());
-    sources_.emplace_back().rank = owner;
-    asked_.push_back(0);
-  }
-  sources_[std::size_t(slot)].pieces.push_back(piece);
-  std::int32_t const place = asked_[std::size_t(slot)];
-  asked_[std::size_t(slot)] += std::int32_t(piece.part.cells());
-  return place;
+void Imports::add(int purpose, Reads const& reads) {
+  for (Read const& read : reads.asked) asked_.push_back({purpose, read});
+  for (Read const& read : reads.wanted) wanted_.push_back({purpose, read});
 }
 
-void Imports::connect(MPI_Comm comm) {
-  comm_ = comm;
-  int ranks;
-  MPI_Comm_size(comm, &ranks);
-  if (ranks == 1) return;
-  std::vector<int> ask(std::size_t(ranks), 0), answer(std::size_t(ranks), 0);
-  for (auto const& n : sources_) ask[std::size_t(n.rank)] = int(n.pieces.size());
-  MPI_Alltoall(ask.data(), 1, MPI_INT, answer.data(), 1, MPI_INT, comm);
-  for (int r = 0; r < ranks; ++r)
-    if (answer[std::size_t(r)] > 0) {
-      readers_.emplace_back().rank = r;
-      readers_.back().pieces.resize(std::size_t(answer[std::size_t(r)]));
-    }
-  for (auto& n : readers_)
-    MPI_Irecv(n.pieces.data(), int(n.pieces.size()) * ints, MPI_INT, n.rank, tag_plan, comm, &requests_.emplace_back());
-  for (auto& n : sources_)
-    MPI_Isend(n.pieces.data(), int(n.pieces.size()) * ints, MPI_INT, n.rank, tag_plan, comm, &requests_.emplace_back());
-  MPI_Waitall(int(requests_.size()), requests_.data(), MPI_STATUSES_IGNORE);
-  for (std::size_t s = 0; s < sources_.size(); ++s) {
-    sources_[s].values.resize(std::size_t(asked_[s]));
-    std::vector<Piece>().swap(sources_[s].pieces);
+void Imports::plan(Communicator const& comm) {
+  auto parcels = [](std::vector<Piece>& pieces) {
+    std::stable_sort(pieces.begin(), pieces.end(),
+                     [](Piece const& a, Piece const& b) { return a.read.rank < b.read.rank; });
+    std::vector<Parcel> out;
+    for (Piece const& piece : pieces) out.push_back({piece.read.rank, piece.read.part.cells()});
+    return out;
+  };
+  auto const asked = parcels(asked_), wanted = parcels(wanted_);
+  exchange_ = Exchange<Real>(comm, asked, wanted);
+  std::int32_t from = 0;
+  for (auto const& [purpose, read] : wanted_) {
+    places_[{purpose, read.reader, read.region, read.owner, read.shift}] = {from, read.part};
+    from += std::int32_t(read.part.cells());
   }
-  for (auto& n : readers_) {
-    GlobalIndex count = 0;
-    for (Piece const& piece : n.pieces) count += piece.part.cells();
-    n.values.resize(std::size_t(count));
-  }
+  std::vector<Piece>().swap(wanted_);
 }
 
-void Imports::post() {
-  std::size_t request = 0;
-  for (auto& n : sources_)
-    MPI_Irecv(n.values.data(), int(n.values.size()), MPI_DOUBLE, n.rank, tag_values, comm_, &requests_[request++]);
-  for (auto& n : readers_) {
-    MPI_Isend(n.values.data(), int(n.values.size()), MPI_DOUBLE, n.rank, tag_values, comm_, &requests_[request++]);
-    ++messages_;
-    bytes_ += std::int64_t(n.values.size() * sizeof(Real));
-  }
+Imports::Values Imports::find(int purpose, int reader, int region, int owner, Index3 const& shift,
+                              Box const& part) const {
+  auto const& [from, all] = places_.at({purpose, reader, region, owner, shift});
+  return {from + std::int32_t(all.offset(part.lower)), all.extent(0), all.extent(0) * all.extent(1)};
 }
-
-void Imports::finish() { MPI_Waitall(int(requests_.size()), requests_.data(), MPI_STATUSES_IGNORE); }
 
 std::size_t Imports::memory() const {
-  std::size_t sum = 0;
-  for (auto const* list : {&sources_, &readers_})
-    for (auto const& n : *list) sum += n.pieces.capacity() * sizeof(Piece) + n.values.capacity() * sizeof(Real);
-  return sum;
+  return asked_.capacity() * sizeof(Piece) + places_.size() * (sizeof(Key) + sizeof(Place) + 4 * sizeof(void*)) +
+         exchange_.bytes();
+}
+
+Reads coarsened(Reads reads, Index3 const& ratio) {
+  for (auto* list : {&reads.wanted, &reads.asked})
+    for (Read& read : *list) {
+      read.part = read.part.coarsen(ratio);
+      for (int d = 0; d < 3; ++d) read.shift[d] /= ratio[d];
+    }
+  return reads;
 }
 
 }  // namespace amrpic

@@ -1,70 +1,72 @@
 #pragma once
 
-#include <mpi.h>
-
 #include <cstdint>
+#include <map>
+#include <tuple>
 #include <vector>
 
-#include "mesh/box.hpp"
+#include "mesh/exchange.hpp"
+#include "mesh/reads.hpp"
 
 namespace amrpic {
 
-/// A rectangle of numbers that another rank has: of the cells of a box, or of one of its faces.
-struct Piece {
-  int level, box;
-  int face;  ///< 2 axis + side where it belongs to a face of the box, else -1
-  Box part;  ///< in the indices of its level, or of its parents where the owner makes means or fluxes of it
-};
-
-/// The plan by which a rank reads pieces of what other ranks own.
+/// Rectangles of values that boxes of this rank read of boxes of others: of cells, or of what their owners make of them
+/// when they send.
 ///
-/// All pieces that pass between two ranks are one message. The owner packs them when it sends, so that they may be
-/// computed on the way.
+/// All that passes between two ranks is one message.
 class Imports {
  public:
-  /// Plan to read a piece; returns its place in `values(owner)`, x fastest.
-  std::int32_t ask(int owner, Piece const& piece);
+  /// Values of a rectangle: the first, and the distances between neighbours along y and z.
+  struct Values {
+    std::int32_t from;
+    std::int32_t pitch_y, pitch_z;
+  };
 
-  /// Tell the owners what is asked of them. Once, after the last `ask`. Collective.
-  void connect(MPI_Comm comm);
+  /// Add reads for a purpose of the caller's, a number of which there is one value per cell of their parts. Before
+  /// `plan`, for the same purposes in the same order on all ranks.
+  void add(int purpose, Reads const& reads);
 
-  /// Begin to receive, and send what others ask for: pack(piece, out) writes the values of a piece, x fastest.
+  /// Once, after the last `add`. Local.
+  void plan(Communicator const& comm);
+
+  /// Where the values of a part of a read are among `values()`: the part lies in that of a region of a box that a box
+  /// of another rank owns.
+  Values find(int purpose, int reader, int region, int owner, Index3 const& shift, Box const& part) const;
+
+  /// Begin to receive, and send what others read: pack(purpose, read, out) writes its values, x fastest. Collective.
   template <class Pack>
   void start(Pack&& pack) {
-    for (auto& n : readers_) {
-      Real* out = n.values.data();
-      for (Piece const& piece : n.pieces) {
-        pack(piece, out);
-        out += piece.part.cells();
-      }
-    }
-    post();
+    exchange_.start([&](std::size_t n, Real* out) { pack(asked_[n].purpose, asked_[n].read, out); });
+  }
+  /// Wait for what was started. Collective.
+  void finish() {
+    exchange_.finish([this](std::size_t n, Real const* in) {
+      if (n == 0) values_ = in;
+    });
+    exchange_.settle();
   }
 
-  /// Wait for what was started.
-  void finish();
+  Real const* values() const { return values_; }
 
-  Real const* values(int owner) const { return sources_[std::size_t(slot_[std::size_t(owner)])].values.data(); }
-
-  std::int64_t messages() const { return messages_; }  ///< sent by this rank so far
-  std::int64_t bytes() const { return bytes_; }
   std::size_t memory() const;  ///< of plan and buffers on this rank, in bytes
 
  private:
-  struct Neighbour {
-    int rank = 0;
-    std::vector<Piece> pieces;
-    std::vector<Real> values;
+  struct Piece {
+    int purpose;
+    Read read;
   };
-  void post();
-
-  MPI_Comm comm_ = MPI_COMM_NULL;
-  std::vector<int> slot_;            ///< of each rank in `sources_`, or -1
-  std::vector<Neighbour> sources_;   ///< ranks that own what this one reads
-  std::vector<Neighbour> readers_;   ///< ranks that read what this one owns
-  std::vector<std::int32_t> asked_;  ///< values asked of each source so far
-  std::vector<MPI_Request> requests_;
-  std::int64_t messages_ = 0, bytes_ = 0;
+  using Key = std::tuple<int, int, int, int, Index3>;
+  struct Place {
+    std::int32_t from;
+    Box part;
+  };
+  std::vector<Piece> asked_, wanted_;  ///< the latter until `plan`
+  std::map<Key, Place> places_;
+  Exchange<Real> exchange_;
+  Real const* values_ = nullptr;
 };
+
+/// The same reads in cells `ratio` times coarser.
+Reads coarsened(Reads reads, Index3 const& ratio);
 
 }  // namespace amrpic

@@ -54,26 +54,28 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   // in place where they can; those across z are copied, because a plane is swept when the one at the other end is not
   // yet.
   std::map<std::pair<int, Index3>, Box> wanted;
-  for (std::size_t own = 0; own < own_blocks_; ++own)
-    level.for_each_overlap(large[own].grow(depth), [&](int b, Box const& part, Index3 const& shift) {
+  for (Box const& block : large)
+    level.for_each_overlap(block.grow(depth), [&](int b, Box const& part, Index3 const& shift) {
       bool const mine = b >= level.first_local_box() && b < level.last_local_box();
-      if (mine && in_place(shift)) return;
-      Box const near = level.box(b).shift(shift).grow(depth).intersect(large[own]);
-      for (int k = near.lower[2]; k <= near.upper[2]; ++k) planes_of_[own][std::size_t(k - large[own].lower[2])] = 1;
+      if (!mine || in_place(shift)) return;
       auto const [at, fresh] = wanted.emplace(std::make_pair(b, shift), part);
-      for (int d = 0; d < 3 && !fresh; ++d) {
-        at->second.lower[d] = std::min(at->second.lower[d], part.lower[d]);
-        at->second.upper[d] = std::max(at->second.upper[d], part.upper[d]);
-      }
+      if (!fresh) at->second = at->second.hull(part);
     });
   std::vector<Box> copies;
   for (auto const& [key, part] : wanted) {
     Index3 const& shift = key.second;
     for (Box const& piece : split({part}, seams)) {
-      halo_.push_back({key.first, piece.shift({-shift[0], -shift[1], -shift[2]}), shift});
+      copied_images_.push_back({key.first, piece.shift({-shift[0], -shift[1], -shift[2]}), shift});
+      mark_copied(copied_images_.back().cells);
       copies.push_back(piece);
     }
   }
+  across_ranks_ = copies_across_ranks(reads_across_ranks(
+                                          level, level, [&](Box const& o) { return o.grow(depth); },
+                                          [&](int b, auto&& read) { read(level.box(b).grow(depth)); }),
+                                      seams);
+  for (CopiedRectangle const& r : across_ranks_.asked) mark_copied(r.cells);
+  for (CopiedRectangle const& r : across_ranks_.wanted) copies.push_back(r.cells.shift(r.shift));
   for (Box const& box : joined(copies, seams)) add(box);
   measure_halo();
   std::ptrdiff_t longest = 0;
@@ -132,15 +134,13 @@ void Layout::add(Box const& box) {
   blocks_.push_back(block);
 }
 
-Placement Layout::halo_place(Halo const& halo) const {
-  Box const copy = halo.cells.shift(halo.shift);
-  for (std::size_t b = own_blocks_; b < blocks_.size(); ++b)
-    if (blocks_[b].box.contains(copy)) {
-      Placement out = blocks_[b].cells;
-      out.origin = blocks_[b].place(copy.lower);
-      return out;
-    }
-  return {};
+/// Mark the planes of own blocks with some of these cells.
+void Layout::mark_copied(Box const& cells) {
+  for (std::size_t b = 0; b < own_blocks_; ++b) {
+    Box const part = cells.intersect(blocks_[b].box);
+    if (part.empty()) continue;
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k) planes_of_[b][std::size_t(k - blocks_[b].box.lower[2])] = 1;
+  }
 }
 
 /// Whether own cells are read in place where they are images of such a shift.

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "matrixfree/copies_across_ranks.hpp"
 #include "matrixfree/vector.hpp"
 #include "mesh/level.hpp"
 
@@ -30,9 +31,9 @@ struct CellBlock {
   int vectors() const { return int(cells.pitch_y) / lanes; }
 };
 
-/// Cells of another rank, or of this one across a periodic boundary, that a rank keeps a copy of.
-struct Halo {
-  int source;    ///< box of the level that holds the cells
+/// Own cells of which a rank keeps a copy across a periodic boundary.
+struct Image {
+  int box;       ///< of the level
   Box cells;     ///< in that box's indices
   Index3 shift;  ///< added, gives the indices of the copy
 };
@@ -47,7 +48,7 @@ class Layout {
 
   std::vector<CellBlock> const& blocks() const { return blocks_; }  ///< own ones first
   std::size_t own_blocks() const { return own_blocks_; }
-  bool has_halo() const { return !halo_.empty(); }
+  bool has_halo() const { return blocks_.size() > own_blocks_; }
   int first_halo_plane() const { return first_halo_plane_; }  ///< the lowest plane of z that holds some of it
   /// How far a block's plane lies from the nearest own cells: 0 for own ones.
   int distance(std::size_t block, int k) const {
@@ -57,8 +58,18 @@ class Layout {
   bool is_copied(std::size_t block, int k) const {
     return planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])] != 0;
   }
-  std::vector<Halo> const& halo() const { return halo_; }
-  Placement halo_place(Halo const& halo) const;
+  std::vector<Image> const& images() const { return copied_images_; }      ///< that are copied
+  CopiesAcrossRanks const& across_ranks() const { return across_ranks_; }  ///< what passes between ranks for the halo
+
+  /// Call f(part, where it lies) for the parts of a box in own blocks, or in the halo.
+  template <class F>
+  void for_each_own_part(Box const& box, F&& f) const {
+    for_each_part(box, 0, own_blocks_, f);
+  }
+  template <class F>
+  void for_each_copied_part(Box const& box, F&& f) const {
+    for_each_part(box, own_blocks_, blocks_.size(), f);
+  }
 
   std::size_t size() const { return size_; }  ///< of a Vector that holds the level
   /// Place of a row that belongs to no cell and stays zero.
@@ -93,7 +104,18 @@ class Layout {
  private:
   bool in_place(Index3 const& shift) const;
   std::vector<int> near(int lower_plane, int upper_plane) const;
+  template <class F>
+  void for_each_part(Box const& box, std::size_t first, std::size_t last, F&& f) const {
+    for (std::size_t b = first; b < last; ++b) {
+      Box const part = box.intersect(blocks_[b].box);
+      if (part.empty()) continue;
+      Placement at = blocks_[b].cells;
+      at.origin = blocks_[b].place(part.lower);
+      f(part, at);
+    }
+  }
   void add(Box const& box);
+  void mark_copied(Box const& cells);
   void measure_halo();
 
   Box domain_;
@@ -103,7 +125,8 @@ class Layout {
   std::vector<CellBlock> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;
   std::ptrdiff_t zero_row_ = 0;
-  std::vector<Halo> halo_;
+  std::vector<Image> copied_images_;
+  CopiesAcrossRanks across_ranks_;
   int first_halo_plane_ = 0;
   std::vector<std::vector<std::int8_t>> planes_of_;  ///< of each block: see `is_copied` and `distance`
   std::vector<Placement> boxes_;

@@ -21,7 +21,8 @@ GhostRules ghost_rules_of(LevelCopy const& copy) {
 
 }  // namespace
 
-LocalCycle::LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Real shift, Relaxation const& relaxation)
+LocalCycle::LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Real shift,
+                       Relaxation const& relaxation)
     : fine_(fine),
       relaxation_(of_copies(relaxation)),
       swept_(comm, copy.level, ghost_rules_of(copy), shift, relaxation_, relaxation_.halo()),
@@ -39,8 +40,9 @@ std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stage
   return out;
 }
 
-std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
-                                             Real shift, Relaxation const& relaxation) {
+std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,
+                                             std::vector<LevelCopy> const& copies, Real shift,
+                                             Relaxation const& relaxation) {
   std::unique_ptr<LocalCycle> first;
   std::unique_ptr<LocalCycle>* place = &first;
   SweptLevel* above = &fine;

@@ -2,6 +2,7 @@
 
 #include <memory>
 
+#include "base/communicator.hpp"
 #include "matrixfree/coarsening.hpp"
 #include "operators/semicoarse.hpp"
 
@@ -15,7 +16,8 @@ namespace amrpic::matrixfree {
 class LocalCycle {
  public:
   /// `fine` is relaxed by the caller; `shift`: of the Equation. Collective.
-  LocalCycle(MPI_Comm comm, SweptLevel& fine, LevelCopy const& copy, Real shift, Relaxation const& relaxation);
+  LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy const& copy, Real shift,
+             Relaxation const& relaxation);
 
   /// Run stages over the finer level, find a correction for what they leave, and return stages that add it and smooth.
   /// Collective.
@@ -23,10 +25,6 @@ class LocalCycle {
 
   std::unique_ptr<LocalCycle>& next() { return next_; }
   SweptLevel& swept() { return swept_; }
-  std::int64_t messages() const { return swept_.messages() + coarsening_.messages() + (next_ ? next_->messages() : 0); }
-  std::int64_t message_bytes() const {
-    return swept_.message_bytes() + coarsening_.message_bytes() + (next_ ? next_->message_bytes() : 0);
-  }
   std::size_t bytes() const { return swept_.bytes() + coarsening_.bytes() + (next_ ? next_->bytes() : 0); }
 
  private:
@@ -38,7 +36,8 @@ class LocalCycle {
 };
 
 /// The local cycle of a refinement level over its copies; null without any. Collective.
-std::unique_ptr<LocalCycle> make_local_cycle(MPI_Comm comm, SweptLevel& fine, std::vector<LevelCopy> const& copies,
-                                             Real shift, Relaxation const& relaxation);
+std::unique_ptr<LocalCycle> make_local_cycle(Communicator const& comm, SweptLevel& fine,
+                                             std::vector<LevelCopy> const& copies, Real shift,
+                                             Relaxation const& relaxation);
 
 }  // namespace amrpic::matrixfree

@@ -1,17 +1,23 @@
 #pragma once
 
-#include <mpi.h>
+#include <functional>
 
+#include "base/communicator.hpp"
 #include "matrixfree/layout.hpp"
+#include "mesh/exchange.hpp"
 
 namespace amrpic::matrixfree {
 
-/// Some cells of one box of a level, and where a copy of them belongs.
-struct Wanted {
+/// Some cells of one own box of a level, and where a copy of them belongs.
+struct Copied {
   int box;    ///< number of the box on the level
   Box cells;  ///< in the indices of that box
   Placement copy;
 };
+
+/// Call f(part, where it lies) for the parts of a box that lie in rectangles of memory.
+using Part = std::function<void(Box const&, Placement const&)>;
+using ForEachPart = std::function<void(Box const&, Part const&)>;
 
 /// The plan by which copies of cells are updated from the cells, whichever rank owns these, and are added to them. All
 /// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
@@ -19,8 +25,10 @@ class RectangleExchange {
  public:
   RectangleExchange() = default;
 
-  /// `layout` holds the boxes of `level`. Collective, unless every rank holds the whole level.
-  RectangleExchange(MPI_Comm comm, Level const& level, Layout const& layout, std::vector<Wanted> const& wanted);
+  /// `layout` holds the cells. `local`: what is copied from own boxes. `across`: what passes between ranks;
+  /// a cell of it, in the indices of the copy, may have several copies or none.
+  RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
+                    CopiesAcrossRanks const& across, ForEachPart const& copies);
 
   /// Fill the copies, which may lie in the vector of the cells. Collective.
   void update(float const* cells, float* copies) const {
@@ -28,43 +36,31 @@ class RectangleExchange {
     finish(copies);
     settle();
   }
-  /// The same in three steps: after `start` the cells may change, after `finish` the copies are there, and after
-  /// `settle` others have what this rank sent. Messages of other plans may pass meanwhile. Whoever computes in between
-  /// calls `poll` at times, since messages may not move by themselves.
+  /// The same in the steps of an Exchange.
   void start(float const* cells, float* copies) const;
-  void poll() const;
+  void poll() const { exchange_.poll(); }
   void finish(float* copies) const;
-  void settle() const;
+  void settle() const { exchange_.settle(); }
 
   /// Add the copies to the cells. Collective.
   void add(float const* copies, float* cells) const;
 
-  std::int64_t messages() const { return messages_; }  ///< sent by this rank so far
-  std::int64_t bytes() const { return bytes_; }
-
  private:
-  struct PackedBox {
+  /// Values of a rectangle in two places.
+  struct Pair {
     Index3 extent;
     Placement at, packed;  ///< in memory, and in the message
   };
-  struct Neighbour {
-    int rank;
-    std::vector<PackedBox> boxes;
-    std::size_t cells = 0;
-    mutable std::vector<float> buffer;
+  struct Packed {
+    std::vector<Pair> parts;
+    std::size_t cells;
   };
-  struct Local {
-    Index3 extent;
-    Placement cells, copy;
-  };
-  static void pack(std::vector<Neighbour> const& neighbours, float const* values);
-  void pass(std::vector<Neighbour> const& from, std::vector<Neighbour> const& to) const;
+  static std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
+                                    ForEachPart const& for_each_part);
 
-  MPI_Comm comm_ = MPI_COMM_NULL;
-  std::vector<Local> local_;
-  std::vector<Neighbour> sources_, readers_;
-  mutable std::vector<MPI_Request> receiving_, sending_;
-  mutable std::int64_t messages_ = 0, bytes_ = 0;
+  std::vector<Pair> local_;  ///< cells, and the copy
+  std::vector<Packed> asked_, wanted_;
+  Exchange<float> exchange_;
 };
 
 }  // namespace amrpic::matrixfree

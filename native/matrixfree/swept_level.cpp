@@ -12,24 +12,10 @@ LevelFaces faces_of_blocks(Level const& level, Layout const& layout) {
   return out;
 }
 
-/// Add those layers of wanted cells that have coarser cells beside them.
-void add_boundary_layers(Level const& level, Wanted const& wanted, std::vector<Wanted>& out) {
-  BoxFaces const faces(level, wanted.cells);
-  for (int f = 0; f < 6; ++f) {
-    if (!faces.sides[std::size_t(f)].has_coarser) continue;
-    Wanted layer = wanted;
-    layer.cells = wanted.cells.layer(f / 2, f % 2, 0);
-    Index3 const& first = layer.cells.lower;
-    layer.copy.origin = wanted.copy.place(first[0] - wanted.cells.lower[0], first[1] - wanted.cells.lower[1],
-                                          first[2] - wanted.cells.lower[2]);
-    out.push_back(layer);
-  }
-}
-
 }  // namespace
 
-SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
-                       Relaxation const& relaxation, int halo)
+SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules,
+                       Real shift, Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
       layout_(*level_, halo, rules.seams()),
@@ -39,15 +25,24 @@ SweptLevel::SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, GhostR
       sweep_(layout_, stencil_, relaxation.kernels),
       r_(layout_.size()),
       e_(layout_.size()) {
-  bool const has_boundary = level_->cells() < level_->domain().cells();
-  std::vector<Wanted> copies, at_boundary;
-  for (Halo const& copy : layout_.halo()) {
-    Wanted const all{copy.source, copy.cells, layout_.halo_place(copy)};
-    copies.push_back(all);
-    if (has_boundary) add_boundary_layers(*level_, all, at_boundary);
-  }
-  halo_ = RectangleExchange(comm, *level_, layout_, copies);
-  if (has_boundary) boundary_halo_ = RectangleExchange(comm, *level_, layout_, at_boundary);
+  std::vector<Copied> images, images_at_edges;
+  for (Image const& image : layout_.images())
+    layout_.for_each_copied_part(image.cells.shift(image.shift), [&](Box const& part, Placement const& copy) {
+      images.push_back({image.box, part.shift({-image.shift[0], -image.shift[1], -image.shift[2]}), copy});
+    });
+  auto const copies = [this](Box const& box, Part const& f) { layout_.for_each_copied_part(box, f); };
+  halo_ = RectangleExchange(comm, layout_, images, layout_.across_ranks(), copies);
+  if (level_->cells() == level_->domain().cells()) return;
+  for (Copied const& image : images)
+    for_each_layer_at_edge(*level_, image.cells, [&](Box const& layer) {
+      Copied at_edge = image;
+      at_edge.cells = layer;
+      at_edge.copy.origin =
+          image.copy.place(layer.lower[0] - image.cells.lower[0], layer.lower[1] - image.cells.lower[1],
+                           layer.lower[2] - image.cells.lower[2]);
+      images_at_edges.push_back(at_edge);
+    });
+  edge_halo_ = RectangleExchange(comm, layout_, images_at_edges, at_edges(*level_, layout_.across_ranks()), copies);
 }
 
 std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
@@ -76,7 +71,7 @@ void SweptLevel::run(std::vector<PlaneStage> const& stages) {
   });
   finish_exchanges();
   halo_.settle();
-  boundary_halo_.settle();
+  edge_halo_.settle();
 }
 
 void SweptLevel::exchange_right_hand_sides() {
@@ -87,7 +82,7 @@ void SweptLevel::exchange_right_hand_sides() {
 void SweptLevel::exchange_corrections(bool boundary_changed) {
   finish_exchanges();
   begin(halo_, e_);
-  if (boundary_changed) begin(boundary_halo_, r_);
+  if (boundary_changed) begin(edge_halo_, r_);
 }
 
 void SweptLevel::begin(RectangleExchange const& plan, Vector& values) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <memory>
 
+#include "base/communicator.hpp"
 #include "matrixfree/rectangle_exchange.hpp"
 #include "matrixfree/sweep.hpp"
 
@@ -22,7 +23,7 @@ struct Relaxation {
 class SweptLevel {
  public:
   /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. Collective.
-  SweptLevel(MPI_Comm comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
+  SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
              Relaxation const& relaxation, int halo);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
   SweptLevel& operator=(SweptLevel const&) = delete;
@@ -56,8 +57,6 @@ class SweptLevel {
   Vector& correction() { return e_; }
   Real scale() const { return scale_; }  ///< h²
 
-  std::int64_t messages() const { return halo_.messages() + boundary_halo_.messages(); }
-  std::int64_t message_bytes() const { return halo_.bytes() + boundary_halo_.bytes(); }
   std::size_t bytes() const { return (r_.size() + e_.size()) * sizeof(float) + stencil_.bytes(); }
 
  private:
@@ -71,7 +70,7 @@ class SweptLevel {
   Stencil stencil_;
   Sweep sweep_;
   Vector r_, e_;
-  RectangleExchange halo_, boundary_halo_;  ///< all copies, and those of the level's boundary cells
+  RectangleExchange halo_, edge_halo_;  ///< all copies, and those of the level's boundary cells
   std::vector<std::pair<RectangleExchange const*, Vector*>> under_way_;
 };
 

@@ -38,6 +38,15 @@ struct Box {
     }
     return out;
   }
+  /// The smallest box that holds both.
+  Box hull(Box const& other) const {
+    Box out;
+    for (int d = 0; d < 3; ++d) {
+      out.lower[d] = std::min(lower[d], other.lower[d]);
+      out.upper[d] = std::max(upper[d], other.upper[d]);
+    }
+    return out;
+  }
   Box grow(int n) const { return grow({n, n, n}); }
   Box grow(Index3 const& n) const {
     Box out = *this;

@@ -1,95 +1,131 @@
+// The one exchange of values between ranks that know what they send to each other.
 #pragma once
 
-#include <mpi.h>
-
-#include <memory>
+#include <cstdint>
+#include <exception>
+#include <string>
 #include <vector>
 
-#include "mesh/array_on_box.hpp"
+#include "base/communicator.hpp"
 
 namespace amrpic {
 
-constexpr LocalIndex no_place = -1;
+/// How many values pass between this rank and another one for one purpose.
+struct Parcel {
+  int rank;
+  std::int64_t values;
+};
 
-/// The cells of other ranks among some numbers, as an Exchange takes them: ascending, each once. Negative numbers stand
-/// for no cell.
-std::vector<GlobalIndex> remote_cells(Level const& level, std::vector<GlobalIndex> numbers);
-
-/// Append the numbers of a level's cells in a region that other ranks own; periodic images included.
-void append_remote(Level const& level, Box const& region, std::vector<GlobalIndex>& out);
-
-/// The plan by which a rank reads cells of a level that other ranks own, and gives charge back to them.
+/// Values that readers get from owners, or owners from readers, in parcels: all those of two ranks are one message.
+/// What fails on the way cannot be raised on all ranks, and ends the job with one sentence.
 ///
-/// Values of a level are stored as [own cells | halo], the halo in ascending global number. All that passes between two
-/// ranks, for all boxes and all fields of a call, is one message. Made once per hierarchy; a call allocates nothing
-/// after the first with as many fields.
+/// A call allocates nothing after the first with as many fields.
+template <class T>
 class Exchange {
  public:
-  Exchange() = default;
+  Exchange() : comm_(MPI_COMM_SELF) {}
 
-  /// Plan for a halo of the given cells (ascending global numbers, none of them owned here). Collective.
-  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> halo);
+  /// The parcels that other ranks read of this one, and those that it reads of them; in ascending order of ranks, and
+  /// those of two ranks in the same order on both. Local.
+  Exchange(Communicator const& comm, std::vector<Parcel> const& asked, std::vector<Parcel> const& wanted)
+      : comm_(comm), asked_(asked), wanted_(wanted) {}
 
-  /// Plan for a part of another plan's halo, into that plan's places; `subset` ascending. Collective.
-  Exchange(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& whole_halo,
-           std::vector<GlobalIndex> const& subset);
-
-  /// The same plan for values of which `owned` are kept, those of an own cell at place(its place among all of them).
-  /// It can `update` the halo; cells are found by the plan that it comes from.
-  template <class Place>
-  Exchange kept_elsewhere(LocalIndex owned, Place const& place) const {
-    Exchange out = *this;
-    out.owned_ = owned;
-    out.messages_ = out.bytes_ = 0;
-    for (auto& n : out.readers_)
-      for (LocalIndex& cell : n.cells) cell = place(cell);
-    return out;
+  /// From owners to readers: pack(n, out) writes the values of each asked parcel, unpack(n, in) takes those of each
+  /// wanted one. `fields`: by how much to multiply the numbers of values. Collective.
+  template <class Pack, class Unpack>
+  void update(Pack&& pack, Unpack&& unpack, std::size_t fields = 1) const {
+    start(pack, fields);
+    finish(unpack);
+    settle();
+  }
+  /// From readers to owners: wanted parcels are packed, asked ones unpacked. Collective.
+  template <class Pack, class Unpack>
+  void fold(Pack&& pack, Unpack&& unpack, std::size_t fields = 1) const {
+    guarded([&] { wanted_.send(comm_, messages_, pack, fields), asked_.receive(comm_, messages_, fields); });
+    guarded([&] { messages_.wait_for_received(), asked_.unpack(unpack); });
+    settle();
   }
 
-  LocalIndex owned() const { return owned_; }
-  LocalIndex halo_size() const { return LocalIndex(halo_.size()); }
-  std::vector<GlobalIndex> const& halo_numbers() const { return halo_; }
+  /// `update` in three steps: after `start` what was packed may change, after `finish` all is unpacked, and after
+  /// `settle` others have what this rank sent. Messages of other exchanges may pass meanwhile. Whoever computes in
+  /// between calls `poll` at times.
+  template <class Pack>
+  void start(Pack&& pack, std::size_t fields = 1) const {
+    guarded([&] { asked_.send(comm_, messages_, pack, fields), wanted_.receive(comm_, messages_, fields); });
+  }
+  void poll() const { messages_.poll(); }
+  /// Does not wait for what this rank sent: others receive it when they need it, and a rank that waited for that would
+  /// compute after them, not at the same time.
+  template <class Unpack>
+  void finish(Unpack&& unpack) const {
+    guarded([&] { messages_.wait_for_received(), wanted_.unpack(unpack); });
+  }
+  void settle() const { messages_.wait_for_sent(); }
 
-  /// Place of a cell in [own cells | halo]; the cell must be in one of both.
-  LocalIndex local(GlobalIndex cell) const;
-
-  /// Places of a level's cells in a region, `no_place` where a cell is neither owned nor in the halo or does not exist;
-  /// periodic images included.
-  ArrayOnBox<LocalIndex> places(Level const& level, Box const& region) const;
-
-  /// Fill the halo of each field from its owners; values of a field lie `stride` numbers apart. Collective.
-  void update(std::vector<Real const*> const& own, std::vector<Real*> const& halo, std::ptrdiff_t stride = 1) const;
-
-  /// The same for one field stored as [own cells | halo].
-  void update(Real* field) const { update({field}, {field + owned_}); }
-
-  /// Add each field's halo to its owners' cells, in the order of ranks; the halo keeps its values. Collective.
-  void fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo) const;
-
-  std::int64_t messages() const { return messages_; }  ///< sent by this rank so far
-  std::int64_t bytes() const { return bytes_; }
+  std::size_t bytes() const { return asked_.bytes() + wanted_.bytes(); }  ///< of buffers on this rank
 
  private:
-  struct Neighbour {
-    int rank;
-    std::vector<LocalIndex> cells;  ///< places in the halo, or among the own cells
-    mutable std::vector<Real> buffer;
-  };
-  void make(MPI_Comm comm, Level const& level, std::vector<GlobalIndex> const& wanted);
-  void write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const;
-  static void pack(std::vector<Neighbour> const& neighbours, std::vector<Real const*> const& fields,
-                   std::ptrdiff_t stride);
-  void post(std::vector<Neighbour> const& receive, std::vector<Neighbour> const& send, std::size_t fields) const;
+  /// One direction: its parcels, and the messages that they make up.
+  class Side {
+   public:
+    Side() = default;
+    explicit Side(std::vector<Parcel> const& parcels) {
+      for (Parcel const& parcel : parcels) {
+        if (messages_.empty() || messages_.back().rank != parcel.rank) messages_.push_back({parcel.rank, 0});
+        messages_.back().values += parcel.values;
+        first_.push_back(all_);
+        all_ += parcel.values;
+      }
+    }
+    template <class Pack>
+    void send(Communicator const& comm, Messages& messages, Pack&& pack, std::size_t fields) const {
+      make_room(fields);
+      for (std::size_t n = 0; n < first_.size(); ++n) pack(n, buffer_.data() + std::size_t(first_[n]) * fields);
+      T const* at = buffer_.data();
+      for (Parcel const& m : messages_) {
+        messages.send(comm, at, std::size_t(m.values) * fields, m.rank);
+        at += std::size_t(m.values) * fields;
+      }
+    }
+    void receive(Communicator const& comm, Messages& messages, std::size_t fields) const {
+      make_room(fields);
+      T* at = buffer_.data();
+      for (Parcel const& m : messages_) {
+        messages.receive(comm, at, std::size_t(m.values) * fields, m.rank);
+        at += std::size_t(m.values) * fields;
+      }
+    }
+    template <class Unpack>
+    void unpack(Unpack&& unpack) const {
+      for (std::size_t n = 0; n < first_.size(); ++n)
+        unpack(n, static_cast<T const*>(buffer_.data() + std::size_t(first_[n]) * fields_));
+    }
+    std::size_t bytes() const { return buffer_.capacity() * sizeof(T); }
 
-  MPI_Comm comm_ = MPI_COMM_NULL;
-  GlobalIndex first_ = 0;
-  LocalIndex owned_ = 0;
-  std::vector<GlobalIndex> halo_;
-  std::vector<Neighbour> sources_;  ///< ranks that own my halo; places in the halo
-  std::vector<Neighbour> readers_;  ///< ranks that read my cells; places among the own cells
-  mutable std::vector<MPI_Request> requests_;
-  mutable std::int64_t messages_ = 0;
-  mutable std::int64_t bytes_ = 0;
+   private:
+    void make_room(std::size_t fields) const {
+      fields_ = fields;
+      if (buffer_.size() < std::size_t(all_) * fields) buffer_.resize(std::size_t(all_) * fields);
+    }
+    std::vector<Parcel> messages_;
+    std::vector<std::int64_t> first_;  ///< value of each parcel
+    std::int64_t all_ = 0;
+    mutable std::vector<T> buffer_;
+    mutable std::size_t fields_ = 1;
+  };
+
+  template <class F>
+  void guarded(F&& f) const {
+    try {
+      f();
+    } catch (std::exception const& e) {
+      comm_.abort(std::string("an exchange between ranks failed: ") + e.what());
+    }
+  }
+
+  Communicator comm_;
+  Side asked_, wanted_;
+  mutable Messages messages_;
 };
 
 }  // namespace amrpic

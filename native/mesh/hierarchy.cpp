@@ -149,13 +149,11 @@ std::vector<int> distribute(std::vector<Real> const& weights, int ranks) {
   return first;
 }
 
-Hierarchy::Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
+Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
                      int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights)
     : comm_(comm), domain_(domain), max_grid_size_(max_grid_size), blocking_factor_(blocking_factor) {
   check_domain(domain, max_grid_size, blocking_factor);
-  int rank, ranks;
-  MPI_Comm_rank(comm, &rank);
-  MPI_Comm_size(comm, &ranks);
+  int const rank = comm.rank(), ranks = comm.ranks();
   std::array<bool, 3> const periodic{domain.periodic(0), domain.periodic(1), domain.periodic(2)};
   Box region{{0, 0, 0}, {domain.cells[0] - 1, domain.cells[1] - 1, domain.cells[2] - 1}};
   Real3 spacing{domain.spacing(0), domain.spacing(1), domain.spacing(2)};

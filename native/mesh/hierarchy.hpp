@@ -1,11 +1,10 @@
 #pragma once
 
-#include <mpi.h>
-
 #include <memory>
 #include <mutex>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "mesh/faces.hpp"
 
 namespace amrpic {
@@ -20,10 +19,10 @@ class Hierarchy {
   /// the blocking factor and have a multiple of it, except that those at the domain's upper faces may be shorter.
   /// Throws HierarchyError, the same on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do
   /// not nest.
-  Hierarchy(MPI_Comm comm, Domain const& domain, std::vector<std::vector<Box>> const& refined, int max_grid_size,
-            int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
+  Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
+            int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
 
-  MPI_Comm comm() const { return comm_; }
+  Communicator const& comm() const { return comm_; }
   Domain const& domain() const { return domain_; }
   int max_grid_size() const { return max_grid_size_; }
   int blocking_factor() const { return blocking_factor_; }
@@ -39,7 +38,7 @@ class Hierarchy {
   std::shared_ptr<Hierarchy const> stretched(Real3 const& factor) const;
 
  private:
-  MPI_Comm comm_;
+  Communicator comm_;
   Domain domain_;
   int max_grid_size_, blocking_factor_;
   std::vector<std::shared_ptr<Level const>> levels_;

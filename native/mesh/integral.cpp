@@ -43,7 +43,7 @@ Real integral_on_all(Hierarchy const& hierarchy, Plane const& plane) {
     }
     total += hierarchy.level(l).cell_volume() * on_level;
   }
-  MPI_Allreduce(MPI_IN_PLACE, &total, 1, MPI_DOUBLE, MPI_SUM, hierarchy.comm());
+  total = hierarchy.comm().sum(total);
   return total;
 }
 

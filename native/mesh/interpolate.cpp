@@ -3,51 +3,47 @@
 #include <algorithm>
 
 #include "mesh/array_on_box.hpp"
-#include "mesh/exchange.hpp"
+#include "mesh/halo.hpp"
 #include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// Values of a level in chosen regions, whichever ranks own the cells.
+/// Values of a level wherever boxes of another one read them, whichever ranks own the cells.
 class Reader {
  public:
-  /// Collective.
-  Reader(MPI_Comm comm, Level const& level, std::vector<Box> const& regions, LargeArray<Real> const& own)
-      : level_(level), exchange_(comm, level, remote(level, regions)), own_(own) {
-    halo_.resize(std::size_t(exchange_.halo_size()));
-    exchange_.update({own_.data()}, {halo_.data()});
+  /// `reads`: of cells of `level`. Collective.
+  Reader(Communicator const& comm, Level const& level, CellReads const& reads, LargeArray<Real> const& own)
+      : level_(level), halo_(comm, reads), own_(own), values_(std::size_t(halo_.size())) {
+    halo_.update({own_.data()}, {values_.data()});
   }
 
-  /// Call `f(values, count, first cell)` for each row along x of the level's cells in one of the regions; periodic
+  /// Call `f(values, count, first cell)` for each row along x of the level's cells in a region that is read; periodic
   /// images included.
   template <class F>
   void for_each_row(Box const& region, F&& f) const {
     level_.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
       amrpic::for_each_row(level_, b, part, shift, [&](GlobalIndex first, LocalIndex count, Index3 const& cell) {
         // the halo is in the order of its numbers, so the cells of a row are side by side as own cells are
-        LocalIndex const place = exchange_.local(first), owned = exchange_.owned();
-        f(place < owned ? &own_[std::size_t(place)] : &halo_[std::size_t(place - owned)], count, cell);
+        LocalIndex const place = halo_.local(first), owned = halo_.owned();
+        f(place < owned ? &own_[std::size_t(place)] : &values_[std::size_t(place - owned)], count, cell);
       });
     });
   }
 
  private:
-  static std::vector<GlobalIndex> remote(Level const& level, std::vector<Box> const& regions) {
-    std::vector<GlobalIndex> cells;
-    for (Box const& region : regions) append_remote(level, region, cells);
-    return remote_cells(level, std::move(cells));
-  }
-
   Level const& level_;
-  Exchange exchange_;
+  Halo halo_;
   LargeArray<Real> const& own_;
-  std::vector<Real> halo_;
+  std::vector<Real> values_;
 };
 
-std::vector<Box> local_boxes(Level const& level) {
-  return {level.boxes().begin() + level.first_local_box(), level.boxes().begin() + level.last_local_box()};
+/// Whether a level lacks cells of a box.
+bool lacks_some(Level const& level, Box const& box) {
+  GlobalIndex cells = 0;
+  level.for_each_overlap(box, [&](int, Box const& part, Index3 const&) { cells += part.cells(); });
+  return cells < box.cells();
 }
 
 using Weights = std::array<std::array<Real, 3>, 2>;  ///< of the lower and the upper half of a parent along an axis
@@ -98,10 +94,13 @@ void interpolate(Level const& coarser, ArrayOnBox<Real> const& parent_values, Bo
 }
 
 /// Copy the cells of a level that the old hierarchy has too; 1 for each cell of this rank that it lacks. Collective.
-std::vector<char> copy_former(MPI_Comm comm, Level const& level, Level const& former, LargeArray<Real> const& from,
-                              LargeArray<Real>& to) {
+std::vector<char> copy_former(Communicator const& comm, Level const& level, Level const& former,
+                              LargeArray<Real> const& from, LargeArray<Real>& to) {
   std::vector<char> is_new(to.size(), 1);
-  Reader const read(comm, former, local_boxes(level), from);
+  CellReads reads(former);
+  reads.add(
+      level, [](Box const& o) { return o; }, [&](int b, auto&& read) { read(level.box(b)); });
+  Reader const read(comm, former, reads, from);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
     read.for_each_row(level.box(b), [&](Real const* values, LocalIndex count, Index3 const& first) {
       auto const place = level.local_offset(b) + level.box(b).offset(first);
@@ -111,25 +110,27 @@ std::vector<char> copy_former(MPI_Comm comm, Level const& level, Level const& fo
   return is_new;
 }
 
-/// Interpolate the cells of a level that the old hierarchy lacks, from the finished next coarser level. Collective.
-void fill_new(MPI_Comm comm, Level const& level, Level const& coarser, LargeArray<Real> const& from,
-              std::vector<char> const& is_new, LargeArray<Real>& to) {
-  std::vector<int> boxes;  // of this rank, with newly refined cells
-  std::vector<Box> parents;
+/// Interpolate the cells of a level that the old one, which may be null, lacks: from the finished next coarser level.
+/// Collective.
+void fill_new(Communicator const& comm, Level const& level, Level const* former, Level const& coarser,
+              LargeArray<Real> const& from, std::vector<char> const& is_new, LargeArray<Real>& to) {
+  auto has_new = [&](int b) { return !former || lacks_some(*former, level.box(b)); };
+  auto parents_of = [&](int b) { return level.box(b).coarsen(refinement_ratio).grow(1); };
+  CellReads reads(coarser);
+  reads.add(
+      level, [](Box const& o) { return o.grow(1).refine(refinement_ratio); },
+      [&](int b, auto&& read) {
+        if (has_new(b)) read(parents_of(b));
+      });
+  Reader const read(comm, coarser, reads, from);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    auto const first = is_new.begin() + level.local_offset(b), last = first + level.box(b).cells();
-    if (std::find(first, last, 1) == last) continue;
-    boxes.push_back(b);
-    parents.push_back(level.box(b).coarsen(refinement_ratio).grow(1));
-  }
-  Reader const read(comm, coarser, parents, from);
-  for (std::size_t n = 0; n < boxes.size(); ++n) {
-    ArrayOnBox<Real> parent_values(parents[n], 0);
-    read.for_each_row(parents[n], [&](Real const* values, LocalIndex count, Index3 const& first) {
+    if (!has_new(b)) continue;
+    ArrayOnBox<Real> parent_values(parents_of(b), 0);
+    read.for_each_row(parents_of(b), [&](Real const* values, LocalIndex count, Index3 const& first) {
       std::copy_n(values, count, &parent_values(first));
     });
-    LocalIndex const offset = level.local_offset(boxes[n]);
-    interpolate(coarser, parent_values, level.box(boxes[n]), is_new.data() + offset, to.data() + offset);
+    LocalIndex const offset = level.local_offset(b);
+    interpolate(coarser, parent_values, level.box(b), is_new.data() + offset, to.data() + offset);
   }
 }
 
@@ -139,10 +140,12 @@ void carry_over(Field const& from, Field& to) {
   Hierarchy const &old = from.hierarchy(), &hierarchy = to.hierarchy();
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     auto& values = to.level(l);
+    Level const* const former = l < old.level_count() ? &old.level(l) : nullptr;
     std::vector<char> const is_new =
-        l < old.level_count() ? copy_former(hierarchy.comm(), hierarchy.level(l), old.level(l), from.level(l), values)
-                              : std::vector<char>(values.size(), 1);
-    if (l > 0) fill_new(hierarchy.comm(), hierarchy.level(l), hierarchy.level(l - 1), to.level(l - 1), is_new, values);
+        former ? copy_former(hierarchy.comm(), hierarchy.level(l), *former, from.level(l), values)
+               : std::vector<char>(values.size(), 1);
+    if (l > 0)
+      fill_new(hierarchy.comm(), hierarchy.level(l), former, hierarchy.level(l - 1), to.level(l - 1), is_new, values);
   }
 }
 

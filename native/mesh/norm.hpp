@@ -1,7 +1,5 @@
 #pragma once
 
-#include <mpi.h>
-
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -11,6 +9,7 @@
 #include <limits>
 #include <type_traits>
 
+#include "base/communicator.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -73,19 +72,14 @@ class Magnitude {
   }
 
   /// The norm over all ranks; nan if a value is not finite. Collective.
-  Real over(MPI_Comm comm) const {
-    // MPI_MAX may drop a nan
-    int bad = norm_ == Norm::max ? !std::isfinite(largest_.value()) : 0;
+  Real over(Communicator const& comm) const {
+    // the largest of all may drop a nan
+    bool bad = norm_ == Norm::max && !std::isfinite(largest_.value());
     for (Real sum : sums_) bad = bad || !std::isfinite(sum);
-    MPI_Allreduce(MPI_IN_PLACE, &bad, 1, MPI_INT, MPI_MAX, comm);
-    if (bad) return std::numeric_limits<Real>::quiet_NaN();
+    if (comm.any(bad)) return std::numeric_limits<Real>::quiet_NaN();
     std::array<Real, 3> sums = sums_;
-    Real largest = largest_.value();
-    if (norm_ == Norm::max)
-      MPI_Allreduce(MPI_IN_PLACE, &largest, 1, MPI_DOUBLE, MPI_MAX, comm);
-    else
-      MPI_Allreduce(MPI_IN_PLACE, sums.data(), 3, MPI_DOUBLE, MPI_SUM, comm);
-    if (norm_ == Norm::max) return largest;
+    if (norm_ == Norm::max) return comm.largest(largest_.value());
+    comm.sum_each(sums);
     // what a range adds to the next larger one
     Real const step = norm_ == Norm::l1 ? down : down * down;
     if (sums[large] > 0) return root(sums[large] + step * sums[ordinary]) * up;

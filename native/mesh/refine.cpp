@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <string>
 
-#include "base/all_gather.hpp"
+#include "base/communicator.hpp"
 #include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
 #include "mesh/cluster.hpp"
@@ -174,7 +174,7 @@ std::vector<std::vector<Box>> refine(Hierarchy const& hierarchy, std::vector<std
           for (Key key : existing(reached(kept), hierarchy.level(l), edge)) mine.push_back(key);
         sort_unique(mine);
       }
-      blocks = all_gather(hierarchy.comm(), mine).values;
+      blocks = hierarchy.comm().gather(mine).values;
     }
     if (l <= int(fixed.size()))
       for (Box const& box : fixed[l - 1]) lattice.append(lattice.blocks(box), blocks);

@@ -84,7 +84,7 @@ std::vector<Real> sample(Field const& field, std::vector<Real3> const& points) {
       break;
     }
   }
-  MPI_Allreduce(MPI_IN_PLACE, values.data(), int(values.size()), MPI_DOUBLE, MPI_SUM, hierarchy.comm());
+  hierarchy.comm().sum_each(values);
   return values;
 }
 

@@ -45,11 +45,12 @@ Transfer::LevelPair Transfer::make_pair(int l) const {
   Level const& coarse = hierarchy_->level(l);
   Level const& fine = hierarchy_->level(l + 1);
 
+  CellReads reads(coarse);
+  reads.add(
+      fine, [](Box const& o) { return o.refine(refinement_ratio); },
+      [&](int b, auto&& read) { read(fine.box(b).coarsen(refinement_ratio)); });
   LevelPair pair;
-  std::vector<GlobalIndex> remote;
-  for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b)
-    append_remote(coarse, fine.box(b).coarsen(refinement_ratio), remote);
-  pair.parents = Exchange(hierarchy_->comm(), coarse, remote_cells(coarse, std::move(remote)));
+  pair.parents = Halo(hierarchy_->comm(), reads);
   pair.place.reserve(std::size_t(fine.local_cells()) / 8);
   for (int b = fine.first_local_box(); b < fine.last_local_box(); ++b) {
     auto const places = pair.parents.places(coarse, fine.box(b).coarsen(refinement_ratio));
@@ -64,7 +65,7 @@ void Transfer::average_down(std::vector<Field*> const& fields) const {
     LevelPair const& pair = pairs_[l];
     std::vector<Real*> own;
     std::vector<Real const*> halos;
-    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.halo_size())));
+    std::vector<std::vector<Real>> halo(fields.size(), std::vector<Real>(std::size_t(pair.parents.size())));
     for (std::size_t f = 0; f < fields.size(); ++f) {
       Real const* fine = fields[f]->level(l + 1).data();
       Real* coarse = fields[f]->level(l).data();
@@ -87,7 +88,7 @@ void Transfer::spread(Field& field) const {
     LevelPair const& pair = pairs_[l];
     Real const* coarse = field.level(l).data();
     Real* fine = field.level(l + 1).data();
-    std::vector<Real> halo(std::size_t(pair.parents.halo_size()));
+    std::vector<Real> halo(std::size_t(pair.parents.size()));
     pair.parents.update({coarse}, {halo.data()});
     std::size_t n = 0;
     LocalIndex const owned = pair.parents.owned();

@@ -3,8 +3,8 @@
 #include <memory>
 #include <vector>
 
-#include "mesh/exchange.hpp"
 #include "mesh/field.hpp"
+#include "mesh/halo.hpp"
 
 namespace amrpic {
 
@@ -25,7 +25,7 @@ class Transfer {
 
  private:
   struct LevelPair {
-    Exchange parents;               ///< on the coarser level; halo: parents of own fine cells that others own
+    Halo parents;                   ///< on the coarser level; halo: parents of own fine cells that others own
     std::vector<LocalIndex> place;  ///< of each parent of own fine cells in [own | halo], fine box by fine box
     std::vector<LocalIndex> children_elsewhere;  ///< own covered cells whose children live on other ranks
   };

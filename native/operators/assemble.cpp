@@ -2,6 +2,7 @@
 #include <optional>
 
 #include "operators/forms.hpp"
+#include "operators/halos.hpp"
 #include "operators/intergrid_rows.hpp"
 #include "operators/multigrid_levels.hpp"
 #include "operators/open_walls.hpp"
@@ -15,22 +16,6 @@ namespace {
 Form laplacian_row(Equation const& equation, StencilCells const& n, Index3 const& cell, Execution execution) {
   return laplacian_form(equation, n.own(cell),
                         [&](int axis, int side) { return neighbour_value(n, cell, axis, side, execution); });
-}
-
-void sort_unique(std::vector<GlobalIndex>& cells) {
-  std::sort(cells.begin(), cells.end());
-  cells.erase(std::unique(cells.begin(), cells.end()), cells.end());
-}
-
-/// The parents that prolongation to a box reads, those behind walls included.
-Box parents_read(Box const& box, Index3 const& ratio, Prolongation kind) {
-  Box out = box.coarsen(ratio);
-  for (int d = 0; d < 3; ++d) {
-    if (kind == Prolongation::constant || ratio[d] == 1) continue;
-    if (box.lower[d] % 2 == 0) --out.lower[d];
-    if (box.upper[d] % 2 != 0) ++out.upper[d];
-  }
-  return out;
 }
 
 /// Writes the rows of prolongation whose parents all exist.
@@ -106,19 +91,19 @@ class LevelAssembly {
         open_walls_(multigrid),
         seam_width_(seam_widths(level_.periodic(), multigrid.upper[l])),
         prolong_(multigrid.ratio[l], kind),
-        no_fine_(rows(), level_),
+        no_fine_(rows()),
         uncovered_(std::size_t(rows()), 1) {
     if (!faces_) faces_ = std::make_shared<LevelFaces const>(faces_of_boxes(level_, nullptr));
     if (l > 0) {
       coarser_ = multigrid.levels[l - 1].get();
-      coarse_boundary_.emplace(rows(), *coarser_);
-      prolongation_.emplace(rows(), *coarser_);
+      coarse_boundary_.emplace(rows());
+      prolongation_.emplace(rows());
     }
     if (l + 1 < multigrid.levels.size()) {
       finer_ = multigrid.levels[l + 1].get();
-      composite_.emplace(rows(), level_);
-      fine_boundary_.emplace(rows(), *finer_);
-      restriction_.emplace(rows(), *finer_);
+      composite_.emplace(rows());
+      fine_boundary_.emplace(rows());
+      restriction_.emplace(rows());
     }
   }
 
@@ -129,7 +114,7 @@ class LevelAssembly {
     }
   }
 
-  void fill(Exchange const& own, Exchange const* coarse, Exchange const* fine) {
+  void fill(Halo const& own, Halo const* coarse, Halo const* fine) {
     no_fine_.start_filling(own);
     if (coarser_) {
       coarse_boundary_->start_filling(*coarse);
@@ -145,28 +130,6 @@ class LevelAssembly {
       if (coarser_) fill_prolongation(b, *coarse);
       if (finer_) fill_restriction(b, *fine);
     }
-  }
-
-  /// Cells of other ranks that the rows name. After counting.
-  RemoteCells reads() const {
-    RemoteCells out{{}, remote_stencil(), {}};
-    if (finer_) composite_->append_remote(out.own), fine_boundary_->append_remote(out.fine);
-    if (coarser_) coarse_boundary_->append_remote(out.coarse);
-    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
-      Box const& box = level_.box(b);
-      if (coarser_) append_remote(*coarser_, parents_read(box, multigrid_.ratio[l_], kind_), out.coarse);
-      if (finer_) append_remote(*finer_, box.refine(multigrid_.ratio[l_ + 1]), out.fine);
-    }
-    for (auto* cells : {&out.coarse, &out.own, &out.fine}) sort_unique(*cells);
-    return out;
-  }
-  /// Those of them that `no_fine` names, with repetitions.
-  std::vector<GlobalIndex> remote_stencil() const {
-    std::vector<GlobalIndex> out;
-    no_fine_.append_remote(out);
-    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b)
-      append_remote_neighbours(level_, level_.box(b), out);
-    return out;
   }
 
   void move_into(LevelOperators& out) {
@@ -255,7 +218,7 @@ class LevelAssembly {
     for (LocalIndex n = regular.count; n < run.count; ++n) put({first[0] + int(n), first[1], first[2]}, run.row + n);
   }
 
-  void fill_laplacians(int b, Exchange const& halo) {
+  void fill_laplacians(int b, Halo const& halo) {
     Box const& box = level_.box(b);
     auto const places = halo.places(level_, box.grow(1));
     RegularRows const regular(level_.spacing(), equation_.shift, places);
@@ -317,13 +280,13 @@ class LevelAssembly {
                  });
   }
 
-  void fill_prolongation(int b, Exchange const& halo) {
+  void fill_prolongation(int b, Halo const& halo) {
     Box const& box = level_.box(b);
     auto const places = halo.places(*coarser_, parents_read(box, multigrid_.ratio[l_], kind_));
     prolongation_->fill_runs(box, level_.local_offset(b), [&](auto const&... where) { prolong_(places, where...); });
   }
 
-  void fill_restriction(int b, Exchange const& halo) {
+  void fill_restriction(int b, Halo const& halo) {
     Index3 const ratio = multigrid_.ratio[l_ + 1];
     Box const &box = level_.box(b), children = box.refine(ratio);
     if (!finer_->intersects(children)) return;
@@ -371,26 +334,13 @@ MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolong
   return out;
 }
 
-/// The halo of each level: what its own operators and its neighbours' read.
-std::vector<std::vector<GlobalIndex>> halos_of(std::vector<RemoteCells> const& reads) {
-  std::vector<std::vector<GlobalIndex>> out;
-  for (std::size_t l = 0; l < reads.size(); ++l) {
-    out.push_back(reads[l].own);
-    auto add = [&](std::vector<GlobalIndex> const& more) { out[l].insert(out[l].end(), more.begin(), more.end()); };
-    if (l > 0) add(reads[l - 1].fine);
-    if (l + 1 < reads.size()) add(reads[l + 1].coarse);
-    sort_unique(out[l]);
-  }
-  return out;
-}
-
 /// Free operators whose columns have another halo now, on any rank. Collective.
-void drop_renumbered(MPI_Comm comm, Assembled const& former, std::vector<std::vector<GlobalIndex>> const& halos,
+void drop_renumbered(Communicator const& comm, Assembled const& former, std::vector<Halo> const& halos,
                      MultigridOperators& operators) {
   std::vector<int> other(halos.size());
   for (std::size_t l = 0; l < halos.size(); ++l)
-    other[l] = l >= former.operators.size() || former.operators[l]->halo.halo_numbers() != halos[l];
-  MPI_Allreduce(MPI_IN_PLACE, other.data(), int(other.size()), MPI_INT, MPI_MAX, comm);
+    other[l] = l >= former.operators.size() || !former.operators[l]->halo.has_cells_of(halos[l]);
+  comm.largest_each(other);
   for (std::size_t l = 0; l < halos.size(); ++l)
     if (other[l] || (l > 0 && other[l - 1]) || (l + 1 < halos.size() && other[l + 1])) operators[l].reset();
 }
@@ -414,34 +364,25 @@ MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
   return multigrid;
 }
 
-Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation prolongation, Assembled former) {
+Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, Prolongation prolongation,
+                   Assembled former) {
   std::size_t const count = multigrid.levels.size();
   Assembled result{multigrid, prolongation, reused(multigrid, prolongation, former), 0};
   MultigridOperators& out = result.operators;
-  std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
-  auto make_missing = [&] {
-    for (std::size_t l = 0; l < count; ++l) {
-      if (out[l] || assemblies[l]) continue;
-      assemblies[l] = std::make_unique<LevelAssembly>(multigrid, l, prolongation);
-      assemblies[l]->count();
-    }
-  };
-  make_missing();
-  std::vector<RemoteCells> reads(count);
-  for (std::size_t l = 0; l < count; ++l) reads[l] = out[l] ? out[l]->reads : assemblies[l]->reads();
-  auto const halos = halos_of(reads);
+  std::vector<Halo> halos;
+  for (std::size_t l = 0; l < count; ++l) halos.emplace_back(comm, operator_reads(multigrid, l, prolongation));
   drop_renumbered(comm, former, halos, out);
   former = {};
-  make_missing();
 
+  std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
   for (std::size_t l = 0; l < count; ++l) {
     if (out[l]) continue;
     ++result.made;
+    assemblies[l] = std::make_unique<LevelAssembly>(multigrid, l, prolongation);
+    assemblies[l]->count();
     out[l] = std::make_shared<LevelOperators>();
-    out[l]->halo = Exchange(comm, *multigrid.levels[l], halos[l]);
-    out[l]->stencil_halo = Exchange(comm, *multigrid.levels[l], halos[l],
-                                    remote_cells(*multigrid.levels[l], assemblies[l]->remote_stencil()));
-    out[l]->reads = std::move(reads[l]);
+    out[l]->halo = halos[l];
+    out[l]->stencil_halo = Halo(comm, halos[l], stencil_reads(*multigrid.levels[l]));
   }
   for (std::size_t l = 0; l < count; ++l) {
     if (!assemblies[l]) continue;

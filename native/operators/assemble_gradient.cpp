@@ -15,12 +15,10 @@ Form field_form(StencilCells const& n, Index3 const& cell, int axis, Execution e
                        neighbour_value(n, cell, axis, 1, execution));
 }
 
-std::array<CrsBuilder, 3> builders(LocalIndex rows, Level const& columns) {
-  return {CrsBuilder(rows, columns), CrsBuilder(rows, columns), CrsBuilder(rows, columns)};
-}
+std::array<CrsBuilder, 3> builders(LocalIndex rows) { return {CrsBuilder(rows), CrsBuilder(rows), CrsBuilder(rows)}; }
 
 /// Write the regular rows of the axes, and with them finish.
-void fill_regular(Level const& level, Exchange const& halo, std::array<CrsBuilder, 3>& axes) {
+void fill_regular(Level const& level, Halo const& halo, std::array<CrsBuilder, 3>& axes) {
   for (CrsBuilder& axis : axes) axis.start_filling(halo);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     auto const places = halo.places(level, level.box(b).grow(1));
@@ -36,9 +34,7 @@ std::array<GradientAxis, 3> gradient_of(MultigridLevels const& multigrid, std::s
                                         LevelOperators const& operators, LevelOperators const* fine) {
   Level const& level = *multigrid.levels[l];
   Level const *coarser = coarse ? coarse->level.get() : nullptr, *finer = fine ? fine->level.get() : nullptr;
-  auto own = builders(level.local_cells(), level);
-  auto below = builders(level.local_cells(), coarser ? *coarser : level);
-  auto above = builders(level.local_cells(), finer ? *finer : level);
+  auto own = builders(level.local_cells()), below = own, above = own;
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
@@ -80,7 +76,7 @@ void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators cons
 std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, std::size_t l,
                                              LevelOperators const& operators) {
   Level const& level = *multigrid.levels[l];
-  auto axes = builders(level.local_cells(), level);
+  auto axes = builders(level.local_cells());
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     // Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.

@@ -1,6 +1,7 @@
 #include "operators/copy_operators.hpp"
 
 #include "operators/forms.hpp"
+#include "operators/halos.hpp"
 #include "operators/intergrid_rows.hpp"
 #include "operators/regular_rows.hpp"
 
@@ -21,13 +22,13 @@ Form special_row(Equation const& equation, LevelCopy const& copy, StencilCells c
   });
 }
 
-LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
+LevelOperators laplacian_of(Communicator const& comm, LevelCopy const& copy, Real shift) {
   LevelOperators out;
   out.level = copy.level;
   Level const& level = *copy.level;
   Equation const equation = equation_on(level.spacing(), shift);
   Real3 const seam_width = seam_widths(level.periodic(), copy.upper);
-  CrsBuilder builder(level.local_cells(), level);
+  CrsBuilder builder(level.local_cells());
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     StencilCells const n =
@@ -41,12 +42,7 @@ LevelOperators laplacian_of(MPI_Comm comm, LevelCopy const& copy, Real shift) {
       });
     });
   }
-  std::vector<GlobalIndex> remote;
-  builder.append_remote(remote);
-  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
-    append_remote_neighbours(level, level.box(b), remote);
-  out.halo = Exchange(comm, level, remote_cells(level, std::move(remote)));
-  out.stencil_halo = Exchange(comm, level, out.halo.halo_numbers());
+  out.halo = out.stencil_halo = Halo(comm, stencil_reads(level));
   builder.start_filling(out.halo);
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     auto const places = out.halo.places(level, level.box(b).grow(1));
@@ -79,13 +75,13 @@ bool emit_value(LevelCopy const& copy, ArrayOnBox<GlobalIndex> const& number, In
 
 }  // namespace
 
-CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const& copy, Real shift) {
+CopyOperators copy_operators(Communicator const& comm, Level const& above, LevelCopy const& copy, Real shift) {
   CopyOperators out;
   out.level = laplacian_of(comm, copy, shift);
   Level const& level = *copy.level;
   Row row;
 
-  CrsBuilder restriction(level.local_cells(), above);
+  CrsBuilder restriction(level.local_cells());
   LocalIndex at = 0;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
     for_each_cell(level.box(b), [&](Index3 const& cell) {
@@ -94,7 +90,7 @@ CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const&
       restriction.put(at++, row);
     });
   Real3 const seam_width = seam_widths(level.periodic(), copy.upper);
-  CrsBuilder prolongation(above.local_cells(), level);
+  CrsBuilder prolongation(above.local_cells());
   at = 0;
   for (int b = above.first_local_box(); b < above.last_local_box(); ++b) {
     auto const number = cell_numbers(level, above.box(b).coarsen(copy.ratio).grow(1));
@@ -103,37 +99,25 @@ CopyOperators copy_operators(MPI_Comm comm, Level const& above, LevelCopy const&
       auto emit = [&](GlobalIndex c, Real w) {
         if (w != 0) row.add(c, w);
       };
-      Index3 const parent = Box{cell, cell}.coarsen(copy.ratio).lower;
-      for (int corner = 0; corner < 8; ++corner) {
-        Real weight = 1;
-        Index3 source = parent;
-        for (int d = 0; d < 3; ++d) {
-          bool const other = (corner >> d) & 1;
-          if (copy.ratio[d] == 1) {
-            weight *= other ? 0 : 1;
-          } else {
-            int const side = cell[d] == 2 * parent[d] ? 0 : 1;
-            Real const far = level.periodic()[d]
-                                 ? prolonged_far(parent[d], side, level.domain().extent(d), seam_width[d])
-                                 : prolongation::far;
-            weight *= other ? far : 1 - far;
-            if (other) source[d] += 2 * side - 1;
-          }
-        }
-        if (weight != 0) emit_value(copy, number, source, weight, 6, emit);
-      }
+      Trilinear around{Box{cell, cell}.coarsen(copy.ratio).lower};
+      for (int d = 0; d < 3; ++d)
+        if (copy.ratio[d] == 2) around.interpolate(cell, d, level, seam_width[d]);
+      around.for_each([&](Index3 const& source, Real weight) { emit_value(copy, number, source, weight, 6, emit); });
       prolongation.put(at++, row);
     });
   }
-  auto finish = [&](CrsBuilder& builder, Level const& columns, Exchange& exchange, Crs& matrix) {
-    std::vector<GlobalIndex> remote;
-    builder.append_remote(remote);
-    exchange = Exchange(comm, columns, remote_cells(columns, std::move(remote)));
-    builder.start_filling(exchange);
+  CellReads children(above), parents(level);
+  add_children(children, level, copy.ratio);
+  parents.add(
+      above, [&](Box const& o) { return o.grow(1).refine(copy.ratio); },
+      [&](int b, auto&& read) { read(above.box(b).coarsen(copy.ratio).grow(1)); });
+  auto finish = [&](CrsBuilder& builder, CellReads const& reads, Halo& halo, Crs& matrix) {
+    halo = Halo(comm, reads);
+    builder.start_filling(halo);
     matrix = builder.take();
   };
-  finish(restriction, above, out.above, out.restriction);
-  finish(prolongation, level, out.own, out.prolongation);
+  finish(restriction, children, out.above, out.restriction);
+  finish(prolongation, parents, out.own, out.prolongation);
   return out;
 }
 

@@ -5,6 +5,35 @@
 
 namespace amrpic {
 
+/// Between a parent and its neighbours, along each axis one of them.
+struct Trilinear {
+  Index3 parent, step{0, 0, 0};  ///< step: to the neighbour
+  Real3 near{1, 1, 1}, far{0, 0, 0};
+
+  /// Let the neighbour on the side of a cell take part along an axis.
+  void interpolate(Index3 const& cell, int axis, Level const& coarser, Real seam_width) {
+    int const side = cell[axis] - 2 * parent[axis];
+    far[axis] = coarser.periodic()[axis] ? prolonged_far(parent[axis], side, coarser.domain().extent(axis), seam_width)
+                                         : prolongation::far;
+    near[axis] = 1 - far[axis], step[axis] = 2 * side - 1;
+  }
+
+  /// Call f(coarse cell, weight) where weights are not zero.
+  template <class F>
+  void for_each(F&& f) const {
+    for (int corner = 0; corner < 8; ++corner) {
+      Real weight = 1;
+      Index3 source = parent;
+      for (int d = 0; d < 3; ++d) {
+        bool const other = (corner >> d) & 1;
+        weight *= other ? far[d] : near[d];
+        if (other) source[d] += step[d];
+      }
+      if (weight != 0) f(source, weight);
+    }
+  }
+};
+
 /// A fine cell's value from the coarser level, as emit(coarse cell number, weight): its parent's, or trilinear between
 /// the parent and the neighbour on the cell's side along each refined axis. A cell behind a wall, neighbour
 /// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
@@ -12,36 +41,22 @@ namespace amrpic {
 template <class Wall, class Emit>
 void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Level const& coarser,
              ArrayOnBox<GlobalIndex> const& number, Real3 const& seam_width, Wall&& wall, Emit&& emit) {
-  Index3 parent, step{0, 0, 0};
-  Real3 near{1, 1, 1}, far{0, 0, 0};
-  for (int d = 0; d < 3; ++d) parent[d] = floor_divide(cell[d], ratio[d]);
+  Trilinear at{Box{cell, cell}.coarsen(ratio).lower};
   for (int d = 0; d < 3; ++d) {
     if (ratio[d] == 1) continue;
-    if (coarser.is_behind_wall(parent, d)) {
-      parent[d] = coarser.domain().upper[d];
-      near[d] = prolonged(wall(parent, d, 1), Real(1));
+    if (coarser.is_behind_wall(at.parent, d)) {
+      at.parent[d] = coarser.domain().upper[d];
+      at.near[d] = prolonged(wall(at.parent, d, 1), Real(1));
       continue;
     }
     if (kind == Prolongation::constant) continue;
-    int const side = cell[d] - 2 * parent[d];
-    if (coarser.is_at_wall({parent, parent}, d, side)) {
-      near[d] = prolonged(Real(1), wall(parent, d, side));
-    } else {
-      far[d] = coarser.periodic()[d] ? prolonged_far(parent[d], side, coarser.domain().extent(d), seam_width[d])
-                                     : prolongation::far;
-      near[d] = 1 - far[d], step[d] = 2 * side - 1;
-    }
+    int const side = cell[d] - 2 * at.parent[d];
+    if (coarser.is_at_wall({at.parent, at.parent}, d, side))
+      at.near[d] = prolonged(Real(1), wall(at.parent, d, side));
+    else
+      at.interpolate(cell, d, coarser, seam_width[d]);
   }
-  for (int corner = 0; corner < 8; ++corner) {
-    Real weight = 1;
-    Index3 source = parent;
-    for (int d = 0; d < 3; ++d) {
-      bool const other = (corner >> d) & 1;
-      weight *= other ? far[d] : near[d];
-      if (other) source[d] += step[d];
-    }
-    if (weight != 0) emit(number(source), weight);
-  }
+  at.for_each([&](Index3 const& source, Real weight) { emit(number(source), weight); });
 }
 
 /// A cell's value as the mean of its children, those that exist: emit(fine cell number, weight). `last`: what the finer

@@ -5,7 +5,8 @@
 #include <optional>
 #include <vector>
 
-#include "mesh/exchange.hpp"
+#include "base/communicator.hpp"
+#include "mesh/halo.hpp"
 #include "mesh/hierarchy.hpp"
 #include "operators/crs.hpp"
 #include "stencil/boundary.hpp"
@@ -27,18 +28,13 @@ enum class CoveredField {
   difference  ///< of phi, whose covered cells hold the means: what clouds as wide as these cells feel
 };
 
-/// Cells of other ranks that the rows of a level's operators name, ascending, by the level of the columns.
-struct RemoteCells {
-  std::vector<GlobalIndex> coarse, own, fine;
-};
-
 /// The eight operators of a level. The Laplacians approximate +Laplace, in 1/m^2.
 struct LevelOperators {
   std::shared_ptr<Level const> level;
   WallGhosts walls;
   Real3 last_width{1, 1, 1};  ///< of last cells, see `UpperEnd`
-  Exchange halo;              ///< all cells of this level that any operator reads: numbering of its vectors
-  Exchange stencil_halo;      ///< the part of it that `no_fine` reads
+  Halo halo;                  ///< all cells of this level that any operator reads: numbering of its vectors
+  Halo stencil_halo;          ///< the part of it that `no_fine` reads
 
   Crs no_fine;
   std::optional<Crs> own_composite;      ///< kept apart only where a finer level exists
@@ -49,7 +45,6 @@ struct LevelOperators {
   std::vector<char> uncovered;           ///< diagonal of the eighth operator: 1 where no finer level covers the cell
   std::array<GradientAxis, 3> gradient;  ///< empty until assemble_gradient
   bool has_gradient = false;
-  RemoteCells reads;  ///< by the operators but the gradient
 
   Crs const& composite() const { return own_composite ? *own_composite : no_fine; }
   LocalIndex rows() const { return level->local_cells(); }
@@ -94,7 +89,8 @@ struct Assembled {
 
 /// All operators of multigrid levels except the gradient, counted and filled directly. Those of levels that `former`
 /// has with the same neighbouring levels are reused; the others are freed before new ones take memory. Collective.
-Assembled assemble(MPI_Comm comm, MultigridLevels const& multigrid, Prolongation prolongation, Assembled former = {});
+Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, Prolongation prolongation,
+                   Assembled former = {});
 
 /// Add the three axes of the gradient to those operators that lack them. Local.
 void assemble_gradient(MultigridLevels const& multigrid, MultigridOperators const& operators);

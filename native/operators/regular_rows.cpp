@@ -36,11 +36,6 @@ RowKinds row_kinds(StencilCells const& cells, Execution execution) {
   return kinds;
 }
 
-void append_remote_neighbours(Level const& level, Box const& box, std::vector<GlobalIndex>& out) {
-  for (int d = 0; d < 3; ++d)
-    for (int side = 0; side < 2; ++side) append_remote(level, box.layer(d, side, 1), out);
-}
-
 RegularRows::RegularRows(Real3 const& spacing, Real shift, ArrayOnBox<LocalIndex> const& places)
     : places_(places),
       stride_{1, places.box().extent(0), std::ptrdiff_t(places.box().extent(0)) * places.box().extent(1)} {

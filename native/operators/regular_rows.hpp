@@ -44,9 +44,6 @@ void for_each_in_run(Index3 cell, RowRun const& run, F&& f) {
   for (LocalIndex n = 0; n < run.count; ++n, ++cell[0]) f(cell, run.row + n);
 }
 
-/// Append the numbers of the neighbours of a box's cells that other ranks own.
-void append_remote_neighbours(Level const& level, Box const& box, std::vector<GlobalIndex>& out);
-
 /// Writes regular rows of a box; `places` of its level's cells have one layer of ghost cells.
 class RegularRows {
  public:

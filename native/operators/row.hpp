@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "mesh/array_on_box.hpp"
-#include "mesh/exchange.hpp"
+#include "mesh/halo.hpp"
 #include "operators/crs.hpp"
 #include "stencil/linear_form.hpp"
 
@@ -33,9 +33,7 @@ struct RowRun {
 /// rows that a loop can write, only the length is. Rows that are never named stay empty.
 class CrsBuilder {
  public:
-  CrsBuilder(LocalIndex rows, Level const& columns) : columns_(&columns) {
-    crs_.row_start.assign(std::size_t(rows) + 1, 0);
-  }
+  explicit CrsBuilder(LocalIndex rows) { crs_.row_start.assign(std::size_t(rows) + 1, 0); }
 
   // ---- counting ----
   void put(LocalIndex row, Row const& terms) {
@@ -53,15 +51,9 @@ class CrsBuilder {
     std::fill_n(crs_.row_start.begin() + run.row + 1, run.count, length);
   }
 
-  /// Append the cells of other ranks that single rows name.
-  void append_remote(std::vector<GlobalIndex>& out) const {
-    for (GlobalIndex column : column_)
-      if (!columns_->owns(column)) out.push_back(column);
-  }
-
   // ---- filling ----
   /// Make room and write the single rows.
-  void start_filling(Exchange const& numbering) {
+  void start_filling(Halo const& numbering) {
     std::partial_sum(crs_.row_start.begin(), crs_.row_start.end(), crs_.row_start.begin());
     crs_.column.resize(crs_.row_start.back());
     crs_.value.resize(crs_.row_start.back());
@@ -92,7 +84,6 @@ class CrsBuilder {
   }
 
  private:
-  Level const* columns_;
   Crs crs_;
   std::vector<RowRun> runs_;
   std::vector<RowRun> single_;       ///< row and its number of terms

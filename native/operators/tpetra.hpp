@@ -7,6 +7,7 @@
 #include <Tpetra_RowMatrix.hpp>
 #include <algorithm>
 
+#include "base/communicator.hpp"
 #include "operators/operators.hpp"
 
 namespace amrpic {
@@ -49,26 +50,26 @@ inline Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(Crs const& crs, Teuchos::
 }
 
 /// The cells of a level as Tpetra numbers them: each rank its own run. Collective.
-inline Teuchos::RCP<TpetraTypes::Map const> row_map(MPI_Comm comm, LevelOperators const& operators) {
-  auto const ranks = Teuchos::rcp(new Teuchos::MpiComm<int>(comm));
+inline Teuchos::RCP<TpetraTypes::Map const> row_map(Communicator const& comm, LevelOperators const& operators) {
+  auto const ranks = Teuchos::rcp(new Teuchos::MpiComm<int>(comm.handle()));
   return Teuchos::rcp(
       new TpetraTypes::Map(Tpetra::global_size_t(operators.level->cells()), std::size_t(operators.rows()), 0, ranks));
 }
 
 /// The cells of a level that this rank's operators read: its own, then the halo. Collective.
-inline Teuchos::RCP<TpetraTypes::Map const> column_map(MPI_Comm comm, LevelOperators const& operators) {
+inline Teuchos::RCP<TpetraTypes::Map const> column_map(Communicator const& comm, LevelOperators const& operators) {
   std::vector<TpetraTypes::Global> cells;
   for (LocalIndex i = 0; i < operators.rows(); ++i) cells.push_back(operators.level->first_local_cell() + i);
-  cells.insert(cells.end(), operators.halo.halo_numbers().begin(), operators.halo.halo_numbers().end());
-  auto const ranks = Teuchos::rcp(new Teuchos::MpiComm<int>(comm));
+  for (GlobalIndex cell : operators.halo.numbers()) cells.push_back(cell);
+  auto const ranks = Teuchos::rcp(new Teuchos::MpiComm<int>(comm.handle()));
   auto const unknown = Teuchos::OrdinalTraits<Tpetra::global_size_t>::invalid();
   return Teuchos::rcp(new TpetraTypes::Map(unknown, Teuchos::ArrayView<TpetraTypes::Global const>(cells), 0, ranks));
 }
 
 /// An operator from the cells of one level to those of another (or the same) as a distributed Tpetra matrix.
 /// Collective.
-inline Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(MPI_Comm comm, Crs const& crs, LevelOperators const& rows,
-                                                       LevelOperators const& columns) {
+inline Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(Communicator const& comm, Crs const& crs,
+                                                       LevelOperators const& rows, LevelOperators const& columns) {
   auto const range = row_map(comm, rows);
   return tpetra_matrix(crs, range, column_map(comm, columns), row_map(comm, columns), range);
 }

@@ -1,6 +1,7 @@
 #include "operators/walls.hpp"
 
 #include "stencil/field_difference.hpp"
+#include "stencil/laplacian.hpp"
 
 namespace amrpic {
 
@@ -38,7 +39,7 @@ void subtract_from_laplacian(Walls const& walls, WallGhosts const& ghosts, Equat
                              std::vector<Real>& f) {
   for (std::size_t i = 0; i < walls.faces.size(); ++i) {
     auto const& face = walls.faces[i];
-    f[face.row] -= equation.weight[face.axis] * ghosts[face.axis][face.side].datum * walls.datum[i];
+    f[face.row] -= datum_weight(equation, face.axis, ghosts[face.axis][face.side]) * walls.datum[i];
   }
 }
 

@@ -25,7 +25,7 @@ struct ToBoundary {
     for (LocalIndex place : places) out.push_back((*this)(place));
     return out;
   }
-  Exchange operator()(Exchange const& exchange) const { return exchange.kept_elsewhere(boundary.cells(), *this); }
+  Halo operator()(Halo const& halo) const { return halo.kept_elsewhere(boundary.cells(), *this); }
 };
 
 }  // namespace
@@ -37,14 +37,14 @@ BoundaryPlaces::BoundaryPlaces(ParticleMesh const& mesh, BufferZone const* zone)
   auto const to_boundary = [&](int l) {
     return ToBoundary{boundaries[std::size_t(l)], hierarchy.level(l).local_cells()};
   };
-  for (int l = 0; l < hierarchy.level_count(); ++l) exchanges_.push_back(to_boundary(l)(mesh.exchange(l)));
+  for (int l = 0; l < hierarchy.level_count(); ++l) halos_.push_back(to_boundary(l)(mesh.halo(l)));
   for (BoxGhosts const& at : mesh.boxes()) {
     Box const& box = hierarchy.level(at.level).box(at.box);
     GhostCells ghosts = at.ghosts.kept_elsewhere(box, boundaries[std::size_t(at.level)].cells(), to_boundary(at.level));
     ghosts_.push_back({std::move(ghosts), to_boundary(std::max(0, at.level - 1))(at.coarse), {}});
   }
   if (!zone) return;
-  for (int l = 0; l < hierarchy.level_count(); ++l) of_matched_.push_back(to_boundary(l)(zone->exchange(l)));
+  for (int l = 0; l < hierarchy.level_count(); ++l) of_matched_.push_back(to_boundary(l)(zone->halo(l)));
   for (std::size_t s = 0; s < ghosts_.size(); ++s)
     if (BoxBuffer const* const buffer = zone->box(s))
       for (CoarseCells const& c : buffer->coarse) ghosts_[s].matched.push_back(to_boundary(c.level)(c.place));

@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "mesh/boundary_cells.hpp"
-#include "mesh/exchange.hpp"
+#include "mesh/halo.hpp"
 #include "particle/ghost_cells.hpp"
 
 namespace amrpic {
@@ -26,12 +26,12 @@ class BoundaryPlaces {
   BoundaryPlaces(ParticleMesh const& mesh, BufferZone const* zone);
 
   GhostPlaces const& ghosts(std::size_t slot) const { return ghosts_[slot]; }
-  Exchange const& exchange(int level) const { return exchanges_[std::size_t(level)]; }
-  Exchange const& exchange_of_matched(int level) const { return of_matched_[std::size_t(level)]; }
+  Halo const& halo(int level) const { return halos_[std::size_t(level)]; }
+  Halo const& halo_of_matched(int level) const { return of_matched_[std::size_t(level)]; }
 
  private:
   std::vector<GhostPlaces> ghosts_;
-  std::vector<Exchange> exchanges_, of_matched_;
+  std::vector<Halo> halos_, of_matched_;
 };
 
 }  // namespace amrpic

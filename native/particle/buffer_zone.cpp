@@ -62,32 +62,59 @@ std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, ArrayOnBox
   return out;
 }
 
+/// The buffer of box b of level l, and for each of its coarser levels the numbers of the cells that are touched.
+std::pair<BoxBuffer, std::vector<std::vector<GlobalIndex>>> buffer_of(Hierarchy const& hierarchy, int l, int b) {
+  std::pair<BoxBuffer, std::vector<std::vector<GlobalIndex>>> out;
+  auto& [buffer, numbers] = out;
+  if (l == 0 || !mark(hierarchy, l, b, buffer.depth)) return out;
+  auto const& depths = buffer.depth.values();
+  Box box = hierarchy.level(l).box(b);
+  for (int r = 1; r <= *std::max_element(depths.begin(), depths.end()); ++r) {
+    box = box.coarsen(refinement_ratio);
+    buffer.coarse.push_back({l - r, box, {}});
+    numbers.push_back(touched(hierarchy.level(l - r), box, buffer.depth, r));
+  }
+  return out;
+}
+
 }  // namespace
 
 BufferZone::BufferZone(Hierarchy const& hierarchy) {
   int const levels = hierarchy.level_count();
   std::vector<std::vector<std::vector<GlobalIndex>>> numbers;  // like boxes_[].coarse[].place
-  std::vector<std::vector<GlobalIndex>> read(static_cast<std::size_t>(levels));
-  for (int l = 0; l < levels; ++l)
+  std::vector<std::size_t> first_slot;
+  for (int l = 0; l < levels; ++l) {
+    first_slot.push_back(boxes_.size());
     for (int b = hierarchy.level(l).first_local_box(); b < hierarchy.level(l).last_local_box(); ++b) {
-      BoxBuffer& buffer = boxes_.emplace_back();
-      numbers.emplace_back();
-      if (l == 0 || !mark(hierarchy, l, b, buffer.depth)) continue;
-      auto const& depths = buffer.depth.values();
-      Box box = hierarchy.level(l).box(b);
-      for (int r = 1; r <= *std::max_element(depths.begin(), depths.end()); ++r) {
-        box = box.coarsen(refinement_ratio);
-        buffer.coarse.push_back({l - r, box, {}});
-        numbers.back().push_back(touched(hierarchy.level(l - r), box, buffer.depth, r));
-        read[l - r].insert(read[l - r].end(), numbers.back().back().begin(), numbers.back().back().end());
-      }
+      auto [buffer, of_box] = buffer_of(hierarchy, l, b);
+      boxes_.push_back(std::move(buffer));
+      numbers.push_back(std::move(of_box));
     }
-  for (int l = 0; l < levels; ++l)
-    exchanges_.emplace_back(hierarchy.comm(), hierarchy.level(l), remote_cells(hierarchy.level(l), std::move(read[l])));
+  }
+  for (int l = 0; l < levels; ++l) {
+    CellReads reads(hierarchy.level(l));
+    for (int r = 1; l + r < levels; ++r) {
+      Level const& finer = hierarchy.level(l + r);
+      reads.add_numbers(
+          finer,
+          [&](Box const& o) {
+            Box out = o.grow(tile_reach);
+            for (int n = 0; n < r; ++n) out = out.refine(refinement_ratio);
+            return out;
+          },
+          [&](int b) {
+            auto const of_box = finer.owner(b) == finer.rank()
+                                    ? numbers[first_slot[std::size_t(l + r)] + std::size_t(b - finer.first_local_box())]
+                                    : buffer_of(hierarchy, l + r, b).second;
+            return int(of_box.size()) < r ? std::vector<GlobalIndex>{} : of_box[std::size_t(r - 1)];
+          });
+    }
+    halos_.emplace_back(hierarchy.comm(), reads);
+  }
   for (std::size_t s = 0; s < boxes_.size(); ++s)
     for (std::size_t r = 0; r < boxes_[s].coarse.size(); ++r) {
       CoarseCells& coarse = boxes_[s].coarse[r];
-      for (GlobalIndex n : numbers[s][r]) coarse.place.push_back(n == no_cell ? -1 : exchanges_[coarse.level].local(n));
+      coarse.place = halos_[coarse.level].local(numbers[s][r]);
     }
 }
 

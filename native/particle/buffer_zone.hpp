@@ -1,7 +1,7 @@
 #pragma once
 
 #include "mesh/array_on_box.hpp"
-#include "mesh/exchange.hpp"
+#include "mesh/halo.hpp"
 #include "mesh/hierarchy.hpp"
 #include "particle/geometry.hpp"
 
@@ -38,11 +38,11 @@ class BufferZone {
 
   /// The buffer in one of this rank's boxes, numbered level by level; null if it has none.
   BoxBuffer const* box(std::size_t slot) const { return boxes_[slot].coarse.empty() ? nullptr : &boxes_[slot]; }
-  Exchange const& exchange(int level) const { return exchanges_[level]; }  ///< halo: remote cells that `box` names
+  Halo const& halo(int level) const { return halos_[level]; }  ///< remote cells that `box` names
 
  private:
   std::vector<BoxBuffer> boxes_;
-  std::vector<Exchange> exchanges_;
+  std::vector<Halo> halos_;
 };
 
 }  // namespace amrpic

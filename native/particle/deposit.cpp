@@ -5,19 +5,12 @@
 
 #include "base/fetch.hpp"
 #include "particle/array_pool.hpp"
+#include "particle/charge_across_ranks.hpp"
 #include "particle/tile.hpp"
 
 namespace amrpic {
 
 namespace {
-
-/// Own cells of a level and the halo, stored apart.
-struct ChargeCells {
-  Real* own;
-  Real* halo;
-  LocalIndex owned;
-  Real& operator[](LocalIndex place) const { return place < owned ? own[place] : halo[place - owned]; }
-};
 
 /// Cells along x that are added to at once.
 typedef Real TwoCells __attribute__((vector_size(16)));
@@ -219,30 +212,16 @@ void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cha
   });
 }
 
-/// Charge of this rank's particles on the cells of a level, and on the halo, which goes to its owners.
-class Layer {
- public:
-  Layer(Exchange const& exchange, LargeArray<Real>& own)
-      : exchange_(&exchange), own_(own.data()), halo_(std::size_t(exchange.halo_size()), Real(0)) {}
-  ChargeCells cells() { return {own_, halo_.data(), exchange_->owned()}; }
-  void fold() const { exchange_->fold({own_}, {halo_.data()}); }
-
- private:
-  Exchange const* exchange_;
-  Real* own_;
-  std::vector<Real> halo_;
-};
-
 }  // namespace
 
 void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& particles, std::int64_t const* starts,
              Real charge, Field& density) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
-  std::vector<Layer> own, coarse;
+  std::vector<ChargeAcrossRanks> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    own.emplace_back(mesh.exchange(l), density.level(l));
-    if (zone) coarse.emplace_back(zone->exchange(l), density.level(l));
+    own.emplace_back(mesh.halo(l), density.level(l));
+    if (zone) coarse.emplace_back(zone->halo(l), density.level(l));
   }
 
   Scratch<Real> const ghost_sums(clear_empty_boxes(mesh, starts, density));
@@ -273,8 +252,8 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     }
   });
   for (BoxSums const& sums : box_sums) sums.add_ghosts();
-  for (Layer const& layer : own) layer.fold();
-  for (Layer const& layer : coarse) layer.fold();
+  for (ChargeAcrossRanks const& level : own) level.send();
+  for (ChargeAcrossRanks const& level : coarse) level.send();
 
   mesh.transfer().spread(density);
   mesh.transfer().average_down({&density});

@@ -35,16 +35,16 @@ struct BoundaryField {
   }
 };
 
-BoundaryField with_halo(ElectricField const& field, int level, Exchange const& exchange) {
-  BoundaryField out{field.at_boundary(level), std::vector<Real>(components * std::size_t(exchange.halo_size()) + 1),
-                    exchange.owned()};
+BoundaryField with_halo(ElectricField const& field, int level, Halo const& halo) {
+  BoundaryField out{field.at_boundary(level), std::vector<Real>(components * std::size_t(halo.size()) + 1),
+                    halo.owned()};
   std::vector<Real const*> own;
-  std::vector<Real*> halo;
+  std::vector<Real*> copies;
   for (int c = 0; c < 3; ++c) {
     own.push_back(out.own + c);
-    halo.push_back(out.halo.data() + c);
+    copies.push_back(out.halo.data() + c);
   }
-  exchange.update(own, halo, components);
+  halo.update(own, copies, components);
   return out;
 }
 
@@ -305,8 +305,8 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
   BoundaryPlaces const& places = mesh.boundary_places(clouds.matched);
   std::vector<BoundaryField> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
-    own.push_back(with_halo(field, l, places.exchange(l)));
-    if (zone) coarse.push_back(with_halo(field, l, places.exchange_of_matched(l)));
+    own.push_back(with_halo(field, l, places.halo(l)));
+    if (zone) coarse.push_back(with_halo(field, l, places.halo_of_matched(l)));
   }
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box

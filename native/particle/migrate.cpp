@@ -1,7 +1,5 @@
 #include "particle/migrate.hpp"
 
-#include <mpi.h>
-
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
@@ -16,8 +14,6 @@ namespace amrpic {
 
 namespace {
 
-constexpr int tag_particles = 7201;
-
 /// Particles that are copied one column after the other: so many that memory is read in long rows, so few that a column
 /// of them stays in the second-level cache for those that left.
 constexpr LocalIndex batch_size = 4096;
@@ -25,9 +21,8 @@ constexpr LocalIndex batch_size = 4096;
 bool is_finite(Real3 const& v) { return std::isfinite(v[0]) && std::isfinite(v[1]) && std::isfinite(v[2]); }
 
 /// Throw std::length_error on all ranks if one of them has too many particles for a LocalIndex. Collective.
-void require_few(std::int64_t particles, MPI_Comm comm) {
-  MPI_Allreduce(MPI_IN_PLACE, &particles, 1, MPI_INT64_T, MPI_MAX, comm);
-  if (particles > std::numeric_limits<LocalIndex>::max() - batch_size)
+void require_few(std::int64_t particles, Communicator const& comm) {
+  if (comm.largest(particles) > std::numeric_limits<LocalIndex>::max() - batch_size)
     throw std::length_error("more than 2^31 particles on one rank; use more ranks");
 }
 
@@ -224,8 +219,12 @@ void Migration::look_up(LocalIndex n) {
 /// Pack what leaves, and exchange how much will come.
 void Migration::announce() {
   std::vector<std::int64_t> leaving, coming(leaving_.size(), 0);
-  for (auto const& to_rank : leaving_) leaving.push_back(std::int64_t(to_rank.size()));
-  MPI_Alltoall(leaving.data(), 1, MPI_INT64_T, coming.data(), 1, MPI_INT64_T, mesh_.hierarchy().comm());
+  std::vector<std::pair<int, std::int64_t>> to;
+  for (auto const& to_rank : leaving_) {
+    leaving.push_back(std::int64_t(to_rank.size()));
+    if (leaving.back() > 0) to.emplace_back(int(leaving.size()) - 1, leaving.back());
+  }
+  for (auto const& [rank, count] : mesh_.hierarchy().comm().announced(to)) coming[std::size_t(rank)] = count;
   sent_start_ = starts_of(leaving);
   received_start_ = starts_of(coming);
   require_few(arriving(), mesh_.hierarchy().comm());
@@ -242,22 +241,20 @@ void Migration::announce() {
 }
 
 void Migration::exchange() {
-  MPI_Comm const comm = mesh_.hierarchy().comm();
-  int const ranks = int(leaving_.size());
-  // Counted in whole parcels, so that 32-bit message lengths suffice for 2^31 particles.
-  MPI_Datatype parcel;
-  MPI_Type_contiguous(int(sizeof(Parcel)), MPI_BYTE, &parcel);
-  MPI_Type_commit(&parcel);
+  Communicator const& comm = mesh_.hierarchy().comm();
   received_.resize(std::size_t(received_start_.back()));
-  std::vector<MPI_Request> requests;
-  for (int r = 0; r < ranks; ++r)
-    if (int const n = int(received_start_[r + 1] - received_start_[r]); n > 0)
-      MPI_Irecv(received_.data() + received_start_[r], n, parcel, r, tag_particles, comm, &requests.emplace_back());
-  for (int r = 0; r < ranks; ++r)
-    if (int const n = int(sent_start_[r + 1] - sent_start_[r]); n > 0)
-      MPI_Isend(sent_.data() + sent_start_[r], n, parcel, r, tag_particles, comm, &requests.emplace_back());
-  MPI_Waitall(int(requests.size()), requests.data(), MPI_STATUSES_IGNORE);
-  MPI_Type_free(&parcel);
+  Messages messages;
+  auto for_each_part = [](std::vector<std::int64_t> const& start, auto&& f) {
+    for (std::size_t r = 0; r + 1 < start.size(); ++r)
+      if (start[r] < start[r + 1]) f(int(r), std::size_t(start[r]), std::size_t(start[r + 1] - start[r]));
+  };
+  for_each_part(received_start_, [&](int rank, std::size_t first, std::size_t count) {
+    messages.receive(comm, received_.data() + first, count, rank);
+  });
+  for_each_part(sent_start_, [&](int rank, std::size_t first, std::size_t count) {
+    messages.send(comm, sent_.data() + first, count, rank);
+  });
+  messages.wait_for_all();
 }
 
 // ---- to their places ----

@@ -1,6 +1,6 @@
 #include "particle/moments.hpp"
 
-#include "base/all_gather.hpp"
+#include "base/communicator.hpp"
 #include "base/constants.hpp"
 
 namespace amrpic {
@@ -45,11 +45,11 @@ BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool 
 
 }  // namespace
 
-BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same,
+BeamSums<Real> beam_sums(Communicator const& comm, ParticleView const& particles, Real const* mass, bool same,
                          std::array<Real*, 3> const& later, Real share) {
   BeamSums<Real> out;
   std::vector const own{local_sums(particles, mass, same, later, share)};
-  for (auto const& of_rank : all_gather(comm, own).values) out.add(of_rank);
+  for (auto const& of_rank : comm.gather(own).values) out.add(of_rank);
   return out;
 }
 

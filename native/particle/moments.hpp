@@ -1,7 +1,6 @@
 #pragma once
 
-#include <mpi.h>
-
+#include "base/communicator.hpp"
 #include "particle/view.hpp"
 
 namespace amrpic {
@@ -52,7 +51,7 @@ struct BeamSums {
 
 /// Those of the particles of all ranks, with momenta a `share` of the way to `later` ones. `mass` (kg) holds one value
 /// for all if they are `same`, else one for each. Collective.
-BeamSums<Real> beam_sums(MPI_Comm comm, ParticleView const& particles, Real const* mass, bool same,
+BeamSums<Real> beam_sums(Communicator const& comm, ParticleView const& particles, Real const* mass, bool same,
                          std::array<Real*, 3> const& later, Real share);
 
 }  // namespace amrpic

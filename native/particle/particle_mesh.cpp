@@ -52,42 +52,43 @@ Numbered number_ghosts(Hierarchy const& hierarchy, int l, int b) {
   return out;
 }
 
-std::vector<LocalIndex> places(std::vector<GlobalIndex> const& numbers, Exchange const& exchange) {
-  std::vector<LocalIndex> out(numbers.size());
-  std::transform(numbers.begin(), numbers.end(), out.begin(),
-                 [&](GlobalIndex n) { return n < 0 ? LocalIndex(n) : exchange.local(n); });
-  return out;
-}
-
 }  // namespace
 
 ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
     : hierarchy_(std::move(hierarchy)), locator_(hierarchy_), transfer_(hierarchy_) {
   int const levels = hierarchy_->level_count();
   std::vector<Numbered> numbered;
-  std::vector<std::vector<GlobalIndex>> read(static_cast<std::size_t>(levels));
   for (int l = 0; l < levels; ++l) {
     first_slot_.push_back(int(boxes_.size()));
     Level const& level = hierarchy_->level(l);
     for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
       numbered.push_back(number_ghosts(*hierarchy_, l, b));
-      std::vector<GlobalIndex> const &ghosts = numbered.back().ghosts, &coarse = numbered.back().coarse;
-      read[l].insert(read[l].end(), ghosts.begin(), ghosts.end());
-      if (l > 0) read[l - 1].insert(read[l - 1].end(), coarse.begin(), coarse.end());
       boxes_.push_back({l, b, {}, numbered.back().parents, {}});
       homes_.emplace_back(locator_, l, b);
     }
   }
   for (int l = 0; l < levels; ++l) {
     Level const& level = hierarchy_->level(l);
-    exchanges_.emplace_back(hierarchy_->comm(), level, remote_cells(level, std::move(read[l])));
+    CellReads reads(level);
+    reads.add(
+        level, [](Box const& o) { return o.grow(tile_reach); },
+        [&](int b, auto&& read) { read(level.box(b).grow(tile_reach)); });
+    if (hierarchy_->has_finer(l)) {
+      Level const& finer = hierarchy_->level(l + 1);
+      reads.add_numbers(
+          finer, [](Box const& o) { return o.grow(1).refine(refinement_ratio); },
+          [&](int b) {
+            bool const here = finer.owner(b) == finer.rank();
+            return here ? numbered[std::size_t(slot(l + 1, b))].coarse : number_ghosts(*hierarchy_, l + 1, b).coarse;
+          });
+    }
+    halos_.emplace_back(hierarchy_->comm(), reads);
   }
   for (std::size_t s = 0; s < boxes_.size(); ++s) {
     BoxGhosts& at = boxes_[s];
-    Exchange const& exchange = exchanges_[at.level];
-    at.ghosts =
-        GhostCells(hierarchy_->level(at.level).box(at.box), places(numbered[s].ghosts, exchange), exchange.owned());
-    if (at.level > 0) at.coarse = places(numbered[s].coarse, exchanges_[at.level - 1]);
+    Halo const& halo = halos_[at.level];
+    at.ghosts = GhostCells(hierarchy_->level(at.level).box(at.box), halo.local(numbered[s].ghosts), halo.owned());
+    if (at.level > 0) at.coarse = halos_[at.level - 1].local(numbered[s].coarse);
   }
 }
 

@@ -3,7 +3,7 @@
 #include <memory>
 #include <vector>
 
-#include "mesh/exchange.hpp"
+#include "mesh/halo.hpp"
 #include "mesh/transfer.hpp"
 #include "particle/boundary_places.hpp"
 #include "particle/buffer_zone.hpp"
@@ -33,7 +33,7 @@ class ParticleMesh {
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   Locator& locator() { return locator_; }
   Locator const& locator() const { return locator_; }
-  Exchange const& exchange(int level) const { return exchanges_[level]; }
+  Halo const& halo(int level) const { return halos_[level]; }
   Transfer const& transfer() const { return transfer_; }
 
   /// Which particles are treated as matched at coarse-fine faces. Collective at the first call.
@@ -55,7 +55,7 @@ class ParticleMesh {
   std::shared_ptr<Hierarchy const> hierarchy_;
   Locator locator_;
   Transfer transfer_;
-  std::vector<Exchange> exchanges_;  ///< per level: the halo is all cells of other ranks that `boxes_` names
+  std::vector<Halo> halos_;  ///< per level: all cells of other ranks that `boxes_` names
   std::vector<BoxGhosts> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;

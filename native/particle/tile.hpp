@@ -184,7 +184,7 @@ void for_each_occupied_box(ParticleMesh const& mesh, std::int64_t const* starts,
   } catch (Stray const& stray) {
     lowest = stray.id;
   }
-  MPI_Allreduce(MPI_IN_PLACE, &lowest, 1, MPI_INT64_T, MPI_MIN, mesh.hierarchy().comm());
+  lowest = mesh.hierarchy().comm().smallest(lowest);
   if (lowest != none)
     throw std::out_of_range("particle " + std::to_string(lowest) +
                             " has left the box it was sorted into; migrate the particles first");

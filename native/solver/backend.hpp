@@ -57,9 +57,7 @@ class Backend {
   virtual std::int64_t assemblies() const = 0;                 ///< of operators, so far
   virtual std::int64_t levels_assembled() const { return 0; }  ///< the others were taken over
   virtual std::int64_t bottom_setups() const { return 0; }     ///< 1 if the bottom was set up here and not taken over
-  virtual std::int64_t messages() const = 0;                   ///< halo messages sent by this rank so far
-  virtual std::int64_t message_bytes() const = 0;
-  virtual std::size_t bytes() const = 0;  ///< of this rank's operators, lists and vectors
+  virtual std::size_t bytes() const = 0;                       ///< of this rank's operators, lists and vectors
 
   Stopwatch& stopwatch() { return stopwatch_; }
 

@@ -12,7 +12,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "base/all_gather.hpp"
+#include "base/communicator.hpp"
 #include "base/error.hpp"
 #include "base/runtime.hpp"
 #include "operators/tpetra.hpp"
@@ -39,18 +39,18 @@ std::vector<LocalIndex> order_of_domain(Level const& level) {
 }
 
 /// The whole matrix of a level in the order of the domain, the same on all ranks; the diagonal comes first in each row.
-Crs gather(MPI_Comm comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
+Crs gather(Communicator const& comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
   Crs const& local = operators.no_fine;
   GlobalIndex const first = operators.level->first_local_cell();
-  auto const& halo = operators.halo.halo_numbers();
+  auto const halo = operators.halo.numbers();
   std::vector<LocalIndex> columns, lengths;
   for (LocalIndex c : local.column)
     columns.push_back(LocalIndex(c < local.rows() ? first + c : halo[std::size_t(c - local.rows())]));
   for (LocalIndex r = 0; r < local.rows(); ++r)
     lengths.push_back(LocalIndex(local.row_start[r + 1] - local.row_start[r]));
-  auto const column = all_gather(comm, columns).values;
-  auto const value = all_gather(comm, local.value).values;
-  auto const length = all_gather(comm, lengths).values;
+  auto const column = comm.gather(columns).values;
+  auto const value = comm.gather(local.value).values;
+  auto const length = comm.gather(lengths).values;
 
   std::vector<std::size_t> start(place.size());  // of each row of the domain's order, in the gathered arrays
   Crs whole;
@@ -231,7 +231,7 @@ struct Bottom::GatheredProblem {
   }
 };
 
-Bottom::Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, SolverOptions const& options)
+Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool singular, SolverOptions const& options)
     : comm_(comm),
       singular_(singular),
       rows_(operators.rows()),
@@ -270,8 +270,7 @@ bool Bottom::serves(LevelOperators const& operators) const {
 }
 
 void Bottom::solve(std::vector<Real> const& right_hand_side, std::vector<Real>& correction) {
-  MPI_Allgatherv(right_hand_side.data(), rows_, MPI_DOUBLE, gathered_.data(), counts_.data(), starts_.data(),
-                 MPI_DOUBLE, comm_);
+  comm_.gather_into(right_hand_side.data(), MPI_DOUBLE, counts_, starts_, gathered_.data());
   auto& f = whole_right_hand_side_;
   for (std::size_t cell = 0; cell < place_.size(); ++cell) {
     std::size_t const row = std::size_t(place_[cell]);

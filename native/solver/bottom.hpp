@@ -1,10 +1,9 @@
 #pragma once
 
-#include <mpi.h>
-
 #include <memory>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "operators/operators.hpp"
 #include "solver/options.hpp"
 
@@ -18,7 +17,7 @@ class Bottom {
  public:
   /// Collective. `singular`: constants are in the operator's null space. Throws SolverError, the same on all ranks, for
   /// a matrix that the method cannot solve.
-  Bottom(MPI_Comm comm, LevelOperators const& operators, bool singular, SolverOptions const& options);
+  Bottom(Communicator const& comm, LevelOperators const& operators, bool singular, SolverOptions const& options);
   ~Bottom();
 
   /// Solve no_fine correction = right_hand_side for this rank's cells. Collective.
@@ -30,7 +29,7 @@ class Bottom {
 
  private:
   struct GatheredProblem;
-  MPI_Comm comm_;
+  Communicator comm_;
   bool singular_;
   LocalIndex rows_;  ///< of this rank
   GlobalIndex first_, total_;

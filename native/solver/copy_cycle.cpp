@@ -15,7 +15,7 @@ SolverOptions with_sweeps(SolverOptions options, Sweeps const& sweeps) {
 /// Relaxes points, and lets the copies correct what the next coarser level left or brought in.
 class WithCopies : public Smoother {
  public:
-  WithCopies(MPI_Comm comm, LevelOperators const& operators, std::vector<LevelCopy> const& copies,
+  WithCopies(Communicator const& comm, LevelOperators const& operators, std::vector<LevelCopy> const& copies,
              SolverOptions const& options, Sweeps const& on_copies)
       : beside_(make_smoother(
             comm, operators, true,
@@ -38,15 +38,15 @@ class WithCopies : public Smoother {
 
 }  // namespace
 
-CopyCycle::CopyCycle(MPI_Comm comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
+CopyCycle::CopyCycle(Communicator const& comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
                      SolverOptions const& options)
     : above_(above),
       copy_(copy_operators(comm, *above.level, *copies, shift_of(options))),
       smoother_(make_smoother(comm, copy_.level, true, options)),
-      residual_(std::size_t(above.rows()) + std::size_t(copy_.above.halo_size())),
+      residual_(std::size_t(above.rows()) + std::size_t(copy_.above.size())),
       f_(std::size_t(copy_.level.rows())),
-      x_(f_.size() + std::size_t(copy_.level.halo.halo_size())),
-      values_(f_.size() + std::size_t(copy_.own.halo_size())) {
+      x_(f_.size() + std::size_t(copy_.level.halo.size())),
+      values_(f_.size() + std::size_t(copy_.own.size())) {
   if (count > 1) next_ = std::make_unique<CopyCycle>(comm, copy_.level, copies + 1, count - 1, options);
 }
 
@@ -71,7 +71,7 @@ std::vector<LevelOperators const*> CopyCycle::levels() const {
   return out;
 }
 
-std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators,
+std::unique_ptr<Smoother> make_refined_smoother(Communicator const& comm, LevelOperators const& operators,
                                                 std::vector<LevelCopy> const& copies, SolverOptions const& options) {
   if (copies.empty()) return make_smoother(comm, operators, true, options);
   return std::make_unique<WithCopies>(comm, operators, copies, options,

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "base/communicator.hpp"
 #include "operators/copy_operators.hpp"
 #include "solver/smoother.hpp"
 
@@ -13,7 +14,7 @@ namespace amrpic {
 class CopyCycle {
  public:
   /// `above`: the operators of the level above the first of the `copies`, which are not empty. Collective.
-  CopyCycle(MPI_Comm comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
+  CopyCycle(Communicator const& comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
             SolverOptions const& options);
 
   /// Add to x what is found for f - no_fine x. Collective.
@@ -32,7 +33,7 @@ class CopyCycle {
 
 /// The smoother of a refinement level: the one that the options name, and a cycle over the level's copies where it has
 /// any. Collective.
-std::unique_ptr<Smoother> make_refined_smoother(MPI_Comm comm, LevelOperators const& operators,
+std::unique_ptr<Smoother> make_refined_smoother(Communicator const& comm, LevelOperators const& operators,
                                                 std::vector<LevelCopy> const& copies, SolverOptions const& options);
 
 }  // namespace amrpic

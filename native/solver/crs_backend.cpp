@@ -19,8 +19,6 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
       transfer_(hierarchy_),
       multigrid_(hierarchy_->comm(), multigrid_levels_, operators_, bottom(reusable), hierarchy_->max_grid_size(),
                  options_),
-      messages_before_(halo_sum(&Exchange::messages)),
-      bytes_before_(halo_sum(&Exchange::bytes)),
       krylov_(make_krylov(options_.krylov, equations())) {
   for (int l = 0; l < hierarchy_->level_count(); ++l) right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
   phi_ = zero();
@@ -51,7 +49,7 @@ std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
 CompositeVector CrsBackend::zero() const {
   CompositeVector out;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
-    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.halo_size()));
+    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.size()));
   return out;
 }
 
@@ -70,7 +68,7 @@ Real CrsBackend::norm(Norm norm, Value&& value) const {
 }
 
 Integral CrsBackend::integrate_right_hand_side() {
-  Real sums[2] = {0, 0};
+  std::array<Real, 2> sums{};
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     auto const& rho = rho_->level(l);
     std::vector<Real> sizes(rho.size());
@@ -89,7 +87,7 @@ Integral CrsBackend::integrate_right_hand_side() {
     sums[0] += hierarchy_->level(l).cell_volume() * net;
     sums[1] += hierarchy_->level(l).cell_volume() * size;
   }
-  MPI_Allreduce(MPI_IN_PLACE, sums, 2, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
+  hierarchy_->comm().sum_each(sums);
   return {sums[0], sums[1]};
 }
 
@@ -194,7 +192,7 @@ CompositeEquations CrsBackend::equations() {
     Real sum = 0;
     for (int l = 0; l < hierarchy_->level_count(); ++l)
       for_each_uncovered(l, [&](LocalIndex row) { sum += x[l][row] * y[l][row]; });
-    MPI_Allreduce(MPI_IN_PLACE, &sum, 1, MPI_DOUBLE, MPI_SUM, hierarchy_->comm());
+    sum = hierarchy_->comm().sum(sum);
     return sum;
   };
   return {[this] { return zero(); }, multiply, dot};
@@ -283,13 +281,6 @@ void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
       });
       add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, false, e.data());
     }
-}
-
-std::int64_t CrsBackend::halo_sum(std::int64_t (Exchange::*of)() const) const {
-  std::int64_t sum = 0;
-  for (MultigridLevel const& level : multigrid_.levels())
-    for (auto const* o : level.all_operators()) sum += (o->halo.*of)() + (o->stencil_halo.*of)();
-  return sum;
 }
 
 std::size_t CrsBackend::bytes() const {

@@ -39,8 +39,6 @@ class CrsBackend : public Backend {
   std::int64_t assemblies() const override { return assemblies_; }
   std::int64_t bottom_setups() const override { return bottom_setups_; }
   std::int64_t levels_assembled() const override { return levels_assembled_; }
-  std::int64_t messages() const override { return halo_sum(&Exchange::messages) - messages_before_; }
-  std::int64_t message_bytes() const override { return halo_sum(&Exchange::bytes) - bytes_before_; }
   std::size_t bytes() const override;
 
  private:
@@ -57,7 +55,6 @@ class CrsBackend : public Backend {
   void fill_right_hand_side();
   MultigridOperators assembled(Reusable& reusable);
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
-  std::int64_t halo_sum(std::int64_t (Exchange::*of)() const) const;
   CompositeVector zero() const;
   void average_down(CompositeVector& x) const;
   template <class F>
@@ -77,10 +74,9 @@ class CrsBackend : public Backend {
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::int64_t messages_before_, bytes_before_;  ///< by operators that were taken over
-  std::unique_ptr<Krylov> krylov_;               ///< null if nothing is to be accelerated
-  CompositeVector phi_;                          ///< own cells and halo
-  CompositeVector right_hand_side_;              ///< f = -rho / eps0 - background minus what walls add
+  std::unique_ptr<Krylov> krylov_;   ///< null if nothing is to be accelerated
+  CompositeVector phi_;              ///< own cells and halo
+  CompositeVector right_hand_side_;  ///< f = -rho / eps0 - background minus what walls add
   Field const* rho_ = nullptr;
   Background background_;
   Real unit_ = 1;  ///< what 1 stands for in all vectors of a solve, V and V/m^2; a power of two, so exact

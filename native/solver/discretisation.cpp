@@ -35,8 +35,7 @@ Real CrsBackend::largest_uncovered(std::vector<Real> const& (*values)(MultigridL
     auto const& v = values(cycle_level(l));
     for_each_uncovered(l, [&](LocalIndex row) { result = std::max(result, std::abs(v[row])); });
   }
-  MPI_Allreduce(MPI_IN_PLACE, &result, 1, MPI_DOUBLE, MPI_MAX, hierarchy_->comm());
-  return result;
+  return hierarchy_->comm().largest(result);
 }
 
 Real CrsBackend::largest_correction() {
@@ -55,8 +54,8 @@ void CrsBackend::set_truncation() {
     std::size_t const place = multigrid_levels_.base + std::size_t(l);
     if (place == 0) continue;
     LevelOperators const& coarse = *operators_[place - 1];
-    std::size_t const here = std::size_t(fine.rows() + fine.halo.halo_size());
-    std::size_t const there = std::size_t(coarse.rows() + coarse.halo.halo_size());
+    std::size_t const here = std::size_t(fine.rows() + fine.halo.size());
+    std::size_t const there = std::size_t(coarse.rows() + coarse.halo.size());
 
     std::vector<Real> f(here), uncovered(here), phi(there), error(there);
     std::copy_n(right_hand_side_[l].begin(), fine.rows(), f.begin());

@@ -144,11 +144,7 @@ Real MatrixFreeBackend::dot(MinimalResidual::Vectors const& a, MinimalResidual::
   return sum;
 }
 
-Real MatrixFreeBackend::largest_correction() {
-  Real out = latest_correction_;
-  MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE, MPI_MAX, problem_.hierarchy->comm());
-  return out;
-}
+Real MatrixFreeBackend::largest_correction() { return problem_.hierarchy->comm().largest(latest_correction_); }
 
 /// Largest magnitude over all levels of vectors of the cycle, each over the scale of its level.
 Real MatrixFreeBackend::largest(Blocks<float> const& blocks, std::vector<Real> const& scale) {
@@ -165,8 +161,7 @@ Real MatrixFreeBackend::largest(Blocks<float> const& blocks, std::vector<Real> c
     }
     out = std::max(out, of_level.value() / scale[std::size_t(l)]);
   }
-  MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE, MPI_MAX, problem_.hierarchy->comm());
-  return out;
+  return problem_.hierarchy->comm().largest(out);
 }
 
 Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*phi_, problem_.options.norm); }

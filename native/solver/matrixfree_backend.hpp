@@ -35,8 +35,6 @@ class MatrixFreeBackend : public Backend {
   LevelOperators const& operators_with_gradient(int level) override;
 
   std::int64_t assemblies() const override { return shown_.operators.empty() ? 0 : 1; }
-  std::int64_t messages() const override { return composite_.messages() + cycle_.messages(); }
-  std::int64_t message_bytes() const override { return composite_.message_bytes() + cycle_.message_bytes(); }
   std::size_t bytes() const override;
 
  private:

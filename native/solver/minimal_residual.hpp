@@ -1,13 +1,12 @@
 #pragma once
 
-#include <mpi.h>
-
 #include <algorithm>
 #include <deque>
 #include <functional>
 #include <utility>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "matrixfree/vector.hpp"
 
 namespace amrpic {
@@ -28,7 +27,8 @@ class MinimalResidual {
 
   /// Of a correction, the residual before it and the residual after it: make of the correction what is still to be
   /// added for the least residual. Collective.
-  void improve(Vectors& correction, Vectors const& before, Vectors const& after, Dot const& dot, MPI_Comm comm) {
+  void improve(Vectors& correction, Vectors const& before, Vectors const& after, Dot const& dot,
+               Communicator const& comm) {
     Vectors image = before;
     add(-1, after, image);
     if (kept_.size() == most_directions) kept_.pop_back();
@@ -37,7 +37,7 @@ class MinimalResidual {
     for (Direction const& old : kept_) products.push_back(dot(kept_.front().image, old.image));
     for (Direction const& old : kept_) products.push_back(dot(before, old.image));
     products.push_back(dot(before, before));
-    MPI_Allreduce(MPI_IN_PLACE, products.data(), int(products.size()), MPI_DOUBLE, MPI_SUM, comm);
+    comm.sum_each(products);
     auto const end = products.begin() + std::ptrdiff_t(kept_.size());
     kept_.front().products.assign(products.begin(), end);
     std::vector<Real> const right(end, products.end() - 1);

@@ -7,7 +7,7 @@ namespace amrpic {
 
 MultigridLevel::MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother)
     : operators_(operators), smoother_(std::move(smoother)) {
-  std::size_t const own = std::size_t(operators.rows()), all = own + std::size_t(operators.halo.halo_size());
+  std::size_t const own = std::size_t(operators.rows()), all = own + std::size_t(operators.halo.size());
   right_hand_side_.resize(own);
   correction_.resize(all);
   residual_.resize(all);
@@ -55,7 +55,7 @@ void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
   smoother_->smooth(Side::after, right_hand_side_, correction_);
 }
 
-Multigrid::Multigrid(MPI_Comm comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
+Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
                      std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options)
     : multigrid_levels_(multigrid), bottom_(std::move(bottom)) {
   levels_.reserve(operators.size());

@@ -3,6 +3,7 @@
 #include <memory>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "operators/multigrid_cycle.hpp"
 #include "solver/bottom.hpp"
 #include "solver/options.hpp"
@@ -49,7 +50,7 @@ class MultigridLevel {
 class Multigrid {
  public:
   /// The levels must outlive it. Collective.
-  Multigrid(MPI_Comm comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
+  Multigrid(Communicator const& comm, MultigridLevels const& multigrid, MultigridOperators const& operators,
             std::shared_ptr<Bottom> bottom, int max_grid_size, SolverOptions const& options);
 
   std::vector<MultigridLevel> const& levels() const { return levels_; }

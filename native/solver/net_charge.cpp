@@ -35,7 +35,7 @@ Real rounding_of_subtraction(Field const& rho) {
       }
     }
   }
-  MPI_Allreduce(MPI_IN_PLACE, &unit, 1, MPI_INT, MPI_MIN, hierarchy.comm());
+  unit = hierarchy.comm().smallest(unit);
   return unit > largest_unit ? 0 : std::ldexp(units_missed, unit);
 }
 

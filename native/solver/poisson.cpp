@@ -17,11 +17,6 @@ namespace amrpic {
 
 namespace {
 
-Real global(MPI_Comm comm, Real value, MPI_Op op) {
-  MPI_Allreduce(MPI_IN_PLACE, &value, 1, MPI_DOUBLE, op, comm);
-  return value;
-}
-
 std::string scientific(Real value) {
   std::ostringstream out;
   out.precision(2);
@@ -107,18 +102,17 @@ Real PoissonSolver::remove_net_charge(Field const& rho) {
 
 /// Whether all values on all ranks are finite. Collective.
 bool PoissonSolver::is_finite(Field const& phi) const {
-  int bad = 0;
+  bool bad = false;
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     for (Real v : phi.level(l)) bad = bad || !std::isfinite(v);
-  MPI_Allreduce(MPI_IN_PLACE, &bad, 1, MPI_INT, MPI_MAX, hierarchy_->comm());
-  return bad == 0;
+  return !hierarchy_->comm().any(bad);
 }
 
 /// Take the mean over the domain away from phi, where the boundary leaves it free.
 void PoissonSolver::fix_constant(Field& phi) const {
   Real sum = 0;  // over the base, whose covered cells hold means
   for (Real v : phi.level(0)) sum += v;
-  Real const mean = global(hierarchy_->comm(), sum, MPI_SUM) / Real(hierarchy_->level(0).cells());
+  Real const mean = hierarchy_->comm().sum(sum) / Real(hierarchy_->level(0).cells());
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     for (Real& v : phi.level(l)) v -= mean;
 }

@@ -98,7 +98,7 @@ Real oscillating(Real3 const& spacing) {
 /// A smoother of Ifpack2, on a copy of the matrix; over several ranks each relaxes its own rows at a time.
 class LibrarySmoother : public Smoother {
  public:
-  LibrarySmoother(MPI_Comm comm, LevelOperators const& operators, SolverOptions const& options) {
+  LibrarySmoother(Communicator const& comm, LevelOperators const& operators, SolverOptions const& options) {
     Real3 const& h = operators.level->spacing();
     scale_ = 0;
     for (Real spacing : h) scale_ -= 2 / spacing / spacing;
@@ -154,7 +154,7 @@ class LibrarySmoother : public Smoother {
 
 }  // namespace
 
-std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool v_cycle,
+std::unique_ptr<Smoother> make_smoother(Communicator const& comm, LevelOperators const& operators, bool v_cycle,
                                         SolverOptions const& options) {
   if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, v_cycle, options);
   return std::make_unique<LibrarySmoother>(comm, operators, options);

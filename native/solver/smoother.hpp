@@ -1,10 +1,9 @@
 #pragma once
 
-#include <mpi.h>
-
 #include <memory>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "operators/operators.hpp"
 #include "solver/options.hpp"
 
@@ -30,7 +29,7 @@ class Smoother {
 
 /// The smoother that the options name, for a level whose operators outlive it; `v_cycle`: whether it is
 /// part of a V-cycle, see relaxation_on. Collective.
-std::unique_ptr<Smoother> make_smoother(MPI_Comm comm, LevelOperators const& operators, bool v_cycle,
+std::unique_ptr<Smoother> make_smoother(Communicator const& comm, LevelOperators const& operators, bool v_cycle,
                                         SolverOptions const& options);
 
 }  // namespace amrpic

@@ -73,6 +73,7 @@ constexpr std::array<Real, 3> parabola_at_quarter{
     lagrange(-1, 3, 0, quarter(false)), lagrange(-1, 3, 1, quarter(false)), lagrange(-1, 3, 2, quarter(false))};
 
 /// Bit of the coarse cell at offset (i, j), each in -2 .. 2.
+constexpr int plane_reach = 2;  ///< how far the cells of the plane lie from the middle one, along each axis
 constexpr unsigned plane_bit(int i, int j) { return 1u << (5 * (i + 2) + (j + 2)); }
 
 constexpr unsigned plane_block(int i, int j, int size) {

@@ -3,6 +3,7 @@
 #include <array>
 
 #include "base/fused.hpp"
+#include "stencil/boundary.hpp"
 #include "stencil/equation.hpp"
 
 namespace amrpic {
@@ -39,6 +40,11 @@ inline Real laplacian(Equation const& l, Real c, Real xm, Real xp, Real ym, Real
 template <class Value>
 inline Value truncation_error(Value const& wide_laplacian, Value const& mean_f) {
   return (wide_laplacian - mean_f) / 3;
+}
+
+/// What the datum of a wall across an axis weighs in the Laplacian of the cell before it.
+inline Real datum_weight(Equation const& equation, int axis, WallGhost const& ghost) {
+  return equation.weight[axis] * ghost.datum;
 }
 
 }  // namespace amrpic

@@ -11,6 +11,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -285,7 +286,64 @@ def test_failure_of_one_rank_ends_all(tmp_path, kind):
     assert again.returncode == 0  # what was written before is still of use
 
 
-def test_failure_in_a_script_ends_all(tmp_path):
+def script_with(tmp_path: Path, *lines: str) -> subprocess.CompletedProcess[str]:
+    """What becomes on two ranks of a script that makes a hierarchy first."""
+    script = tmp_path / "script.py"
+    start = (
+        "import amrpic",
+        "from mpi4py import MPI",
+        "rank = MPI.COMM_WORLD.rank",
+        "mesh = amrpic.Hierarchy(MPI.COMM_WORLD, amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16)), max_grid_size=8)",
+    )
+    script.write_text("\n".join([*start, *lines]))
+    began = time.monotonic()
+    end = mpiexec(sys.executable, str(script))
+    assert end.returncode != 0
+    assert time.monotonic() - began < 12  # 5 s for the end; the rest is the start of Python
+    return end
+
+
+def test_exception_of_one_rank_in_a_script_ends_all(tmp_path):
+    end = script_with(tmp_path, "1 / rank", "amrpic.PoissonSolver(mesh)")
+    assert "ZeroDivisionError" in end.stderr
+    assert end.stderr.count("amrpic: ") == 1
+    assert "amrpic: the script ended with ZeroDivisionError (on rank 0 of 2 alone)" in end.stderr
+
+
+def test_error_of_all_ranks_in_a_script_is_one_sentence(tmp_path):
+    end = script_with(tmp_path, "amrpic.PoissonSolver(mesh, tolerance=-1)")
+    assert end.stderr.count("amrpic: ") == 1 and "Traceback" not in end.stderr
+    assert "tolerance is -1" in end.stderr and "script.py, line 5]" in end.stderr
+
+
+def test_failure_within_an_exchange_ends_all_even_if_it_is_caught(tmp_path):
+    """The other rank waits for a message that will not come."""
+    end = script_with(
+        tmp_path,
+        "def pack(parcel):",
+        "    raise ValueError('this rank cannot pack')",
+        "comm = mesh.comm.py2f()",
+        "try:",
+        "    amrpic._native.exchange(comm, [(1 - rank, 3)], [(1 - rank, 3)], pack if rank else lambda n: [1, 2, 3])",
+        "except Exception:",
+        "    print('caught')",
+    )
+    assert "caught" not in end.stdout
+    assert end.stderr.count("amrpic: ") == 1
+    assert "an exchange between ranks failed: this rank cannot pack (on rank 1 of 2 alone)" in end.stderr
+
+
+def test_message_of_another_length_than_was_planned_ends_all(tmp_path):
+    end = script_with(
+        tmp_path,
+        "comm = mesh.comm.py2f()",
+        "amrpic._native.exchange(comm, [(1 - rank, 3)], [(1 - rank, 3 - rank)], lambda n: [1, 2, 3])",
+    )
+    assert end.stderr.count("amrpic: ") == 1
+    assert "amrpic: a message between ranks failed" in end.stderr and "(on rank 1 of 2 alone)" in end.stderr
+
+
+def test_failure_of_a_callback_ends_all(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "from mpi4py import MPI\n"

@@ -20,7 +20,9 @@ SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000"]
 
 
 def one(kind: str, ranks: int, cells: int, particles: int, seconds: float) -> Measured:
-    return Measured(kind, ranks, cells, particles, seconds, {"solve": seconds / 2, "push": seconds / 4})
+    stages = {"solve": seconds / 2, "push": seconds / 4}
+    traffic = {stage: {"messages": 12.0, "bytes": 3e4, "collectives": 5.0} for stage in stages}
+    return Measured(kind, ranks, cells, particles, seconds, stages, traffic)
 
 
 def test_efficiency_is_one_where_time_falls_with_ranks_or_work_grows_with_them():

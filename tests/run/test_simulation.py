@@ -14,7 +14,7 @@ import pytest
 
 from amrpic.io import openpmd_reader, time_series
 from amrpic.io import openpmd_writer as dumps
-from amrpic.parallel import share
+from amrpic.parallel import Traffic, own, share
 from amrpic.run.clock import Clock
 from amrpic.run.simulation import Simulation
 from amrpic.scene import scene as model
@@ -390,6 +390,22 @@ def test_seconds_of_a_stage_within_another_count_once():
             time.sleep(0.05)
         with clock("inner"):
             pass
-    seconds = clock.take()
-    assert seconds["inner"] >= 0.05 > 10 * seconds["outer"] > 0
+    spent = clock.take()
+    assert spent["inner"].seconds >= 0.05 > 10 * spent["outer"].seconds > 0
     assert clock.take() == {}
+
+
+@pytest.mark.mpi(ranks=2)
+def test_stages_count_what_passes_between_ranks(comm):
+    clock, mine = Clock(), own(comm)
+    with clock("outer"):
+        mine.allreduce(1)
+        with clock("inner"):
+            mine.allreduce(1), mine.bcast(1)
+    spent = clock.take()
+    assert spent["outer"].traffic == Traffic(collectives=1)
+    assert spent["inner"].traffic == Traffic(collectives=2)
+    spent = run(comm, scene()).state.spent
+    assert spent["deposit"].traffic.messages > 0 and spent["deposit"].traffic.bytes > 0
+    assert spent["solve"].traffic.messages > spent["deposit"].traffic.messages
+    assert spent["solve"].traffic.collectives > 0

@@ -21,6 +21,7 @@ import pytest
 
 import mpi_rank
 
+PATIENCE = float(os.environ.get("AMRPIC_TEST_PATIENCE", "1"))  # more on slow or emulated processors
 TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes
 GRACE = 3.0  # seconds for the other ranks to end a test that failed on one, and for all to tell where they hang
 
@@ -53,7 +54,7 @@ def ranks_of(item: pytest.Item) -> int | None:
 def timeout_of(item: pytest.Item) -> float:
     """Seconds that the mark of an MPI test allows."""
     mark = item.get_closest_marker("mpi")
-    return float(mark.kwargs.get("timeout", TIMEOUT)) if mark else TIMEOUT
+    return PATIENCE * (float(mark.kwargs.get("timeout", TIMEOUT)) if mark else TIMEOUT)
 
 
 @dataclass
@@ -155,7 +156,7 @@ class Call:
         running = self.running()
         if self.parted():
             return GRACE
-        return TIMEOUT if running is None else self.timeouts[running] + GRACE
+        return PATIENCE * TIMEOUT if running is None else self.timeouts[running] + GRACE
 
     def kill(self) -> None:
         """End mpiexec and its ranks if they still run."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 import time
 import traceback
+from types import TracebackType
 
 from mpi4py import MPI
 
-from ..errors import AmrpicError, HierarchyError, InputError, SceneError
+from .errors import AmrpicError, HierarchyError, InputError, SceneError
 
 BAD_INPUT = 2  # exit status of what the user can correct in the input; any other failure is 1
 GRACE = 3.0  # s; ranks that raise together get here within milliseconds of each other
@@ -17,24 +18,26 @@ GRACE = 3.0  # s; ranks that raise together get here within milliseconds of each
 class Meeting:
     """Where failing ranks meet. Collective to make, before anything can fail."""
 
-    def __init__(self) -> None:
+    def __init__(self, comm: MPI.Comm) -> None:
         # A communicator of its own: the others may be amid a collective on the common one.
-        self._comm = MPI.COMM_WORLD.Dup() if MPI.COMM_WORLD.size > 1 else MPI.COMM_SELF
+        self._comm = comm.Dup() if comm.size > 1 else MPI.COMM_SELF
 
-    def report(self, failure: BaseException, show_traceback: bool) -> int:
+    def report(self, failure: BaseException, text: str) -> int:
         """Print what failed and return the exit status. Called by each rank that fails.
 
         If all ranks come, rank 0 speaks for them. A rank that failed alone speaks for itself and ends all of them.
         """
         everyone = self._all_came()
         if self._comm.rank == 0 or not everyone:
-            text = traceback.format_exc() if show_traceback else sentence(failure)
             alone = "" if everyone else f" (on rank {self._comm.rank} of {self._comm.size} alone)"
-            print(f"amrpic: {text}{alone}", file=sys.stderr, flush=True)
+            sys.stdout.flush()
+            print(f"{text}{alone}", file=sys.stderr, flush=True)
         status = BAD_INPUT if isinstance(failure, SceneError | InputError | HierarchyError) else 1
         if not everyone:
             self._comm.Abort(status)
         self._comm.Barrier()  # mpiexec ends the others when the first one exits, so rank 0 must have spoken
+        if self._comm.size < MPI.COMM_WORLD.size:
+            self._comm.Abort(status)  # ranks that were not invited must not wait either
         return status
 
     def _all_came(self) -> bool:
@@ -49,9 +52,28 @@ def sentence(failure: BaseException) -> str:
     """Return what failed as one sentence on one line."""
     text = " ".join(str(failure).split())
     if isinstance(failure, AmrpicError):
-        return text
+        return f"amrpic: {text}"
     if isinstance(failure, KeyboardInterrupt):
-        return "interrupted"
+        return "amrpic: interrupted"
     if isinstance(failure, MemoryError):
-        return f"out of memory ({text}); use fewer cells or particles, or more machines"
-    return f"unexpected {type(failure).__name__}: {text}; run again with --traceback and report it"
+        return f"amrpic: out of memory ({text}); use fewer cells or particles, or more machines"
+    return f"amrpic: unexpected {type(failure).__name__}: {text}; run again with --traceback and report it"
+
+
+def end_scripts_together(meeting: Meeting) -> None:
+    """Let a script that nobody has written for failures end on all ranks when one of them meets an exception.
+
+    An error of amrpic's own is one sentence that names the script's line; of any other the traceback comes before. Without
+    this, the other ranks would wait for the failed one for ever.
+    """
+
+    def hook(kind: type[BaseException], failure: BaseException, trace: TracebackType | None) -> None:
+        if isinstance(failure, AmrpicError):
+            where = traceback.extract_tb(trace)
+            text = sentence(failure) + (f" [{where[0].filename}, line {where[0].lineno}]" if where else "")
+        else:
+            told = "".join(traceback.format_exception(kind, failure, trace))
+            text = f"{told}amrpic: the script ended with {kind.__name__}"
+        meeting.report(failure, text)
+
+    sys.excepthook = hook

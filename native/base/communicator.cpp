@@ -1,0 +1,141 @@
+#include "base/communicator.hpp"
+
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <map>
+
+namespace amrpic {
+
+namespace {
+
+constexpr int tag_values = 7101, tag_announcement = 7102;  ///< and the next one
+constexpr std::size_t longest = std::size_t(1) << 30;      ///< elements of a message, which MPI counts with 31 bits
+
+[[noreturn]] void end_job(MPI_Comm comm, std::string const& what) {
+  int rank = 0, ranks = 1;
+  MPI_Comm_rank(comm, &rank);
+  MPI_Comm_size(comm, &ranks);
+  std::fflush(stdout);
+  std::fprintf(stderr, "amrpic: %s (on rank %d of %d alone)\n", what.c_str(), rank, ranks);
+  std::fflush(stderr);
+  MPI_Abort(comm, 1);
+  std::abort();
+}
+
+void on_failure(MPI_Comm* comm, int* code, ...) {
+  char text[MPI_MAX_ERROR_STRING];
+  int length = 0;
+  MPI_Error_string(*code, text, &length);
+  end_job(*comm, "a message between ranks failed: " + std::string(text, std::size_t(length)));
+}
+
+}  // namespace
+
+Traffic& traffic() {
+  static Traffic all;
+  return all;
+}
+
+Communicator::Communicator(MPI_Comm comm) : comm_(comm) {
+  MPI_Comm_rank(comm, &rank_);
+  MPI_Comm_size(comm, &ranks_);
+}
+
+std::pair<Real, int> Communicator::largest_and_rank(Real value) const {
+  struct {
+    double value;
+    int rank;
+  } out{value, rank_};
+  count_collective();
+  MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE_INT, MPI_MAXLOC, comm_);
+  return {out.value, out.rank};
+}
+
+std::vector<int> Communicator::counts(std::size_t mine) const {
+  std::vector<int> out(std::size_t(ranks_), 0);
+  int const count = int(mine);
+  count_collective();
+  MPI_Allgather(&count, 1, MPI_INT, out.data(), 1, MPI_INT, comm_);
+  std::int64_t total = 0;
+  for (int n : out) total += n;
+  if (total > std::numeric_limits<int>::max())
+    throw std::length_error(std::to_string(total) +
+                            " elements to gather on every rank, more than MPI counts; use fewer");
+  return out;
+}
+
+std::vector<std::pair<int, std::int64_t>> Communicator::announced(
+    std::vector<std::pair<int, std::int64_t>> const& to) const {
+  std::vector<std::pair<int, std::int64_t>> out;
+  if (ranks_ == 1) return out;
+  static std::map<MPI_Comm, int> rounds;  // a rank may be one ahead of another, whose announcements keep the other tag
+  int const tag = tag_announcement + rounds[comm_]++ % 2;
+  std::vector<MPI_Request> sending;
+  for (auto const& [rank, count] : to) {
+    MPI_Issend(&count, 1, MPI_INT64_T, rank, tag, comm_, &sending.emplace_back());
+    ++traffic().messages;
+    traffic().bytes += std::int64_t(sizeof count);
+  }
+  count_collective();
+  // A rank whose announcements have all arrived waits for the others to say so too; until then more may come.
+  MPI_Request everyone = MPI_REQUEST_NULL;
+  bool has_arrived = false;
+  for (int done = 0; !done;) {
+    MPI_Status status;
+    int waits = 0;
+    MPI_Iprobe(MPI_ANY_SOURCE, tag, comm_, &waits, &status);
+    if (waits) {
+      std::int64_t count = 0;
+      MPI_Recv(&count, 1, MPI_INT64_T, status.MPI_SOURCE, tag, comm_, MPI_STATUS_IGNORE);
+      out.emplace_back(status.MPI_SOURCE, count);
+    }
+    if (has_arrived) {
+      MPI_Test(&everyone, &done, MPI_STATUS_IGNORE);
+    } else {
+      int sent = 0;
+      MPI_Testall(int(sending.size()), sending.data(), &sent, MPI_STATUSES_IGNORE);
+      if (sent) MPI_Ibarrier(comm_, &everyone);
+      has_arrived = sent != 0;
+    }
+  }
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+void Communicator::abort(std::string const& what) const { end_job(comm_, what.substr(0, what.find('\n'))); }
+
+void Messages::post(Communicator const& comm, void* values, std::size_t count, std::size_t size, int rank, bool sends) {
+  ElementType const type(size);
+  for (std::size_t first = 0; first < count; first += longest) {
+    int const n = int(std::min(longest, count - first));
+    char* const at = static_cast<char*>(values) + first * size;
+    if (!sends) {
+      MPI_Irecv(at, n, type, rank, tag_values, comm.handle(), &receiving_.emplace_back());
+      continue;
+    }
+    MPI_Isend(at, n, type, rank, tag_values, comm.handle(), &sending_.emplace_back());
+    ++traffic().messages;
+    traffic().bytes += std::int64_t(n) * std::int64_t(size);
+  }
+}
+
+void Messages::poll() {
+  int done;
+  for (auto* requests : {&receiving_, &sending_})
+    MPI_Testall(int(requests->size()), requests->data(), &done, MPI_STATUSES_IGNORE);
+}
+
+void Messages::wait(std::vector<MPI_Request>& requests) {
+  // One by one: Open MPI 4 may wait for ever for all of several, one of which has failed.
+  for (MPI_Request& request : requests) MPI_Wait(&request, MPI_STATUS_IGNORE);
+  requests.clear();
+}
+
+void end_job_on_failure(MPI_Comm comm) {
+  static MPI_Errhandler handler = MPI_ERRHANDLER_NULL;
+  if (handler == MPI_ERRHANDLER_NULL) MPI_Comm_create_errhandler(on_failure, &handler);
+  MPI_Comm_set_errhandler(comm, handler);
+}
+
+}  // namespace amrpic

@@ -1,0 +1,172 @@
+// The ranks that work together: all that passes between them goes through here, and is counted.
+#pragma once
+
+#include <mpi.h>
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "base/types.hpp"
+
+namespace amrpic {
+
+/// What this process has sent to other ranks so far, and the collective calls that it took part in.
+struct Traffic {
+  std::int64_t messages = 0, bytes = 0, collectives = 0;
+};
+Traffic& traffic();
+
+/// What all ranks hold, rank after rank, and how much each gave.
+template <class T>
+struct Gathered {
+  std::vector<T> values;
+  std::vector<int> counts;
+};
+
+/// A type of `size` bytes, so that MPI counts whole elements; freed at the end.
+class ElementType {
+ public:
+  explicit ElementType(std::size_t size) {
+    MPI_Type_contiguous(int(size), MPI_BYTE, &type_);
+    MPI_Type_commit(&type_);
+  }
+  ~ElementType() { MPI_Type_free(&type_); }
+  ElementType(ElementType const&) = delete;
+  ElementType& operator=(ElementType const&) = delete;
+  operator MPI_Datatype() const { return type_; }
+
+ private:
+  MPI_Datatype type_ = MPI_DATATYPE_NULL;
+};
+
+/// The ranks of an MPI communicator, which must be the library's own: see `amrpic.parallel.own`. All that is not said
+/// to be local is collective. Of one rank, nothing communicates.
+class Communicator {
+ public:
+  explicit Communicator(MPI_Comm comm);
+
+  int rank() const { return rank_; }
+  int ranks() const { return ranks_; }
+  MPI_Comm handle() const { return comm_; }  ///< for libraries; what they send is not counted
+
+  // ---- one value of all ranks, or one for each place of a list ----
+  template <class T>
+  T sum(T value) const {
+    return reduced(value, MPI_SUM);
+  }
+  template <class T>
+  T largest(T value) const {
+    return reduced(value, MPI_MAX);
+  }
+  template <class T>
+  T smallest(T value) const {
+    return reduced(value, MPI_MIN);
+  }
+  bool any(bool here) const { return largest(int(here)) != 0; }
+  bool all(bool here) const { return smallest(int(here)) != 0; }
+  template <class List>
+  void sum_each(List& values) const {
+    reduce(values.data(), values.size(), MPI_SUM);
+  }
+  template <class List>
+  void largest_each(List& values) const {
+    reduce(values.data(), values.size(), MPI_MAX);
+  }
+  /// The largest value and the lowest rank that holds it.
+  std::pair<Real, int> largest_and_rank(Real value) const;
+
+  /// The lists of all ranks, on every rank.
+  template <class T, class Allocator>
+  Gathered<T> gather(std::vector<T, Allocator> const& mine) const {
+    static_assert(std::is_trivially_copyable_v<T>);
+    Gathered<T> out;
+    out.counts = counts(mine.size());
+    std::vector<int> starts{0};
+    for (int n : out.counts) starts.push_back(starts.back() + n);
+    out.values.resize(std::size_t(starts.back()));
+    gather_into(mine.data(), ElementType(sizeof(T)), out.counts, starts, out.values.data());
+    return out;
+  }
+  /// The same where it is known how much each rank gives.
+  template <class T>
+  void gather_into(T const* mine, MPI_Datatype type, std::vector<int> const& counts, std::vector<int> const& starts,
+                   T* all) const {
+    count_collective();
+    MPI_Allgatherv(mine, counts[std::size_t(rank_)], type, all, counts.data(), starts.data(), type, comm_);
+  }
+
+  /// Which ranks send something to this one, and how many elements: `to` lists rank and number of what this one sends.
+  /// Ranks that have nothing for each other do not meet (T. Hoefler et al., "Scalable communication protocols for
+  /// dynamic sparse data exchange", PPoPP 2010). In the order of ranks.
+  std::vector<std::pair<int, std::int64_t>> announced(std::vector<std::pair<int, std::int64_t>> const& to) const;
+
+  /// End all ranks with one sentence, which says that this rank failed. Local; does not return.
+  [[noreturn]] void abort(std::string const& what) const;
+
+ private:
+  template <class T>
+  static MPI_Datatype type_of() {
+    if constexpr (std::is_same_v<T, double>) return MPI_DOUBLE;
+    if constexpr (std::is_same_v<T, float>) return MPI_FLOAT;
+    if constexpr (std::is_same_v<T, int>) return MPI_INT;
+    if constexpr (std::is_same_v<T, std::int64_t>) return MPI_INT64_T;
+    if constexpr (std::is_same_v<T, char>) return MPI_SIGNED_CHAR;
+  }
+  template <class T>
+  T reduced(T value, MPI_Op op) const {
+    reduce(&value, 1, op);
+    return value;
+  }
+  template <class T>
+  void reduce(T* values, std::size_t count, MPI_Op op) const {
+    if (ranks_ == 1) return;
+    count_collective();
+    MPI_Allreduce(MPI_IN_PLACE, values, int(count), type_of<T>(), op, comm_);
+  }
+  std::vector<int> counts(std::size_t mine) const;
+  void count_collective() const {
+    if (ranks_ > 1) ++traffic().collectives;
+  }
+
+  MPI_Comm comm_;
+  int rank_ = 0, ranks_ = 1;
+};
+
+/// Messages of one exchange between ranks that know what they send to each other.
+class Messages {
+ public:
+  template <class T>
+  void receive(Communicator const& comm, T* into, std::size_t count, int rank) {
+    post(comm, into, count, sizeof(T), rank, false);
+  }
+  template <class T>
+  void send(Communicator const& comm, T const* values, std::size_t count, int rank) {
+    post(comm, const_cast<T*>(values), count, sizeof(T), rank, true);
+  }
+  /// Let messages move. Whoever computes meanwhile calls this at times, since they may not move by themselves.
+  void poll();
+  void wait_for_received() { wait(receiving_); }
+  void wait_for_sent() { wait(sending_); }
+  void wait_for_all() {
+    wait_for_received();
+    wait_for_sent();
+  }
+
+ private:
+  void post(Communicator const& comm, void* values, std::size_t count, std::size_t size, int rank, bool sends);
+  static void wait(std::vector<MPI_Request>& requests);
+
+  std::vector<MPI_Request> receiving_, sending_;
+};
+
+/// Let a failure of MPI on a communicator of the library end the job with one sentence.
+void end_job_on_failure(MPI_Comm comm);
+
+}  // namespace amrpic

@@ -19,16 +19,15 @@ class LinearForm {
   LinearForm(LinearForm const& other) { *this = other; }
   LinearForm& operator=(LinearForm const& other) {
     size_ = other.size_;
-    std::copy_n(other.columns_.begin(), size_, columns_.begin());
-    std::copy_n(other.values_.begin(), size_, values_.begin());
+    std::copy_n(other.terms_.begin(), size_, terms_.begin());
     return *this;
   }
 
   void clear() { size_ = 0; }
   void add(Column const& column, Real value) {
     for (int k = 0; k < size_; ++k)
-      if (columns_[std::size_t(k)] == column) {
-        values_[std::size_t(k)] += value;
+      if (terms_[std::size_t(k)].column == column) {
+        terms_[std::size_t(k)].value += value;
         return;
       }
     append(column, value);
@@ -36,12 +35,11 @@ class LinearForm {
   /// Add a term whose column is known to be new.
   void append(Column const& column, Real value) {
     if (size_ == capacity) throw std::logic_error("a stencil has more terms than a row holds");
-    columns_[std::size_t(size_)] = column;
-    values_[std::size_t(size_++)] = value;
+    terms_[std::size_t(size_++)] = {column, value};
   }
   int size() const { return size_; }
-  Column const& column(int k) const { return columns_[std::size_t(k)]; }
-  Real value(int k) const { return values_[std::size_t(k)]; }
+  Column const& column(int k) const { return terms_[std::size_t(k)].column; }
+  Real value(int k) const { return terms_[std::size_t(k)].value; }
 
   LinearForm& operator+=(LinearForm const& other) {
     for (int k = 0; k < other.size_; ++k) add(other.column(k), other.value(k));
@@ -54,7 +52,7 @@ class LinearForm {
   /// Of a weight of zero nothing is left, not even columns.
   LinearForm& operator*=(Real weight) {
     if (weight == 0) size_ = 0;
-    for (int k = 0; k < size_; ++k) values_[std::size_t(k)] *= weight;
+    for (int k = 0; k < size_; ++k) terms_[std::size_t(k)].value *= weight;
     return *this;
   }
   // A form is large: what an expression has made already takes the next operation in place.
@@ -67,9 +65,12 @@ class LinearForm {
 
  private:
   static constexpr int capacity = 160;  // 7 + 6 faces x 25 cells of the plane
+  struct Term {
+    Column column;
+    Real value;
+  };
   int size_ = 0;
-  std::array<Column, capacity> columns_;
-  std::array<Real, capacity> values_;
+  std::array<Term, capacity> terms_;
 };
 
 }  // namespace amrpic

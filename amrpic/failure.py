@@ -61,7 +61,7 @@ def sentence(failure: BaseException) -> str:
 
 
 def end_scripts_together(meeting: Meeting) -> None:
-    """Let a script that nobody has written for failures end on all ranks when one of them meets an exception.
+    """Let a script end on all ranks when one of them meets an exception that the script does not catch.
 
     An error of amrpic's own is one sentence that names the script's line; of any other the traceback comes before. Without
     this, the other ranks would wait for the failed one for ever.
@@ -72,8 +72,8 @@ def end_scripts_together(meeting: Meeting) -> None:
             where = traceback.extract_tb(trace)
             text = sentence(failure) + (f" [{where[0].filename}, line {where[0].lineno}]" if where else "")
         else:
-            told = "".join(traceback.format_exception(kind, failure, trace))
-            text = f"{told}amrpic: the script ended with {kind.__name__}"
+            lines = traceback.format_exception(kind, failure, trace)
+            text = f"{''.join(lines)}amrpic: the script ended with {kind.__name__}"
         meeting.report(failure, text)
 
     sys.excepthook = hook

@@ -37,6 +37,13 @@ Traffic& traffic() {
   return all;
 }
 
+MPI_Datatype new_datatype(std::size_t size) {
+  MPI_Datatype out;
+  MPI_Type_contiguous(int(size), MPI_BYTE, &out);
+  MPI_Type_commit(&out);
+  return out;
+}
+
 Communicator::Communicator(MPI_Comm comm) : comm_(comm) {
   MPI_Comm_rank(comm, &rank_);
   MPI_Comm_size(comm, &ranks_);
@@ -105,8 +112,8 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
 
 void Communicator::abort(std::string const& what) const { end_job(comm_, what.substr(0, what.find('\n'))); }
 
-void Messages::post(Communicator const& comm, void* values, std::size_t count, std::size_t size, int rank, bool sends) {
-  ElementType const type(size);
+void Messages::post(Communicator const& comm, void* values, std::size_t count, std::size_t size, MPI_Datatype type,
+                    int rank, bool sends) {
   for (std::size_t first = 0; first < count; first += longest) {
     int const n = int(std::min(longest, count - first));
     char* const at = static_cast<char*>(values) + first * size;

@@ -30,21 +30,19 @@ struct Gathered {
   std::vector<int> counts;
 };
 
-/// A type of `size` bytes, so that MPI counts whole elements; freed at the end.
-class ElementType {
- public:
-  explicit ElementType(std::size_t size) {
-    MPI_Type_contiguous(int(size), MPI_BYTE, &type_);
-    MPI_Type_commit(&type_);
-  }
-  ~ElementType() { MPI_Type_free(&type_); }
-  ElementType(ElementType const&) = delete;
-  ElementType& operator=(ElementType const&) = delete;
-  operator MPI_Datatype() const { return type_; }
-
- private:
-  MPI_Datatype type_ = MPI_DATATYPE_NULL;
-};
+/// What MPI calls a type; one of its own for structures, made once, so that MPI counts whole elements.
+MPI_Datatype new_datatype(std::size_t size);
+template <class T>
+MPI_Datatype datatype() {
+  static_assert(std::is_trivially_copyable_v<T>);
+  if constexpr (std::is_same_v<T, double>) return MPI_DOUBLE;
+  if constexpr (std::is_same_v<T, float>) return MPI_FLOAT;
+  if constexpr (std::is_same_v<T, int>) return MPI_INT;
+  if constexpr (std::is_same_v<T, std::int64_t>) return MPI_INT64_T;
+  if constexpr (std::is_same_v<T, char>) return MPI_SIGNED_CHAR;
+  static MPI_Datatype const structure = new_datatype(sizeof(T));
+  return structure;
+}
 
 /// The ranks of an MPI communicator, which must be the library's own: see `amrpic.parallel.own`. All that is not said
 /// to be local is collective. Of one rank, nothing communicates.
@@ -85,21 +83,20 @@ class Communicator {
   /// The lists of all ranks, on every rank.
   template <class T, class Allocator>
   Gathered<T> gather(std::vector<T, Allocator> const& mine) const {
-    static_assert(std::is_trivially_copyable_v<T>);
     Gathered<T> out;
     out.counts = counts(mine.size());
     std::vector<int> starts{0};
     for (int n : out.counts) starts.push_back(starts.back() + n);
     out.values.resize(std::size_t(starts.back()));
-    gather_into(mine.data(), ElementType(sizeof(T)), out.counts, starts, out.values.data());
+    gather_into(mine.data(), out.counts, starts, out.values.data());
     return out;
   }
   /// The same where it is known how much each rank gives.
   template <class T>
-  void gather_into(T const* mine, MPI_Datatype type, std::vector<int> const& counts, std::vector<int> const& starts,
-                   T* all) const {
+  void gather_into(T const* mine, std::vector<int> const& counts, std::vector<int> const& starts, T* all) const {
     count_collective();
-    MPI_Allgatherv(mine, counts[std::size_t(rank_)], type, all, counts.data(), starts.data(), type, comm_);
+    MPI_Allgatherv(mine, counts[std::size_t(rank_)], datatype<T>(), all, counts.data(), starts.data(), datatype<T>(),
+                   comm_);
   }
 
   /// Which ranks send something to this one, and how many elements: `to` lists rank and number of what this one sends.
@@ -112,14 +109,6 @@ class Communicator {
 
  private:
   template <class T>
-  static MPI_Datatype type_of() {
-    if constexpr (std::is_same_v<T, double>) return MPI_DOUBLE;
-    if constexpr (std::is_same_v<T, float>) return MPI_FLOAT;
-    if constexpr (std::is_same_v<T, int>) return MPI_INT;
-    if constexpr (std::is_same_v<T, std::int64_t>) return MPI_INT64_T;
-    if constexpr (std::is_same_v<T, char>) return MPI_SIGNED_CHAR;
-  }
-  template <class T>
   T reduced(T value, MPI_Op op) const {
     reduce(&value, 1, op);
     return value;
@@ -128,7 +117,7 @@ class Communicator {
   void reduce(T* values, std::size_t count, MPI_Op op) const {
     if (ranks_ == 1) return;
     count_collective();
-    MPI_Allreduce(MPI_IN_PLACE, values, int(count), type_of<T>(), op, comm_);
+    MPI_Allreduce(MPI_IN_PLACE, values, int(count), datatype<T>(), op, comm_);
   }
   std::vector<int> counts(std::size_t mine) const;
   void count_collective() const {
@@ -144,11 +133,11 @@ class Messages {
  public:
   template <class T>
   void receive(Communicator const& comm, T* into, std::size_t count, int rank) {
-    post(comm, into, count, sizeof(T), rank, false);
+    post(comm, into, count, sizeof(T), datatype<T>(), rank, false);
   }
   template <class T>
   void send(Communicator const& comm, T const* values, std::size_t count, int rank) {
-    post(comm, const_cast<T*>(values), count, sizeof(T), rank, true);
+    post(comm, const_cast<T*>(values), count, sizeof(T), datatype<T>(), rank, true);
   }
   /// Let messages move. Whoever computes meanwhile calls this at times, since they may not move by themselves.
   void poll();
@@ -160,7 +149,8 @@ class Messages {
   }
 
  private:
-  void post(Communicator const& comm, void* values, std::size_t count, std::size_t size, int rank, bool sends);
+  void post(Communicator const& comm, void* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
+            bool sends);
   static void wait(std::vector<MPI_Request>& requests);
 
   std::vector<MPI_Request> receiving_, sending_;

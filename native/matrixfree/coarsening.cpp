@@ -51,7 +51,7 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
       if (coarser.owner(n) == coarser.rank()) {
         Placement copy = patch.cells;
         copy.origin = patch.place(part.lower);
-        local.push_back({n, part.shift({-shift[0], -shift[1], -shift[2]}), copy});
+        local.push_back({n, part.shift_back(shift), copy});
       }
       known.fill(part, 1);
     });
@@ -78,16 +78,9 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   auto const reads = reads_across_ranks(
       level, coarser, [&](Box const& o) { return o.grow(reach).refine(ratio_); },
       [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(reach)); });
-  parents_ = RectangleExchange(comm, coarse_.layout(), local, copies_across_ranks(reads),
-                               [this](Box const& box, Part const& f) {
-                                 for (CoarsePatch const& patch : coarse_patches_) {
-                                   Box const part = box.intersect(patch.box);
-                                   if (part.empty()) continue;
-                                   Placement at = patch.cells;
-                                   at.origin = patch.place(part.lower);
-                                   f(part, at);
-                                 }
-                               });
+  parents_ = RectangleExchange(
+      comm, coarse_.layout(), local, copies_across_ranks(reads),
+      [this](Box const& box, Part const& f) { for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f); });
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.

@@ -85,9 +85,7 @@ class LevelPlanner {
   }
 
  private:
-  static Box counted_from(Index3 const& first, Box const& part) {
-    return part.shift({-first[0], -first[1], -first[2]});
-  }
+  static Box counted_from(Index3 const& first, Box const& part) { return part.shift_back(first); }
   Box counted_from_first(Box const& part) const { return counted_from(box_.lower, part); }
 
   /// Wall data come by axis, side and box, each face's by its lower axis first.
@@ -231,11 +229,11 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     Level const& level = hierarchy.level(l);
     cells.add(as_neighbours(l), reads_beyond_faces(level));
-    if (l > 0) cells.add(behind_edges(l - 1), reads_behind_edges(level, hierarchy.level(l - 1)));
+    if (l > 0) cells.add(behind_edges(l - 1), reads_behind_edges(level, hierarchy.faces(l), hierarchy.level(l - 1)));
     if (!hierarchy.has_finer(l)) continue;
     Level const& finer = hierarchy.level(l + 1);
     LevelPlan& plan = levels[std::size_t(l)];
-    plan.finer_fluxes.add(0, reads_of_fine_fluxes(level, finer));
+    plan.finer_fluxes.add(0, reads_of_fine_fluxes(level, hierarchy.faces(l), finer));
     plan.finer_means.add(0, reads_of_means(level, finer));
     plan.finer_fluxes.plan(comm);
     plan.finer_means.plan(comm);

@@ -83,7 +83,7 @@ std::vector<Part> find_parts(Hierarchy const& hierarchy, int boxes, int b, Windo
     Box const box = level.box(o.box).coarsen(window.ratio), place = o.part.coarsen(window.ratio);
     Index3 shift = o.shift;
     for (int d = 0; d < 3; ++d) shift[d] /= window.ratio[d];
-    Box const own = place.shift({-shift[0], -shift[1], -shift[2]});
+    Box const own = place.shift_back(shift);
     bool const here = level.owner(o.box) == level.rank();
     if (here)
       out.push_back({here,

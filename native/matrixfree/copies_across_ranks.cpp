@@ -21,8 +21,7 @@ std::vector<CopiedRectangle> few_rectangles(std::vector<Read> const& reads, std:
   std::vector<CopiedRectangle> out;
   for (auto& [key, boxes] : of_rank) {
     auto const& [rank, shift] = key;
-    for (Box const& box : joined(std::move(boxes), seams))
-      out.push_back({rank, box.shift({-shift[0], -shift[1], -shift[2]}), shift});
+    for (Box const& box : joined(std::move(boxes), seams)) out.push_back({rank, box.shift_back(shift), shift});
   }
   return out;
 }

@@ -65,7 +65,7 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   for (auto const& [key, part] : wanted) {
     Index3 const& shift = key.second;
     for (Box const& piece : split({part}, seams)) {
-      copied_images_.push_back({key.first, piece.shift({-shift[0], -shift[1], -shift[2]}), shift});
+      copied_images_.push_back({key.first, piece.shift_back(shift), shift});
       mark_copied(copied_images_.back().cells);
       copies.push_back(piece);
     }

@@ -38,6 +38,18 @@ struct Image {
   Index3 shift;  ///< added, gives the indices of the copy
 };
 
+/// Call f(part, where it lies) for the parts of a box in blocks, or in whatever else has a box and a placement.
+template <class Block, class F>
+void for_each_part(Block first, Block last, Box const& box, F&& f) {
+  for (; first != last; ++first) {
+    Box const part = box.intersect(first->box);
+    if (part.empty()) continue;
+    Placement at = first->cells;
+    at.origin = first->place(part.lower);
+    f(part, at);
+  }
+}
+
 /// How a level lies in a rank's memory for the sweeps: its own boxes, joined to larger ones where they fill them, so
 /// that the size of boxes hardly matters, then the halo.
 class Layout {
@@ -64,11 +76,11 @@ class Layout {
   /// Call f(part, where it lies) for the parts of a box in own blocks, or in the halo.
   template <class F>
   void for_each_own_part(Box const& box, F&& f) const {
-    for_each_part(box, 0, own_blocks_, f);
+    for_each_part(blocks_.begin(), blocks_.begin() + std::ptrdiff_t(own_blocks_), box, f);
   }
   template <class F>
   void for_each_copied_part(Box const& box, F&& f) const {
-    for_each_part(box, own_blocks_, blocks_.size(), f);
+    for_each_part(blocks_.begin() + std::ptrdiff_t(own_blocks_), blocks_.end(), box, f);
   }
 
   std::size_t size() const { return size_; }  ///< of a Vector that holds the level
@@ -104,16 +116,6 @@ class Layout {
  private:
   bool in_place(Index3 const& shift) const;
   std::vector<int> near(int lower_plane, int upper_plane) const;
-  template <class F>
-  void for_each_part(Box const& box, std::size_t first, std::size_t last, F&& f) const {
-    for (std::size_t b = first; b < last; ++b) {
-      Box const part = box.intersect(blocks_[b].box);
-      if (part.empty()) continue;
-      Placement at = blocks_[b].cells;
-      at.origin = blocks_[b].place(part.lower);
-      f(part, at);
-    }
-  }
   void add(Box const& box);
   void mark_copied(Box const& cells);
   void measure_halo();

@@ -28,7 +28,7 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
   std::vector<Copied> images, images_at_edges;
   for (Image const& image : layout_.images())
     layout_.for_each_copied_part(image.cells.shift(image.shift), [&](Box const& part, Placement const& copy) {
-      images.push_back({image.box, part.shift({-image.shift[0], -image.shift[1], -image.shift[2]}), copy});
+      images.push_back({image.box, part.shift_back(image.shift), copy});
     });
   auto const copies = [this](Box const& box, Part const& f) { layout_.for_each_copied_part(box, f); };
   halo_ = RectangleExchange(comm, layout_, images, layout_.across_ranks(), copies);

@@ -58,6 +58,7 @@ struct Box {
     for (int d = 0; d < 3; ++d) out.lower[d] += by[d], out.upper[d] += by[d];
     return out;
   }
+  Box shift_back(Index3 const& by) const { return shift({-by[0], -by[1], -by[2]}); }
   /// The layer of cells inside a face, side 0 or 1 of an axis, or `outwards` layers further.
   Box layer(int axis, int side, int outwards) const {
     Box out = *this;

@@ -39,7 +39,7 @@ void BoxFaces::find_finer(Level const& finer) {
     if (!part.empty()) covered.push_back({o.box, part, halved(o.shift)});
   }
   if (is_fully_covered()) return;
-  // By axis and side first: a cell with several such faces rounds alike however the boxes are cut.
+  // By axis and side first, so that a cell with several such faces adds their fluxes in one order for all box sizes.
   for (int axis = 0; axis < 3; ++axis)
     for (int side = 1; side >= 0; --side)
       for (Overlap const& o : near) {

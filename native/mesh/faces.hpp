@@ -23,7 +23,7 @@ struct Overlap {
   Box part;
   Index3 shift;
 
-  Box in_box() const { return part.shift({-shift[0], -shift[1], -shift[2]}); }
+  Box in_box() const { return part.shift_back(shift); }
 };
 std::vector<Overlap> overlaps(Level const& level, Box const& region);
 

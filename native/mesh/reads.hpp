@@ -17,7 +17,7 @@ struct Read {
   Box part;           ///< in the indices of the region; `part` minus `shift` lies in the owner's box
   Index3 shift;
 
-  Box cells() const { return part.shift({-shift[0], -shift[1], -shift[2]}); }
+  Box cells() const { return part.shift_back(shift); }
 };
 
 /// What this rank reads of others, and what others read of it: in ascending order of the other rank, and for each pair
@@ -72,12 +72,12 @@ Reads reads_across_ranks(Level const& readers, Level const& owners, Near&& near,
 /// The cells beyond the six faces of each box of a level; the region is the number of the face.
 Reads reads_beyond_faces(Level const& level);
 
-/// The coarser cells behind the faces of boxes where a level ends, with those around them that phi* is fitted to; the
-/// region is the number of the face.
-Reads reads_behind_edges(Level const& level, Level const& coarser);
+/// The coarser cells behind the faces of boxes where a level ends, with those around them that phi* is fitted to.
+/// `own`: the faces of this rank's boxes. The region is the number of the face.
+Reads reads_behind_edges(Level const& level, LevelFaces const& own, Level const& coarser);
 
 /// The uncovered cells of a level beside each box of the next finer one, whose fluxes the level's boxes read; the
 /// region is 6 times the place in `BoxFaces::beside` plus the number of the finer box's face.
-Reads reads_of_fine_fluxes(Level const& level, Level const& finer);
+Reads reads_of_fine_fluxes(Level const& level, LevelFaces const& own, Level const& finer);
 
 }  // namespace amrpic

@@ -58,7 +58,8 @@ CellReads operator_reads(MultigridLevels const& multigrid, std::size_t l, Prolon
     add_parents(out, finer, multigrid.ratio[l + 1], kind);
     if (multigrid.refines(l + 1)) {
       add_beside_finer(out, *multigrid.levels[l], finer);
-      out.add(reads_behind_edges(finer, *multigrid.levels[l]));  // phi* in the rows at the finer one's edge
+      out.add(reads_behind_edges(finer, *multigrid.faces[l + 1],
+                                 *multigrid.levels[l]));  // phi* in the rows at the finer one's edge
     }
   }
   return out;

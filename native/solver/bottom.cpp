@@ -270,7 +270,7 @@ bool Bottom::serves(LevelOperators const& operators) const {
 }
 
 void Bottom::solve(std::vector<Real> const& right_hand_side, std::vector<Real>& correction) {
-  comm_.gather_into(right_hand_side.data(), MPI_DOUBLE, counts_, starts_, gathered_.data());
+  comm_.gather_into(right_hand_side.data(), counts_, starts_, gathered_.data());
   auto& f = whole_right_hand_side_;
   for (std::size_t cell = 0; cell < place_.size(); ++cell) {
     std::size_t const row = std::size_t(place_[cell]);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
-#include <map>
 
 namespace amrpic {
 
@@ -28,6 +27,24 @@ void on_failure(MPI_Comm* comm, int* code, ...) {
   int length = 0;
   MPI_Error_string(*code, text, &length);
   end_job(*comm, "a message between ranks failed: " + std::string(text, std::size_t(length)));
+}
+
+/// How many announcements a communicator has had: kept with it, since another one may get the handle of one that is
+/// freed.
+int& rounds_of(MPI_Comm comm) {
+  static int const key = [] {
+    int made;
+    auto const forget = [](MPI_Comm, int, void* rounds, void*) {
+      return delete static_cast<int*>(rounds), MPI_SUCCESS;
+    };
+    MPI_Comm_create_keyval(MPI_COMM_NULL_COPY_FN, forget, &made, nullptr);
+    return made;
+  }();
+  int* rounds = nullptr;
+  int known = 0;
+  MPI_Comm_get_attr(comm, key, static_cast<void*>(&rounds), &known);
+  if (!known) MPI_Comm_set_attr(comm, key, rounds = new int(0));
+  return *rounds;
 }
 
 }  // namespace
@@ -76,8 +93,8 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
     std::vector<std::pair<int, std::int64_t>> const& to) const {
   std::vector<std::pair<int, std::int64_t>> out;
   if (ranks_ == 1) return out;
-  static std::map<MPI_Comm, int> rounds;  // a rank may be one ahead of another, whose announcements keep the other tag
-  int const tag = tag_announcement + rounds[comm_]++ % 2;
+  // A rank may be one round ahead of another, and must not be taken for one of the round before: two tags take turns.
+  int const tag = tag_announcement + rounds_of(comm_)++ % 2;
   std::vector<MPI_Request> sending;
   for (auto const& [rank, count] : to) {
     MPI_Issend(&count, 1, MPI_INT64_T, rank, tag, comm_, &sending.emplace_back());

@@ -254,6 +254,19 @@ def test_periodic_axes_wrap_and_walls_lose(comm):
     assert gone["position"].tolist() == [[0.5, 0.5, 1.0], [0.5, 0.5, -1e-9]]
 
 
+@pytest.mark.mpi(ranks=(3, 4), timeout=60)
+def test_ranks_that_worked_together_before_work_with_others(comm):
+    """A new communicator may get the handle of a freed one on some of its ranks; what was known of that one is forgotten."""
+    for ranks in (2, 3, 2, comm.size, 2, comm.size):
+        part = comm.Split(color=0 if comm.rank < ranks else MPI.UNDEFINED)
+        if part == MPI.COMM_NULL:
+            continue
+        hierarchy = periodic_box(part)
+        here, lost = migrate(scattered(hierarchy, 300), hierarchy)
+        assert part.allreduce(len(here)) == 300 and len(lost) == 0
+        part.Free()
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3))
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("what", ["position", "momentum"])

@@ -22,6 +22,7 @@ template <class T>
 class Scratch {
  public:
   static_assert(std::is_trivially_copyable_v<T>);
+  Scratch() = default;
   explicit Scratch(std::size_t count) : values_(static_cast<T*>(take_block(count * sizeof(T)))) {}
 
   T* data() const { return values_.get(); }

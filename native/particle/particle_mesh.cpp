@@ -65,6 +65,7 @@ ParticleMesh::ParticleMesh(std::shared_ptr<Hierarchy const> hierarchy)
       numbered.push_back(number_ghosts(*hierarchy_, l, b));
       boxes_.push_back({l, b, {}, numbered.back().parents, {}});
       homes_.emplace_back(locator_, l, b);
+      first_brick_.push_back(bricks() + homes_.back().bricks());
     }
   }
   for (int l = 0; l < levels; ++l) {

@@ -50,6 +50,9 @@ class ParticleMesh {
 
   /// Those boxes as homes of particles, by slot.
   std::vector<HomeBox> const& homes() const { return homes_; }
+  /// Their bricks are numbered too: where those of a slot start; of one slot more, how many bricks there are.
+  LocalIndex first_brick(int slot) const { return first_brick_[std::size_t(slot)]; }
+  LocalIndex bricks() const { return first_brick_.back(); }
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
@@ -59,6 +62,7 @@ class ParticleMesh {
   std::vector<BoxGhosts> boxes_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;
+  std::vector<LocalIndex> first_brick_{0};  ///< of each slot; then how many there are
   // null until first used
   std::unique_ptr<BufferZone const> buffer_zone_;
   std::unique_ptr<BoundaryPlaces const> without_matched_, with_matched_;

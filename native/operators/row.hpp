@@ -1,12 +1,9 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <numeric>
-#include <stdexcept>
-#include <vector>
 
-#include "mesh/array_on_box.hpp"
+#include "base/large_array.hpp"
 #include "mesh/halo.hpp"
 #include "operators/crs.hpp"
 #include "stencil/linear_form.hpp"
@@ -36,14 +33,12 @@ class CrsBuilder {
   explicit CrsBuilder(LocalIndex rows) { crs_.row_start.assign(std::size_t(rows) + 1, 0); }
 
   // ---- counting ----
-  void put(LocalIndex row, Row const& terms) {
-    if (terms.size() == 0) return;
-    crs_.row_start[std::size_t(row) + 1] = std::size_t(terms.size());
-    single_.push_back({row, terms.size()});
-    for (int k = 0; k < terms.size(); ++k) {
-      column_.push_back(terms.column(k));
-      value_.push_back(terms.value(k));
-    }
+  void put(LocalIndex row, Row const& values) {
+    auto const& terms = values.terms();
+    if (terms.empty()) return;
+    crs_.row_start[std::size_t(row) + 1] = terms.size();
+    single_.push_back({row, LocalIndex(terms.size())});
+    terms_.insert(terms_.end(), terms.begin(), terms.end());
   }
   /// Runs come in ascending order.
   void put_run(RowRun const& run, std::size_t length) {
@@ -57,12 +52,12 @@ class CrsBuilder {
     std::partial_sum(crs_.row_start.begin(), crs_.row_start.end(), crs_.row_start.begin());
     crs_.column.resize(crs_.row_start.back());
     crs_.value.resize(crs_.row_start.back());
-    std::size_t from = 0;
-    for (auto const& [row, terms] : single_) {
+    auto term = terms_.begin();
+    for (auto const& [row, count] : single_) {
       std::size_t at = crs_.row_start[std::size_t(row)];
-      for (LocalIndex k = 0; k < terms; ++k, ++at, ++from) {
-        crs_.column[at] = numbering.local(column_[from]);
-        crs_.value[at] = value_[from];
+      for (LocalIndex k = 0; k < count; ++k, ++at, ++term) {
+        crs_.column[at] = numbering.local(term->column);
+        crs_.value[at] = term->value;
       }
     }
   }
@@ -85,10 +80,9 @@ class CrsBuilder {
 
  private:
   Crs crs_;
-  std::vector<RowRun> runs_;
-  std::vector<RowRun> single_;       ///< row and its number of terms
-  std::vector<GlobalIndex> column_;  ///< of the single rows' terms
-  std::vector<Real> value_;
+  LargeArray<RowRun> runs_;
+  LargeArray<RowRun> single_;    ///< row and its number of terms
+  LargeArray<Row::Term> terms_;  ///< of the single rows
   std::size_t next_ = 0;
 };
 

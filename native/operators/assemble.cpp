@@ -151,9 +151,9 @@ class LevelAssembly {
   bool is_fully_covered() const { return finer_ && !multigrid_.refines(l_ + 1); }
 
   void count_laplacians(int b) {
-    StencilCells const n = stencil_cells_of(
-        (*faces_)[std::size_t(b - level_.first_local_box())], level_, multigrid_.refines(l_ + 1) ? finer_ : nullptr,
-        multigrid_.refines(l_) ? coarser_ : nullptr, multigrid_.walls[l_], seam_width_);
+    StencilCells const n = stencil_cells_of((*faces_)[std::size_t(b - level_.first_local_box())], level_,
+                                            multigrid_.refines(l_ + 1) ? finer_ : nullptr,
+                                            multigrid_.refines(l_) ? coarser_ : nullptr, seam_width_);
     auto const kinds = row_kinds(n, Execution::without_finer);
     auto const composite =
         is_fully_covered() ? RowKinds(level_.box(b), RowKind::covered) : row_kinds(n, Execution::composite);

@@ -55,7 +55,7 @@ std::array<GradientAxis, 3> gradient_of(MultigridLevels const& multigrid, std::s
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
-    StencilCells const n = stencil_cells_of(faces, level, finer, coarser, multigrid.walls[l]);
+    StencilCells const n = stencil_cells_of(faces, level, finer, coarser);
     auto const kinds = row_kinds(n, Execution::composite);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
@@ -100,7 +100,7 @@ std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, s
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     // Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
-    StencilCells const n = stencil_cells_of(faces, level, nullptr, nullptr, multigrid.walls[l]);
+    StencilCells const n = stencil_cells_of(faces, level, nullptr, nullptr);
     auto kinds = row_kinds(n, Execution::without_finer);
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())

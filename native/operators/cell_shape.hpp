@@ -3,10 +3,10 @@
 
 #include <array>
 #include <unordered_map>
-#include <utility>
 
 #include "operators/stencil_cells.hpp"
 #include "stencil/interface.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 
@@ -14,8 +14,8 @@ namespace amrpic {
 struct FaceShape {
   Beyond beyond = Beyond::same_level;
   bool upper_u = false, upper_v = false;  ///< before coarser cells: in which half of the coarse face it lies
-  unsigned usable = 0;  ///< at interfaces: the coarse cells of which phi* can be made, see `plane_bit`
-  Real seam = 1;        ///< see `seam_factor`
+  unsigned usable = 0;                    ///< at interfaces: the coarse cells of which phi* can be made
+  Real seam = 1;                          ///< see `seam_factor`
 
   bool operator==(FaceShape const& other) const {
     return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v && usable == other.usable &&
@@ -26,13 +26,13 @@ struct FaceShape {
 /// The faces of a cell, [axis][side].
 using CellShape = std::array<std::array<FaceShape, 2>, 3>;
 
-/// The usable cells of the plane around a coarse cell behind or before an interface across an axis; `covered` has the
-/// extent of `cells`.
+/// The usable cells of the plane around a coarse cell at an interface across an axis, see `plane_bit`; `covered` has
+/// the extent of `cells`.
 inline unsigned usable_in_plane(Index3 const& middle, int axis, ArrayOnBox<GlobalIndex> const& cells,
                                 ArrayOnBox<char> const& covered) {
   auto const [u, v] = tangential_axes(axis);
-  std::ptrdiff_t const place = cells.box().offset(middle), step_u = cells.box().stride(u),
-                       step_v = cells.box().stride(v);
+  Box const& box = cells.box();
+  std::ptrdiff_t const place = box.offset(middle), step_u = box.stride(u), step_v = box.stride(v);
   unsigned usable = 0;
   auto look = [&](int reach) {
     for (int i = -reach; i <= reach; ++i)
@@ -47,19 +47,18 @@ inline unsigned usable_in_plane(Index3 const& middle, int axis, ArrayOnBox<Globa
 }
 
 inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution) {
-  FaceShape out;
-  Beyond const beyond = n.faces(cell)(axis, side);
-  if (beyond == Beyond::wall) out.beyond = beyond;
-  if (beyond == Beyond::coarser) {
+  FaceShape out{n.faces(cell)(axis, side)};
+  if (out.beyond == Beyond::finer && execution == Execution::without_finer) out.beyond = Beyond::same_level;
+  if (out.beyond == Beyond::coarser) {
     Index3 outer = cell;
     outer[axis] += side == 0 ? -1 : 1;
-    auto const [u, v] = tangential_axes(axis);
     Index3 const behind = parent_of(outer);
-    out = {beyond, outer[u] != 2 * behind[u], outer[v] != 2 * behind[v],
-           usable_in_plane(behind, axis, n.coarse, n.coarse_covered)};
+    auto const [u, v] = tangential_axes(axis);
+    out.upper_u = outer[u] != 2 * behind[u];
+    out.upper_v = outer[v] != 2 * behind[v];
+    out.usable = usable_in_plane(behind, axis, n.coarse, n.coarse_covered);
   }
-  if (beyond == Beyond::finer && execution == Execution::composite)
-    out = {beyond, false, false, usable_in_plane(cell, axis, n.own, n.covered)};
+  if (out.beyond == Beyond::finer) out.usable = usable_in_plane(cell, axis, n.own, n.covered);
   if (n.level->periodic()[axis] && n.seam_width[axis] != 1)
     out.seam = seam_factor(cell[axis], side, n.level->domain().extent(axis), n.seam_width[axis]);
   return out;
@@ -72,7 +71,7 @@ inline CellShape cell_shape(StencilCells const& n, Index3 const& cell, Execution
   return out;
 }
 
-/// What is made of shapes, once of each.
+/// What is made of shapes, once of each: many cells have the same one.
 template <class Made>
 class ByShape {
  public:

@@ -31,8 +31,7 @@ LevelOperators laplacian_of(Communicator const& comm, LevelCopy const& copy, Rea
   CrsBuilder builder(level.local_cells());
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    StencilCells const n =
-        stencil_cells_of(BoxFaces(level, level.box(b)), level, nullptr, nullptr, copy.walls, seam_width);
+    StencilCells const n = stencil_cells_of(BoxFaces(level, level.box(b)), level, nullptr, nullptr, seam_width);
     auto const kinds = row_kinds(n, Execution::without_finer);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);

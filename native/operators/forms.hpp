@@ -1,6 +1,7 @@
 // The formulas of native/stencil with unknowns for values: what they give are rows of operators.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <stdexcept>
 
@@ -8,6 +9,7 @@
 #include "operators/row.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/laplacian.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 

@@ -11,7 +11,6 @@ enum class Execution { without_finer, composite };
 /// The cells that the stencils of a box read: their numbers on the box's own level and on the neighbouring ones.
 struct StencilCells {
   Level const* level;
-  WallGhosts walls;
   Real3 seam_width;             ///< of last cells along periodic axes, see `UpperEnd`
   ArrayOnBox<CellFaces> faces;  ///< of the box's cells
   ArrayOnBox<GlobalIndex> own;  ///< box grown by 2
@@ -25,15 +24,13 @@ struct StencilCells {
 
 /// Those of a box; `finer` and `coarser` may be null.
 inline StencilCells stencil_cells_of(BoxFaces const& faces, Level const& level, Level const* finer,
-                                     Level const* coarser, WallGhosts const& walls,
-                                     Real3 const& seam_width = {1, 1, 1}) {
+                                     Level const* coarser, Real3 const& seam_width = {1, 1, 1}) {
   Box const &box = faces.box, wide = box.grow(2), none;
   bool const has_finer = finer && !faces.beside.empty(), has_coarser = coarser && faces.ends_level();
   Box const parents = has_coarser ? box.grow(1).coarsen({2, 2, 2}).grow(2) : none;
   ArrayOnBox<GlobalIndex> const no_numbers(none, no_cell);
   ArrayOnBox<char> const no_flags(none, 0);
   return {&level,
-          walls,
           seam_width,
           cell_faces(faces),
           cell_numbers(level, wide),

@@ -15,6 +15,9 @@ class LinearForm {
   struct Term {
     Column column;
     Real value;
+    // For `emplace_back`: of a term that is made first and then copied, two stores would be read by one load, which
+    // waits.
+    Term(Column const& c, Real v) : column(c), value(v) {}
   };
 
   LinearForm() = default;
@@ -30,7 +33,7 @@ class LinearForm {
     append(column, value);
   }
   /// Add a term whose column is known to be new.
-  void append(Column const& column, Real value) { terms_.push_back({column, value}); }
+  void append(Column const& column, Real value) { terms_.emplace_back(column, value); }
   std::vector<Term> const& terms() const { return terms_; }
 
   LinearForm& operator+=(LinearForm const& other) {

@@ -332,6 +332,60 @@ def beam_sums(
     later: NDArray[numpy.float64],
     share: float,
 ) -> BeamSums: ...
+
+class BeamParts:
+    def __init__(
+        self,
+        starts: Sequence[int],
+        groups: Sequence[int],
+        lower: Sequence[float],
+        per_length: Sequence[float],
+        slices: int = 1,
+    ) -> None: ...
+
+class BeamMoments:
+    @property
+    def count(self) -> float: ...
+    @property
+    def weight(self) -> float: ...
+    @property
+    def mean(self) -> list[float]: ...
+    @property
+    def second(self) -> list[list[float]]: ...
+    @property
+    def planes(self) -> list[list[list[float]]]: ...
+    @property
+    def lowest(self) -> list[float]: ...
+    @property
+    def highest(self) -> list[float]: ...
+
+def beam_moments(
+    comm: int,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    mass: NDArray[numpy.float64],
+    later: NDArray[numpy.float64],
+    share: float,
+    parts: BeamParts,
+) -> list[BeamMoments]: ...
+def joined_moments(parts: Sequence[BeamMoments]) -> BeamMoments: ...
+def amplitude_quantiles(
+    comm: int,
+    position: NDArray[numpy.float64],
+    momentum: NDArray[numpy.float64],
+    weight: NDArray[numpy.float64],
+    id: NDArray[numpy.int64],
+    mass: NDArray[numpy.float64],
+    later: NDArray[numpy.float64],
+    share: float,
+    parts: BeamParts,
+    centres: Sequence[Sequence[float]],
+    forms: Sequence[Sequence[Sequence[float]]],
+    typical: Sequence[Sequence[float]],
+    fractions: Sequence[float],
+) -> list[float]: ...
 def uniforms(seed: int, stream: int, step: int, id: NDArray[numpy.int64], out: NDArray[numpy.float64]) -> None:
     """
     Fill out (4, n) with numbers in (0, 1) that depend on the arguments alone.

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import sys
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from mpi4py import MPI
 
 from . import _native
 from .errors import AmrpicError
-from .failure import Meeting, end_scripts_together
+from .failure import BAD_INPUT, GRACE, Meeting, end_scripts_together
 
 
 class Communicator(MPI.Intracomm):
@@ -30,6 +32,8 @@ def _counted(name: str) -> Callable[..., Any]:
     counting.__name__, counting.__doc__ = name, call.__doc__
     return counting
 
+
+T = TypeVar("T")
 
 COLLECTIVES = ("allreduce", "Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
 for _name in COLLECTIVES:
@@ -102,6 +106,29 @@ def together(comm: MPI.Comm, error: type[Exception] = AmrpicError) -> Iterator[N
     message = str(failure) if isinstance(failure, AmrpicError) else f"{type(failure).__name__}: {failure}"
     kind, message = comm.bcast((kind, message), root=failing)
     raise kind(message) from failure
+
+
+def call_together(comm: MPI.Comm, call: Callable[[], T], error: type[Exception], what: str) -> T:
+    """Return what `call` gives, which may communicate; an exception in it on some ranks becomes `error` on all. Collective.
+
+    Ranks that still wait for a failed one within the call are ended with it, with one sentence.
+    """
+    failure, message = None, None
+    try:
+        value = call()
+    except Exception as caught:
+        failure, message = caught, f"{what} ({type(caught).__name__}: {caught})"
+    mine, first = np.array(comm.rank if failure is not None else comm.size), np.empty((), dtype=int)
+    meeting, end = comm.Iallreduce(mine, first, op=MPI.MIN), time.monotonic() + GRACE
+    while not meeting.Test():
+        if failure is not None and time.monotonic() > end:
+            sys.stdout.flush()
+            print(f"amrpic: {message} (on rank {comm.rank} of {comm.size} alone)", file=sys.stderr, flush=True)
+            comm.Abort(BAD_INPUT)
+        time.sleep(1e-4)
+    if first == comm.size:
+        return value
+    raise error(comm.bcast(message, root=int(first))) from failure
 
 
 def share(comm: MPI.Comm, count: int) -> tuple[int, int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from . import _native
 
 # CODATA 2022; the charge and the speed of light are exact.
@@ -77,3 +79,13 @@ def quantity(value: float, unit: str, like: float | None = None) -> str:
     # To a thousandth of what it is compared with: the centre of a cloud of particles is not known better.
     digits = 3 - len(f"{abs(value if like is None else like) / factor:.0f}")
     return f"{round(value / factor, digits + 1) + 0.0:g} {letter}{unit}".replace("-", "−")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A column of a table: its name, its unit, and whether it counts something or is a text instead of a number."""
+
+    name: str
+    unit: str = ""
+    counts: bool = False
+    is_text: bool = False

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..stages.diagnostics import Quantity
+from ..units import Quantity
 from .atomic_files import publish, temporary
 from .provenance import Provenance
 from .writer_ranks import Attempts, one_line
@@ -57,14 +57,14 @@ class Series:
         publish(self._path)
         self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
 
-    def append(self, *rows: Mapping[str, float]) -> None:
+    def append(self, *rows: Mapping[str, float | str]) -> None:
         """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
         attempts = self._attempts()
         if self._comm.rank == 0:
             attempts.attempt(self._write, "".join(self._line(row) for row in rows))
         attempts.settle(self._comm)
 
-    def _line(self, row: Mapping[str, float]) -> str:
+    def _line(self, row: Mapping[str, float | str]) -> str:
         return ",".join(_text(row.get(column.name, 0), column) for column in self.columns) + "\n"
 
     def _write(self, line: str) -> None:
@@ -94,11 +94,13 @@ def read(path: Path) -> NDArray[Any]:
 
 
 def _type(column: Quantity) -> str:
-    return "i8" if column.counts else "f8"
+    return "U64" if column.is_text else "i8" if column.counts else "f8"
 
 
-def _text(value: float, column: Quantity) -> str:
-    """Return a value so that it reads back bit for bit."""
+def _text(value: float | str, column: Quantity) -> str:
+    """Return a value so that it reads back bit for bit; texts are to be words."""
+    if isinstance(value, str):
+        return value
     return str(int(value)) if column.counts else repr(float(value))
 
 

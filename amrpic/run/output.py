@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -18,7 +18,9 @@ from ..io.time_series import Series
 from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..scene.scene import Scene
-from ..stages.diagnostics import Quantity, measure, quantities
+from ..stages.diagnostics import measure, quantities
+from ..units import Quantity
+from .beam_tables import BeamTables, Diagnostic
 from .log import RunLog
 from .plan import Plan
 from .restart import about, snapshot
@@ -68,10 +70,12 @@ def left_behind(directory: Path, last_step: int) -> str | None:
 class Recorder:
     """Writes the states of one run into its folder; a context manager. Collective to make, and in all that it does.
 
-    `resumed`: the first state is recorded there already; what came after it is overwritten.
+    `resumed`: the first state is recorded there already; what came after it is overwritten. `own`: diagnostics of a script.
     """
 
-    def __init__(self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool) -> None:
+    def __init__(
+        self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool, own: Mapping[str, Diagnostic] | None = None
+    ) -> None:
         scene = plan.scene
         self._comm, self._scene, self._plan, self._clock = comm, scene, plan, plan.clock
         self._wanted = set(scene.output.write)
@@ -85,6 +89,7 @@ class Recorder:
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
+        self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
         self._log = RunLog(comm, scene.schedule.last_step)
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
@@ -109,6 +114,8 @@ class Recorder:
         for series in (self._series, self._residuals):
             if series is not None:
                 series.close()
+        if self._beam is not None:
+            self._beam.close()
         self._log.__exit__(kind, value, trace)
 
     def state(self, state: State, remarks: list[str]) -> None:
@@ -119,6 +126,8 @@ class Recorder:
                 self._series.append(row)
             self._step, self._time = state.step, state.time
             self._write_history(state.step, state.time)
+            if self._beam is not None:
+                self._beam.record(state)
             self._log.step(row)
             if row["particles"] == 0 and row["lost_particles"] > 0:
                 self._log.warn("all particles have left the domain; enlarge it, or shorten the run or its steps")
@@ -140,6 +149,8 @@ class Recorder:
 
     def end(self, state: State) -> None:
         """Write what the end of a run leaves; the momenta are to be of its time."""
+        if self._beam is not None:
+            self._beam.record_now(state)
         if self._wanted & {"fields", "pictures"}:
             self._write_fields(state)
         self._write_particles(state)
@@ -217,6 +228,8 @@ class Recorder:
         for series in (self._series, self._residuals):
             if series is not None:
                 series.sync()  # a restart from the checkpoint relies on the rows before it
+        if self._beam is not None:
+            self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
         checkpoint_writer.write(self._comm, path, snapshot(state, self._scene), output.writers)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
 from mpi4py import MPI
 
+from ..errors import InputError
 from ..io import checkpoint_writer
 from ..io.openpmd_writer import write as write_particles
 from ..mesh.field import Field, VectorField
@@ -15,6 +17,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
+from .beam_tables import Diagnostic
 from .output import Recorder
 from .plan import Plan
 from .restart import about, load, snapshot
@@ -38,6 +41,7 @@ class Simulation:
         self.state = state
         self._plan = plan
         self._callbacks: list[Callable[[Simulation], None]] = []
+        self._diagnostics: dict[str, Diagnostic] = {}
         self._recorded = False  # whether the outputs hold the present state already
 
     @classmethod
@@ -57,6 +61,15 @@ class Simulation:
         """Have `callback` called with this simulation after each step, on all ranks."""
         self._callbacks.append(callback)
 
+    def diagnose(self, name: str, diagnostic: Diagnostic) -> None:
+        """Have the numbers and arrays that `diagnostic` returns for a state written into `own_<name>.csv`.
+
+        It is called on all ranks, every `diagnostics.every` steps, and may communicate; values are those of rank 0.
+        """
+        if not re.fullmatch(r"[\w+-]+", name):
+            raise InputError(f'the diagnostic "{name}" names a file; use letters, digits, _, + and - alone')
+        self._diagnostics[name] = diagnostic
+
     def run(self, walltime: float | None = None) -> str | None:
         """Go on to the last step of the scene and write what it asks for. Collective.
 
@@ -66,7 +79,7 @@ class Simulation:
         resumed, self._recorded = self._recorded, True
         with (
             Stop(self.comm, walltime) as stop,
-            Recorder(self.comm, self.state, self._plan, resumed) as record,
+            Recorder(self.comm, self.state, self._plan, resumed, self._diagnostics) as record,
         ):
             if not resumed:
                 record.state(self.state, self.remarks)

@@ -9,6 +9,7 @@ import numpy as np
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles, concatenate
+from ..stages.beam_diagnostics import Beam
 from ..stages.diagnostics import Moments, moments
 from ..stages.poisson import SolveReport
 from .clock import Spent
@@ -77,6 +78,14 @@ class State:
     def synchronized(self) -> Particles:
         """The particles with momenta of the time of the state, to rounding; made anew each time."""
         return self.particles if self.staggered is None else self.staggered.synchronized(self.particles)
+
+    @property
+    def beam(self) -> Beam:
+        """The particles with what gives their momenta at the time of the state."""
+        staggered = self.staggered
+        if staggered is None:
+            return Beam(self.particles, self.particles.momentum)
+        return Beam(self.particles, staggered.moved.momentum, staggered.weight)
 
     def moments(self) -> Moments:
         """Return the moments of the particles at the time of the state. Collective."""

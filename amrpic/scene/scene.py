@@ -17,6 +17,7 @@ from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import LatticeBunch
 from .complaints import complaint, sentences
+from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
 from .motion import Leapfrog, NoMotion, RandomWalk
 from .output import Output
@@ -66,6 +67,7 @@ class Scene(Section):
     solver: SolverSection = SolverSection()
     motion: Annotated[NoMotion | Leapfrog | RandomWalk, Field(discriminator="kind")] = NoMotion()
     schedule: Schedule = Schedule()
+    diagnostics: Diagnostics = Diagnostics()
     output: Output = Output()
 
     @model_validator(mode="after")

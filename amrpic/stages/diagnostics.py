@@ -15,18 +15,9 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import global_max
 from ..particles.particles import Particles
-from ..units import VACUUM_PERMITTIVITY
+from ..units import VACUUM_PERMITTIVITY, Quantity
 
 STAGES = ("beam", "push", "migrate", "regrid", "deposit", "solve", "gather", "output")
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A number of the time series: its name, its unit, and whether it counts something."""
-
-    name: str
-    unit: str = ""
-    counts: bool = False
 
 
 def quantities(levels: int) -> list[Quantity]:

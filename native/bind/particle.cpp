@@ -8,6 +8,8 @@
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
 #include "particle/array_pool.hpp"
+#include "particle/beam_amplitudes.hpp"
+#include "particle/beam_moments.hpp"
 #include "particle/deposit.hpp"
 #include "particle/gather.hpp"
 #include "particle/migrate.hpp"
@@ -168,6 +170,50 @@ void bind_particle(nb::module_& m) {
                          share);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
+
+  nb::class_<BeamParts>(m, "BeamParts")
+      .def(
+          "__init__",
+          [](BeamParts* self, std::vector<std::int64_t> starts, std::vector<int> groups, std::vector<Real> lower,
+             std::vector<Real> per_length, int slices) {
+            new (self) BeamParts{std::move(starts), std::move(groups), std::move(lower), std::move(per_length), slices};
+          },
+          "starts"_a, "groups"_a, "lower"_a, "per_length"_a, "slices"_a = 1);
+  nb::class_<BeamMoments>(m, "BeamMoments")
+      .def_ro("count", &BeamMoments::count)
+      .def_ro("weight", &BeamMoments::weight)
+      .def_ro("mean", &BeamMoments::centre)
+      .def_ro("second", &BeamMoments::second)
+      .def_ro("planes", &BeamMoments::planes)
+      .def_ro("lowest", &BeamMoments::lowest)
+      .def_ro("highest", &BeamMoments::highest);
+  m.def(
+      "beam_moments",
+      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts) {
+        nb::gil_scoped_release release;
+        BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
+                            share};
+        return beam_moments(Communicator(MPI_Comm_f2c(comm)), beam, parts);
+      },
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a);
+  m.def("joined_moments", &joined_moments, "parts"_a);
+  m.def(
+      "amplitude_quantiles",
+      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts,
+         std::vector<std::array<Real, 6>> const& centres, std::vector<std::array<Real3, 3>> const& forms,
+         std::vector<std::array<Real, amplitude_kinds>> const& typical, std::vector<Real> const& fractions) {
+        nb::gil_scoped_release release;
+        BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
+                            share};
+        std::vector<AmplitudeFrame> frames;
+        for (std::size_t part = 0; part < centres.size(); ++part)
+          frames.push_back({centres[part], forms[part], typical[part]});
+        return amplitude_quantiles(Communicator(MPI_Comm_f2c(comm)), beam, parts, frames, fractions);
+      },
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a, "centres"_a,
+      "forms"_a, "typical"_a, "fractions"_a);
 
   m.def(
       "uniforms",

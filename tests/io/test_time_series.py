@@ -15,7 +15,7 @@ from amrpic.errors import InputError, OutputError
 from amrpic.io import time_series
 from amrpic.io.provenance import Provenance
 from amrpic.io.time_series import Series
-from amrpic.stages.diagnostics import Quantity
+from amrpic.units import Quantity
 
 COLUMNS = [
     Quantity("step", counts=True),
@@ -103,7 +103,7 @@ from pathlib import Path
 from mpi4py import MPI
 from amrpic.io.provenance import Provenance
 from amrpic.io.time_series import Series
-from amrpic.stages.diagnostics import Quantity
+from amrpic.units import Quantity
 
 file = Series(MPI.COMM_SELF, Path(sys.argv[1]), [Quantity("step", counts=True), Quantity("value")], Provenance())
 for step in range(10**9):

@@ -1,0 +1,173 @@
+"""Tables of what is measured of the beam: a row per group of particles, or per slice of it, at some steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import InputError
+from ..io.provenance import Provenance
+from ..io.time_series import Series
+from ..parallel import call_together
+from ..particles.groups import Groups, NamedBunches
+from ..scene.scene import Scene
+from ..stages.beam_diagnostics import (
+    FRACTIONS,
+    Part,
+    Quantiles,
+    Slice,
+    Value,
+    group_losses,
+    group_moments,
+    group_quantiles,
+    group_slices,
+    group_values,
+    slice_values,
+)
+from ..units import Quantity
+from .state import State
+
+BEAM = "beam.csv"
+SLICES = "slices.csv"
+TIME = (Quantity("step", counts=True), Quantity("time", "s"))
+GROUP = (*TIME, Quantity("group", is_text=True))
+SLICE = (*GROUP, Quantity("slice", counts=True))
+
+Diagnostic = Callable[[State], Mapping[str, float | np.ndarray | Sequence[float]]]
+
+
+def groups_of(state: State, scene: Scene) -> Groups:
+    """Return the groups of particles of a run."""
+    bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
+    return Groups.of(state.particles.species, bunches)
+
+
+class BeamTables:
+    """The tables of one run, open for appending. Collective to make, and in all that it does.
+
+    Rows after `keep_to_step` are cut off. `own` are diagnostics of a script, by their names.
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        state: State,
+        scene: Scene,
+        about: Provenance,
+        keep_to_step: int | None,
+        own: Mapping[str, Diagnostic],
+    ) -> None:
+        self._comm, self._about, self._keep = comm, about, keep_to_step
+        self._every, self._slices = scene.diagnostics.every, scene.diagnostics.slices
+        self._directory = scene.directory
+        self._groups = groups_of(state, scene)
+        self._own = own
+        self._series: dict[str, Series] = {}
+        self._last = keep_to_step if keep_to_step is not None and self._is_due(keep_to_step) else None
+        if self._every and scene.bunches:
+            self._open(BEAM, [*GROUP, *_columns(group_values(*NOTHING))])
+            if self._slices:
+                self._open(SLICES, [*SLICE, *_columns(slice_values(Slice(0.0, 0.0, NOTHING[0])))])
+
+    def _open(self, name: str, columns: Sequence[Quantity]) -> Series:
+        if name not in self._series:
+            self._series[name] = Series(self._comm, self._directory / name, columns, self._about, self._keep)
+        return self._series[name]
+
+    def _is_due(self, step: int) -> bool:
+        return self._every > 0 and step % self._every == 0
+
+    def record(self, state: State) -> None:
+        """Add the rows of a state if they are due."""
+        if self._is_due(state.step):
+            self.record_now(state)
+
+    def record_now(self, state: State) -> None:
+        """Add the rows of a state unless they are there."""
+        if self._every == 0 or self._last == state.step:
+            return
+        self._last = state.step
+        if BEAM in self._series:
+            self._record_beam(state)
+        for name, diagnostic in self._own.items():
+            self._record_own(state, name, diagnostic)
+
+    def _record_beam(self, state: State) -> None:
+        comm, groups, beam = self._comm, self._groups, state.beam
+        moments = group_moments(comm, beam, groups)
+        quantiles = group_quantiles(comm, beam, groups, moments)
+        lost = group_losses(comm, state.lost.particles, groups)
+        at: dict[str, float | str] = {"step": state.step, "time": state.time}
+        named = list(zip(groups.names, groups.members, strict=True))
+        self._series[BEAM].append(
+            *(
+                {**at, "group": name, **_row(group_values(moments[members], quantiles[members], lost[members]))}
+                for name, members in named
+            )
+        )
+        if SLICES in self._series:
+            slices = group_slices(comm, beam, groups, moments, self._slices)
+            self._series[SLICES].append(
+                *(
+                    {**at, "group": name, "slice": number, **_row(slice_values(one))}
+                    for name, members in named
+                    for number, one in enumerate(slices[members])
+                )
+            )
+
+    def _record_own(self, state: State, name: str, diagnostic: Diagnostic) -> None:
+        values = call_together(
+            self._comm, lambda: flattened(diagnostic(state)), InputError, f'the diagnostic "{name}" failed'
+        )
+        series = self._open(file_of(name), [*TIME, *(Quantity(column) for column in values)])
+        names = [column.name for column in series.columns[len(TIME) :]]
+        if self._comm.allreduce(names != list(values), MPI.LOR):
+            raise InputError(
+                f'the diagnostic "{name}" gives other values at step {state.step} than before; give the same ones in the same '
+                "shapes each time"
+            )
+        series.append({"step": state.step, "time": state.time, **values})
+
+    def sync(self) -> None:
+        """Force all rows to storage. Collective; raises OutputError."""
+        for series in self._series.values():
+            series.sync()
+
+    def close(self) -> None:
+        """Close the files."""
+        for series in self._series.values():
+            series.close()
+
+
+NOTHING = (
+    Part(
+        0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(7), np.zeros((7, 7)), np.zeros((3, 5, 5)), np.zeros(7), np.zeros(7)
+    ),
+    Quantiles(np.zeros((3, len(FRACTIONS))), np.zeros(len(FRACTIONS)), np.zeros(len(FRACTIONS))),
+    (0, 0.0),
+)  # fmt: skip
+
+
+def file_of(name: str) -> str:
+    """Return the file of a script's own diagnostic."""
+    return f"own_{name}.csv"
+
+
+def flattened(values: Mapping[str, float | np.ndarray | Sequence[float]]) -> dict[str, float]:
+    """Return numbers and the elements of arrays, each by a name of its own: `a`, or `a_0_1` of an array."""
+    out: dict[str, float] = {}
+    for name, value in values.items():
+        array = np.asarray(value, dtype=np.float64)
+        for place in np.ndindex(array.shape):
+            out["_".join([name, *map(str, place)])] = float(array[place])
+    return out
+
+
+def _columns(values: Sequence[Value]) -> list[Quantity]:
+    return [column for column, _ in values]
+
+
+def _row(values: Sequence[Value]) -> dict[str, float]:
+    return {column.name: value for column, value in values}

@@ -1,0 +1,406 @@
+"""What is measured of a beam: moments, emittances, Twiss parameters, halo and quantiles of groups of particles, and slices.
+
+Pure reductions over all ranks, to rounding the same on any number of them. The formulas are in docs/theory.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import _native
+from ..mesh.domain import AXES
+from ..particles.groups import Groups, layers
+from ..particles.particles import Particles
+from ..units import SPEED_OF_LIGHT, Quantity
+
+COORDINATES = ("x", "y", "z", "ux", "uy", "uz")  # u: momentum over m c, which is βγ along an axis
+ENERGY = 6  # the coordinate behind them: kinetic energy
+FRACTIONS = (0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 0.9999, 1.0)  # of the particles
+CLOUD = 4.0  # rms lengths on either side of the centre that slices reach
+ROUNDING = 64 * np.finfo(float).eps  # of <q^2><p^2>: a squared emittance below it is zero
+UNKNOWN = math.nan
+
+Value = tuple[Quantity, float]
+
+
+@dataclass(frozen=True)
+class Beam:
+    """Particles whose momenta are those that they hold and `later` ones (n, 3), in the mean of which the latter have `weight`."""
+
+    particles: Particles
+    later: np.ndarray
+    weight: float = 0.0
+
+    @property
+    def arguments(self) -> tuple[np.ndarray | float, ...]:
+        """The beam as native functions take it."""
+        return (*self.particles.arrays, self.particles.mass, self.later, self.weight)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Moments of a part of a beam, about its mean; nan where there are no particles.
+
+    Coordinates are those of `COORDINATES` and the kinetic energy. Positions in m, momenta over m c, energy in J.
+    """
+
+    particles: int  # macroparticles
+    weight: float  # real ones
+    charge: float  # C
+    flow: float  # C m/s: charge times velocity along z, that of the mean momentum of each species
+    momentum: np.ndarray  # (3,) kg m/s, of all together
+    mean: np.ndarray  # (7,)
+    covariance: np.ndarray  # (7, 7)
+    planes: np.ndarray  # (3, 5, 5): <q^a p^b> with a + b <= 4, along each axis
+    lowest: np.ndarray  # (7,)
+    highest: np.ndarray  # (7,)
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Rms of the coordinates about their mean, (7,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def plane(self, axis: int) -> tuple[float, float, float]:
+        """<q^2>, <q p> and <p^2> along an axis."""
+        of = self.planes[axis]
+        return float(of[2, 0]), float(of[1, 1]), float(of[0, 2])
+
+    def emittance(self, axis: int) -> float:
+        """Normalised rms emittance, m rad."""
+        qq, qp, pp = self.plane(axis)
+        return math.sqrt(max(qq * pp - qp**2, 0.0)) if self.weight > 0 else UNKNOWN
+
+    def has_ellipse(self, axis: int) -> bool:
+        """Whether the emittance along an axis is more than rounding, so that there is an rms ellipse."""
+        qq, qp, pp = self.plane(axis)
+        return qq * pp - qp**2 > ROUNDING * qq * pp
+
+    def twiss(self, axis: int) -> tuple[float, float, float]:
+        """α, and β (m) and γ (1/m) of the ellipse in q and u, that is for βγ = 1; nan without an ellipse."""
+        if not self.has_ellipse(axis):
+            return UNKNOWN, UNKNOWN, UNKNOWN
+        qq, qp, pp = (value / self.emittance(axis) for value in self.plane(axis))
+        return -qp, qq, pp
+
+    @property
+    def speed(self) -> float:
+        """βγ of the mean momentum; nan if there is none."""
+        out = float(np.linalg.norm(self.mean[3:6]))
+        return out if out > 0 else UNKNOWN
+
+    def profile_halo(self, axis: int) -> float:
+        """Halo parameter of the profile along an axis, <q^4> / <q^2>^2 - 2."""
+        of = self.planes[axis]
+        return _ratio(float(of[4, 0]), float(of[2, 0]) ** 2) - 2
+
+    def phase_space_halo(self, axis: int) -> float:
+        """Halo parameter in the plane along an axis, which no linear motion changes."""
+        if not self.has_ellipse(axis):
+            return UNKNOWN
+        of = self.planes[axis]
+        second = float(of[2, 0] * of[0, 2] - of[1, 1] ** 2)
+        fourth = float(of[4, 0] * of[0, 4] + 3 * of[2, 2] ** 2 - 4 * of[1, 3] * of[3, 1])
+        return _ratio(math.sqrt(max(3 * fourth, 0.0)), 2 * second) - 2
+
+
+def _ratio(a: float, b: float) -> float:
+    return a / b if b > 0 else UNKNOWN
+
+
+# ---- moments ----
+
+
+def group_moments(comm: MPI.Comm, beam: Beam, groups: Groups) -> dict[frozenset[int], Part]:
+    """Return the moments of each distinct group; the particles are read once. Collective."""
+    runs = len(groups.starts)
+    zeros = [0.0] * runs
+    parts = _native.BeamParts(groups.starts, range(runs), zeros, zeros, 1)
+    of_runs = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
+    return {members: _joined([(run, of_runs[run]) for run in sorted(members)], groups) for members in groups.distinct}
+
+
+def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) -> Part:
+    """Return the moments of some runs together; a run stands for all of its species here."""
+    sums = _native.joined_moments([moments for _, moments in of_runs])
+    held = [(groups.species[run], moments) for run, moments in of_runs if moments.weight > 0]
+    charge = sum(species.charge * moments.weight for species, moments in held)
+    flow = sum(species.charge * moments.weight * _velocity(np.array(moments.mean[3:6])) for species, moments in held)
+    momentum = sum(
+        (species.mass * SPEED_OF_LIGHT * moments.weight * np.array(moments.mean[3:6]) for species, moments in held),
+        start=np.zeros(3),
+    )
+    if not sums.weight > 0:
+        none, square, planes = np.full(7, UNKNOWN), np.full((7, 7), UNKNOWN), np.full((3, 5, 5), UNKNOWN)
+        return Part(int(sums.count), 0.0, 0.0, 0.0, momentum, none, square, planes, none, none)
+    return Part(
+        int(sums.count),
+        sums.weight,
+        charge,
+        flow,
+        momentum,
+        np.array(sums.mean),
+        np.array(sums.second) / sums.weight,
+        np.array(sums.planes) / sums.weight,
+        np.array(sums.lowest),
+        np.array(sums.highest),
+    )
+
+
+def _velocity(u: np.ndarray) -> float:
+    """Return the velocity along z, m/s, of a momentum over m c."""
+    return SPEED_OF_LIGHT * float(u[2] / np.sqrt(1 + u @ u))
+
+
+# ---- quantiles ----
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """Amplitudes that hold the `FRACTIONS` of the particles of a group."""
+
+    emittance: np.ndarray  # (3, fractions) m rad: normalised, of the ellipses like the rms one
+    transverse: np.ndarray  # (fractions,) m: distance from the axis along z through the centre
+    spatial: np.ndarray  # (fractions,) m: distance from the centre
+
+
+def group_quantiles(
+    comm: MPI.Comm, beam: Beam, groups: Groups, moments: dict[frozenset[int], Part]
+) -> dict[frozenset[int], Quantiles]:
+    """Return the quantiles of each distinct group. Collective.
+
+    Exact: each is the amplitude of a particle. No rank holds all of them.
+    """
+    out: dict[frozenset[int], Quantiles] = {}
+    for layer in layers(groups.distinct):
+        zeros = [0.0] * len(layer)
+        parts = _native.BeamParts(groups.starts, _place_of_runs(layer, len(groups.starts)), zeros, zeros, 1)
+        frames = [_frame(moments[members]) for members in layer]
+        flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, *zip(*frames, strict=True), FRACTIONS)
+        found = np.array(flat).reshape(len(layer), 5, len(FRACTIONS))
+        out |= {
+            members: Quantiles(values[:3], values[3], values[4]) for members, values in zip(layer, found, strict=True)
+        }
+    return out
+
+
+def _place_of_runs(layer: Sequence[frozenset[int]], runs: int) -> list[int]:
+    """Return in which set of the layer each run is; -1: in none."""
+    return [next((place for place, members in enumerate(layer) if run in members), -1) for run in range(runs)]
+
+
+def _frame(part: Part) -> tuple[np.ndarray, list[tuple[float, float, float]], list[float]]:
+    """Return what amplitudes of a part refer to: centre, the form γ q² + 2 α q u + β u² in each plane, typical values."""
+    forms = []
+    for axis in range(3):
+        alpha, beta, gamma = part.twiss(axis)
+        forms.append((gamma, 2 * alpha, beta))
+    emittances = [part.emittance(axis) if part.has_ellipse(axis) else UNKNOWN for axis in range(3)]
+    x, y, z = np.diag(part.covariance)[:3].tolist()
+    return part.mean[:6], forms, [*emittances, x + y, x + y + z]
+
+
+# ---- slices ----
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A slice of a group along z."""
+
+    lower: float  # m
+    upper: float  # m
+    part: Part
+
+    @property
+    def charge_per_length(self) -> float:
+        """C/m."""
+        return self.part.charge / (self.upper - self.lower) if self.upper > self.lower else UNKNOWN
+
+    @property
+    def current(self) -> float:
+        """A."""
+        return self.part.flow / (self.upper - self.lower) if self.upper > self.lower else UNKNOWN
+
+
+def group_slices(
+    comm: MPI.Comm, beam: Beam, groups: Groups, moments: dict[frozenset[int], Part], slices: int
+) -> dict[frozenset[int], list[Slice]]:
+    """Return slices of each distinct group, of equal length, from its lower end upwards. Collective.
+
+    They reach over the group, but at most `CLOUD` rms lengths to either side of its centre, so that few particles far off do
+    not make them long; those are counted in the outermost ones, so that nothing is missing in the sum over the slices.
+    """
+    out: dict[frozenset[int], list[Slice]] = {}
+    for layer in layers(groups.distinct):
+        # A species of a group at a time, since charges differ.
+        pieces = [(place, run) for place, members in enumerate(layer) for run in _one_of_each(members, groups)]
+        piece_of_run = [-1] * len(groups.starts)
+        for index, (place, first) in enumerate(pieces):
+            for run in layer[place]:
+                if groups.species[run] == groups.species[first]:
+                    piece_of_run[run] = index
+        edges = [_edges(moments[members], slices) for members in layer]
+        lower = [edges[place][0] for place, _ in pieces]
+        per_length = [_ratio(slices, edges[place][-1] - edges[place][0]) for place, _ in pieces]
+        parts = _native.BeamParts(groups.starts, piece_of_run, lower, np.nan_to_num(per_length), slices)
+        found = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
+        for place, members in enumerate(layer):
+            own = [(index, run) for index, (at, run) in enumerate(pieces) if at == place]
+            out[members] = [
+                Slice(
+                    float(edges[place][s]),
+                    float(edges[place][s + 1]),
+                    _joined([(run, found[index * slices + s]) for index, run in own], groups),
+                )
+                for s in range(slices)
+            ]
+    return out
+
+
+def _one_of_each(members: Iterable[int], groups: Groups) -> list[int]:
+    """Return the first run of each species among some runs."""
+    first: dict[object, int] = {}
+    for run in sorted(members):
+        first.setdefault(groups.species[run], run)
+    return list(first.values())
+
+
+def _edges(part: Part, slices: int) -> np.ndarray:
+    if not part.weight > 0:
+        return np.zeros(slices + 1)
+    reach = CLOUD * part.rms[2]
+    lower, upper = max(part.lowest[2], part.mean[2] - reach), min(part.highest[2], part.mean[2] + reach)
+    return np.linspace(lower, upper, slices + 1)
+
+
+# ---- losses ----
+
+
+def group_losses(comm: MPI.Comm, lost: Particles, groups: Groups) -> dict[frozenset[int], tuple[int, float]]:
+    """Return how many macroparticles of each distinct group are lost, and their charge in C. Collective."""
+    run, count = groups.run_of(lost.id), len(groups.starts)
+    mine = np.stack([np.bincount(run, minlength=count), np.bincount(run, lost.weight * lost.charge, minlength=count)])
+    total = comm.allreduce(mine)
+    return {
+        members: (int(total[0, list(members)].sum()), float(total[1, list(members)].sum()))
+        for members in groups.distinct
+    }
+
+
+# ---- tables ----
+
+
+def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float]) -> list[Value]:
+    """Return all that is measured of a group, in the order of its table."""
+    per_axis: Callable[[Callable[[int, str], Iterable[Value]]], list[Value]] = lambda values: [
+        value for axis, name in enumerate(AXES) for value in values(axis, name)
+    ]
+    return [
+        (Quantity("particles", counts=True), part.particles),
+        (Quantity("charge", "C"), part.charge),
+        (Quantity("lost_particles", counts=True), lost[0]),
+        (Quantity("lost_charge", "C"), lost[1]),
+        *_energy(part),
+        (Quantity("kinetic_energy", "J"), part.weight * part.mean[ENERGY] if part.weight > 0 else 0.0),
+        *((Quantity(f"momentum_{axis}", "kg m/s"), part.momentum[i]) for i, axis in enumerate(AXES)),
+        *_means_and_sizes(part),
+        *_extremes(part),
+        *_correlations(part),
+        *per_axis(lambda axis, name: _ellipse(part, axis, name)),
+        *per_axis(lambda axis, name: _fourth_moments(part, axis, name)),
+        *per_axis(lambda axis, name: _halo(part, axis, name)),
+        *per_axis(lambda axis, name: _quantiles(f"emittance_{name}", "m rad", quantiles.emittance[axis])),
+        *_quantiles("radius_xy", "m", quantiles.transverse),
+        *_quantiles("radius_xyz", "m", quantiles.spatial),
+    ]
+
+
+def slice_values(of: Slice) -> list[Value]:
+    """Return all that is measured of a slice, in the order of its table."""
+    part = of.part
+    return [
+        (Quantity("lower", "m"), of.lower),
+        (Quantity("upper", "m"), of.upper),
+        (Quantity("particles", counts=True), part.particles),
+        (Quantity("charge", "C"), part.charge),
+        (Quantity("charge_per_length", "C/m"), of.charge_per_length),
+        (Quantity("current", "A"), of.current),
+        *_energy(part),
+        *_means_and_sizes(part),
+        *((Quantity(f"emittance_{axis}", "m rad"), part.emittance(i)) for i, axis in enumerate(AXES)),
+    ]
+
+
+def _unit(coordinate: str) -> str:
+    return "m" if coordinate in AXES else ""
+
+
+def _energy(part: Part) -> list[Value]:
+    return [
+        (Quantity("mean_energy", "J"), part.mean[ENERGY]),  # kinetic, of one real particle
+        (Quantity("rms_energy", "J"), part.rms[ENERGY]),
+    ]
+
+
+def _means_and_sizes(part: Part) -> list[Value]:
+    return [
+        *((Quantity(f"mean_{name}", _unit(name)), part.mean[i]) for i, name in enumerate(COORDINATES)),
+        *((Quantity(f"rms_{name}", _unit(name)), part.rms[i]) for i, name in enumerate(COORDINATES)),
+    ]
+
+
+def _extremes(part: Part) -> list[Value]:
+    return [
+        value
+        for i, axis in enumerate(AXES)
+        for value in ((Quantity(f"min_{axis}", "m"), part.lowest[i]), (Quantity(f"max_{axis}", "m"), part.highest[i]))
+    ]
+
+
+def _correlations(part: Part) -> list[Value]:
+    """Return the covariances of different coordinates; variances are the squares of the sizes."""
+    units = {0: "", 1: "m", 2: "m^2"}
+    return [
+        (
+            Quantity(f"cov_{a}_{b}", units[sum(name in AXES for name in (a, b))]),
+            part.covariance[i, i + 1 + j],
+        )
+        for i, a in enumerate(COORDINATES)
+        for j, b in enumerate(COORDINATES[i + 1 :])
+    ]
+
+
+def _ellipse(part: Part, axis: int, name: str) -> list[Value]:
+    alpha, beta, gamma = part.twiss(axis)
+    return [
+        (Quantity(f"emittance_{name}", "m rad"), part.emittance(axis)),
+        (Quantity(f"geometric_emittance_{name}", "m rad"), part.emittance(axis) / part.speed),
+        (Quantity(f"alpha_{name}"), alpha),
+        (Quantity(f"beta_{name}", "m"), beta * part.speed),
+        (Quantity(f"gamma_{name}", "1/m"), gamma / part.speed),
+    ]
+
+
+def _fourth_moments(part: Part, axis: int, name: str) -> list[Value]:
+    powers = ((4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
+    units = ("m^4", "m^3", "m^2", "m", "")
+    return [
+        (Quantity(f"moment_{name * a}{f'u{name}' * b}", unit), part.planes[axis, a, b])
+        for (a, b), unit in zip(powers, units, strict=True)
+    ]
+
+
+def _halo(part: Part, axis: int, name: str) -> list[Value]:
+    return [
+        (Quantity(f"halo_{name}"), part.profile_halo(axis)),
+        (Quantity(f"phase_space_halo_{name}"), part.phase_space_halo(axis)),
+    ]
+
+
+def _quantiles(name: str, unit: str, values: np.ndarray) -> list[Value]:
+    percent = (f"{100 * fraction:g}".replace(".", "_") for fraction in FRACTIONS)
+    return [(Quantity(f"{name}_{text}", unit), value) for text, value in zip(percent, values, strict=True)]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
-from ..errors import OutputError
+from ..errors import InputError, OutputError
 from ..parallel import together
 from ..scene.units import to_metres
 from .arguments import Commands, command
@@ -16,15 +17,20 @@ from .arguments import Commands, command
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     plot = command(commands, "plot", _plot, "draw pictures of a run that was written")
-    plot.add_argument("path", metavar="PATH", help="directory of a run, a fields file or a checkpoint")
+    plot.add_argument(
+        "path", metavar="PATH", help="directory of a run, a fields file, a checkpoint, or a particles file"
+    )
     plot.add_argument(
         "--quantity",
         metavar="NAME",
         action="append",
-        help="phi, rho, |E|, Ex, Ey or Ez, several if repeated; default an overview in four pictures",
+        help="phi, rho, |E|, Ex, Ey or Ez; of phase-space x-px, y-py, z-pz, x-y, z-x, z-y or slices; several if "
+        "repeated; default an overview",
     )
     plot.add_argument(
-        "--kind", choices=("slice", "projection", "line"), help="of pictures; default slice of a quantity"
+        "--kind",
+        choices=("slice", "projection", "line", "phase-space"),
+        help="of pictures; default slice of a quantity; phase-space shows the particles of a checkpoint or particles file",
     )
     plot.add_argument(
         "--axis",
@@ -41,24 +47,49 @@ def add(commands: Commands) -> None:
     plot.add_argument(
         "--no-boxes", dest="boxes", action="store_const", const=False, help="leave out the outlines of boxes"
     )
+    plot.add_argument(
+        "--group",
+        metavar="NAME",
+        help="of particles in phase space, as in beam.csv: all, a species, a bunch; default all",
+    )
     plot.add_argument("--output", metavar="DIR", help="where to put the pictures; default beside what they show")
 
 
 def _plot(chosen: argparse.Namespace) -> int:
-    from ..view.plot import OVERVIEW, View, plot, with_options  # matplotlib takes long to import
-
     folder = None if chosen.output is None else Path(chosen.output)
     with together(MPI.COMM_WORLD, OutputError):
         if MPI.COMM_WORLD.rank == 0:
-            views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
-            views = views or [view for view in OVERVIEW if chosen.kind in (None, view.kind)]
-            options = {
-                "axis": None if chosen.axis is None else "xyz".index(chosen.axis),
-                "position": None if chosen.position is None else to_metres(chosen.position),
-                "level": chosen.level,
-                "scale": chosen.scale,
-                "boxes": chosen.boxes,
-            }
-            given = {name: value for name, value in options.items() if value is not None}
-            print(*plot(Path(chosen.path), folder, with_options(views, **given)), sep="\n")
+            draw = _draw_particles if chosen.kind == "phase-space" else _draw_fields
+            print(*draw(chosen, folder), sep="\n")
     return 0
+
+
+def _draw_fields(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
+    from ..view.plot import OVERVIEW, View, plot, with_options  # matplotlib takes long to import
+
+    views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
+    views = views or [view for view in OVERVIEW if chosen.kind in (None, view.kind)]
+    return plot(Path(chosen.path), folder, with_options(views, **_given(chosen)))
+
+
+def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
+    from ..view.phase_space import OVERVIEW, plot
+
+    given = _given(chosen)
+    group = given.pop("group", "all")
+    for name in given:
+        raise InputError(f"{name} says nothing to phase space; leave it out, or choose another kind of picture")
+    return plot(Path(chosen.path), folder, chosen.quantity or OVERVIEW, group)
+
+
+def _given(chosen: argparse.Namespace) -> dict[str, Any]:
+    """Return those options of pictures that are given."""
+    options = {
+        "axis": None if chosen.axis is None else "xyz".index(chosen.axis),
+        "position": None if chosen.position is None else to_metres(chosen.position),
+        "level": chosen.level,
+        "scale": chosen.scale,
+        "boxes": chosen.boxes,
+        "group": chosen.group,
+    }
+    return {name: value for name, value in options.items() if value is not None}

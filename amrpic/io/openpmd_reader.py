@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +35,33 @@ def read(
     own. Raises InputError, naming what is wrong with the file.
     """
     path = Path(file)
+    with _opened(path) as h5:
+        source = _Source(path, _find(path, h5, iteration, group))
+        return source.particles(share, species, first_id)
+
+
+def groups(file: str | Path) -> list[str]:
+    """Return the names of the groups of particles in a file of one iteration; "" of a group without one. Raises InputError."""
+    with _opened(Path(file)) as h5:
+        particles = _particles(Path(file), h5, None)
+        return [""] if "position" in particles else [name for name, one in particles.items() if "position" in one]
+
+
+def when(file: str | Path) -> tuple[int, float]:
+    """Return iteration and time in s of a file of one iteration, zero where it does not know. Raises InputError."""
+    with _opened(Path(file)) as h5:
+        parts = _base(Path(file), h5, None).strip("/").split("/")
+        attributes = h5["/".join(parts)].attrs
+        step = int(parts[-1]) if parts[-1].isdigit() else 0
+        return step, float(attributes.get("time", 0.0)) * float(attributes.get("timeUnitSI", 1.0))
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """Open a file for a while; what goes wrong becomes InputError."""
     try:
         with h5py.File(path, "r", locking=False) as h5:
-            source = _Source(path, _find(path, h5, iteration, group))
-            return source.particles(share, species, first_id)
+            yield h5
     except FileNotFoundError:
         raise InputError(
             f"particle file {path} does not exist; correct the path (relative ones start at the scene file)"
@@ -51,11 +75,7 @@ def read(
 
 def _find(path: Path, h5: h5py.File, iteration: int | None, group: str | None) -> h5py.Group:
     """Return the group of particles that is meant."""
-    base = _text(h5.attrs["basePath"])
-    if "%T" in base:
-        before, after = base.split("%T")
-        base = before + _chosen(path, "iteration", list(h5[before]), iteration) + after
-    particles = h5[base + _text(h5.attrs["particlesPath"])]
+    particles = _particles(path, h5, iteration)
     if "position" in particles:
         return particles
     names = [name for name, member in particles.items() if "position" in member]
@@ -68,6 +88,20 @@ def _chosen(path: Path, key: str, names: Sequence[str], wanted: str | int | None
         return found[0]
     what = f"no {key} {wanted}" if wanted is not None else f"{len(names)} {key}s"
     raise InputError(f"particle file {path} holds {what}; set {key} to one of {', '.join(names) or 'another file'}")
+
+
+def _particles(path: Path, h5: h5py.File, iteration: int | None) -> h5py.Group:
+    """Return what holds the groups of particles, or is the only one."""
+    return h5[_base(path, h5, iteration) + _text(h5.attrs["particlesPath"])]
+
+
+def _base(path: Path, h5: h5py.File, iteration: int | None) -> str:
+    """Return the path of an iteration."""
+    base = _text(h5.attrs["basePath"])
+    if "%T" in base:
+        before, after = base.split("%T")
+        base = before + _chosen(path, "iteration", list(h5[before]), iteration) + after
+    return base
 
 
 class _Source:

@@ -60,6 +60,19 @@ class Groups:
             tuple(members for _, members in found),
         )
 
+    @classmethod
+    def of_species(cls, table: SpeciesTable) -> Groups:
+        """Return all particles and each species as groups."""
+        whole = cls.of(table)
+        count = 1 + len(table.kinds)
+        return cls(whole.starts, whole.species, whole.names[:count], whole.members[:count])
+
+    def named(self, name: str) -> Groups:
+        """Return the group of a name alone; KeyError if there is none."""
+        if name not in self.names:
+            raise KeyError(name)
+        return Groups(self.starts, self.species, (name,), (self.members[self.names.index(name)],))
+
     @property
     def distinct(self) -> list[frozenset[int]]:
         """The members of groups, those of several equal groups once."""

@@ -84,8 +84,8 @@ class State:
         """The particles with what gives their momenta at the time of the state."""
         staggered = self.staggered
         if staggered is None:
-            return Beam(self.particles, self.particles.momentum)
-        return Beam(self.particles, staggered.moved.momentum, staggered.weight)
+            return Beam(self.particles, self.particles)
+        return Beam(self.particles, staggered.moved, staggered.weight)
 
     def moments(self) -> Moments:
         """Return the moments of the particles at the time of the state. Collective."""

@@ -6,11 +6,13 @@ Pure reductions over all ranks, to rounding the same on any number of them. The 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import NDArray
 
 from .. import _native
 from ..mesh.domain import AXES
@@ -22,24 +24,25 @@ COORDINATES = ("x", "y", "z", "ux", "uy", "uz")  # u: momentum over m c, which i
 ENERGY = 6  # the coordinate behind them: kinetic energy
 FRACTIONS = (0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 0.9999, 1.0)  # of the particles
 CLOUD = 4.0  # rms lengths on either side of the centre that slices reach
-ROUNDING = 64 * np.finfo(float).eps  # of <q^2><p^2>: a squared emittance below it is zero
+ROUNDING = 64 * float(np.finfo(float).eps)  # of <q^2><p^2>: a squared emittance below it is zero
 UNKNOWN = math.nan
 
+Array = NDArray[Any]
 Value = tuple[Quantity, float]
 
 
 @dataclass(frozen=True)
 class Beam:
-    """Particles whose momenta are those that they hold and `later` ones (n, 3), in the mean of which the latter have `weight`."""
+    """Particles, and the same ones `later`: momenta are the mean of both, in which those have this `weight`."""
 
     particles: Particles
-    later: np.ndarray
+    later: Particles
     weight: float = 0.0
 
     @property
-    def arguments(self) -> tuple[np.ndarray | float, ...]:
+    def arguments(self) -> tuple[Array, Array, Array, Array, Array, Array, float]:
         """The beam as native functions take it."""
-        return (*self.particles.arrays, self.particles.mass, self.later, self.weight)
+        return (*self.particles.arrays, self.particles.mass, self.later.momentum, self.weight)
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,16 @@ class Part:
         return float(of[2, 0]), float(of[1, 1]), float(of[0, 2])
 
     def emittance(self, axis: int) -> float:
-        """Normalised rms emittance, m rad."""
+        """Normalised rms emittance, m rad; zero if it is no more than rounding."""
         qq, qp, pp = self.plane(axis)
-        return math.sqrt(max(qq * pp - qp**2, 0.0)) if self.weight > 0 else UNKNOWN
+        if self.has_ellipse(axis):
+            return math.sqrt(qq * pp - qp**2)
+        return 0.0 if self.weight > 0 else UNKNOWN
 
     def has_ellipse(self, axis: int) -> bool:
         """Whether the emittance along an axis is more than rounding, so that there is an rms ellipse."""
         qq, qp, pp = self.plane(axis)
-        return qq * pp - qp**2 > ROUNDING * qq * pp
+        return bool(qq * pp - qp**2 > ROUNDING * qq * pp)
 
     def twiss(self, axis: int) -> tuple[float, float, float]:
         """α, and β (m) and γ (1/m) of the ellipse in q and u, that is for βγ = 1; nan without an ellipse."""
@@ -180,7 +185,8 @@ def group_quantiles(
         zeros = [0.0] * len(layer)
         parts = _native.BeamParts(groups.starts, _place_of_runs(layer, len(groups.starts)), zeros, zeros, 1)
         frames = [_frame(moments[members]) for members in layer]
-        flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, *zip(*frames, strict=True), FRACTIONS)
+        centres, forms, typical = zip(*frames, strict=True)
+        flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, centres, forms, typical, FRACTIONS)
         found = np.array(flat).reshape(len(layer), 5, len(FRACTIONS))
         out |= {
             members: Quantiles(values[:3], values[3], values[4]) for members, values in zip(layer, found, strict=True)
@@ -193,7 +199,7 @@ def _place_of_runs(layer: Sequence[frozenset[int]], runs: int) -> list[int]:
     return [next((place for place, members in enumerate(layer) if run in members), -1) for run in range(runs)]
 
 
-def _frame(part: Part) -> tuple[np.ndarray, list[tuple[float, float, float]], list[float]]:
+def _frame(part: Part) -> tuple[list[float], list[tuple[float, float, float]], list[float]]:
     """Return what amplitudes of a part refer to: centre, the form γ q² + 2 α q u + β u² in each plane, typical values."""
     forms = []
     for axis in range(3):
@@ -201,7 +207,7 @@ def _frame(part: Part) -> tuple[np.ndarray, list[tuple[float, float, float]], li
         forms.append((gamma, 2 * alpha, beta))
     emittances = [part.emittance(axis) if part.has_ellipse(axis) else UNKNOWN for axis in range(3)]
     x, y, z = np.diag(part.covariance)[:3].tolist()
-    return part.mean[:6], forms, [*emittances, x + y, x + y + z]
+    return part.mean[:6].tolist(), forms, [*emittances, x + y, x + y + z]
 
 
 # ---- slices ----
@@ -245,8 +251,9 @@ def group_slices(
                     piece_of_run[run] = index
         edges = [_edges(moments[members], slices) for members in layer]
         lower = [edges[place][0] for place, _ in pieces]
-        per_length = [_ratio(slices, edges[place][-1] - edges[place][0]) for place, _ in pieces]
-        parts = _native.BeamParts(groups.starts, piece_of_run, lower, np.nan_to_num(per_length), slices)
+        lengths = [edges[place][-1] - edges[place][0] for place, _ in pieces]
+        per_length = [slices / length if length > 0 else 0.0 for length in lengths]
+        parts = _native.BeamParts(groups.starts, piece_of_run, lower, per_length, slices)
         found = _native.beam_moments(comm.py2f(), *beam.arguments, parts)
         for place, members in enumerate(layer):
             own = [(index, run) for index, (at, run) in enumerate(pieces) if at == place]
@@ -296,9 +303,6 @@ def group_losses(comm: MPI.Comm, lost: Particles, groups: Groups) -> dict[frozen
 
 def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float]) -> list[Value]:
     """Return all that is measured of a group, in the order of its table."""
-    per_axis: Callable[[Callable[[int, str], Iterable[Value]]], list[Value]] = lambda values: [
-        value for axis, name in enumerate(AXES) for value in values(axis, name)
-    ]
     return [
         (Quantity("particles", counts=True), part.particles),
         (Quantity("charge", "C"), part.charge),
@@ -310,10 +314,14 @@ def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float]) -> l
         *_means_and_sizes(part),
         *_extremes(part),
         *_correlations(part),
-        *per_axis(lambda axis, name: _ellipse(part, axis, name)),
-        *per_axis(lambda axis, name: _fourth_moments(part, axis, name)),
-        *per_axis(lambda axis, name: _halo(part, axis, name)),
-        *per_axis(lambda axis, name: _quantiles(f"emittance_{name}", "m rad", quantiles.emittance[axis])),
+        *(value for axis in range(3) for value in _ellipse(part, axis)),
+        *(value for axis in range(3) for value in _fourth_moments(part, axis)),
+        *(value for axis in range(3) for value in _halo(part, axis)),
+        *(
+            value
+            for axis, values in zip(AXES, quantiles.emittance, strict=True)
+            for value in _quantiles(f"emittance_{axis}", "m rad", values)
+        ),
         *_quantiles("radius_xy", "m", quantiles.transverse),
         *_quantiles("radius_xyz", "m", quantiles.spatial),
     ]
@@ -374,8 +382,8 @@ def _correlations(part: Part) -> list[Value]:
     ]
 
 
-def _ellipse(part: Part, axis: int, name: str) -> list[Value]:
-    alpha, beta, gamma = part.twiss(axis)
+def _ellipse(part: Part, axis: int) -> list[Value]:
+    name, (alpha, beta, gamma) = AXES[axis], part.twiss(axis)
     return [
         (Quantity(f"emittance_{name}", "m rad"), part.emittance(axis)),
         (Quantity(f"geometric_emittance_{name}", "m rad"), part.emittance(axis) / part.speed),
@@ -385,8 +393,8 @@ def _ellipse(part: Part, axis: int, name: str) -> list[Value]:
     ]
 
 
-def _fourth_moments(part: Part, axis: int, name: str) -> list[Value]:
-    powers = ((4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
+def _fourth_moments(part: Part, axis: int) -> list[Value]:
+    name, powers = AXES[axis], ((4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
     units = ("m^4", "m^3", "m^2", "m", "")
     return [
         (Quantity(f"moment_{name * a}{f'u{name}' * b}", unit), part.planes[axis, a, b])
@@ -394,7 +402,8 @@ def _fourth_moments(part: Part, axis: int, name: str) -> list[Value]:
     ]
 
 
-def _halo(part: Part, axis: int, name: str) -> list[Value]:
+def _halo(part: Part, axis: int) -> list[Value]:
+    name = AXES[axis]
     return [
         (Quantity(f"halo_{name}"), part.profile_halo(axis)),
         (Quantity(f"phase_space_halo_{name}"), part.phase_space_halo(axis)),

@@ -94,7 +94,7 @@ def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVER
     with open_dump(path) as dump:
         spread = spread_of(dump)
         folder = dump.path.parent if directory is None else Path(directory)
-        return [_save(draw(dump, spread, view), folder / f"{dump.path.stem}_{view.name}.png") for view in views]
+        return [save(draw(dump, spread, view), folder / f"{dump.path.stem}_{view.name}.png") for view in views]
 
 
 def draw(dump: Dump, spread: Spread, view: View) -> Figure:
@@ -331,7 +331,8 @@ def _canvas(corners: Array) -> tuple[Figure, Axes, Axes]:
     return figure, axes, figure.add_axes((bar_left, bottom / size[1], 0.2 / size[0], panel[1] / size[1]))
 
 
-def _save(figure: Figure, path: Path) -> Path:
+def save(figure: Figure, path: Path) -> Path:
+    """Write a picture; return its path. Raises OutputError."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(temporary(path), format="png", dpi=DPI, bbox_inches="tight")

@@ -111,7 +111,7 @@ DENSITIES = {
 @pytest.mark.parametrize(("density", "axis"), [("positive", "z"), ("negative", "x"), ("both", "z"), ("none", "x")])
 def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density, axis, monkeypatch):
     figures = []
-    save = plot._save
+    save = plot.save
 
     def watched(figure, path):
         figures.append(figure)

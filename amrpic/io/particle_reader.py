@@ -1,0 +1,79 @@
+"""Reading all particles of a dump at once, for pictures: of checkpoints, and of openPMD files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from ..errors import InputError
+from ..particles.groups import Groups, NamedBunches
+from ..particles.particles import Particles, concatenate
+from ..particles.species import SpeciesTable
+from ..scene.scene import Scene
+from . import openpmd_reader
+from .checkpoint_manifest import MANIFEST, decode
+from .writer_ranks import one_line
+
+
+@dataclass(frozen=True)
+class ParticleDump:
+    """The particles of a dump, and how they are grouped."""
+
+    path: Path
+    step: int
+    time: float  # s
+    particles: Particles
+    groups: Groups
+
+
+def read(path: Path) -> ParticleDump:
+    """Return the particles of a checkpoint, of an openPMD file, or of the latest of those in a run's folder.
+
+    Serial. Raises InputError if there are none. An openPMD file knows species, but no bunches.
+    """
+    path = Path(path)
+    if (path / MANIFEST).exists():
+        return _of_checkpoint(path)
+    if not path.is_dir():
+        return _of_openpmd(path)
+    found = [*path.glob("particles_????????.h5"), *path.glob("checkpoint_????????")]
+    if not found:
+        raise InputError(
+            f"{path} holds neither checkpoint_* nor particles_*.h5; name a folder that a run wrote into, or a dump in it"
+        )
+    latest = max(found, key=lambda one: (one.stem.rpartition("_")[2], one.is_dir()))
+    return _of_checkpoint(latest) if latest.is_dir() else _of_openpmd(latest)
+
+
+def _of_checkpoint(path: Path) -> ParticleDump:
+    manifest = decode(path)
+    header, columns = manifest.header, ("position", "momentum", "weight", "id")
+    try:
+        parts = []
+        for part in manifest.parts:
+            with h5py.File(path / part.file, "r", locking=False) as h5:
+                parts.append([h5[f"particles/{column}"][:] for column in columns])
+    except (OSError, KeyError) as error:
+        raise InputError(f"checkpoint {path} cannot be read: {one_line(error)}; draw another one") from None
+    position, momentum, weight, ids = (np.concatenate(column) for column in zip(*parts, strict=True))
+    table = SpeciesTable.from_dict(header.extra["species"])
+    scene = Scene.from_dict(header.about.scene, source=f"the scene in {path}")
+    bunches = [NamedBunches(bunch.name, bunch.copies, bunch.number) for bunch in scene.bunches]
+    particles = Particles(position, momentum, weight, ids, table)
+    return ParticleDump(path, header.step, header.time, particles, Groups.of(table, bunches))
+
+
+def _of_openpmd(path: Path) -> ParticleDump:
+    names = openpmd_reader.groups(path)
+    parts: list[Particles] = []
+    for name in names:
+        first = sum(map(len, parts))
+        parts.append(openpmd_reader.read(path, lambda count: (0, count), group=name or None, first_id=first))
+    ends = np.cumsum([0, *map(len, parts)])
+    table = SpeciesTable.of_runs((int(end), part.species.kinds[0]) for end, part in zip(ends[:-1], parts, strict=True))
+    particles = concatenate([Particles(*part.arrays, table) for part in parts])
+    step, time = openpmd_reader.when(path)
+    return ParticleDump(path, step, time, particles, Groups.of_species(table))

@@ -124,7 +124,11 @@ def _parsed(path: Path) -> tuple[list[bytes], NDArray[Any]]:
         types = next(line for line in comments if line.startswith("types: ")).removeprefix("types: ").split(",")
         names, *rows = [line for line in lines if not line.startswith(b"#")]
         dtype = np.dtype(list(zip(names.decode().split(","), types, strict=True)))
-        values = np.loadtxt(rows, delimiter=",", dtype=dtype, ndmin=1) if rows else np.zeros(0, dtype)
+        values = (
+            np.loadtxt([row.decode() for row in rows], delimiter=",", dtype=dtype, ndmin=1)
+            if rows
+            else np.zeros(0, dtype)
+        )
     except (OSError, ValueError, IndexError, StopIteration) as error:
         raise InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote") from None
     return rows, values

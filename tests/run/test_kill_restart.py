@@ -50,6 +50,10 @@ regrid_every = 3
 [schedule]
 steps = {last}
 
+[diagnostics]
+every = 2
+slices = 3
+
 [output]
 write = ["checkpoint", "fields", "series"]
 checkpoint_every = 1
@@ -170,9 +174,9 @@ def arrays(state: Snapshot) -> dict[str, np.ndarray]:
 
 
 def rows(folder: Path) -> dict[str, np.ndarray]:
-    """The time series and the residuals, without what depends on the machine's mood."""
+    """The time series, the residuals and the tables of the beam, without what depends on the machine's mood."""
     columns: dict[str, np.ndarray] = {}
-    for file in ("series.csv", "residuals.csv"):
+    for file in ("series.csv", "residuals.csv", "beam.csv", "slices.csv"):
         table = time_series.read(folder / file)
         columns |= {f"{file}/{name}": table[name] for name in table.dtype.names or ()}
     return {name: c for name, c in columns.items() if not name.startswith(("series.csv/seconds", "series.csv/memory"))}

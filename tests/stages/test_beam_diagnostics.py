@@ -206,6 +206,18 @@ def test_halo_parameters_of_known_distributions(comm, name, options, profile, ph
         assert part.phase_space_halo(axis) == pytest.approx(phase_space, abs=0.02)
 
 
+def test_halo_parameters_of_a_waterbag_in_four_dimensions(comm):
+    numbers = np.clip(qmc.Sobol(distributions.DRAWS, seed=1).random(2**15), 1e-12, 1 - 1e-12).T
+    shell = distributions.kapchinsky_vladimirsky(numbers, normal_z=True)
+    unit = np.sqrt(1.5) * numbers[5] ** 0.25 * shell  # the ball is filled evenly where the share of its volume is even
+    table = SpeciesTable((ELECTRON,))
+    beam, groups = beam_of(comm, 1e-3 * unit[:3].T, 1e-3 * unit[3:].T, 1.0, table), Groups.of(table)
+    part = diagnostics.group_moments(comm, beam, groups)[groups.members[0]]
+    for axis in (0, 1):
+        assert part.profile_halo(axis) == pytest.approx(0.25, abs=0.02)
+        assert part.phase_space_halo(axis) == pytest.approx(0.25, abs=0.02)
+
+
 def test_profile_halo_of_a_sphere_is_one_seventh(comm):
     beam, groups = unit_beam(comm, "ball")
     part = diagnostics.group_moments(comm, beam, groups)[groups.members[0]]

@@ -117,7 +117,7 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         figures.append(figure)
         return save(figure, path)
 
-    monkeypatch.setattr(plot, "_save", watched)
+    monkeypatch.setattr(plot, "save", watched)
     views = [replace(view, axis="xyz".index(axis)) for view in plot.OVERVIEW]
     views += [plot.View("Ez", "projection", scale="symmetric", boxes=False), plot.View("rho", scale="log", level=1)]
     pictures = plot.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", views)

@@ -64,7 +64,8 @@ class Simulation:
     def diagnose(self, name: str, diagnostic: Diagnostic) -> None:
         """Have the numbers and arrays that `diagnostic` returns for a state written into `own_<name>.csv`.
 
-        It is called on all ranks, every `diagnostics.every` steps, and may communicate; values are those of rank 0.
+        It is called on all ranks, every `diagnostics.every` steps of a run that writes its series, and may communicate; values
+        are those of rank 0.
         """
         if not re.fullmatch(r"[\w+-]+", name):
             raise InputError(f'the diagnostic "{name}" names a file; use letters, digits, _, + and - alone')

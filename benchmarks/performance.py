@@ -369,7 +369,7 @@ the rest. A gather at half a particle per cell spends some 40 % of its time on f
 
 Every step adds a row to the time series. Means, sizes, emittances, momentum and kinetic energy of the beam come from one
 pass over the particles (`moments`), deviations being taken from the means so far; energies of the fields from one pass over
-each.
+each. The tables of groups of particles cost more and come every 20 steps ([diagnostics.md](diagnostics.md#what-it-costs)).
 
 ![Particle stages](pictures/performance_particles.png)
 

@@ -83,9 +83,10 @@ class State:
     def beam(self) -> Beam:
         """The particles with what gives their momenta at the time of the state."""
         staggered = self.staggered
-        if staggered is None:
-            return Beam(self.particles, self.particles)
-        return Beam(self.particles, staggered.moved, staggered.weight)
+        if staggered is None or staggered.between is not None:
+            now = self.synchronized
+            return Beam(now, now)
+        return Beam(self.particles, staggered.moved, 0.5 if staggered.lag > 0 else 0.0)
 
     def moments(self) -> Moments:
         """Return the moments of the particles at the time of the state. Collective."""

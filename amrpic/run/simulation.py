@@ -140,6 +140,11 @@ class Simulation:
         return self.state.efield
 
     @property
+    def bfield(self) -> VectorField:
+        """Magnetic field of the particles, T: that of a beam whose self-field is solved for in its own frame, else zero."""
+        return self.state.solution.bfield
+
+    @property
     def step(self) -> int:
         return self.state.step
 

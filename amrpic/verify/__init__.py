@@ -13,7 +13,7 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..scene import solver_options
 from ..scene.scene import Scene
-from . import backends, conservation, convergence, hard, openboundary, pareto, peers, selfforce, stopping
+from . import backends, conservation, convergence, dynamics, hard, openboundary, pareto, peers, selfforce, stopping
 from .chosen import backend as chosen_backend
 from .draw import draw_curves
 from .table import Table
@@ -27,6 +27,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "conservation": conservation.tables,
     "hard-cases": hard.tables,
     "backends": backends.tables,
+    "dynamics": dynamics.tables,
 }
 
 

@@ -53,17 +53,19 @@ Edges<V> edges_of(Of const& of, Interval const& extent, Flight<V> const& flight)
   Edges<V> out;
   out.normal = {};
   auto const add = [&](Real plane, Real sign) {
-    auto const at = crossing(plane, segment);
-    if (!any(at.density > V{})) return;
-    auto const B = scaled<V>(sign * at.density, edge_field<V>(of, segment.point(at.share)));
-    auto const enters = sign * at.direction > V{};
-    V const tau = flight.from + at.share * (flight.to - flight.from);
+    V const direction = direction_across(plane, segment);
+    if (all(direction == V{})) return;
+    V const density = direction / segment.dz();                                // the mean of δ(z - plane)
+    V const share = clamped((plane - segment.start[2]) / segment.dz(), 0, 1);  // of the segment before the plane
+    V const tau = flight.from + share * (flight.to - flight.from);
+    auto const B = scaled<V>(sign * density, edge_field<V>(of, segment.point(share)));
+    auto const enters = sign * direction > V{};
     for (std::size_t d = 0; d < 3; ++d) {
       out.first[d] += select(enters, B[d], V{});
       out.last[d] += select(enters, V{}, B[d]);
       out.moment[d] += tau * B[d];
     }
-    out.normal[2] = select(sign * at.direction < V{}, V{} + 1, out.normal[2]);
+    out.normal[2] = select(sign * direction < V{}, V{} + 1, out.normal[2]);
     out.crossed = true;
   };
   add(extent.lower, 1);

@@ -65,28 +65,23 @@ struct Part {
 
 template <class V>
 Part<V> part_inside(Interval const& z, Segment<V> const& segment) {
+  V const half = V{} + 0.5;
+  auto const inside = contains(z, segment.start[2]);
+  if (all(inside & contains(z, segment.end_z))) return {V{} + 1, segment.point(half)};  // as below, with less work
   V const to_lower = (z.lower - segment.start[2]) / segment.dz(),
           to_upper = (z.upper - segment.start[2]) / segment.dz();
   V const first = clamped(lesser(to_lower, to_upper), 0, 1), last = clamped(greater(to_lower, to_upper), 0, 1);
   auto const rests = segment.way[2] == V{};
-  V const inside = zero_unless(contains(z, segment.start[2]), V{} + 1);
-  return {select(rests, inside, last - first), segment.point(select(rests, V{} + 0.5, 0.5 * (first + last)))};
+  return {select(rests, zero_unless(inside, V{} + 1), last - first),
+          segment.point(select(rests, half, 0.5 * (first + last)))};
 }
 
-/// Where a segment crosses a plane of constant z.
+/// 1 if a segment crosses a plane of constant z upwards, -1 downwards, else 0: by the sides of its ends alone, so that
+/// of segments that follow each other one crosses.
 template <class V>
-struct Crossing {
-  V direction;  ///< 1 upwards, -1 downwards, 0 if it does not cross
-  V density;    ///< the mean of δ(z - plane) along the segment, 1/m
-  V share;      ///< of the segment before it
-};
-
-template <class V>
-Crossing<V> crossing(Real plane, Segment<V> const& segment) {
-  // by the sides of the ends alone: of segments that follow each other one crosses
+V direction_across(Real plane, Segment<V> const& segment) {
   auto const below = [&](V const& z) { return zero_unless(z < V{} + plane, V{} + 1); };
-  V const direction = below(segment.start[2]) - below(segment.end_z);
-  return {direction, direction / segment.dz(), clamped((plane - segment.start[2]) / segment.dz(), 0, 1)};
+  return below(segment.start[2]) - below(segment.end_z);
 }
 
 }  // namespace external

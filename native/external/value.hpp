@@ -23,6 +23,8 @@ struct Fields {
 
 inline bool any(bool which) { return which; }
 inline bool any(WideLanes const& which) { return bits_of(which) != 0; }
+inline bool all(bool which) { return which; }
+inline bool all(WideLanes const& which) { return bits_of(which) == all_lanes; }
 
 template <class V>
 V lesser(V const& a, V const& b) {

@@ -102,12 +102,14 @@ class ExternalFields:
 
     def edges(
         self, position: ArrayLike, velocity: ArrayLike, start: float, stop: float
-    ) -> tuple[Array, Array, Array, Array]:
-        """Return what `means` has in B from planes where flights enter a field, and from those where they leave it (n, 3) in T,
-        the means of τ B of both in T s, and the normals of the latter planes."""
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return what `means` has in B from planes where flights enter a field, and from those where they leave it (n, 3) in T.
+
+        Behind these the means of τ B of both in T s, the normals of the latter planes, and 1 for flights that pass an end (n).
+        """
         places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
-        first, last, moment, normal = self.native.edges(places, velocities, start, stop)
-        return first, last, moment, normal
+        first, last, moment, normal, ends = self.native.edges(places, velocities, start, stop)
+        return first, last, moment, normal, ends
 
 
 def native_element(element: Element) -> _native.ExternalElement:

@@ -84,18 +84,21 @@ std::pair<std::vector<Real>, std::vector<Real>> means_by_eights(ExternalFields c
   return out;
 }
 
-/// Their edges: first, last, moment and normal.
-std::array<Rows, 4> edges(ExternalFields const& fields, Flights const& flights) {
+/// Their edges: first, last, moment, normal and ends.
+std::array<Rows, 5> edges(ExternalFields const& fields, Flights const& flights) {
   std::array<std::vector<Real>, 4> out;
+  std::vector<Real> ends;
   for (std::size_t n = 0; n < flights.count(); ++n) {
     Vector3<Real> E{}, B{};
     Edges<Real> found;
+    found.begin();
     add_mean_field(fields, flights.flight<Real>([&](auto const& at) { return at(n); }), E, B, found);
     std::array<Vector3<Real>, 4> const all{found.first, found.last, found.moment, found.normal};
     for (std::size_t k = 0; k < 4; ++k) out[k].insert(out[k].end(), all[k].begin(), all[k].end());
+    ends.push_back(found.ends);
   }
   auto const rows = [&](std::size_t k) { return Rows(bind::to_array(std::move(out[k]), {flights.count(), 3})); };
-  return {rows(0), rows(1), rows(2), rows(3)};
+  return {rows(0), rows(1), rows(2), rows(3), bind::to_array(std::move(ends))};
 }
 
 }  // namespace
@@ -185,7 +188,7 @@ void bind_external(nb::module_& m) {
           "position"_a, "velocity"_a, "start"_a, "stop"_a,
           "What `means` has in B from planes: where flights enter a field and where they leave it (T), means of τ B (T "
           "s), "
-          "and the normals of the planes where they leave.")
+          "the normals of the planes where they leave, and 1 for flights that pass the end of a field.")
       .def(
           "means",
           [](ExternalFields const& self, bind::RealRows position, bind::RealRows velocity, Real time, Real from,

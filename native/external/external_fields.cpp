@@ -13,15 +13,23 @@ constexpr Real infinity = std::numeric_limits<Real>::infinity();
 
 Real lowest(Real x) { return x; }
 Real highest(Real x) { return x; }
+/// One number of eight: of two halves, then of four numbers.
+template <class Vector, class Of>
+Real reduced(Vector const& x, Of const& of) {
+  HalfLanes low, high;
+  if constexpr (std::is_class_v<Vector>) {
+    low = x.low, high = x.high;
+  } else {
+    low = __builtin_shufflevector(x, x, 0, 1, 2, 3), high = __builtin_shufflevector(x, x, 4, 5, 6, 7);
+  }
+  HalfLanes const four = of(low, high);
+  return of(of(four[0], four[1]), of(four[2], four[3]));
+}
 Real lowest(Lanes const& x) {
-  Real out = x[0];
-  for (int i = 1; i < lane_count; ++i) out = std::min(out, Real(x[i]));
-  return out;
+  return reduced(x, [](auto const& a, auto const& b) { return a < b ? a : b; });
 }
 Real highest(Lanes const& x) {
-  Real out = x[0];
-  for (int i = 1; i < lane_count; ++i) out = std::max(out, Real(x[i]));
-  return out;
+  return reduced(x, [](auto const& a, auto const& b) { return a > b ? a : b; });
 }
 
 /// A vector of the laboratory along the axes of a frame.
@@ -46,50 +54,63 @@ Flight<V> seen_from(Frame const& frame, bool turned, Flight<V> const& f) {
   return out;
 }
 
-/// What the planes at both ends of a field give to flights that cross them.
-template <class V, class Of>
-Edges<V> edges_of(Of const& of, Interval const& extent, Flight<V> const& flight) {
-  Segment<V> const segment(flight);
-  Edges<V> out;
-  out.normal = {};
+/// Where fields and edges of elements are added up, in the axes of the laboratory.
+template <class V>
+struct Sums {
+  Vector3<V>&E, &B;
+  Edges<V>& edges;
+};
+
+/// Add what the planes at both ends of a field give to flights that cross them.
+template <class V, class Of, class Turn>
+void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Segment<V> const& segment,
+               Turn const& to_laboratory, Edges<V>& edges) {
   auto const add = [&](Real plane, Real sign) {
     V const direction = direction_across(plane, segment);
     if (all(direction == V{})) return;
     V const density = direction / segment.dz();                                // the mean of δ(z - plane)
     V const share = clamped((plane - segment.start[2]) / segment.dz(), 0, 1);  // of the segment before the plane
     V const tau = flight.from + share * (flight.to - flight.from);
-    auto const B = scaled<V>(sign * density, edge_field<V>(of, segment.point(share)));
-    auto const enters = sign * direction > V{};
+    auto const B = to_laboratory(scaled<V>(sign * density, edge_field<V>(of, segment.point(share))));
+    auto const normal = to_laboratory({V{}, V{}, V{} + 1});
+    auto const enters = sign * direction > V{}, leaves = sign * direction < V{};
+    edges.begin();
     for (std::size_t d = 0; d < 3; ++d) {
-      out.first[d] += select(enters, B[d], V{});
-      out.last[d] += select(enters, V{}, B[d]);
-      out.moment[d] += tau * B[d];
+      edges.first[d] += select(enters, B[d], V{});
+      edges.last[d] += select(leaves, B[d], V{});
+      edges.moment[d] += tau * B[d];
+      edges.normal[d] = select(leaves, normal[d], edges.normal[d]);
     }
-    out.normal[2] = select(sign * direction < V{}, V{} + 1, out.normal[2]);
-    out.crossed = true;
   };
   add(extent.lower, 1);
   add(extent.upper, -1);
-  return out;
 }
 
-/// The mean of one field along a flight in its own axes.
-template <class V, class Of>
-Fields<V> mean_field(Of const& of, Interval const& extent, Flight<V> const& flight) {
+/// Add the mean of one field along a flight in its own axes.
+template <class V, class Of, class Turn>
+void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn const& to_laboratory,
+             Sums<V> const& to) {
+  auto const add = [&](Fields<V> const& mean) {
+    if (of.electric()) to.E = sum(to.E, to_laboratory(mean.E));
+    if (of.magnetic()) to.B = sum(to.B, to_laboratory(mean.B));
+  };
   if (!of.is_hard() || extent.everywhere()) {
     auto const here = contains(extent, flight.x[2]);
-    if (!any(here)) return {};
-    auto out = field(of, flight.x, flight.time);
+    if (!any(here)) return;
+    auto mean = field(of, flight.x, flight.time);
     for (std::size_t d = 0; d < 3; ++d)
-      out.E[d] = zero_unless<V>(here, out.E[d]), out.B[d] = zero_unless<V>(here, out.B[d]);
-    return out;
+      mean.E[d] = zero_unless<V>(here, mean.E[d]), mean.B[d] = zero_unless<V>(here, mean.B[d]);
+    return add(mean);
   }
   Segment<V> const segment(flight);
-  if (!any(segment.meets(extent))) return {};
+  auto const meets = segment.meets(extent), inside = segment.lies_in(extent);
+  if (!any(meets)) return;
+  if (all(inside)) return add(field(of, segment.point(V{} + 0.5), flight.time));
   auto const part = part_inside(extent, segment);
-  auto out = field(of, part.middle, flight.time);
-  out.E = scaled(part.share, out.E), out.B = scaled(part.share, out.B);
-  return out;
+  auto const mean = field(of, part.middle, flight.time);
+  add({scaled(part.share, mean.E), scaled(part.share, mean.B)});
+  to.edges.ends = select(inside, to.edges.ends, select(meets, V{} + 1, to.edges.ends));
+  if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, to_laboratory, to.edges);
 }
 
 }  // namespace
@@ -126,28 +147,13 @@ std::size_t ExternalFields::first_near(Real lower) const {
 template <class V>
 void add_mean_field(ExternalFields const& fields, Flight<V> const& flight, Vector3<V>& E, Vector3<V>& B,
                     Edges<V>& edges) {
+  if (fields.empty()) return;
   V const start = flight.x[2] + flight.v[2] * flight.from, end = flight.x[2] + flight.v[2] * flight.to;
+  Sums<V> const sums{E, B, edges};
   fields.for_each_near(lowest(lesser(start, end)), highest(greater(start, end)), [&](Element const& at, bool turned) {
-    auto const local = seen_from(at.frame, turned, flight);
     auto const to_laboratory = [&](Vector3<V> const& a) { return turned ? in_laboratory(at.frame, a) : a; };
-    std::visit(
-        [&](auto const& of) {
-          auto const mean = mean_field(of, at.extent, local);
-          E = sum(E, to_laboratory(mean.E)), B = sum(B, to_laboratory(mean.B));
-          if constexpr (std::decay_t<decltype(of)>::has_edges) {
-            if (!of.is_hard()) return;
-            auto const crossed = edges_of(of, at.extent, local);
-            if (!crossed.crossed) return;
-            auto const leaves = crossed.normal[2] > V{};
-            auto const normal = to_laboratory(crossed.normal);
-            for (std::size_t d = 0; d < 3; ++d) edges.normal[d] = select(leaves, normal[d], edges.normal[d]);
-            edges.first = sum(edges.first, to_laboratory(crossed.first));
-            edges.last = sum(edges.last, to_laboratory(crossed.last));
-            edges.moment = sum(edges.moment, to_laboratory(crossed.moment));
-            edges.crossed = true;
-          }
-        },
-        at.kind);
+    auto const local = seen_from(at.frame, turned, flight);
+    std::visit([&](auto const& of) { add_one(of, at.extent, local, to_laboratory, sums); }, at.kind);
   });
 }
 

@@ -39,6 +39,7 @@ class ExternalFields {
   ExternalFields() = default;
   explicit ExternalFields(std::vector<external::Element> elements);
 
+  bool empty() const { return entries_.empty(); }
   bool electric() const { return electric_; }  ///< whether any element has such a field
   bool magnetic() const { return magnetic_; }
 
@@ -72,6 +73,8 @@ class ExternalFields {
 /// turns by `first`, then by E and B, then by `last` times |v · normal| before over that now: a flight gets more of
 /// what it crosses slowly. It shifts x by -q/(γm) v × moment (to - from), since the drift has the new velocity from the
 /// plane on.
+///
+/// Where `ends` is 0, both halves of a flight from -t to t may take its mean, which is that at x.
 template <class V>
 void add_mean_field(ExternalFields const& fields, Flight<V> const& flight, Vector3<V>& E, Vector3<V>& B,
                     Edges<V>& edges);

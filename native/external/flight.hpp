@@ -12,13 +12,22 @@ struct Flight {
   Real time, from, to;
 };
 
-/// What flights find in planes where a field begins or ends at once: means of B along them, as momenta change by that.
+/// What becomes of flights at the ends of fields: means of B in the planes where these begin or end at once.
 template <class V>
 struct Edges {
-  Vector3<V> first{}, last{};            ///< T; in planes where a flight enters a field, and where it leaves it
-  Vector3<V> moment{};                   ///< T s: the means of τ B, of both
-  Vector3<V> normal{V{}, V{}, V{} + 1};  ///< of the planes of `last`
-  bool crossed = false;                  ///< whether any flight crosses one
+  V ends{};              ///< 1 for a flight of which a part alone lies between the ends of some field, else 0
+  bool crossed = false;  ///< whether any flight gets something in a plane; if not, the rest has no values
+
+  Vector3<V> first, last;  ///< T; in planes where a flight enters a field, and where it leaves it
+  Vector3<V> moment;       ///< T s: the means of τ B, of both
+  Vector3<V> normal;       ///< of the planes of `last`
+
+  void begin() {
+    if (crossed) return;
+    first = last = moment = {};
+    normal = {V{}, V{}, V{} + 1};
+    crossed = true;
+  }
 };
 
 namespace external {
@@ -49,6 +58,7 @@ struct Segment {
   auto meets(Interval const& z) const {
     return (greater(start[2], end_z) >= V{} + z.lower) & (V{} + z.upper >= lesser(start[2], end_z));
   }
+  auto lies_in(Interval const& z) const { return contains(z, start[2]) & contains(z, end_z); }
   V dz() const { return select(way[2] == V{}, V{} + 1, way[2]); }  ///< along z, to divide by
 
   static Vector3<V> at(Flight<V> const& f, Real tau) {
@@ -65,15 +75,12 @@ struct Part {
 
 template <class V>
 Part<V> part_inside(Interval const& z, Segment<V> const& segment) {
-  V const half = V{} + 0.5;
-  auto const inside = contains(z, segment.start[2]);
-  if (all(inside & contains(z, segment.end_z))) return {V{} + 1, segment.point(half)};  // as below, with less work
   V const to_lower = (z.lower - segment.start[2]) / segment.dz(),
           to_upper = (z.upper - segment.start[2]) / segment.dz();
   V const first = clamped(lesser(to_lower, to_upper), 0, 1), last = clamped(greater(to_lower, to_upper), 0, 1);
   auto const rests = segment.way[2] == V{};
-  return {select(rests, zero_unless(inside, V{} + 1), last - first),
-          segment.point(select(rests, half, 0.5 * (first + last)))};
+  V const inside = zero_unless(contains(z, segment.start[2]), V{} + 1);
+  return {select(rests, inside, last - first), segment.point(select(rests, V{} + 0.5, 0.5 * (first + last)))};
 }
 
 /// 1 if a segment crosses a plane of constant z upwards, -1 downwards, else 0: by the sides of its ends alone, so that

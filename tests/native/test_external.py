@@ -348,6 +348,21 @@ def test_an_end_exactly_on_an_edge_counts_once():
         assert radial == pytest.approx(0.5 * 0.004 / 2, rel=1e-9)
 
 
+@pytest.mark.parametrize("name", HARD)
+def test_flights_that_pass_an_end_are_known(name):
+    fields = ExternalFields([HARD[name]])
+    position, velocity, _, _ = flights(3, 1000)
+    dt = 5e-11
+    ends = fields.edges(position, velocity, -dt, dt)[4]
+    z = position[:, 2:] + velocity[:, 2:] * np.array([-dt, dt])
+    inside = np.abs(z) < 0.1
+    assert np.array_equal(ends == 1, (inside[:, 0] != inside[:, 1]) | (~inside.any(axis=1) & (z[:, 0] * z[:, 1] < 0)))
+    # the others may take the field at their place for both halves
+    whole = np.hstack(fields.means(position, velocity, TIME, -dt, dt))
+    at_place = np.hstack(fields.fields(position, TIME))
+    assert np.allclose(whole[ends == 0], at_place[ends == 0], rtol=1e-9, atol=1e-9 * np.abs(at_place).max())
+
+
 def test_smooth_fields_are_those_at_the_place():
     position, velocity, start, stop = flights(2)
     for element in SMOOTH.values():
@@ -387,6 +402,19 @@ def test_eight_at_a_time_give_the_same_bits(seed):
     singles = native.means(position, velocity, TIME, start, stop, by_eights=False)
     assert np.array_equal(eights[0], singles[0]) and np.array_equal(eights[1], singles[1])
     assert np.abs(eights[0]).max() > 0 and np.abs(eights[1]).max() > 0
+
+
+def test_what_a_flight_gets_does_not_depend_on_those_beside_it():
+    position, velocity, start, stop = flights(5, 400)
+    position[:, 2] *= 8
+    fields = ExternalFields(drawn_elements(5, 30))
+    order = RNG(5).permutation(400)
+    for together, shuffled in zip(
+        fields.means(position, velocity, TIME, start, stop),
+        fields.means(position[order], velocity[order], TIME, start, stop),
+        strict=True,
+    ):
+        assert np.array_equal(together[order], shuffled)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -461,7 +489,7 @@ def rotated(v: np.ndarray, B: np.ndarray, duration: float) -> np.ndarray:
 
 def half_kick(fields: ExternalFields, x: np.ndarray, v: np.ndarray, start: float, stop: float) -> tuple[Any, Any]:
     """What a half step does to places and velocities: planes where the flight enters, inside, planes where it leaves."""
-    first, last, moment, normal = fields.edges(x, v, start, stop)
+    first, last, moment, normal, _ = fields.edges(x, v, start, stop)
     inside = fields.means(x, v, 0.0, start, stop)[1] - first - last
     duration = stop - start
     now = rotated(rotated(v, first, duration), inside, duration)

@@ -365,6 +365,12 @@ def gather(
     starts: NDArray[numpy.int64],
     out: NDArray[numpy.float64],
 ) -> None: ...
+
+class Pusher(enum.Enum):
+    boris = 0
+
+    higuera_cary = 1
+
 def push(
     mesh: ParticleMesh,
     shape: Shape,
@@ -376,11 +382,17 @@ def push(
     id: NDArray[numpy.int64],
     starts: NDArray[numpy.int64],
     charge: NDArray[numpy.float64],
-    time_over_mass: NDArray[numpy.float64],
+    inverse_mass: NDArray[numpy.float64],
     before: float,
     after: float,
+    flight: float,
+    pusher: Pusher,
+    beta: Sequence[float],
+    electric: NDArray[numpy.float64] | None,
+    magnetic: NDArray[numpy.float64] | None,
     momentum_out: NDArray[numpy.float64],
     position_out: NDArray[numpy.float64],
+    between: NDArray[numpy.float64] | None,
 ) -> None: ...
 
 class BeamSums:

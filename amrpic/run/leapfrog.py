@@ -9,48 +9,88 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mesh.field import VectorField
+from ..mesh.hierarchy import Hierarchy
 from ..particles.arrays import empty_columns
+from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
+from ..scene.motion import Leapfrog
+from ..stages.diagnostics import Moments, moments
+from ..stages.gather import gather
 from ..stages.push import push
 from .plan import Plan
+from .solution import Solution
 
 
 @dataclass(frozen=True, eq=False)
 class Staggered:
     """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions.
 
-    Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2.
+    Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2. Without a magnetic
+    field those of the state's time are the mean of both; with one they are kept, as `between`.
     """
 
     moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted
     lag: float  # s
-
-    @property
-    def weight(self) -> float:
-        """Of the momenta of `moved` in the mean with the lagging ones that gives those of the state's time."""
-        return 0.5 if self.lag > 0 else 0.0
+    between: np.ndarray | None = None  # (n, 3) kg m/s
 
     def synchronized(self, particles: Particles) -> Particles:
         """Return the particles of the state with momenta of the time of their positions, to rounding."""
-        if self.weight == 0:
+        if self.lag == 0:
             return particles
+        if self.between is not None:
+            return particles.replace(momentum=self.between)
         lagging, out = particles.momentum, empty_columns(len(particles))
         np.subtract(self.moved.momentum, lagging, out=out)
-        out *= self.weight
+        out *= 0.5
         out += lagging
         return particles.replace(momentum=out)
 
+    def moments(self, particles: Particles, hierarchy: Hierarchy) -> Moments:
+        """Return the moments of the particles at the time of the state. Collective."""
+        comm = hierarchy.comm
+        if self.between is not None:
+            return moments(comm, self.synchronized(particles))
+        return moments(comm, particles, self.moved, 0.5 if self.lag > 0 else 0.0)
 
-def kick_and_drift(efield: VectorField, particles: Particles, lag: float, plan: Plan) -> Staggered:
+
+def kick_and_drift(solution: Solution, particles: Particles, lag: float, plan: Plan) -> Staggered:
     """Return where particles go whose momenta lag positions by `lag` s. Collective."""
-    return Staggered(push(efield, particles, lag, plan.dt / 2, plan.dt, plan.clouds), lag)
+    magnetic = solution.frame != LABORATORY
+    between = empty_columns(len(particles)) if magnetic else None
+    return Staggered(_push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between), lag, between)
 
 
-def kick(efield: VectorField, particles: Particles, lag: float, plan: Plan) -> Particles:
+def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: Plan) -> Particles:
     """Return the particles with momenta of the time of their positions. Collective.
 
     In all digits those on the way to `moved`; `Staggered.synchronized` has them to rounding, without a pass over the field.
     """
-    kicked = push(efield, particles, lag, 0.0, 0.0, plan.clouds)
-    return particles.replace(momentum=kicked.momentum)
+    if staggered.between is not None:
+        return particles.replace(momentum=staggered.between)
+    return particles.replace(momentum=_push(solution, particles, staggered.lag, 0.0, 0.0, plan).momentum)
+
+
+def _push(
+    solution: Solution,
+    particles: Particles,
+    before: float,
+    after: float,
+    dt: float,
+    plan: Plan,
+    between: np.ndarray | None = None,
+) -> Particles:
+    motion, frame = plan.scene.motion, solution.frame
+    assert isinstance(motion, Leapfrog)
+    walls = plan.wall_field(solution)
+    return push(
+        solution.efield,
+        particles,
+        before,
+        after,
+        dt,
+        plan.clouds,
+        pusher=motion.pusher,
+        beta=frame.beta,
+        electric=None if walls is None else gather(walls, particles, plan.clouds),
+        between=between,
+    )

@@ -6,6 +6,7 @@ from functools import cached_property
 
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..stages.deposit import deposit
 from ..stages.migrate import migrate
@@ -17,7 +18,8 @@ from .plan import Plan
 class ParticleFields:
     """Fields of particles that are sorted on a hierarchy. All ranks ask for the same ones: the first time is collective.
 
-    Potential and field are carried over from `known`, those of the step before; without it they are solved for.
+    Potential and field are carried over from `known`, those of the step before; without it they are solved for, in `frame`, by
+    default that of the particles. Collective to make.
     """
 
     def __init__(
@@ -26,14 +28,16 @@ class ParticleFields:
         hierarchy: Hierarchy,
         plan: Plan,
         known: tuple[Field, VectorField] | None = None,
+        frame: Frame | None = None,
     ) -> None:
         self.particles, self.hierarchy, self.plan, self.known = particles, hierarchy, plan, known
+        self.frame = frame if frame is not None else plan.frame(particles)
 
     def on(self, hierarchy: Hierarchy) -> ParticleFields:
         """Return the fields of the same particles on another hierarchy. Collective."""
         with self.plan.clock("migrate"):
             particles, _ = migrate(self.particles, hierarchy)
-        return ParticleFields(particles, hierarchy, self.plan, self.known)
+        return ParticleFields(particles, hierarchy, self.plan, self.known, self.frame)
 
     @cached_property
     def rho(self) -> Field:
@@ -48,7 +52,7 @@ class ParticleFields:
             return self._carried(self.known[0])
         rho = self.rho
         with self.plan.clock("solve"):
-            return self.plan.solve(rho, None)[0]
+            return self.plan.solve(rho, None, self.frame)[0]
 
     @cached_property
     def efield(self) -> VectorField:
@@ -58,7 +62,7 @@ class ParticleFields:
             return VectorField(x, y, z)
         phi = self.phi
         with self.plan.clock("solve"):
-            return self.plan.poisson(self.hierarchy).deferred_field(phi)
+            return self.plan.poisson(self.hierarchy, self.frame).deferred_field(phi)
 
     @cached_property
     def particles_per_cell(self) -> Field:

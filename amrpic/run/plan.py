@@ -8,16 +8,18 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import SolverError
-from ..mesh.field import Field
+from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import own
 from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
+from ..particles.frame import LABORATORY, Frame, frame_of
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
+from .solution import Solution
 
 
 class Plan:
@@ -32,14 +34,27 @@ class Plan:
         self.notes: list[str] = []  # what the run settled by itself, for its log
         self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
+        self._frame = LABORATORY  # of that solver
+        self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 
-    def poisson(self, hierarchy: Hierarchy) -> PoissonSolver:
-        """Return the solver of a hierarchy, set up at the first call. Collective."""
-        if self._solver is None or self._solver.hierarchy is not hierarchy:
+    def frame(self, particles: Particles, before: Frame = LABORATORY) -> Frame:
+        """Return the frame in which to solve for the field of particles that move. Collective; InputError on all ranks."""
+        motion = self.scene.motion
+        if not isinstance(motion, Leapfrog):
+            return LABORATORY
+        return frame_of(self.comm, particles, self.scene.domain.value, motion.frame, before)
+
+    def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY) -> PoissonSolver:
+        """Return the solver of a hierarchy in a frame, set up at the first call. Collective."""
+        if self._solver is None or self._solver.hierarchy is not hierarchy or self._frame != frame:
             options = self.scene.solver
-            kept = self._solver.base_setup if self._solver is not None and options.reuse else None
+            same = options.reuse and self._frame == frame
+            kept = self._solver.base_setup if self._solver is not None and same else None
             self._solver = None  # the old operators go before the new ones come
+            if frame != LABORATORY:
+                options = options.model_copy(update={"stretch": frame.stretch})
+            self._frame = frame
             self._solver = PoissonSolver(
                 hierarchy,
                 options=options,
@@ -48,18 +63,20 @@ class Plan:
             )
         return self._solver
 
-    def solve(self, rho: Field, guess: Field | None) -> tuple[Field, SolveReport]:
-        """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge."""
-        phi, report = self.poisson(rho.hierarchy).solve(
-            rho, guess=guess, boundary_values=self._potential, boundary_flux=self._slope
+    def solve(self, rho: Field, guess: Field | None, frame: Frame = LABORATORY) -> tuple[Field, SolveReport]:
+        """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge.
+
+        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone.
+        """
+        at_rest = frame == LABORATORY
+        phi, report = self.poisson(rho.hierarchy, frame).solve(
+            rho,
+            guess=guess,
+            boundary_values=self._potential if at_rest else None,
+            boundary_flux=self._slope if at_rest else None,
         )
         self._solves.append(report)
-        if not report.converged:
-            reached = report.residuals[-1] if report.residuals else float("nan")
-            raise SolverError(
-                f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance} "
-                f"({report.reason}); raise solver.tolerance or solver.max_cycles"
-            )
+        self._require_converged(report)
         if report.floor > 0:
             self.remark(
                 f"solver.tolerance {self.scene.solver.tolerance} lies below what rounding leaves of the residual, about "
@@ -67,10 +84,35 @@ class Plan:
             )
         return phi, report
 
+    def wall_field(self, solution: Solution) -> VectorField | None:
+        """Return the field of what the walls hold where the solution is without it, being one of another frame. Collective.
+
+        It is solved for once on each mesh, in the laboratory.
+        """
+        if solution.frame == LABORATORY or (self._potential is None and self._slope is None):
+            return None
+        hierarchy = solution.rho.hierarchy
+        if self._wall_field is None or self._wall_field.hierarchy is not hierarchy:
+            with self.clock("solve"):
+                solver = PoissonSolver(hierarchy, options=self.scene.solver)
+                phi, report = solver.solve(Field(hierarchy), None, self._potential, self._slope)
+                self._require_converged(report)
+                self._wall_field = solver.deferred_field(phi, covered=self.clouds.covered)
+        return self._wall_field
+
     def take_solves(self) -> list[SolveReport]:
         """Return how the solves since the latest call went, and forget them."""
         solves, self._solves = self._solves, []
         return solves
+
+    def _require_converged(self, report: SolveReport) -> None:
+        if report.converged:
+            return
+        reached = report.residuals[-1] if report.residuals else float("nan")
+        raise SolverError(
+            f"residual {reached:.1e} after {report.cycles} cycles instead of {self.scene.solver.tolerance} "
+            f"({report.reason}); raise solver.tolerance or solver.max_cycles"
+        )
 
     @property
     def clouds(self) -> Clouds:

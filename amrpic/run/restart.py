@@ -18,6 +18,7 @@ from ..io.provenance import Provenance
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.arrays import repeated
+from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
@@ -25,7 +26,8 @@ from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from .limits import require_room
 from .plan import Plan
-from .state import Lost, Solution, State
+from .solution import Solution
+from .state import Lost, State
 from .step import state_of
 
 COLUMNS = ("position", "momentum", "weight", "id")
@@ -49,7 +51,7 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
         owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
         weights=hierarchy.weights,
         about=about(scene),
-        extra={"species": particles.species.to_dict(), "report": vars(report)},
+        extra={"species": particles.species.to_dict(), "report": vars(report), "frame": vars(state.solution.frame)},
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
     tables = {"particles": _columns(particles), "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
@@ -88,7 +90,9 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
     efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
-    solution = Solution(fields["rho"], fields["phi"], efield, SolveReport(**extra["report"]))
+    solution = Solution(
+        fields["rho"], fields["phi"], efield, SolveReport(**extra["report"]), Frame(**extra.get("frame", {}))
+    )
     gone = Lost(_particles(lost, species), lost["time"])
     return state_of(plan, particles, solution, gone, held.header.step, held.header.time)
 

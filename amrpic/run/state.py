@@ -13,6 +13,7 @@ from ..stages.diagnostics import Moments, moments
 from ..stages.poisson import SolveReport
 from .clock import Spent
 from .leapfrog import Staggered
+from .solution import Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +29,6 @@ class Lost:
             return self
         times = np.concatenate([self.time, np.full(len(particles), now)])
         return Lost(concatenate([self.particles, particles]), times)
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A charge density, and the potential and field that were solved for it."""
-
-    rho: Field  # of the particles, C/m³; without a neutralizing background
-    phi: Field  # V
-    efield: VectorField  # V/m
-    report: SolveReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +80,6 @@ class State:
 
     def moments(self) -> Moments:
         """Return the moments of the particles at the time of the state. Collective."""
-        comm, staggered = self.hierarchy.comm, self.staggered
-        if staggered is None:
-            return moments(comm, self.particles)
-        return moments(comm, self.particles, staggered.moved, staggered.weight)
+        if self.staggered is None:
+            return moments(self.hierarchy.comm, self.particles)
+        return self.staggered.moments(self.particles, self.hierarchy)

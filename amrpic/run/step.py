@@ -17,7 +17,8 @@ from .initial_particles import make_bunches
 from .leapfrog import kick, kick_and_drift
 from .particle_fields import ParticleFields
 from .plan import Plan
-from .state import Lost, Solution, State
+from .solution import Solution
+from .state import Lost, State
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -27,7 +28,8 @@ def advance(state: State, plan: Plan) -> State:
         moved = _moved(state, plan)
     with plan.clock("migrate"):
         particles, gone = migrate(moved, state.hierarchy)
-    fields = ParticleFields(particles, state.hierarchy, plan, (state.phi, state.efield))
+    frame = plan.frame(particles, state.solution.frame)
+    fields = ParticleFields(particles, state.hierarchy, plan, (state.phi, state.efield), frame)
     if plan.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
     lost = state.lost.joined(gone, now)
@@ -66,7 +68,7 @@ def state_of(
     staggered = None
     if isinstance(plan.scene.motion, Leapfrog):
         with plan.clock("gather"):
-            staggered = kick_and_drift(solution.efield, particles, lag, plan)
+            staggered = kick_and_drift(solution, particles, lag, plan)
     return State(particles, staggered, solution, lost, step, time, regridded, plan.clock.take())
 
 
@@ -77,7 +79,7 @@ def kicked(state: State, plan: Plan) -> State:
     """
     if state.staggered is None or state.staggered.lag == 0:
         return state
-    particles = kick(state.efield, state.particles, state.staggered.lag, plan)
+    particles = kick(state.solution, state.particles, state.staggered, plan)
     return replace(state, particles=particles, staggered=replace(state.staggered, lag=0.0))
 
 
@@ -95,9 +97,9 @@ def _solution(fields: ParticleFields) -> Solution:
     """Return the field of the particles. Collective; SolverError if the solve does not converge."""
     plan, rho = fields.plan, fields.rho
     with plan.clock("solve"):
-        phi, report = plan.solve(rho, fields.guess)
-        efield = plan.poisson(fields.hierarchy).deferred_field(phi, covered=plan.clouds.covered)
-    return Solution(rho, phi, efield, report)
+        phi, report = plan.solve(rho, fields.guess, fields.frame)
+        efield = plan.poisson(fields.hierarchy, fields.frame).deferred_field(phi, covered=plan.clouds.covered)
+    return Solution(rho, phi, efield, report, fields.frame)
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:

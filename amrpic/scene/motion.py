@@ -17,9 +17,20 @@ class NoMotion(Section):
 
 
 class Leapfrog(Section):
-    """Particles move in their own field, non-relativistically."""
+    """Particles move in their own field, relativistically."""
 
     kind: Literal["leapfrog"]
+    pusher: Literal["higuera-cary", "boris"] = Field(
+        default="higuera-cary",
+        description="How magnetic fields turn momenta. Higuera and Cary's keeps particles at rest in their bunch where E and "
+        "v × B cancel; Boris's does not, and costs a root less.",
+    )
+    frame: Literal["auto", "lab", "rest"] = Field(
+        default="auto",
+        description="Where the self-field is electrostatic. rest: in the frame of the mean momentum, along a mesh axis, so "
+        "that the laboratory has its magnetic field too; lab: in the laboratory, without one, refused above β² = 0.01; "
+        "auto: lab below β² = 1e-4, else rest.",
+    )
     dt: Time = Field(gt=0, description="Time step, s; well below the plasma period and the time to cross a cell.")
 
 

@@ -157,8 +157,8 @@ class Scene(Section):
     def _check_stretch(self) -> None:
         if isinstance(self.motion, Leapfrog) and self.solver.stretch != (1.0, 1.0, 1.0):
             raise complaint(
-                "asks for the field of a relativistic bunch, but the leapfrog knows no magnetic force",
-                "leave stretch out, or the motion",
+                "is for bunches at rest in the scene; the leapfrog finds that of a moving one by itself",
+                "leave stretch out, and set motion.frame",
                 path="solver.stretch",
                 found=list(self.solver.stretch),
             )

@@ -14,25 +14,56 @@ from ..particles.particles import Particles
 RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from others
 
 
+PUSHERS = ("higuera-cary", "boris")
+
+
 def push(
-    efield: VectorField, particles: Particles, before: float, after: float, dt: float, clouds: Clouds = PLAIN
+    efield: VectorField,
+    particles: Particles,
+    before: float,
+    after: float,
+    dt: float,
+    clouds: Clouds = PLAIN,
+    *,
+    pusher: str = "higuera-cary",
+    beta: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    electric: np.ndarray | None = None,
+    magnetic: np.ndarray | None = None,
+    between: np.ndarray | None = None,
 ) -> Particles:
-    """Return the particles after `before` s and a further `after` s in the field at their places, and a flight of `dt` s.
+    """Return the particles after `before` s and a further `after` s in the fields at their places, and a flight of `dt` s.
     Let `migrate` follow.
 
-    p += q E Δt, with the field as `gather` finds it, and x += p dt / m, non-relativistic; each particle is read once. The two
-    parts are added one after the other: with the momenta between them, a second call goes on to the same in all digits.
-    Collective, and as `gather` in all else.
+    dp/dt = q (E + v × B), with the mesh's field as `gather` finds it, and x += p dt / (γ m), γ² = 1 + (p / m c)²; each particle
+    is read once. Charge whose field the mesh holds moves with `beta` c, so that B = beta × E / c. `electric` (V/m) and
+    `magnetic` (T) are (n, 3) fields at the particles that are added. The two parts act one after the other, and what is between
+    them is written into `between`, (n, 3): a second call goes on from there to the same in all digits. Magnetic fields turn
+    momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017), have it. Collective, and as `gather` in all
+    else.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
     momentum, position = (empty_columns(len(particles)) for _ in range(2))
-    time_over_mass = particles.spread(dt / particles.species.masses)
-    given, out = particles.arrays, (momentum, position)
+    inverse_mass = particles.spread(1 / particles.species.masses)
     try:
-        mesh, starts = hierarchy.particle_mesh, sorting.starts
         _native.push(
-            mesh, *clouds.native, efield.native, *given, starts, particles.charge, time_over_mass, before, after, *out
+            hierarchy.particle_mesh,
+            *clouds.native,
+            efield.native,
+            *particles.arrays,
+            sorting.starts,
+            particles.charge,
+            inverse_mass,
+            before,
+            after,
+            dt,
+            getattr(_native.Pusher, pusher.replace("-", "_")),
+            beta,
+            electric,
+            magnetic,
+            momentum,
+            position,
+            between,
         )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None

@@ -1,6 +1,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -11,6 +12,7 @@
 #include "particle/gather.hpp"
 #include "particle/migrate.hpp"
 #include "particle/moments.hpp"
+#include "particle/push.hpp"
 #include "particle/random.hpp"
 
 namespace nb = nanobind;
@@ -121,19 +123,32 @@ void bind_particle(nb::module_& m) {
       },
       "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "out"_a);
 
+  nb::enum_<Pusher>(m, "Pusher").value("boris", Pusher::boris).value("higuera_cary", Pusher::higuera_cary);
+
   m.def(
       "push",
       [](ParticleMesh& mesh, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
          ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         OnePerParticle charge, OnePerParticle time_over_mass, Real before, Real after, Columns momentum_out,
-         Columns position_out) {
+         OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after, Real flight, Pusher pusher,
+         Real3 beta, std::optional<ConstColumns> electric, std::optional<ConstColumns> magnetic, Columns momentum_out,
+         Columns position_out, std::optional<Columns> between) {
         nb::gil_scoped_release release;
-        push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(),
-             {charge.data(), time_over_mass.data(), charge.stride(0) == 0, before, after},
-             {columns(momentum_out), columns(position_out)});
+        auto const if_given = [](auto const& array) { return array ? columns(*array) : std::array<Real*, 3>{}; };
+        Motion const motion{charge.data(),
+                            inverse_mass.data(),
+                            charge.stride(0) == 0,
+                            before,
+                            after,
+                            flight,
+                            pusher,
+                            beta,
+                            {if_given(electric), if_given(magnetic)}};
+        push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
+             {columns(momentum_out), columns(position_out), if_given(between)});
       },
       "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "charge"_a, "time_over_mass"_a, "before"_a, "after"_a, "momentum_out"_a, "position_out"_a);
+      "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a, "electric"_a.none(),
+      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none());
 
   nb::class_<BeamSums<Real>>(m, "BeamSums")
       .def_ro("weight", &BeamSums<Real>::weight)

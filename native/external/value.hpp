@@ -10,9 +10,6 @@
 
 namespace amrpic {
 
-template <class V>
-using Vector3 = std::array<V, 3>;
-
 namespace external {
 
 /// A field of one kind per value, in V/m and T.

@@ -30,6 +30,11 @@ struct Box {
            GlobalIndex(extent(0)) * ((cell[1] - lower[1]) + GlobalIndex(extent(1)) * (cell[2] - lower[2]));
   }
 
+  /// How far apart the places of neighbours along an axis are.
+  std::ptrdiff_t stride(int axis) const {
+    return axis == 0 ? 1 : axis == 1 ? extent(0) : std::ptrdiff_t(extent(0)) * extent(1);
+  }
+
   Box intersect(Box const& other) const {
     Box out;
     for (int d = 0; d < 3; ++d) {
@@ -80,6 +85,12 @@ struct Box {
   }
   bool operator==(Box const& other) const { return lower == other.lower && upper == other.upper; }
 };
+
+/// The cell twice as wide that holds a cell, and the lowest of those half as wide in it.
+inline Index3 parent_of(Index3 const& cell) {
+  return {floor_divide(cell[0], 2), floor_divide(cell[1], 2), floor_divide(cell[2], 2)};
+}
+inline Index3 first_child_of(Index3 const& cell) { return {2 * cell[0], 2 * cell[1], 2 * cell[2]}; }
 
 /// Call `f(Index3)` for each cell of a box, x fastest.
 template <class F>

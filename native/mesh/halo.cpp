@@ -99,9 +99,7 @@ std::vector<GlobalIndex> Halo::numbers() const {
   return out;
 }
 
-LocalIndex Halo::local(GlobalIndex cell) const {
-  GlobalIndex const own = cell - first_;
-  if (own >= 0 && own < owned_) return LocalIndex(own);
+LocalIndex Halo::place_in_halo(GlobalIndex cell) const {
   std::size_t const r = first_run_from(cell);
   if (r == cells_.size() || cells_[r].first > cell)
     throw std::logic_error("cell " + std::to_string(cell) + " is neither owned nor in the halo");

@@ -91,7 +91,10 @@ class Halo {
   bool has_cells_of(Halo const& other) const { return cells_ == other.cells_; }  ///< and no others
 
   /// Place of a cell in [own cells | halo]; the cell must be in one of both.
-  LocalIndex local(GlobalIndex cell) const;
+  LocalIndex local(GlobalIndex cell) const {
+    GlobalIndex const own = cell - first_;
+    return own >= 0 && own < owned_ ? LocalIndex(own) : place_in_halo(cell);
+  }
   std::vector<LocalIndex> local(std::vector<GlobalIndex> const& cells) const;  ///< negative numbers stay
 
   /// Places of a level's cells in a region, `no_place` where a cell is neither owned nor in the halo or does not exist;
@@ -119,6 +122,7 @@ class Halo {
       runs.push_back({place, 1});
   }
   void plan(Communicator const& comm, CellReads const& reads);
+  LocalIndex place_in_halo(GlobalIndex cell) const;
   void write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const;
   std::size_t first_run_from(GlobalIndex cell) const;
 

@@ -13,11 +13,6 @@ namespace amrpic {
 
 namespace {
 
-Form laplacian_row(Equation const& equation, StencilCells const& n, Index3 const& cell, Execution execution) {
-  return laplacian_form(equation, n.own(cell),
-                        [&](int axis, int side) { return neighbour_value(n, cell, axis, side, execution); });
-}
-
 /// Writes the rows of prolongation whose parents all exist.
 class RegularProlongation {
  public:
@@ -88,6 +83,7 @@ class LevelAssembly {
         level_(*multigrid.levels[l]),
         faces_(multigrid.faces[l]),
         equation_(multigrid.equation(l)),
+        near_(level_, multigrid.walls[l]),
         open_walls_(multigrid),
         seam_width_(seam_widths(level_.periodic(), multigrid.upper[l])),
         prolong_(multigrid.ratio[l], kind),
@@ -155,9 +151,9 @@ class LevelAssembly {
   bool is_fully_covered() const { return finer_ && !multigrid_.refines(l_ + 1); }
 
   void count_laplacians(int b) {
-    StencilCells const n = stencil_cells_of(
-        (*faces_)[std::size_t(b - level_.first_local_box())], level_, multigrid_.refines(l_ + 1) ? finer_ : nullptr,
-        multigrid_.refines(l_) ? coarser_ : nullptr, multigrid_.walls[l_], seam_width_);
+    StencilCells const n = stencil_cells_of((*faces_)[std::size_t(b - level_.first_local_box())], level_,
+                                            multigrid_.refines(l_ + 1) ? finer_ : nullptr,
+                                            multigrid_.refines(l_) ? coarser_ : nullptr, seam_width_);
     auto const kinds = row_kinds(n, Execution::without_finer);
     auto const composite =
         is_fully_covered() ? RowKinds(level_.box(b), RowKind::covered) : row_kinds(n, Execution::composite);
@@ -169,9 +165,17 @@ class LevelAssembly {
     if (finer_) count_composite(b, n, composite);
   }
 
+  Form const& laplacian(StencilCells const& n, Index3 const& cell, Execution execution) {
+    CellShape const shape = cell_shape(n, cell, execution);
+    return laplacians_(shape, [&] {
+      return laplacian_form(equation_, near_.own(),
+                            [&](int axis, int side) { return near_.across(shape[axis][side], axis, side); });
+    });
+  }
+
   /// A row that a missing neighbour makes special, and with it that of the composite where it is the same.
   void count_special(StencilCells const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
-    terms_.set(laplacian_row(equation_, n, cell, Execution::without_finer));
+    terms_.set(laplacian(n, cell, Execution::without_finer), n, cell);
     if (finer_ && composite == RowKind::special) composite_->put(row, terms_.own_row);
     if (composite == RowKind::covered) add_open_walls(n, cell);
     no_fine_.put(row, terms_.own_row);
@@ -188,7 +192,7 @@ class LevelAssembly {
       }
       if (kind != RowKind::beside) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-        terms_.set(laplacian_row(equation_, n, cell, Execution::composite));
+        terms_.set(laplacian(n, cell, Execution::composite), n, cell);
         composite_->put(row, terms_.own_row);
         fine_boundary_->put(row, terms_.fine_row);
       });
@@ -205,9 +209,9 @@ class LevelAssembly {
       return otherwise && parent == last / ratio[d];
     };
     auto put = [&](Index3 const& cell, LocalIndex row) {
-      Row mean;
-      restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { mean.append(c, w); });
-      restriction_->put(row, mean);
+      row_.clear();
+      restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { row_.append(c, w); });
+      restriction_->put(row, row_);
     };
     RowRun regular = run;
     if (special(1, first[1]) || special(2, first[2]))
@@ -268,14 +272,14 @@ class LevelAssembly {
                    if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
                    if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
                    for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-                     Row values;
+                     row_.clear();
                      prolong(
                          cell, ratio, kind_, *coarser_, *coarse, coarse_seam,
                          [&](Index3 const& parent, int axis, int side) {
                            return prolonged_end(multigrid_, open_walls_, l_ - 1, parent, axis, side);
                          },
-                         [&](GlobalIndex c, Real w) { values.append(c, w); });
-                     prolongation_->put(row, values);
+                         [&](GlobalIndex c, Real w) { row_.append(c, w); });
+                     prolongation_->put(row, row_);
                    });
                  });
   }
@@ -301,9 +305,12 @@ class LevelAssembly {
   Level const& level_;
   std::shared_ptr<LevelFaces const> faces_;
   Equation equation_;
+  FormsNear near_;
+  ByShape<Form> laplacians_;
   Level const* coarser_ = nullptr;
   Level const* finer_ = nullptr;
   Terms terms_;
+  Row row_;
   OpenWalls open_walls_;
   Real3 seam_width_;
   RegularProlongation prolong_;

@@ -9,11 +9,26 @@ namespace amrpic {
 
 namespace {
 
-/// E along an axis.
-Form field_form(StencilCells const& n, Index3 const& cell, int axis, Execution execution) {
-  return field_between(field_factor(n.level->spacing()[axis]), neighbour_value(n, cell, axis, 0, execution),
-                       neighbour_value(n, cell, axis, 1, execution));
-}
+/// E along each axis in cells of a level.
+class FieldForms {
+ public:
+  FieldForms(Level const& level, WallGhosts const& walls) : spacing_(level.spacing()), near_(level, walls) {}
+
+  std::array<Form, 3> const& operator()(StencilCells const& n, Index3 const& cell, Execution execution) {
+    CellShape const shape = cell_shape(n, cell, execution);
+    return forms_(shape, [&] { return std::array<Form, 3>{along(shape, 0), along(shape, 1), along(shape, 2)}; });
+  }
+
+ private:
+  Form along(CellShape const& shape, int axis) const {
+    return field_between(field_factor(spacing_[axis]), near_.across(shape[axis][0], axis, 0),
+                         near_.across(shape[axis][1], axis, 1));
+  }
+
+  Real3 spacing_;
+  FormsNear near_;
+  ByShape<std::array<Form, 3>> forms_;
+};
 
 std::array<CrsBuilder, 3> builders(LocalIndex rows) { return {CrsBuilder(rows), CrsBuilder(rows), CrsBuilder(rows)}; }
 
@@ -34,18 +49,21 @@ std::array<GradientAxis, 3> gradient_of(MultigridLevels const& multigrid, std::s
                                         LevelOperators const& operators, LevelOperators const* fine) {
   Level const& level = *multigrid.levels[l];
   Level const *coarser = coarse ? coarse->level.get() : nullptr, *finer = fine ? fine->level.get() : nullptr;
-  auto own = builders(level.local_cells()), below = own, above = own;
+  LocalIndex const rows = level.local_cells();
+  auto own = builders(rows), below = builders(rows), above = builders(rows);
+  FieldForms forms(level, multigrid.walls[l]);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
-    StencilCells const n = stencil_cells_of(faces, level, finer, coarser, multigrid.walls[l]);
+    StencilCells const n = stencil_cells_of(faces, level, finer, coarser);
     auto const kinds = row_kinds(n, Execution::composite);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
       if (kind == RowKind::regular || kind == RowKind::covered) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
+        auto const& field = forms(n, cell, Execution::composite);
         for (int d = 0; d < 3; ++d) {
-          terms.set(field_form(n, cell, d, Execution::composite));
+          terms.set(field[std::size_t(d)], n, cell);
           own[d].put(row, terms.own_row);
           below[d].put(row, terms.coarse_row);
           above[d].put(row, terms.fine_row);
@@ -77,11 +95,12 @@ std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, s
                                              LevelOperators const& operators) {
   Level const& level = *multigrid.levels[l];
   auto axes = builders(level.local_cells());
+  FieldForms forms(level, multigrid.walls[l]);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     // Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
-    StencilCells const n = stencil_cells_of(faces, level, nullptr, nullptr, multigrid.walls[l]);
+    StencilCells const n = stencil_cells_of(faces, level, nullptr, nullptr);
     auto kinds = row_kinds(n, Execution::without_finer);
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())
@@ -90,8 +109,9 @@ std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, s
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) axes[d].put_run(run, RegularRows::gradient_terms);
       if (kind != RowKind::special) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex at) {
+        auto const& field = forms(n, cell, Execution::without_finer);
         for (int d = 0; d < 3; ++d) {
-          terms.set(field_form(n, cell, d, Execution::without_finer));
+          terms.set(field[std::size_t(d)], n, cell);
           axes[d].put(at, terms.own_row);
         }
       });

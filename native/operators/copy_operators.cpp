@@ -11,14 +11,14 @@ namespace {
 
 /// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
 Form special_row(Equation const& equation, LevelCopy const& copy, StencilCells const& n, Index3 const& cell) {
-  return laplacian_form(equation, n.own(cell), [&](int axis, int side) {
+  FormsNear const near(*copy.level, copy.walls);
+  return laplacian_form(equation, near.own(), [&](int axis, int side) {
     CellFaces const& faces = n.faces(cell);
-    if (faces(axis, side) == Beyond::same_level) return neighbour_value(n, cell, axis, side, Execution::without_finer);
+    if (faces(axis, side) == Beyond::same_level)
+      return near.across(face_shape(n, cell, axis, side, Execution::without_finer), axis, side);
     WallGhost ghost = faces(axis, side) == Beyond::wall ? copy.walls[axis][side] : copy.ghost(cell, axis, side);
     if (faces(axis, 1 - side) != Beyond::same_level) ghost.second = 0;
-    Index3 inner = cell;
-    inner[axis] += side == 0 ? 1 : -1;
-    return ghost(own(n.own(cell)), own(n.own(inner)));
+    return ghost(near.own(), near.own(axis, side == 0 ? 1 : -1));
   });
 }
 
@@ -31,13 +31,12 @@ LevelOperators laplacian_of(Communicator const& comm, LevelCopy const& copy, Rea
   CrsBuilder builder(level.local_cells());
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    StencilCells const n =
-        stencil_cells_of(BoxFaces(level, level.box(b)), level, nullptr, nullptr, copy.walls, seam_width);
+    StencilCells const n = stencil_cells_of(BoxFaces(level, level.box(b)), level, nullptr, nullptr, seam_width);
     auto const kinds = row_kinds(n, Execution::without_finer);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-        terms.set(special_row(equation, copy, n, cell));
+        terms.set(special_row(equation, copy, n, cell), n, cell);
         builder.put(row, terms.own_row);
       });
     });

@@ -32,15 +32,23 @@ struct Crs {
     return sum;
   }
 
-  /// List the occupied rows if they are few.
-  void finish() {
-    std::size_t filled = 0;
-    for (LocalIndex r = 0; r < rows(); ++r) filled += row_start[r] < row_start[r + 1];
+  /// Make room for rows of so many entries, and list those that are occupied if they are few.
+  void set_lengths(std::vector<LocalIndex> const& length) {
+    row_start.resize(length.size() + 1);
+    std::size_t entries = 0, filled = 0;
+    for (std::size_t r = 0; r < length.size(); ++r) {
+      row_start[r] = entries;
+      entries += std::size_t(length[r]);
+      filled += length[r] > 0;
+    }
+    row_start.back() = entries;
+    column.resize(entries);
+    value.resize(entries);
     sparse_rows = 2 * filled < row_start.size();
     if (!sparse_rows) return;
     occupied.reserve(filled);
-    for (LocalIndex r = 0; r < rows(); ++r)
-      if (row_start[r] < row_start[r + 1]) occupied.push_back(r);
+    for (std::size_t r = 0; r < length.size(); ++r)
+      if (length[r] > 0) occupied.push_back(LocalIndex(r));
   }
 
   /// Call f(row) for each row that has entries (or for all, where most have).

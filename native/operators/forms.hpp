@@ -1,129 +1,129 @@
 // The formulas of native/stencil with unknowns for values: what they give are rows of operators.
 #pragma once
 
-#include "operators/regular_rows.hpp"
+#include <array>
+#include <cstdint>
+#include <stdexcept>
+
+#include "operators/cell_shape.hpp"
 #include "operators/row.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/laplacian.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
 
-/// A cell of a box's level, or of the next coarser or finer one, by its number there.
+/// A cell near that of a row, on its level or on the next coarser or finer one, by its offset there: from the row's
+/// cell, its parent or its first child.
 struct Unknown {
-  enum class On : char { coarser, own, finer } level;
-  GlobalIndex cell;
-  bool operator==(Unknown const& other) const { return level == other.level && cell == other.cell; }
+  enum class On : std::int8_t { coarser, own, finer } level;
+  std::array<std::int8_t, 3> offset;
+  bool operator==(Unknown const& other) const { return level == other.level && offset == other.offset; }
 };
 
 using Form = LinearForm<Unknown>;
-
-inline Form own(GlobalIndex cell) { return {{Unknown::On::own, cell}, 1}; }
-inline Form fine(GlobalIndex cell) { return {{Unknown::On::finer, cell}, 1}; }
 
 /// A form as rows of three operators, by the level of the columns.
 struct Terms {
   Row own_row, coarse_row, fine_row;
 
-  void set(Form const& form) {
+  /// The row of a cell that has the form.
+  void set(Form const& form, StencilCells const& n, Index3 const& cell) {
     own_row.clear(), coarse_row.clear(), fine_row.clear();
-    for (int k = 0; k < form.size(); ++k) {
-      auto const [level, cell] = form.column(k);
-      if (cell == no_cell) throw std::logic_error("a stencil reached for a cell that does not exist");
-      Row& row = level == Unknown::On::own ? own_row : level == Unknown::On::coarser ? coarse_row : fine_row;
-      row.append(cell, form.value(k));
+    Index3 const parent = parent_of(cell), child = first_child_of(cell);
+    for (auto const& [unknown, weight] : form.terms()) {
+      auto append = [w = weight, o = unknown.offset](Row& row, ArrayOnBox<GlobalIndex> const& numbers,
+                                                     Index3 const& from) {
+        GlobalIndex const number = numbers({from[0] + o[0], from[1] + o[1], from[2] + o[2]});
+        if (number == no_cell) throw std::logic_error("a stencil reached for a cell that does not exist");
+        row.append(number, w);
+      };
+      if (unknown.level == Unknown::On::own) append(own_row, n.own, cell);
+      if (unknown.level == Unknown::On::coarser) append(coarse_row, n.coarse, parent);
+      if (unknown.level == Unknown::On::finer) append(fine_row, n.fine, child);
     }
   }
 };
 
-/// The coarse cells of the plane behind a coarse-fine face, of which phi* is made.
-class PlaneBehind {
+/// Values near a cell of a level, as forms.
+class FormsNear {
  public:
-  /// The plane around a cell whose face it is; `covered` has the extent of `cells`.
-  PlaneBehind(Index3 const& middle, int axis, ArrayOnBox<GlobalIndex> const& cells, ArrayOnBox<char> const& covered)
-      : middle_(middle), along_(tangential_axes(axis)), cells_(cells) {
-    auto look = [&](int reach) {
-      for (int i = -reach; i <= reach; ++i)
-        for (int j = -reach; j <= reach; ++j)
-          if (cells(at(i, j)) != no_cell && !covered(at(i, j))) usable_ |= plane_bit(i, j);
-    };
-    look(1);
-    if (usable_ != plane_block(-1, -1, 3)) look(2);  // the central block is the first to be tried
-  }
+  FormsNear(Level const& level, WallGhosts const& walls) : level_(&level), walls_(&walls) {}
 
-  /// phi* in front of the children in the lower or upper half of the cell along either axis of the plane, whose cells
-  /// are of the given level.
-  Form fit(bool upper_u, bool upper_v, Unknown::On level) const {
-    PlaneFit const fit = plane_fit(usable_, quarter(upper_u), quarter(upper_v));
-    Form out;
-    for (int t = 0; t < fit.count; ++t) {
-      auto const& term = fit.terms[std::size_t(t)];
-      out.append({level, cells_(at(term.i, term.j))}, term.weight);
+  /// phi of the cell, or of one that is so far from it along an axis.
+  Form own(int axis = 0, int distance = 0) const { return {unknown(Unknown::On::own, along(axis, distance)), 1}; }
+
+  /// phi across a face. Both Laplacian and field are made of it, so that every face has one flux: that through a face
+  /// which the finer level covers on the other side is the mean of the four fine fluxes.
+  Form across(FaceShape const& face, int axis, int side) const {
+    int const step = side == 0 ? -1 : 1;
+    Form const here = own(), inner = own(axis, -step);
+    if (face.beyond == Beyond::wall) return (*walls_)[axis][side](here, inner);
+    if (face.beyond == Beyond::coarser) {
+      Form const star = fit(face, axis, face.upper_u, face.upper_v, Unknown::On::coarser, along(axis, step));
+      return ghost_at_interface(star, here, inner);
     }
-    return out;
+    if (face.beyond == Beyond::finer) {
+      auto const [u, v] = tangential_axes(axis);
+      Form differences;
+      for (int b = 0; b < 2; ++b)
+        for (int a = 0; a < 2; ++a) {
+          Index3 first = along(axis, side == 0 ? -1 : 2);  // from the first child
+          first[u] = a, first[v] = b;
+          Index3 second = first;
+          second[axis] += step;
+          Form const phi_1(unknown(Unknown::On::finer, first), 1), phi_2(unknown(Unknown::On::finer, second), 1);
+          Form const star = fit(face, axis, a == 1, b == 1, Unknown::On::own, {0, 0, 0});
+          differences += phi_1 - ghost_at_interface(star, phi_1, phi_2);
+        }
+      return ghost_at_fine_faces(here, differences);
+    }
+    return neighbour_at_seam(face.seam, here, own(axis, step));
   }
 
  private:
-  Index3 at(int i, int j) const {
-    Index3 out = middle_;
-    out[along_[0]] += i;
-    out[along_[1]] += j;
+  static Index3 along(int axis, int distance) {
+    Index3 out{0, 0, 0};
+    out[axis] = distance;
     return out;
   }
-  Index3 middle_;
-  std::array<int, 2> along_;
-  ArrayOnBox<GlobalIndex> const& cells_;
-  unsigned usable_ = 0;
+
+  /// Images of a cell around periodic axes are one unknown.
+  Unknown unknown(Unknown::On level, Index3 offset) const {
+    Unknown out{level, {}};
+    for (int d = 0; d < 3; ++d) {
+      int const cells = level_->domain().extent(d);
+      int const period = level == Unknown::On::finer ? 2 * cells : level == Unknown::On::own ? cells : cells / 2;
+      if (level_->periodic()[d]) offset[d] -= period * floor_divide(offset[d] + period / 2, period);
+      out.offset[std::size_t(d)] = std::int8_t(offset[d]);
+    }
+    return out;
+  }
+
+  /// phi* in front of the children in the lower or upper half of the plane's middle cell along either of its axes.
+  Form fit(FaceShape const& face, int axis, bool upper_u, bool upper_v, Unknown::On level, Index3 const& middle) const {
+    auto const [u, v] = tangential_axes(axis);
+    PlaneFit const fit = plane_fit(face.usable, quarter(upper_u), quarter(upper_v));
+    Form out;
+    for (int t = 0; t < fit.count; ++t) {
+      auto const& term = fit.terms[std::size_t(t)];
+      Index3 cell = middle;
+      cell[u] += term.i, cell[v] += term.j;
+      out.append(unknown(level, cell), term.weight);
+    }
+    return out;
+  }
+
+  Level const* level_;
+  WallGhosts const* walls_;
 };
 
-/// phi across a face of a cell. Both Laplacian and field are made of it, so that every face has one flux: in
-/// `composite` execution that through a face which the finer level covers on the other side is the mean of the four
-/// fine fluxes.
-inline Form neighbour_value(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution) {
-  int const step = side == 0 ? -1 : 1;
-  Index3 outer = cell, inner = cell;
-  outer[axis] += step;
-  inner[axis] -= step;
-  Form const here = own(n.own(cell));
-  auto const [u, v] = tangential_axes(axis);
-
-  Beyond const beyond = n.faces(cell)(axis, side);
-  if (beyond == Beyond::wall) return n.walls[axis][side](here, own(n.own(inner)));
-  if (beyond == Beyond::coarser) {
-    Index3 const behind{floor_divide(outer[0], 2), floor_divide(outer[1], 2), floor_divide(outer[2], 2)};
-    PlaneBehind const plane(behind, axis, n.coarse, n.coarse_covered);
-    Form const star = plane.fit(outer[u] != 2 * behind[u], outer[v] != 2 * behind[v], Unknown::On::coarser);
-    return ghost_at_interface(star, here, own(n.own(inner)));
-  }
-  if (execution == Execution::composite && beyond == Beyond::finer) {
-    PlaneBehind const plane(cell, axis, n.own, n.covered);
-    Form differences;
-    for (int b = 0; b < 2; ++b)
-      for (int a = 0; a < 2; ++a) {
-        Index3 first{2 * outer[0], 2 * outer[1], 2 * outer[2]};
-        first[axis] += side == 0 ? 1 : 0;
-        first[u] += a;
-        first[v] += b;
-        Index3 second = first;
-        second[axis] += step;
-        Form const phi_1 = fine(n.fine(first));
-        differences +=
-            phi_1 - ghost_at_interface(plane.fit(a == 1, b == 1, Unknown::On::own), phi_1, fine(n.fine(second)));
-      }
-    return ghost_at_fine_faces(here, differences);
-  }
-  if (n.level->periodic()[axis] && n.seam_width[axis] != 1)
-    return neighbour_at_seam(seam_factor(cell[axis], side, n.level->domain().extent(axis), n.seam_width[axis]), here,
-                             own(n.own(outer)));
-  return own(n.own(outer));
-}
-
-/// L phi in a cell from the values neighbour(axis, side) across its faces; the diagonal comes first.
-template <class Neighbour>
-inline Form laplacian_form(Equation const& equation, GlobalIndex cell, Neighbour&& neighbour) {
-  Form const here = own(cell);
-  Form out({Unknown::On::own, cell}, 0);
-  return out += laplacian(equation, here, neighbour(0, 0), neighbour(0, 1), neighbour(1, 0), neighbour(1, 1),
-                          neighbour(2, 0), neighbour(2, 1));
+/// L phi in a cell from the values across(axis, side) its faces; the diagonal comes first.
+template <class Across>
+inline Form laplacian_form(Equation const& equation, Form const& here, Across&& across) {
+  Form out(here.terms()[0].column, 0);
+  return out +=
+         laplacian(equation, here, across(0, 0), across(0, 1), across(1, 0), across(1, 1), across(2, 0), across(2, 1));
 }
 
 }  // namespace amrpic

@@ -37,17 +37,16 @@ RowKinds row_kinds(StencilCells const& cells, Execution execution) {
 }
 
 RegularRows::RegularRows(Real3 const& spacing, Real shift, ArrayOnBox<LocalIndex> const& places)
-    : places_(places),
-      stride_{1, places.box().extent(0), std::ptrdiff_t(places.box().extent(0)) * places.box().extent(1)} {
+    : places_(places), stride_{places.box().stride(0), places.box().stride(1), places.box().stride(2)} {
   // unknown 0 is the cell, 1 + 2 axis + side its neighbours
   auto neighbour = [](int axis, int side) { return Row(1 + 2 * axis + side, 1); };
   Row const self(0, 1);
   Row const row = amrpic::laplacian(equation_on(spacing, shift), self, neighbour(0, 0), neighbour(0, 1),
                                     neighbour(1, 0), neighbour(1, 1), neighbour(2, 0), neighbour(2, 1));
-  for (int k = 0; k < row.size(); ++k) laplacian_[std::size_t(row.column(k))] = row.value(k);
+  for (auto const& [unknown, weight] : row.terms()) laplacian_[std::size_t(unknown)] = weight;
   for (int d = 0; d < 3; ++d) {
     Row const e = field_between(field_factor(spacing[d]), neighbour(d, 0), neighbour(d, 1));
-    gradient_[d] = {e.value(0), e.value(1)};
+    gradient_[d] = {e.terms()[0].value, e.terms()[1].value};
   }
 }
 

@@ -16,9 +16,6 @@ enum class RowKind : char {
 
 using RowKinds = ArrayOnBox<RowKind>;
 
-/// Whether rows are made as if nothing finer existed, or those of the composite operator.
-enum class Execution { without_finer, composite };
-
 /// Kinds of the rows of a box.
 RowKinds row_kinds(StencilCells const& cells, Execution execution);
 

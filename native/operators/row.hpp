@@ -1,12 +1,9 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
-#include <numeric>
-#include <stdexcept>
+#include <utility>
 #include <vector>
 
-#include "mesh/array_on_box.hpp"
 #include "mesh/halo.hpp"
 #include "operators/crs.hpp"
 #include "stencil/linear_form.hpp"
@@ -33,38 +30,33 @@ struct RowRun {
 /// rows that a loop can write, only the length is. Rows that are never named stay empty.
 class CrsBuilder {
  public:
-  explicit CrsBuilder(LocalIndex rows) { crs_.row_start.assign(std::size_t(rows) + 1, 0); }
+  explicit CrsBuilder(LocalIndex rows) : length_(std::size_t(rows), 0) {}
 
   // ---- counting ----
-  void put(LocalIndex row, Row const& terms) {
-    if (terms.size() == 0) return;
-    crs_.row_start[std::size_t(row) + 1] = std::size_t(terms.size());
-    single_.push_back({row, terms.size()});
-    for (int k = 0; k < terms.size(); ++k) {
-      column_.push_back(terms.column(k));
-      value_.push_back(terms.value(k));
-    }
+  void put(LocalIndex row, Row const& values) {
+    auto const& terms = values.terms();
+    if (terms.empty()) return;
+    length_[std::size_t(row)] = LocalIndex(terms.size());
+    single_.push_back(row);
+    terms_.insert(terms_.end(), terms.begin(), terms.end());
   }
   /// Runs come in ascending order.
   void put_run(RowRun const& run, std::size_t length) {
     runs_.push_back(run);
-    std::fill_n(crs_.row_start.begin() + run.row + 1, run.count, length);
+    std::fill_n(length_.begin() + run.row, run.count, LocalIndex(length));
   }
 
   // ---- filling ----
   /// Make room and write the single rows.
   void start_filling(Halo const& numbering) {
-    std::partial_sum(crs_.row_start.begin(), crs_.row_start.end(), crs_.row_start.begin());
-    crs_.column.resize(crs_.row_start.back());
-    crs_.value.resize(crs_.row_start.back());
-    std::size_t from = 0;
-    for (auto const& [row, terms] : single_) {
-      std::size_t at = crs_.row_start[std::size_t(row)];
-      for (LocalIndex k = 0; k < terms; ++k, ++at, ++from) {
-        crs_.column[at] = numbering.local(column_[from]);
-        crs_.value[at] = value_[from];
+    crs_.set_lengths(length_);
+    auto term = terms_.begin();
+    for (LocalIndex row : single_)
+      for (std::size_t at = crs_.row_start[row]; at < crs_.row_start[row + 1]; ++at, ++term) {
+        crs_.column[at] = numbering.local(term->column);
+        crs_.value[at] = term->value;
       }
-    }
+    length_ = {}, single_ = {}, terms_ = {};  // their memory may serve the next builder
   }
   /// Call `f(first cell, number of rows, columns, values)` for each run in a box of the rows' level: the rows' terms
   /// are to be written there one after the other. Boxes come in ascending order.
@@ -78,17 +70,14 @@ class CrsBuilder {
         runs_[next_].count, crs_.column.data() + at, crs_.value.data() + at);
     }
   }
-  Crs take() {
-    crs_.finish();
-    return std::move(crs_);
-  }
+  Crs take() { return std::move(crs_); }
 
  private:
   Crs crs_;
+  std::vector<LocalIndex> length_;  ///< of each row
   std::vector<RowRun> runs_;
-  std::vector<RowRun> single_;       ///< row and its number of terms
-  std::vector<GlobalIndex> column_;  ///< of the single rows' terms
-  std::vector<Real> value_;
+  std::vector<LocalIndex> single_;  ///< rows
+  std::vector<Row::Term> terms_;    ///< of the single rows
   std::size_t next_ = 0;
 };
 

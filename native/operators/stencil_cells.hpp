@@ -5,10 +5,12 @@
 
 namespace amrpic {
 
+/// Whether rows are made as if nothing finer existed, or those of the composite operator.
+enum class Execution { without_finer, composite };
+
 /// The cells that the stencils of a box read: their numbers on the box's own level and on the neighbouring ones.
 struct StencilCells {
   Level const* level;
-  WallGhosts walls;
   Real3 seam_width;             ///< of last cells along periodic axes, see `UpperEnd`
   ArrayOnBox<CellFaces> faces;  ///< of the box's cells
   ArrayOnBox<GlobalIndex> own;  ///< box grown by 2
@@ -22,22 +24,20 @@ struct StencilCells {
 
 /// Those of a box; `finer` and `coarser` may be null.
 inline StencilCells stencil_cells_of(BoxFaces const& faces, Level const& level, Level const* finer,
-                                     Level const* coarser, WallGhosts const& walls,
-                                     Real3 const& seam_width = {1, 1, 1}) {
+                                     Level const* coarser, Real3 const& seam_width = {1, 1, 1}) {
   Box const &box = faces.box, wide = box.grow(2), none;
-  Box const children = finer && !faces.beside.empty() ? box.grow(1).refine({2, 2, 2}) : none;
-  Box const parents = coarser && faces.ends_level() ? box.grow(1).coarsen({2, 2, 2}).grow(2) : none;
+  bool const has_finer = finer && !faces.beside.empty(), has_coarser = coarser && faces.ends_level();
+  Box const parents = has_coarser ? box.grow(1).coarsen({2, 2, 2}).grow(2) : none;
   ArrayOnBox<GlobalIndex> const no_numbers(none, no_cell);
   ArrayOnBox<char> const no_flags(none, 0);
   return {&level,
-          walls,
           seam_width,
           cell_faces(faces),
           cell_numbers(level, wide),
-          children.empty() ? no_flags : covered_cells(*finer, {2, 2, 2}, wide),
-          children.empty() ? no_numbers : cell_numbers(*finer, children),
-          parents.empty() ? no_numbers : cell_numbers(*coarser, parents),
-          parents.empty() ? no_flags : covered_cells(level, {2, 2, 2}, parents)};
+          has_finer ? covered_cells(*finer, {2, 2, 2}, wide) : no_flags,
+          has_finer ? cell_numbers(*finer, box.grow(1).refine({2, 2, 2})) : no_numbers,
+          has_coarser ? cell_numbers(*coarser, parents) : no_numbers,
+          has_coarser ? covered_cells(level, {2, 2, 2}, parents) : no_flags};
 }
 
 }  // namespace amrpic

@@ -1,9 +1,7 @@
 #pragma once
 
-#include <algorithm>
-#include <array>
-#include <stdexcept>
 #include <utility>
+#include <vector>
 
 #include "base/types.hpp"
 
@@ -14,63 +12,50 @@ namespace amrpic {
 template <class Column>
 class LinearForm {
  public:
+  struct Term {
+    Column column;
+    Real value;
+    // For `emplace_back`: of a term that is made first and then copied, two stores would be read by one load, which
+    // waits.
+    Term(Column const& c, Real v) : column(c), value(v) {}
+  };
+
   LinearForm() = default;
   LinearForm(Column const& unknown, Real weight) { append(unknown, weight); }
-  LinearForm(LinearForm const& other) { *this = other; }
-  LinearForm& operator=(LinearForm const& other) {
-    size_ = other.size_;
-    std::copy_n(other.terms_.begin(), size_, terms_.begin());
-    return *this;
-  }
 
-  void clear() { size_ = 0; }
+  void clear() { terms_.clear(); }
   void add(Column const& column, Real value) {
-    for (int k = 0; k < size_; ++k)
-      if (terms_[std::size_t(k)].column == column) {
-        terms_[std::size_t(k)].value += value;
+    for (Term& term : terms_)
+      if (term.column == column) {
+        term.value += value;
         return;
       }
     append(column, value);
   }
   /// Add a term whose column is known to be new.
-  void append(Column const& column, Real value) {
-    if (size_ == capacity) throw std::logic_error("a stencil has more terms than a row holds");
-    terms_[std::size_t(size_++)] = {column, value};
-  }
-  int size() const { return size_; }
-  Column const& column(int k) const { return terms_[std::size_t(k)].column; }
-  Real value(int k) const { return terms_[std::size_t(k)].value; }
+  void append(Column const& column, Real value) { terms_.emplace_back(column, value); }
+  std::vector<Term> const& terms() const { return terms_; }
 
   LinearForm& operator+=(LinearForm const& other) {
-    for (int k = 0; k < other.size_; ++k) add(other.column(k), other.value(k));
+    for (Term const& term : other.terms_) add(term.column, term.value);
     return *this;
   }
   LinearForm& operator-=(LinearForm const& other) {
-    for (int k = 0; k < other.size_; ++k) add(other.column(k), -other.value(k));
+    for (Term const& term : other.terms_) add(term.column, -term.value);
     return *this;
   }
   /// Of a weight of zero nothing is left, not even columns.
   LinearForm& operator*=(Real weight) {
-    if (weight == 0) size_ = 0;
-    for (int k = 0; k < size_; ++k) terms_[std::size_t(k)].value *= weight;
+    if (weight == 0) clear();
+    for (Term& term : terms_) term.value *= weight;
     return *this;
   }
-  // A form is large: what an expression has made already takes the next operation in place.
-  friend LinearForm operator+(LinearForm const& a, LinearForm const& b) { return LinearForm(a) + b; }
-  friend LinearForm&& operator+(LinearForm&& a, LinearForm const& b) { return std::move(a += b); }
-  friend LinearForm operator-(LinearForm const& a, LinearForm const& b) { return LinearForm(a) - b; }
-  friend LinearForm&& operator-(LinearForm&& a, LinearForm const& b) { return std::move(a -= b); }
-  friend LinearForm operator*(Real weight, LinearForm const& form) { return weight * LinearForm(form); }
-  friend LinearForm&& operator*(Real weight, LinearForm&& form) { return std::move(form *= weight); }
+  friend LinearForm operator+(LinearForm a, LinearForm const& b) { return std::move(a += b); }
+  friend LinearForm operator-(LinearForm a, LinearForm const& b) { return std::move(a -= b); }
+  friend LinearForm operator*(Real weight, LinearForm form) { return std::move(form *= weight); }
 
  private:
-  static constexpr int capacity = 160;  // 7 + 6 faces x 25 cells of the plane
-  struct Term {
-    Column column;
-    Real value;
-  };
-  int size_ = 0;
-  std::array<Term, capacity> terms_;
+  std::vector<Term> terms_;
 };
 
 }  // namespace amrpic

@@ -1,0 +1,100 @@
+// What the row of a cell follows from, besides the numbers of the cells near it.
+#pragma once
+
+#include <array>
+#include <unordered_map>
+
+#include "operators/stencil_cells.hpp"
+#include "stencil/interface.hpp"
+#include "stencil/odd_extents.hpp"
+
+namespace amrpic {
+
+/// A face of a cell: all that the value across it follows from.
+struct FaceShape {
+  Beyond beyond = Beyond::same_level;
+  bool upper_u = false, upper_v = false;  ///< before coarser cells: in which half of the coarse face it lies
+  unsigned usable = 0;                    ///< at interfaces: the coarse cells of which phi* can be made
+  Real seam = 1;                          ///< see `seam_factor`
+
+  bool operator==(FaceShape const& other) const {
+    return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v && usable == other.usable &&
+           seam == other.seam;
+  }
+};
+
+/// The faces of a cell, [axis][side].
+using CellShape = std::array<std::array<FaceShape, 2>, 3>;
+
+/// The usable cells of the plane around a coarse cell at an interface across an axis, see `plane_bit`; `covered` has
+/// the extent of `cells`.
+inline unsigned usable_in_plane(Index3 const& middle, int axis, ArrayOnBox<GlobalIndex> const& cells,
+                                ArrayOnBox<char> const& covered) {
+  auto const [u, v] = tangential_axes(axis);
+  Box const& box = cells.box();
+  std::ptrdiff_t const place = box.offset(middle), step_u = box.stride(u), step_v = box.stride(v);
+  unsigned usable = 0;
+  auto look = [&](int reach) {
+    for (int i = -reach; i <= reach; ++i)
+      for (int j = -reach; j <= reach; ++j) {
+        auto const at = std::size_t(place + i * step_u + j * step_v);
+        if (cells.values()[at] != no_cell && !covered.values()[at]) usable |= plane_bit(i, j);
+      }
+  };
+  look(1);
+  if (usable != plane_block(-1, -1, 3)) look(plane_reach);  // the central block is the first to be tried
+  return usable;
+}
+
+inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution) {
+  FaceShape out{n.faces(cell)(axis, side)};
+  if (out.beyond == Beyond::finer && execution == Execution::without_finer) out.beyond = Beyond::same_level;
+  if (out.beyond == Beyond::coarser) {
+    Index3 outer = cell;
+    outer[axis] += side == 0 ? -1 : 1;
+    Index3 const behind = parent_of(outer);
+    auto const [u, v] = tangential_axes(axis);
+    out.upper_u = outer[u] != 2 * behind[u];
+    out.upper_v = outer[v] != 2 * behind[v];
+    out.usable = usable_in_plane(behind, axis, n.coarse, n.coarse_covered);
+  }
+  if (out.beyond == Beyond::finer) out.usable = usable_in_plane(cell, axis, n.own, n.covered);
+  if (n.level->periodic()[axis] && n.seam_width[axis] != 1)
+    out.seam = seam_factor(cell[axis], side, n.level->domain().extent(axis), n.seam_width[axis]);
+  return out;
+}
+
+inline CellShape cell_shape(StencilCells const& n, Index3 const& cell, Execution execution) {
+  CellShape out;
+  for (int axis = 0; axis < 3; ++axis)
+    for (int side = 0; side < 2; ++side) out[axis][side] = face_shape(n, cell, axis, side, execution);
+  return out;
+}
+
+/// What is made of shapes, once of each: many cells have the same one.
+template <class Made>
+class ByShape {
+ public:
+  template <class Make>
+  Made const& operator()(CellShape const& shape, Make&& make) {
+    auto const [at, is_new] = made_.try_emplace(shape);
+    if (is_new) at->second = make();
+    return at->second;
+  }
+
+ private:
+  struct Hash {
+    std::size_t operator()(CellShape const& shape) const {
+      std::size_t out = 0;
+      for (auto const& axis : shape)
+        for (FaceShape const& face : axis)
+          out = 0x9e3779b97f4a7c15 * (out ^ out >> 32 ^
+                                      (std::size_t(face.usable) << 4 | std::size_t(face.upper_u) << 3 |
+                                       std::size_t(face.upper_v) << 2 | std::size_t(face.beyond)));
+      return out ^ out >> 32;
+    }
+  };
+  std::unordered_map<CellShape, Made, Hash> made_;
+};
+
+}  // namespace amrpic

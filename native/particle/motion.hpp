@@ -1,0 +1,59 @@
+// How momenta and places change in fields, relativistically: formulas of values, of one particle or of eight at a time.
+#pragma once
+
+#include "base/constants.hpp"
+#include "base/lanes.hpp"
+
+namespace amrpic {
+
+template <class V>
+inline V dot(Vector3<V> const& a, Vector3<V> const& b) {
+  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+template <class V>
+inline Vector3<V> cross(Vector3<V> const& a, Vector3<V> const& b) {
+  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
+}
+
+/// The Lorentz factor of a momentum (kg m/s), with one over m c.
+template <class V>
+inline V lorentz_factor(Vector3<V> const& p, V const& per_mc) {
+  Vector3<V> const u{p[0] * per_mc, p[1] * per_mc, p[2] * per_mc};
+  return square_root(1 + dot(u, u));
+}
+
+enum class Pusher {
+  boris,         ///< J. P. Boris (1970): the angle follows from gamma after half the electric kick
+  higuera_cary,  ///< A. V. Higuera and J. R. Cary, Phys. Plasmas 24, 052104 (2017): keeps E + v x B = 0 at rest
+};
+
+/// The momentum after `time` in a magnetic field, half a step of the pusher: two such steps in a row turn by its whole
+/// angle, and what is between them has the same magnitude.
+///
+/// Both pushers turn p by 2 atan t about B with t = tau / g, tau = q B time / m. Boris has g = gamma. Higuera and Cary
+/// have g^2 = (s + sqrt(s^2 + 4 (tau^2 + (tau . u)^2))) / 2 with s = gamma^2 - tau^2, u = p / (m c) (their eq. 20).
+/// Neither g changes by the turn, so that its second half finds the same one.
+template <class V>
+inline Vector3<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b, V const& charge_over_mass_time,
+                         V const& per_mc) {
+  Vector3<V> tau, u;
+  for (std::size_t d = 0; d < 3; ++d) tau[d] = charge_over_mass_time * b[d], u[d] = p[d] * per_mc;
+  V const tau_square = dot(tau, tau);
+  V g_square = 1 + dot(u, u);
+  if (pusher == Pusher::higuera_cary) {
+    V const along = dot(tau, u), s = g_square - tau_square;
+    g_square = 0.5 * (s + square_root(s * s + 4 * (tau_square + along * along)));
+  }
+  // tan of half the angle atan t, by t / (1 + sqrt(1 + t^2)) with t = tau / g
+  V const scale = 1 / (square_root(g_square) + square_root(g_square + tau_square));
+  Vector3<V> half;
+  for (std::size_t d = 0; d < 3; ++d) half[d] = scale * tau[d];
+  V const factor = 2 / (1 + scale * scale * tau_square);
+  Vector3<V> out = cross(p, half);
+  for (std::size_t d = 0; d < 3; ++d) out[d] += p[d];
+  out = cross(out, half);
+  for (std::size_t d = 0; d < 3; ++d) out[d] = p[d] + factor * out[d];
+  return out;
+}
+
+}  // namespace amrpic

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <array>
+
+#include "mesh/electric_field.hpp"
+#include "particle/clouds.hpp"
+#include "particle/motion.hpp"
+#include "particle/particle_mesh.hpp"
+#include "particle/view.hpp"
+
+namespace amrpic {
+
+/// Fields at each particle that are added to those of the mesh; null where there are none.
+struct AddedFields {
+  std::array<Real*, 3> electric{};  ///< V/m
+  std::array<Real*, 3> magnetic{};  ///< T
+};
+
+/// How particles move by fields.
+struct Motion {
+  Real const* charge;        ///< of a real particle, C
+  Real const* inverse_mass;  ///< 1/kg
+  bool same;                 ///< one value of either for all, else one for each
+  Real before, after;        ///< s, in the fields: the two parts act on the momentum one after the other
+  Real flight;               ///< s
+  Pusher pusher;
+  Real3 beta;  ///< velocity over c of the charge whose field the mesh holds: B = beta x E / c
+  AddedFields added;
+};
+
+/// Where particles are written: positions in m, momenta in kg m/s.
+struct Moved {
+  std::array<Real*, 3> momentum, position;
+  std::array<Real*, 3> between{};  ///< momenta after `before` seconds; null if they are not wanted
+};
+
+/// Write momenta after `before` and `after` seconds in the fields at their places, and the positions that a flight with
+/// these leads to: what `gather` would give is used and not kept. The parts are a kick by E and a turn by B, and a turn
+/// and a kick, so that a step of two equal parts is symmetric in time. Otherwise as `gather`. Collective.
+void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+          std::int64_t const* starts, Motion const& motion, Moved const& out);
+
+}  // namespace amrpic

@@ -1,0 +1,345 @@
+// The field at particles, a group of eight at a time: read by gather and by push.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <vector>
+
+#include "base/fetch.hpp"
+#include "mesh/electric_field.hpp"
+#include "particle/clouds.hpp"
+#include "particle/particle_mesh.hpp"
+#include "particle/tile.hpp"
+#include "particle/view.hpp"
+#include "stencil/field_difference.hpp"
+#include "stencil/intergrid.hpp"
+
+namespace amrpic {
+
+/// Three components per cell of a tile and one of padding, so that a cell fills a vector register.
+constexpr int lanes = 4;
+constexpr int components = ElectricField::components_per_cell;  ///< numbers per boundary cell
+typedef Real Cell __attribute__((vector_size(8 * lanes)));
+
+/// The field in the boundary cells of a level: own ones, and those of other ranks.
+struct BoundaryField {
+  Real const* own;
+  std::vector<Real> halo;
+  LocalIndex owned;
+
+  Real const* at(LocalIndex place) const {
+    return place < owned ? own + std::ptrdiff_t(components) * place
+                         : halo.data() + std::ptrdiff_t(components) * (place - owned);
+  }
+  /// Ask for `count` of them to be brought near.
+  void bring_near(LocalIndex place, LocalIndex count) const {
+    constexpr int line = 8;
+    for (LocalIndex n = 0; n < components * count; n += line) amrpic::bring_near(at(place) + n);
+  }
+  /// Write `count` of them, `stride` cells apart, to places `out_stride` numbers apart.
+  void write(LocalIndex place, std::ptrdiff_t stride, LocalIndex count, Real* out, std::ptrdiff_t out_stride) const {
+    Real const* from = at(place);
+    for (LocalIndex n = 0; n < count; ++n, from += components * stride, out += out_stride) store(out, load<Cell>(from));
+  }
+};
+
+inline BoundaryField with_halo(ElectricField const& field, int level, Halo const& halo) {
+  BoundaryField out{field.at_boundary(level), std::vector<Real>(components * std::size_t(halo.size()) + 1),
+                    halo.owned()};
+  std::vector<Real const*> own;
+  std::vector<Real*> copies;
+  for (int c = 0; c < 3; ++c) {
+    own.push_back(out.own + c);
+    copies.push_back(out.halo.data() + c);
+  }
+  halo.update(own, copies, components);
+  return out;
+}
+
+/// A row of cells inside a box: E as the difference of the potential across each. Cells beside the row are read.
+inline void difference_row(Real const* phi, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count,
+                           Real* out) {
+  auto const between = [&](auto const& at, std::ptrdiff_t n, int axis, std::ptrdiff_t step) {
+    return field_between(factor[std::size_t(axis)], at(phi + n - step), at(phi + n + step));
+  };
+  int const whole = count / lane_count * lane_count;
+  for (int i = 0; i < whole; i += lane_count) {
+    bring_near(phi + i + z + page<Real>);  // harmless past the end
+    auto const eight = [](Real const* from) { return load<Lanes>(from); };
+    interleave(between(eight, i, 0, 1), between(eight, i, 1, y), between(eight, i, 2, z), out + lanes * i);
+  }
+  auto const one = [](Real const* from) { return *from; };
+  for (int i = whole; i < count; ++i)
+    store(out + lanes * i, Cell{between(one, i, 0, 1), between(one, i, 1, y), between(one, i, 2, z), 0});
+}
+
+inline void interleave_row(std::array<Real const*, 3> const& from, int count, Real* out) {
+  int n = 0;
+  for (; n + lane_count <= count; n += lane_count)
+    interleave(load<Lanes>(from[0] + n), load<Lanes>(from[1] + n), load<Lanes>(from[2] + n), out + lanes * n);
+  for (; n < count; ++n) store(out + lanes * n, Cell{from[0][n], from[1][n], from[2][n], 0});
+}
+
+/// Trilinear value of the coarser level at the centre of `cell`, which lies inside the domain.
+inline void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex> const& places,
+                        Level const& coarser, BoundaryField const& coarse, Real* out) {
+  Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
+  for (int c = 0; c < 3; ++c) out[c] = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    Real weight = 1;
+    Index3 from;
+    for (int d = 0; d < 3; ++d) {
+      bool const is_far = (corner >> d) & 1;
+      weight *= is_far ? prolongation::far : prolongation::near;
+      from[d] = is_far ? far[d] : near[d];
+    }
+    Real const* const value = coarse.at(places[std::size_t(parents.offset(coarser.fold_at_walls(from)))]);
+    for (int c = 0; c < 3; ++c) out[c] += weight * value[c];
+  }
+}
+
+/// Brings the field of one box and its ghost cells into tiles of its slabs, plane by plane.
+class Filler {
+ public:
+  /// `fields`: in the boundary cells, level by level.
+  Filler(ElectricField const& field, BoxGhosts const& at, BoundaryPlaces::GhostPlaces const& ghosts,
+         std::vector<BoundaryField> const& fields)
+      : field_(field),
+        at_(at),
+        ghosts_(ghosts),
+        level_(field.hierarchy().level(at.level)),
+        coarser_(field.hierarchy().level(std::max(0, at.level - 1))),
+        box_(level_.box(at.box)),
+        boundary_(fields[at.level]),
+        coarse_(fields[std::max(0, at.level - 1)]) {}
+
+  /// Fill the tile of a slab. The tile may be that of the slab before, if that one `precedes`.
+  void fill(Box const& slab, bool precedes, Tile<lanes>& tile) const {
+    int k = slab.lower[2] - tile_reach;
+    if (precedes) {
+      tile.follow(slab);
+      k += 2 * tile_reach;
+    } else {
+      tile.reset(slab);
+    }
+    for (; k <= slab.upper[2] + tile_reach; ++k) fill_plane(k, tile);
+  }
+
+ private:
+  void fill_plane(int k, Tile<lanes>& tile) const {
+    bring_boundary_near(k + 1);
+    ghosts_.cells.for_each_run(k, [&](GhostRun const& run) {
+      Real* const out = tile.row(run.first[0], run.first[1], k);
+      std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
+      if (run.place >= 0) return boundary_.write(run.place, run.place_stride, run.count, out, stride);
+      for (LocalIndex n = 0; n < run.count; ++n)
+        interpolate(level_.fold_at_walls(run.cell(n)), at_.parents, ghosts_.coarse, coarser_, coarse_,
+                    out + n * stride);
+    });
+    if (k < box_.lower[2] || k > box_.upper[2]) return;
+    if (field_.potential())
+      fill_by_potential(k, tile);
+    else
+      fill_by_components(k, tile);
+  }
+
+  /// The ones of plane k: rows and columns here and there in memory, which processors do not foresee.
+  void bring_boundary_near(int k) const {
+    if (k > box_.upper[2] + tile_reach) return;
+    ghosts_.cells.for_each_run(k, [&](GhostRun const& run) {
+      if (run.place >= 0 && run.place_stride == 1) boundary_.bring_near(run.place, run.count);
+    });
+    if (field_.potential() && k >= box_.lower[2] && k <= box_.upper[2])
+      for_each_own_run(k, [&](BoundaryCells::CellRun const& run) { boundary_.bring_near(run.number, run.count); });
+  }
+
+  /// Call f(run) for the boundary cells of the box in plane k.
+  template <class F>
+  void for_each_own_run(int k, F&& f) const {
+    field_.boundary(at_.level).for_each_run(at_.box - level_.first_local_box(), k - box_.lower[2], f);
+  }
+
+  /// The box's own cells in plane k: the inner ones first, with what rows leave at their ends.
+  void fill_by_potential(int k, Tile<lanes>& tile) const {
+    int const b = at_.box - level_.first_local_box(), nx = box_.extent(0), plane = nx * box_.extent(1);
+    if (!field_.boundary(at_.level).is_whole(b) && k > box_.lower[2] && k < box_.upper[2]) {
+      Real const* const phi = field_.potential()->level(at_.level).data() + level_.local_offset(at_.box);
+      for (int j = box_.lower[1] + 1; j < box_.upper[1]; ++j)
+        difference_row(phi + box_.offset({box_.lower[0], j, k}), nx, plane, field_.factor(at_.level), nx,
+                       tile.row(box_.lower[0], j, k));
+    }
+    for_each_own_run(k, [&](BoundaryCells::CellRun const& run) {
+      Real* const out = tile.row(box_.lower[0] + run.i, box_.lower[1] + run.j, k);
+      boundary_.write(run.number, 1, run.count, out, run.axis == 0 ? lanes : tile.stride_y());
+    });
+  }
+
+  void fill_by_components(int k, Tile<lanes>& tile) const {
+    std::array<Real const*, 3> from;
+    for (int c = 0; c < 3; ++c)
+      from[c] = field_.component(c).level(at_.level).data() + level_.local_offset(at_.box) +
+                box_.offset({box_.lower[0], box_.lower[1], k});
+    for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
+      interleave_row(from, box_.extent(0), tile.row(box_.lower[0], j, k));
+      for (Real const*& row : from) row += box_.extent(0);
+    }
+  }
+
+  ElectricField const& field_;
+  BoxGhosts const& at_;
+  BoundaryPlaces::GhostPlaces const& ghosts_;
+  Level const &level_, &coarser_;
+  Box box_;
+  BoundaryField const &boundary_, &coarse_;
+};
+
+inline void fill_coarse(std::vector<LocalIndex> const& places, BoundaryField const& field, Tile<lanes>& tile) {
+  Real* value = tile.values();
+  for (LocalIndex place : places) {
+    if (place >= 0) store(value, load<Cell>(field.at(place)));
+    value += lanes;
+  }
+}
+
+/// Where in a tile the clouds of a block start, and their weights: along x, and the products of those along y and z.
+template <int width>
+struct CloudBlock {
+  alignas(64) LocalIndex corner[block_size];
+  alignas(64) Real row_weight[width * width][block_size];
+  alignas(64) Real x_weight[width][block_size];
+};
+
+/// The tile averaged over clouds in y and z: the first two cells along x, side by side, and the third one.
+struct Averages {
+  Lanes pair;
+  Cell last;
+};
+
+/// Those of particle i of a block.
+template <int width>
+inline Averages average(Real const* origin, std::ptrdiff_t stride_y, std::ptrdiff_t stride_z,
+                        CloudBlock<width> const& clouds, int i) {
+  Real const* const corner = origin + clouds.corner[i];
+  Averages out;
+  for (int k = 0; k < width; ++k)
+    for (int j = 0; j < width; ++j) {
+      Real const* const row = corner + j * stride_y + k * stride_z;
+      Real const weight = clouds.row_weight[width * k + j][i];
+      bool const first = k == 0 && j == 0;
+      if constexpr (width > 1) out.pair = first ? weight * load<Lanes>(row) : out.pair + weight * load<Lanes>(row);
+      Real const* const end = row + lanes * (width - 1);
+      if constexpr (width % 2) out.last = first ? weight * load<Cell>(end) : out.last + weight * load<Cell>(end);
+    }
+  return out;
+}
+
+typedef std::array<Lanes, 3> Components;  ///< of the field at eight particles
+
+/// The components of eight third cells.
+inline Components last_cells(std::array<Averages, lane_count> const& of) {
+  std::array<Lanes, 4> pair;
+  for (std::size_t p = 0; p < 4; ++p) pair[p] = joined(of[2 * p].last, of[2 * p + 1].last);
+  return separated(pair);
+}
+
+/// The components of eight first cells, and of the second ones.
+inline std::array<Components, 2> pairs_of_cells(std::array<Averages, lane_count> const& of) {
+  std::array<Lanes, lane_count> pair;
+  for (std::size_t i = 0; i < lane_count; ++i) pair[i] = of[i].pair;
+  return separated_halves(pair);
+}
+
+/// The averages of eight particles, averaged in x too.
+template <int width>
+inline Components average_in_x(std::array<Averages, lane_count> const& of, std::array<Lanes, width> const& weight) {
+  Components out;
+  if constexpr (width > 1) {
+    auto const cells = pairs_of_cells(of);
+    for (int d = 0; d < 3; ++d) {
+      out[d] = weight[0] * cells[0][d];  // by itself, so that compilers agree which product they add without rounding
+      out[d] += weight[1] * cells[1][d];
+    }
+  }
+  if constexpr (width == 1) out = last_cells(of);
+  if constexpr (width == 3) {
+    auto const cells = last_cells(of);
+    for (int d = 0; d < 3; ++d) out[d] += weight[2] * cells[d];
+  }
+  return out;
+}
+
+/// Call use(group, field) for groups of particles with the tile averaged over their clouds.
+template <class Shape, class Use>
+void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, Tile<lanes> const& tile,
+                 Use const& use) {
+  constexpr int width = Shape::width;
+  std::ptrdiff_t const stride_y = tile.stride_y(), stride_z = tile.stride_z();
+  Real const* const origin = tile.values() + tile.box_corner();
+  Real const row_step = Real(stride_y), plane_step = Real(stride_z);
+  WideLanes all_in = WideLanes{} - 1;
+  chosen.for_each_block([=, &particles, &all_in](LaneBlock const& block) {
+    CloudBlock<width> clouds;
+    bring_block_near(block.first + page<Real>, particles.position);
+    bring_block_near(block.first + page<Real>, particles.momentum);
+    WideLanes in = WideLanes{} - 1;
+    for_each_group(block, [=, &particles, &clouds, &in](LaneGroup const& group) {
+      int const i = int(group.first - block.first);
+      auto const s = frame.inside(particles, group, in);
+      auto const x = Shape::at(s[0]), y = Shape::at(s[1]), z = Shape::at(s[2]);
+      store(clouds.corner + i, to_index(lanes * x.first + row_step * y.first + plane_step * z.first));
+      for (int k = 0; k < width; ++k)
+        for (int j = 0; j < width; ++j) store(clouds.row_weight[width * k + j] + i, z.weight[k] * y.weight[j]);
+      for (int j = 0; j < width; ++j) store(clouds.x_weight[j] + i, x.weight[j]);
+    });
+    all_in &= in;
+    for_each_group(block, [=, &clouds](LaneGroup const& group) {
+      int const start = int(group.first - block.first);
+      std::array<Averages, lane_count> averages;
+#pragma GCC unroll 8
+      for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
+      std::array<Lanes, width> x_weight;
+      for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
+      use(group, average_in_x<width>(averages, x_weight));
+    });
+  });
+  frame.require_inside(all_in, particles, chosen);
+}
+
+/// Call use(group, field) for all particles of this rank, a group at a time. Collective.
+template <class Use>
+void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
+                std::int64_t const* starts, Use const& use) {
+  Hierarchy const& hierarchy = mesh.hierarchy();
+  BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
+  BoundaryPlaces const& places = mesh.boundary_places(clouds.matched);
+  std::vector<BoundaryField> own, coarse;
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    own.push_back(with_halo(field, l, places.halo(l)));
+    if (zone) coarse.push_back(with_halo(field, l, places.halo_of_matched(l)));
+  }
+
+  std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
+  for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
+    BoxGhosts const& at = mesh.boxes()[slot];
+    BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
+    for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
+      CoarseCells const& c = buffer->coarse[r - 1];
+      tiles[r].reset(c.box);
+      fill_coarse(places.ghosts(slot).matched[r - 1], coarse[c.level], tiles[r]);
+    }
+    Filler const filler(field, at, places.ghosts(slot), own);
+    int const planes = planes_per_slab(hierarchy.level(at.level).box(at.box), lanes);
+    bool precedes = false;  // whether tiles[0] is that of the slab before
+    for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
+      if (from < to) filler.fill(slab, precedes, tiles[0]);
+      precedes = from < to;
+      for_each_coarsening_depth(
+          mesh, at, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+            with_shape(clouds.shape,
+                       [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[depth], use); });
+          });
+    });
+  });
+}
+
+}  // namespace amrpic

@@ -94,6 +94,95 @@ def refine(
     efficiency: float,
 ) -> list: ...
 def carry_over(from_: Field, to: Field) -> None: ...
+
+class EngeFringe:
+    def __init__(
+        self, gap: float = 0.0, coefficient: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0], reach: float = 0.0
+    ) -> None:
+        """The profile of a magnet; gap = 0: hard edges."""
+
+class UniformField:
+    def __init__(self, E: Sequence[float], B: Sequence[float]) -> None: ...
+
+class FocusingField:
+    def __init__(self, gradient: Sequence[float]) -> None: ...
+
+class QuadrupoleField:
+    def __init__(self, gradient: float, half: float, fringe: EngeFringe) -> None: ...
+
+class DipoleField:
+    def __init__(self, field: float, half: float, fringe: EngeFringe) -> None: ...
+
+class SolenoidField:
+    def __init__(self, field: float, half: float, radius: float) -> None:
+        """radius = 0: hard edges."""
+
+class GapField:
+    def __init__(self, voltage: float, half: float, omega: float, phase: float) -> None: ...
+
+class PillboxField:
+    def __init__(self, field: float, omega: float, phase: float) -> None: ...
+
+class MapField:
+    def __init__(
+        self,
+        axisymmetric: bool,
+        lower: Sequence[float],
+        spacing: Sequence[float],
+        cells: Sequence[int],
+        before: Sequence[int],
+        E: NDArray[numpy.float64] | None = None,
+        B: NDArray[numpy.float64] | None = None,
+        scale: float = 1.0,
+        omega: float = 0.0,
+        phase: float = 0.0,
+    ) -> None:
+        """
+        Values (x, y, z, component), the fourth 0; `before` nodes and one at the other end lie outside.
+        """
+
+class ExternalElement:
+    def __init__(
+        self,
+        origin: Sequence[float],
+        axes: Sequence[Sequence[float]],
+        extent: Sequence[float],
+        kind: UniformField
+        | FocusingField
+        | QuadrupoleField
+        | DipoleField
+        | SolenoidField
+        | GapField
+        | PillboxField
+        | MapField,
+    ) -> None: ...
+
+class ExternalFields:
+    def __init__(self, elements: Sequence[ExternalElement]) -> None: ...
+    @property
+    def electric(self) -> bool: ...
+    @property
+    def magnetic(self) -> bool: ...
+    def edges(
+        self, position: NDArray[numpy.float64], velocity: NDArray[numpy.float64], start: float, stop: float
+    ) -> list[NDArray[numpy.float64]]:
+        """
+        What `means` has in B from planes: where flights enter a field and where they leave it (T), means of τ B (T s), the normals of the planes where they leave, and 1 for flights that pass the end of a field.
+        """
+
+    def means(
+        self,
+        position: NDArray[numpy.float64],
+        velocity: NDArray[numpy.float64],
+        time: float,
+        start: float,
+        stop: float,
+        by_eights: bool = True,
+    ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float64]]:
+        """
+        Means of E (V/m) and B (T) along flights position + velocity τ, τ from `start` to `stop` (s).
+        """
+
 def lattice_green(spacing: Sequence[float], reach: Sequence[int]) -> NDArray[numpy.float64]:
     """
     Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach.

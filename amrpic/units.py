@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from . import _native
@@ -59,6 +60,12 @@ UNITS: dict[str, dict[str, float]] = {
     },
     "potential": {"V": 1.0, "mV": 1e-3, "kV": 1e3, "MV": 1e6},
     "field": {"V/m": 1.0, "kV/m": 1e3, "MV/m": 1e6, "GV/m": 1e9},
+    "magnetic field": {"T": 1.0, "mT": 1e-3, "G": 1e-4, "kG": 0.1},
+    "gradient": {"T/m": 1.0, "mT/m": 1e-3, "G/cm": 1e-2},
+    "electric gradient": {"V/m^2": 1.0, "kV/m^2": 1e3, "MV/m^2": 1e6},
+    "wave number": {"1/m": 1.0, "1/cm": 1e2, "1/mm": 1e3},
+    "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180},
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
 }
 

@@ -24,9 +24,10 @@ NATIVE = {
     "freespace": {"mesh", "stencil", "base"},
     "matrixfree": {"operators", "stencil", "mesh", "base"},
     "solver": {"matrixfree", "operators", "freespace", "stencil", "mesh", "base"},
-    "particle": {"mesh", "stencil", "base"},
+    "external": {"base"},
+    "particle": {"external", "mesh", "stencil", "base"},
     "processor": set(),
-    "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "stencil", "mesh", "base"},
+    "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "external", "stencil", "mesh", "base"},
 }
 
 # What may be named in some folders only.
@@ -53,6 +54,7 @@ ORDER = (
     "scene",
     "stages",
     "io",
+    "external",
     "view",
     "run",
     "__init__",

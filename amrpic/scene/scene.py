@@ -15,10 +15,11 @@ from ..mesh.domain import AXES
 from . import toml
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
-from .bunches import LatticeBunch
+from .bunches import DescribedBunch, LatticeBunch
 from .complaints import complaint, sentences
 from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
+from .elements import AnyElement, ConstantFocusingElement
 from .motion import Leapfrog, NoMotion, RandomWalk
 from .output import Output
 from .particles import ParticlesSection
@@ -62,6 +63,9 @@ class Scene(Section):
             Field(discriminator="distribution"),
         ]
     ] = Field(default=[], description="The particles; without any, the scene runs with ρ = 0.")
+    elements: list[AnyElement] = Field(
+        default=[], description="Magnets, cavities and other fields along the beam line."
+    )
     refinement: Refinement = Refinement()
     particles: ParticlesSection = ParticlesSection()
     solver: SolverSection = SolverSection()
@@ -82,6 +86,7 @@ class Scene(Section):
         self._check_balance()
         self._check_stretch()
         self._check_screening()
+        self._check_elements()
         return self
 
     def _check_cells(self) -> None:
@@ -164,6 +169,19 @@ class Scene(Section):
         if refused := self.solver.screening_refusal(self.domain.value):
             raise complaint(*refused, path="solver.screening", found=self.solver.screening)
 
+    def _check_elements(self) -> None:
+        for number, element in enumerate(self.elements):
+            if not isinstance(element, ConstantFocusingElement) or element.wavenumber is None:
+                continue
+            first = self.bunches[0] if self.bunches else None
+            if not isinstance(first, DescribedBunch) or not any(first.mean_momentum) or first.species.charge == 0:
+                raise complaint(
+                    "needs a first bunch whose species is charged and whose mean momentum is not zero, both in the scene",
+                    "give it one, or the element a gradient",
+                    path=f"elements.{number}.wavenumber",
+                    found=list(element.wavenumber),
+                )
+
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
         """Return the scene of a TOML file, with `key.path=value` overrides.
@@ -235,7 +253,8 @@ class Scene(Section):
 
 
 def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
-    bunches = data.get("bunches")
-    for bunch in bunches if isinstance(bunches, list) else []:
-        if isinstance(bunch, dict) and isinstance(bunch.get("file"), str):
-            bunch["file"] = str(folder / bunch["file"])
+    for key in ("bunches", "elements"):
+        members = data.get(key)
+        for member in members if isinstance(members, list) else []:
+            if isinstance(member, dict) and isinstance(member.get("file"), str):
+                member["file"] = str(folder / member["file"])

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <type_traits>
@@ -43,7 +44,9 @@ void for_each_bit(Bits bits, F&& f) {
   for (; bits != 0; bits &= bits - 1) f(__builtin_ctzll(bits));
 }
 
-/// One of two numbers, as `Lanes` are selected one by one.
+// Of one number, as of each of `Lanes`.
 inline Real select(bool which, Real yes, Real no) { return which ? yes : no; }
+inline Real square_root(Real x) { return std::sqrt(x); }
+inline Real round_down(Real x) { return std::floor(x); }
 
 }  // namespace amrpic

@@ -11,6 +11,8 @@ using GlobalIndex = std::int64_t;  ///< a cell of a level, over all ranks
 
 using Index3 = std::array<int, 3>;
 using Real3 = std::array<Real, 3>;
+template <class V>
+using Vector3 = std::array<V, 3>;  ///< of one place or of several
 
 /// The two axes of a plane normal to `axis`, in ascending order.
 constexpr std::array<int, 2> tangential_axes(int axis) {

@@ -1,18 +1,10 @@
 // How momenta and places change in fields, relativistically: formulas of values, of one particle or of eight at a time.
 #pragma once
 
-#include <array>
-#include <cmath>
-
 #include "base/constants.hpp"
-#include "base/types.hpp"
+#include "base/lanes.hpp"
 
 namespace amrpic {
-
-template <class V>
-using Vector3 = std::array<V, 3>;
-
-inline Real square_root(Real x) { return std::sqrt(x); }
 
 template <class V>
 inline V dot(Vector3<V> const& a, Vector3<V> const& b) {

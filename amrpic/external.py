@@ -1,0 +1,250 @@
+"""The external fields of a scene: those of its elements, at any places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import singledispatch
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _native
+from .io import field_maps
+from .particles.species import Species
+from .scene.bunches import DescribedBunch
+from .scene.elements import (
+    CavityElement,
+    ConstantFocusingElement,
+    DipoleElement,
+    Element,
+    FringedElement,
+    GapElement,
+    MapElement,
+    PossiblyEverywhere,
+    QuadrupoleElement,
+    SolenoidElement,
+    UniformElement,
+    enge_reach,
+)
+from .scene.scene import Scene
+
+Array = NDArray[np.float64]
+Kind = (
+    _native.UniformField
+    | _native.FocusingField
+    | _native.QuadrupoleField
+    | _native.DipoleField
+    | _native.SolenoidField
+    | _native.GapField
+    | _native.PillboxField
+    | _native.MapField
+)
+EVERYWHERE = (-math.inf, math.inf)
+
+
+class ExternalFields:
+    """The fields of elements; where these overlap, fields add."""
+
+    def __init__(
+        self,
+        elements: Sequence[Element] = (),
+        species: Species | None = None,
+        momentum: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Make the fields of elements; wave numbers of focusing refer to a species and its mean momentum in kg m/s.
+
+        Maps are read from their files. Raises InputError if one cannot be used.
+        """
+        focused = [
+            element.model_copy(update={"gradient": element.gradient_for(species, momentum), "wavenumber": None})
+            if isinstance(element, ConstantFocusingElement) and element.wavenumber is not None and species is not None
+            else element
+            for element in elements
+        ]
+        self.native = _native.ExternalFields([native_element(element) for element in focused])
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> Self:
+        """Return the fields of the elements of a scene."""
+        first = scene.bunches[0] if scene.bunches else None
+        if isinstance(first, DescribedBunch):
+            return cls(scene.elements, first.species, first.mean_momentum)
+        return cls(scene.elements)
+
+    @property
+    def electric(self) -> bool:
+        """Whether there is any electric field."""
+        return self.native.electric
+
+    @property
+    def magnetic(self) -> bool:
+        """Whether there is any magnetic field."""
+        return self.native.magnetic
+
+    def fields(self, position: ArrayLike, time: float = 0.0) -> tuple[Array, Array]:
+        """Return E (n, 3) in V/m and B (n, 3) in T at places (n, 3) in m and a time in s.
+
+        What hard edges have in their planes alone, the radial field of a solenoid, is in no point: see `means`.
+        """
+        return self.means(position, np.zeros_like(position, dtype=float), time, 0.0, 0.0)
+
+    def means(
+        self, position: ArrayLike, velocity: ArrayLike, time: float, start: float, stop: float
+    ) -> tuple[Array, Array]:
+        """Return the means of E and B along the flights position + velocity τ, τ from start to stop in s, at `time`.
+
+        With hard edges, the part of the flight between them counts, and the field in their planes where they are crossed.
+        """
+        places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
+        return self.native.means(places, velocities, time, start, stop)
+
+    def edges(
+        self, position: ArrayLike, velocity: ArrayLike, start: float, stop: float
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return what `means` has in B from planes where flights enter a field, and from those where they leave it (n, 3) in T.
+
+        Behind these the means of τ B of both in T s, the normals of the latter planes, and 1 for flights that pass an end (n).
+        """
+        places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
+        first, last, moment, normal, ends = self.native.edges(places, velocities, start, stop)
+        return first, last, moment, normal, ends
+
+
+def native_element(element: Element) -> _native.ExternalElement:
+    """Return an element as the kernels take it."""
+    return _native.ExternalElement(
+        element.centre, axes(element.direction, element.roll), extent(element), kind(element)
+    )
+
+
+def axes(direction: tuple[float, float, float], roll: float) -> list[list[float]]:
+    """Return the unit vectors along x, y, z of an element: turned from those of the laboratory by the smallest turn that
+    takes z into the direction (about y if that is -z), then rolled about it."""
+    x, y, z = np.array(direction) / math.hypot(*direction)
+    s = x * x + y * y
+    if s == 0:
+        turned = np.diag([math.copysign(1.0, z), 1.0, math.copysign(1.0, z)])
+    else:
+        # rows are the new axes; c = (1 - cos) / sin² = 1 / (1 + cos), without cancellation for either sign of the cosine
+        c = (1 - z) / s if z < 0 else 1 / (1 + z)
+        turned = np.array([[1 - c * x * x, -c * x * y, -x], [-c * x * y, 1 - c * y * y, -y], [x, y, z]])
+    cosine, sine = math.cos(roll), math.sin(roll)
+    rolled: list[list[float]] = (np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]) @ turned).tolist()
+    return rolled
+
+
+def extent(element: Element) -> tuple[float, float]:
+    """Return where along its own axis an element may have a field, in m from its centre."""
+    if isinstance(element, PossiblyEverywhere) and element.length is None:
+        return EVERYWHERE
+    if isinstance(element, MapElement) or (isinstance(element, SolenoidElement) and element.fringe == "sheet"):
+        return EVERYWHERE
+    half = element.length / 2  # type: ignore[attr-defined]
+    if isinstance(element, FringedElement) and element.gap is not None:
+        half += enge_reach(element.coefficients) * element.gap
+    return (-half, half)
+
+
+@singledispatch
+def kind(element: Element) -> Kind:
+    """Return the field of an element in its own axes."""
+    raise NotImplementedError(type(element).__name__)
+
+
+@kind.register
+def _(element: UniformElement) -> Kind:
+    return _native.UniformField(element.electric_field, element.magnetic_field)
+
+
+@kind.register
+def _(element: ConstantFocusingElement) -> Kind:
+    assert element.gradient is not None, "the wave numbers of an element need a species and a momentum"
+    return _native.FocusingField(element.gradient)
+
+
+@kind.register
+def _(element: QuadrupoleElement) -> Kind:
+    return _native.QuadrupoleField(element.gradient, element.length / 2, fringe(element))
+
+
+@kind.register
+def _(element: DipoleElement) -> Kind:
+    return _native.DipoleField(element.field, element.length / 2, fringe(element))
+
+
+@kind.register
+def _(element: SolenoidElement) -> Kind:
+    return _native.SolenoidField(element.field, element.length / 2, element.radius or 0.0)
+
+
+@kind.register
+def _(element: GapElement) -> Kind:
+    return _native.GapField(element.voltage, element.length / 2, 2 * math.pi * element.frequency, element.phase)
+
+
+@kind.register
+def _(element: CavityElement) -> Kind:
+    return _native.PillboxField(element.field, 2 * math.pi * element.frequency, element.phase)
+
+
+@kind.register
+def _(element: MapElement) -> Kind:
+    return map_field(
+        field_maps.read(element.file, element.iteration), element.scale, 2 * math.pi * element.frequency, element.phase
+    )
+
+
+def fringe(element: FringedElement) -> _native.EngeFringe:
+    """Return the ends of a magnet."""
+    if element.gap is None:
+        return _native.EngeFringe()
+    return _native.EngeFringe(element.gap, element.coefficients, enge_reach(element.coefficients))
+
+
+# ---- maps: nodes beyond the grid's ends, so that all interpolation is alike ----
+
+
+def map_field(given: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0, phase: float = 0.0) -> Kind:
+    """Return the field of a map; omega in 1/s, phase in rad."""
+    present = next(values for values in (given.electric, given.magnetic) if values is not None)
+    cells = [n - 1 for n in present.shape[:-1]]
+    lower, before = list(given.lower), [1] * len(cells)
+    mirrored = nodes_through_axis(given) if given.axisymmetric else 0
+    if mirrored == 2:  # the axis lies between two nodes
+        lower[0] -= given.spacing[0]
+        cells[0] += 1
+    arrays = [None if v is None else padded(v, mirrored) for v in (given.electric, given.magnetic)]
+    spacing = list(given.spacing)
+    if given.axisymmetric:  # one node along the middle axis, which is not looked at
+        lower, spacing = ([one[0], 0.0, one[1]] for one in (lower, spacing))
+        cells, before = ([one[0], 0, one[1]] for one in (cells, before))
+        arrays = [None if v is None else v[:, None] for v in arrays]
+    electric, magnetic = arrays
+    return _native.MapField(given.axisymmetric, lower, spacing, cells, before, electric, magnetic, scale, omega, phase)
+
+
+def nodes_through_axis(given: field_maps.FieldMap) -> int:
+    """Return how many nodes beyond the axis those of a map determine by symmetry, if its first one is on the axis, or half
+    a spacing away."""
+    offset = given.lower[0] / given.spacing[0]
+    return next((nodes for nodes, place in ((1, 0.0), (2, 0.5)) if abs(offset - place) < 1e-6), 0)
+
+
+def padded(values: Array, mirrored: int) -> Array:
+    """Return the values of a map with one more node at each end, by the parabola through three nodes, and a fourth component
+    of zero; along the first axis with so many nodes before the first that mirror those behind: r and φ components change
+    sign."""
+    out = values
+    for axis in range(values.ndim - 1):
+        out = np.moveaxis(out, axis, 0)
+        lower = 3 * out[0] - 3 * out[1] + out[2]
+        upper = 3 * out[-1] - 3 * out[-2] + out[-3]
+        before = lower[None]
+        if axis == 0 and mirrored == 1:
+            before = out[1:2] * (-1, -1, 1)
+        if axis == 0 and mirrored == 2:
+            before = out[1::-1] * (-1, -1, 1)
+        out = np.moveaxis(np.concatenate([before, out, upper[None]]), 0, axis)
+    return np.ascontiguousarray(np.concatenate([out, np.zeros((*out.shape[:-1], 1))], axis=-1))

@@ -1,0 +1,182 @@
+"""Reading fields on a regular grid from openPMD files (HDF5): records E and B of x, y, z, or of r, z around an axis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from .writer_ranks import one_line
+
+Array = NDArray[np.float64]
+DIMENSION = {"E": (1, 1, -3, -1, 0, 0, 0), "B": (0, 1, -2, -1, 0, 0, 0)}  # m, kg, s, A, K, mol, cd
+COMPONENTS = {"cartesian": ("x", "y", "z"), "thetaMode": ("r", "t", "z")}
+AXES = {"cartesian": ("x", "y", "z"), "thetaMode": ("r", "z")}
+
+
+@dataclass(frozen=True)
+class FieldMap:
+    """Fields at the nodes of a regular grid in SI units, with indices (x, y, z, component) or (r, z, component)."""
+
+    axisymmetric: bool
+    lower: tuple[float, ...]  # the first node, m
+    spacing: tuple[float, ...]  # m
+    electric: Array | None  # V/m
+    magnetic: Array | None  # T
+
+
+def read(file: str | Path, iteration: int | None = None) -> FieldMap:
+    """Return the fields of a file. Raises InputError, naming what is wrong with it."""
+    path = Path(file)
+    try:
+        with h5py.File(path, "r", locking=False) as h5:
+            meshes = _meshes(path, h5, iteration)
+            fields = {name: _read_mesh(path, meshes[name], name) for name in DIMENSION if name in meshes}
+            found = ", ".join(meshes) or "nothing"
+    except FileNotFoundError:
+        raise InputError(
+            f"field map {path} does not exist; correct the path (relative ones start at the scene file)"
+        ) from None
+    except (OSError, KeyError, TypeError, ValueError) as reason:
+        raise InputError(
+            f"field map {path} cannot be read as openPMD ({one_line(reason)}); write it anew by the standard 1.1"
+        ) from None
+    if not fields:
+        raise InputError(f"field map {path} holds {found} where E or B were expected; name the records E and B")
+    return _joined(path, list(fields.values()))
+
+
+def _joined(path: Path, fields: Sequence[FieldMap]) -> FieldMap:
+    """Return one map of E and B on the same nodes."""
+    grids = [(field.axisymmetric, field.lower, field.spacing, _shape(field)) for field in fields]
+    if any(grid != grids[0] for grid in grids):
+        raise InputError(
+            f"field map {path} holds E and B on different grids, {grids[0][1:]} and {grids[1][1:]} (lower, spacing, nodes); "
+            "write one file for each"
+        )
+    electric, magnetic = (
+        next((values for field in fields if (values := getattr(field, key)) is not None), None)
+        for key in ("electric", "magnetic")
+    )
+    return FieldMap(*grids[0][:3], electric, magnetic)
+
+
+def _shape(field: FieldMap) -> tuple[int, ...]:
+    values = field.electric if field.magnetic is None else field.magnetic
+    assert values is not None
+    return values.shape[:-1]
+
+
+def _meshes(path: Path, h5: h5py.File, iteration: int | None) -> h5py.Group:
+    """Return the group of meshes that is meant."""
+    base = _text(h5.attrs["basePath"])
+    if "%T" in base:
+        before, after = base.split("%T")
+        names = [name for name in h5[before] if iteration is None or int(name) == iteration]
+        if len(names) != 1:
+            what = f"no iteration {iteration}" if iteration is not None else f"{len(names)} iterations"
+            raise InputError(f"field map {path} holds {what}; set iteration to one of {', '.join(h5[before])}")
+        base = before + names[0] + after
+    return h5[base + _text(h5.attrs["meshesPath"])]
+
+
+def _read_mesh(path: Path, mesh: h5py.Group, name: str) -> FieldMap:
+    geometry = _text(mesh.attrs["geometry"])
+    where = f"record {name} of field map {path}"
+    if geometry not in COMPONENTS:
+        raise InputError(f'{where} has the geometry "{geometry}"; write it as cartesian or thetaMode')
+    _require_dimension(where, mesh, DIMENSION[name])
+    _require_axes(where, mesh, AXES[geometry])
+    read = {key: _component(mesh[key], geometry) for key in COMPONENTS[geometry] if key in mesh}
+    if not read:
+        found = ", ".join(mesh) or "no components"
+        raise InputError(f"{where} holds {found}; write the components {', '.join(COMPONENTS[geometry])}")
+    shape, place = _same(where, read)
+    values = np.zeros((*shape, 3))
+    for number, key in enumerate(COMPONENTS[geometry]):
+        if key in read:
+            values[..., number] = read[key][0]
+    _require_nodes(where, shape)
+    _require_finite(where, values)
+    order = [_texts(mesh.attrs["axisLabels"]).index(axis) for axis in AXES[geometry]]
+    values = values.transpose(*order, len(order))
+    spacing, lower = (np.asarray(mesh.attrs[key], dtype=float) for key in ("gridSpacing", "gridGlobalOffset"))
+    unit = np.broadcast_to(np.asarray(mesh.attrs.get("gridUnitSI", 1.0), dtype=float), spacing.shape)
+    if not (spacing * unit > 0).all() or not np.isfinite(spacing * unit).all():
+        raise InputError(f"{where} has the spacing {(spacing * unit).tolist()} m; write a positive one along each axis")
+    lower = ((lower + place * spacing) * unit)[order]
+    return FieldMap(
+        geometry == "thetaMode",
+        tuple(map(float, lower)),
+        tuple(map(float, (spacing * unit)[order])),
+        values if name == "E" else None,
+        values if name == "B" else None,
+    )
+
+
+def _component(component: h5py.Dataset | h5py.Group, geometry: str) -> tuple[Array, Array]:
+    """Return the values of a component in SI units in the order of the axis labels, and where in a cell its nodes lie."""
+    attributes = component.attrs
+    values = (
+        np.full(tuple(attributes["shape"]), float(attributes["value"])) if "value" in attributes else component[...]
+    )
+    if geometry == "thetaMode" and values.ndim == 3:
+        values = values[0]
+    if _text(component.parent.attrs.get("dataOrder", "C")) == "F":
+        values = values.T
+    place = np.asarray(attributes.get("position", np.zeros(values.ndim)), dtype=float)
+    return np.asarray(values, dtype=float) * float(attributes.get("unitSI", 1.0)), place
+
+
+def _same(where: str, read: dict[str, tuple[Array, Array]]) -> tuple[tuple[int, ...], Array]:
+    """Return the shape and the place in a cell that all components have."""
+    (values, place), *others = read.values()
+    for other, other_place in others:
+        if other.shape != values.shape:
+            raise InputError(f"{where} has components of shapes {values.shape} and {other.shape}; give all one shape")
+        if not np.array_equal(other_place, place):
+            raise InputError(
+                f"{where} has components at the places {place.tolist()} and {other_place.tolist()} of a cell; "
+                "interpolate all to the same nodes"
+            )
+    return values.shape, place
+
+
+def _require_dimension(where: str, mesh: h5py.Group, expected: tuple[int, ...]) -> None:
+    found = tuple(mesh.attrs.get("unitDimension", expected))
+    if found != expected:
+        raise InputError(f"{where} has the dimension {tuple(map(float, found))}; it should be {expected}")
+
+
+def _require_axes(where: str, mesh: h5py.Group, expected: tuple[str, ...]) -> None:
+    found = _texts(mesh.attrs["axisLabels"])
+    if sorted(found) != sorted(expected):
+        raise InputError(f"{where} has the axes {', '.join(found)}; write {', '.join(expected)}")
+
+
+def _require_nodes(where: str, shape: tuple[int, ...]) -> None:
+    if min(shape) < 3:
+        raise InputError(f"{where} has {' × '.join(map(str, shape))} nodes; interpolation needs 3 along each axis")
+
+
+def _require_finite(where: str, values: Array) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        raise InputError(
+            f"{where} holds {len(bad)} values that are not finite, the first ({values[tuple(bad[0])]}) at node "
+            f"{tuple(map(int, bad[0][:-1]))}; fill the holes"
+        )
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def _texts(values: Any) -> list[str]:
+    return [_text(value) for value in np.atleast_1d(values)]

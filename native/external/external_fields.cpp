@@ -1,0 +1,173 @@
+#include "external/external_fields.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace amrpic {
+
+using namespace external;
+
+namespace {
+
+constexpr Real infinity = std::numeric_limits<Real>::infinity();
+
+Real lowest(Real x) { return x; }
+Real highest(Real x) { return x; }
+/// One number of eight: of two halves, then of four numbers.
+template <class Vector, class Of>
+Real reduced(Vector const& x, Of const& of) {
+  HalfLanes low, high;
+  if constexpr (std::is_class_v<Vector>) {
+    low = x.low, high = x.high;
+  } else {
+    low = __builtin_shufflevector(x, x, 0, 1, 2, 3), high = __builtin_shufflevector(x, x, 4, 5, 6, 7);
+  }
+  HalfLanes const four = of(low, high);
+  return of(of(four[0], four[1]), of(four[2], four[3]));
+}
+Real lowest(Lanes const& x) {
+  return reduced(x, [](auto const& a, auto const& b) { return a < b ? a : b; });
+}
+Real highest(Lanes const& x) {
+  return reduced(x, [](auto const& a, auto const& b) { return a > b ? a : b; });
+}
+
+/// A vector of the laboratory along the axes of a frame.
+template <class V>
+Vector3<V> along_axes(Frame const& frame, Vector3<V> const& a) {
+  return {dot(frame.axis[0], a), dot(frame.axis[1], a), dot(frame.axis[2], a)};
+}
+/// The opposite.
+template <class V>
+Vector3<V> in_laboratory(Frame const& frame, Vector3<V> const& a) {
+  auto const& [x, y, z] = frame.axis;
+  Vector3<V> out;
+  for (std::size_t d = 0; d < 3; ++d) out[d] = x[d] * a[0] + y[d] * a[1] + z[d] * a[2];
+  return out;
+}
+
+template <class V>
+Flight<V> seen_from(Frame const& frame, bool turned, Flight<V> const& f) {
+  Flight<V> out = f;
+  for (std::size_t d = 0; d < 3; ++d) out.x[d] = f.x[d] - frame.origin[d];
+  if (turned) out.x = along_axes(frame, out.x), out.v = along_axes(frame, f.v);
+  return out;
+}
+
+/// Where fields and edges of elements are added up, in the axes of the laboratory.
+template <class V>
+struct Sums {
+  Vector3<V>&E, &B;
+  Edges<V>& edges;
+};
+
+/// Add what the planes at both ends of a field give to flights that cross them.
+template <class V, class Of, class Turn>
+void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Segment<V> const& segment,
+               Turn const& to_laboratory, Edges<V>& edges) {
+  auto const add = [&](Real plane, Real sign) {
+    V const direction = direction_across(plane, segment);
+    if (all(direction == V{})) return;
+    V const density = direction / segment.dz();                                // the mean of δ(z - plane)
+    V const share = clamped((plane - segment.start[2]) / segment.dz(), 0, 1);  // of the segment before the plane
+    V const tau = flight.from + share * (flight.to - flight.from);
+    auto const B = to_laboratory(scaled<V>(sign * density, edge_field<V>(of, segment.point(share))));
+    auto const normal = to_laboratory({V{}, V{}, V{} + 1});
+    auto const enters = sign * direction > V{}, leaves = sign * direction < V{};
+    edges.begin();
+    for (std::size_t d = 0; d < 3; ++d) {
+      edges.first[d] += select(enters, B[d], V{});
+      edges.last[d] += select(leaves, B[d], V{});
+      edges.moment[d] += tau * B[d];
+      edges.normal[d] = select(leaves, normal[d], edges.normal[d]);
+    }
+  };
+  add(extent.lower, 1);
+  add(extent.upper, -1);
+}
+
+/// Add the mean of one field along a flight in its own axes.
+template <class V, class Of, class Turn>
+void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn const& to_laboratory,
+             Sums<V> const& to) {
+  auto const add = [&](Fields<V> const& mean) {
+    if (of.electric()) to.E = sum(to.E, to_laboratory(mean.E));
+    if (of.magnetic()) to.B = sum(to.B, to_laboratory(mean.B));
+  };
+  if (!of.is_hard() || extent.everywhere()) {
+    auto const here = contains(extent, flight.x[2]);
+    if (!any(here)) return;
+    auto mean = field(of, flight.x, flight.time);
+    for (std::size_t d = 0; d < 3; ++d)
+      mean.E[d] = zero_unless<V>(here, mean.E[d]), mean.B[d] = zero_unless<V>(here, mean.B[d]);
+    return add(mean);
+  }
+  Segment<V> const segment(flight);
+  auto const meets = segment.meets(extent), inside = segment.lies_in(extent);
+  if (!any(meets)) return;
+  if (all(inside)) return add(field(of, segment.point(V{} + 0.5), flight.time));
+  auto const part = part_inside(extent, segment);
+  auto const mean = field(of, part.middle, flight.time);
+  add({scaled(part.share, mean.E), scaled(part.share, mean.B)});
+  to.edges.ends = select(inside, to.edges.ends, select(meets, V{} + 1, to.edges.ends));
+  if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, to_laboratory, to.edges);
+}
+
+}  // namespace
+
+Interval external::laboratory_extent(Element const& element) {
+  Frame const& frame = element.frame;
+  Real const along = frame.axis[2][2], z = frame.origin[2];
+  if (std::abs(along) != 1) return {-infinity, infinity};  // a tilted slab passes every z somewhere
+  auto const [lower, upper] = along > 0 ? element.extent : Interval{-element.extent.upper, -element.extent.lower};
+  auto const rounding = [=](Real end) { return 1e-14 * (std::abs(z) + std::abs(end)); };  // of places in either axes
+  return {z + lower - rounding(lower), z + upper + rounding(upper)};
+}
+
+ExternalFields::ExternalFields(std::vector<Element> elements) {
+  for (Element& element : elements) {
+    electric_ = electric_ || std::visit([](auto const& of) { return of.electric(); }, element.kind);
+    magnetic_ = magnetic_ || std::visit([](auto const& of) { return of.magnetic(); }, element.kind);
+    Interval const z = laboratory_extent(element);
+    bool const turned = element.frame.is_turned();
+    entries_.push_back({std::move(element), z, infinity, turned});
+  }
+  std::stable_sort(entries_.begin(), entries_.end(),
+                   [](Entry const& a, Entry const& b) { return a.z.lower < b.z.lower; });
+  Real highest = -infinity;
+  for (Entry& entry : entries_) entry.highest = highest = std::max(highest, entry.z.upper);
+}
+
+std::size_t ExternalFields::first_near(Real lower) const {
+  auto const found = std::lower_bound(entries_.begin(), entries_.end(), lower,
+                                      [](Entry const& entry, Real z) { return entry.highest < z; });
+  return std::size_t(found - entries_.begin());
+}
+
+template <class V>
+void add_mean_field(ExternalFields const& fields, Flight<V> const& flight, Vector3<V>& E, Vector3<V>& B,
+                    Edges<V>& edges) {
+  if (fields.empty()) return;
+  V const start = flight.x[2] + flight.v[2] * flight.from, end = flight.x[2] + flight.v[2] * flight.to;
+  Sums<V> const sums{E, B, edges};
+  fields.for_each_near(lowest(lesser(start, end)), highest(greater(start, end)), [&](Element const& at, bool turned) {
+    auto const to_laboratory = [&](Vector3<V> const& a) { return turned ? in_laboratory(at.frame, a) : a; };
+    auto const local = seen_from(at.frame, turned, flight);
+    std::visit([&](auto const& of) { add_one(of, at.extent, local, to_laboratory, sums); }, at.kind);
+  });
+}
+
+template <class V>
+void add_mean_field(ExternalFields const& fields, Flight<V> const& flight, Vector3<V>& E, Vector3<V>& B) {
+  Edges<V> edges;
+  add_mean_field(fields, flight, E, B, edges);
+  if (edges.crossed) B = sum(B, sum(edges.first, edges.last));
+}
+
+template void add_mean_field(ExternalFields const&, Flight<Real> const&, Vector3<Real>&, Vector3<Real>&, Edges<Real>&);
+template void add_mean_field(ExternalFields const&, Flight<Lanes> const&, Vector3<Lanes>&, Vector3<Lanes>&,
+                             Edges<Lanes>&);
+template void add_mean_field(ExternalFields const&, Flight<Real> const&, Vector3<Real>&, Vector3<Real>&);
+template void add_mean_field(ExternalFields const&, Flight<Lanes> const&, Vector3<Lanes>&, Vector3<Lanes>&);
+
+}  // namespace amrpic

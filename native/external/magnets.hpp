@@ -1,0 +1,125 @@
+// Fields of magnets and of uniform and linear fields, in their own axes: z along the axis, the origin in the middle.
+//
+// Each kind has `is_hard`: whether its field ends at two planes, so that its mean is that of the part between them;
+// `field` at a point; if it `has_edges`, `edge_field`: B that stands before δ(z - plane) at the plane where it begins,
+// and with the opposite sign at that where it ends; `electric` and `magnetic`: whether it has such a field.
+#pragma once
+
+#include "external/enge.hpp"
+
+namespace amrpic::external {
+
+struct Uniform {
+  Real3 E, B;  ///< V/m, T
+  static constexpr bool has_edges = false;
+  static constexpr bool is_hard() { return true; }
+  bool electric() const { return E != Real3{}; }
+  bool magnetic() const { return B != Real3{}; }
+};
+
+template <class V>
+Fields<V> field(Uniform const& of, Vector3<V> const&, Real) {
+  return {{V{} + of.E[0], V{} + of.E[1], V{} + of.E[2]}, {V{} + of.B[0], V{} + of.B[1], V{} + of.B[2]}};
+}
+
+/// E = -(gx x, gy y, gz z).
+struct Focusing {
+  Real3 gradient;  ///< V/m²
+  static constexpr bool has_edges = false;
+  static constexpr bool is_hard() { return true; }
+  static constexpr bool electric() { return true; }
+  static constexpr bool magnetic() { return false; }
+};
+
+template <class V>
+Fields<V> field(Focusing const& of, Vector3<V> const& x, Real) {
+  return {{0 - of.gradient[0] * x[0], 0 - of.gradient[1] * x[1], 0 - of.gradient[2] * x[2]}, {}};
+}
+
+/// B = ∇ψ, ψ = G x y (f - f'' (x² + y²) / 12) with the profile f: curl B = 0, and div B = -G f'''' x y (x² + y²) / 12.
+/// A positive gradient focuses positive particles that move along +z in x. Hard edges: f = 1, without end terms.
+struct Quadrupole {
+  Real gradient;  ///< T/m
+  Real half;      ///< length, m
+  Enge fringe;
+  static constexpr bool has_edges = false;
+  bool is_hard() const { return fringe.hard(); }
+  static constexpr bool electric() { return false; }
+  static constexpr bool magnetic() { return true; }
+};
+
+template <class V>
+Fields<V> field(Quadrupole const& of, Vector3<V> const& at, Real) {
+  auto const& [x, y, z] = at;
+  Real const G = of.gradient;
+  if (of.is_hard()) return {{}, {G * y, G * x, V{}}};
+  auto const f = profile<V>(of.fringe, of.half, z);
+  V const xx = x * x, yy = y * y, second = f.second / 12;
+  return {{},
+          {G * y * (f.value - second * (3 * xx + yy)), G * x * (f.value - second * (xx + 3 * yy)),
+           G * x * y * (f.first - f.third * (xx + yy) / 12)}};
+}
+
+/// B = ∇ψ, ψ = B0 (y f - y³ f'' / 6): curl B = 0, and div B = -B0 y³ f'''' / 6. Positive particles that move along +z
+/// turn to -x. Hard edges: f is a step, f' its δ, which focuses vertically those that cross the edge at an angle.
+struct Dipole {
+  Real B0;    ///< T
+  Real half;  ///< length, m
+  Enge fringe;
+  static constexpr bool has_edges = true;
+  bool is_hard() const { return fringe.hard(); }
+  static constexpr bool electric() { return false; }
+  static constexpr bool magnetic() { return true; }
+};
+
+template <class V>
+Fields<V> field(Dipole const& of, Vector3<V> const& at, Real) {
+  if (of.is_hard()) return {{}, {V{}, V{} + of.B0, V{}}};
+  auto const f = profile<V>(of.fringe, of.half, at[2]);
+  V const y = at[1], yy = y * y;
+  return {{}, {V{}, of.B0 * (f.value - f.second * yy / 2), of.B0 * y * (f.first - f.third * yy / 6)}};
+}
+
+template <class V>
+Vector3<V> edge_field(Dipole const& of, Vector3<V> const& at) {
+  return {V{}, V{}, of.B0 * at[1]};
+}
+
+/// Hard edges: B_z = B0 between two planes, B_r = -(r/2) B_z'. With a radius R the thin winding of a coil: on the axis
+/// B(z) = B0/2 (a / √(a² + R²) - b / √(b² + R²)) with a = z + half, b = z - half, and off it
+/// B_z = B - r² B''/4, B_r = -r B'/2 + r³ B'''/16: div B = 0, and curl B = r³ B''''/16.
+struct Solenoid {
+  Real B0;      ///< T, in the middle of a long one
+  Real half;    ///< length, m
+  Real radius;  ///< of the coil, m; 0 for hard edges
+  static constexpr bool has_edges = true;
+  bool is_hard() const { return radius == 0; }
+  static constexpr bool electric() { return false; }
+  static constexpr bool magnetic() { return true; }
+};
+
+/// z / √(z² + R²) and its derivatives.
+template <class V>
+Derivatives<V> end_of_coil(Real R, V const& z) {
+  V const q = 1 / (z * z + R * R), root = square_root(q), first = R * R * q * root, u = z * q;
+  return {z * root, first, 0 - 3 * first * u, 3 * first * (5 * u * u - q)};
+}
+
+template <class V>
+Fields<V> field(Solenoid const& of, Vector3<V> const& at, Real) {
+  if (of.is_hard()) return {{}, {V{}, V{}, V{} + of.B0}};
+  auto const& [x, y, z] = at;
+  Real const half_B = of.B0 / 2;
+  auto const a = end_of_coil<V>(of.radius, z + of.half), b = end_of_coil<V>(of.radius, z - of.half);
+  V const rr = x * x + y * y;
+  V const radial = half_B * ((a.third - b.third) * rr / 16 - (a.first - b.first) / 2);  // B_r / r
+  return {{}, {radial * x, radial * y, half_B * (a.value - b.value - (a.second - b.second) * rr / 4)}};
+}
+
+template <class V>
+Vector3<V> edge_field(Solenoid const& of, Vector3<V> const& at) {
+  Real const half_B = of.B0 / 2;
+  return {0 - half_B * at[0], 0 - half_B * at[1], V{}};
+}
+
+}  // namespace amrpic::external

@@ -393,6 +393,8 @@ def push(
     momentum_out: NDArray[numpy.float64],
     position_out: NDArray[numpy.float64],
     between: NDArray[numpy.float64] | None,
+    external: ExternalFields | None,
+    time: float,
 ) -> None: ...
 
 class BeamSums:

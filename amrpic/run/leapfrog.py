@@ -26,7 +26,7 @@ class Staggered:
     """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions.
 
     Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2. Without a magnetic
-    field those of the state's time are the mean of both; with one they are kept, as `between`.
+    field or elements those of the state's time are the mean of both; with them they are kept, as `between`.
     """
 
     moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted
@@ -53,11 +53,11 @@ class Staggered:
         return moments(comm, particles, self.moved, 0.5 if self.lag > 0 else 0.0)
 
 
-def kick_and_drift(solution: Solution, particles: Particles, lag: float, plan: Plan) -> Staggered:
-    """Return where particles go whose momenta lag positions by `lag` s. Collective."""
-    magnetic = solution.frame != LABORATORY
-    between = empty_columns(len(particles)) if magnetic else None
-    return Staggered(_push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between), lag, between)
+def kick_and_drift(solution: Solution, particles: Particles, lag: float, time: float, plan: Plan) -> Staggered:
+    """Return where particles go whose momenta lag positions by `lag` s, at `time` s. Collective."""
+    by_e_alone = solution.frame == LABORATORY and not plan.scene.elements
+    between = None if by_e_alone else empty_columns(len(particles))
+    return Staggered(_push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, time), lag, between)
 
 
 def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: Plan) -> Particles:
@@ -78,6 +78,7 @@ def _push(
     dt: float,
     plan: Plan,
     between: np.ndarray | None = None,
+    time: float = 0.0,
 ) -> Particles:
     motion, frame = plan.scene.motion, solution.frame
     assert isinstance(motion, Leapfrog)
@@ -93,4 +94,6 @@ def _push(
         beta=frame.beta,
         electric=None if walls is None else gather(walls, particles, plan.clouds),
         between=between,
+        external=plan.external.native if plan.scene.elements else None,
+        time=time,
     )

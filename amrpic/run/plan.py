@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import SolverError
+from ..external import ExternalFields
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import own
@@ -35,6 +36,7 @@ class Plan:
         self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
         self._frame = LABORATORY  # of that solver
+        self.external = ExternalFields.of_scene(scene)
         self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 

@@ -68,7 +68,7 @@ def state_of(
     staggered = None
     if isinstance(plan.scene.motion, Leapfrog):
         with plan.clock("gather"):
-            staggered = kick_and_drift(solution, particles, lag, plan)
+            staggered = kick_and_drift(solution, particles, lag, time, plan)
     return State(particles, staggered, solution, lost, step, time, regridded, plan.clock.take())
 
 

@@ -246,6 +246,8 @@ class Scene(Section):
         out = []
         if self.particle_count() == 0 and not any(bunch.source for bunch in self.bunches):
             out.append("the scene has zero particles; the field is that of the boundary alone")
+        if self.elements and not isinstance(self.motion, Leapfrog):
+            out.append(f'elements act on nothing, since motion.kind is "{self.motion.kind}"; set it to "leapfrog"')
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:
             out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")

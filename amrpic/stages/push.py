@@ -30,16 +30,18 @@ def push(
     electric: np.ndarray | None = None,
     magnetic: np.ndarray | None = None,
     between: np.ndarray | None = None,
+    external: _native.ExternalFields | None = None,
+    time: float = 0.0,
 ) -> Particles:
     """Return the particles after `before` s and a further `after` s in the fields at their places, and a flight of `dt` s.
     Let `migrate` follow.
 
     dp/dt = q (E + v × B), with the mesh's field as `gather` finds it, and x += p dt / (γ m), γ² = 1 + (p / m c)²; each particle
-    is read once. Charge whose field the mesh holds moves with `beta` c, so that B = beta × E / c. `electric` (V/m) and
-    `magnetic` (T) are (n, 3) fields at the particles that are added. The two parts act one after the other, and what is between
-    them is written into `between`, (n, 3): a second call goes on from there to the same in all digits. Magnetic fields turn
-    momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017), have it. Collective, and as `gather` in all
-    else.
+    is read once. Charge whose field the mesh holds moves with `beta` c, so that B = beta × E / c. Fields that are added:
+    `electric` (V/m) and `magnetic` (T), (n, 3) at the particles, and those of `external` elements at `time` (s). The two parts
+    act one after the other, and what is between them is written into `between`, (n, 3): a second call goes on from there to
+    the same in all digits. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017),
+    have it. Collective, and as `gather` in all else.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
@@ -64,6 +66,8 @@ def push(
             momentum,
             position,
             between,
+            external,
+            time,
         )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None

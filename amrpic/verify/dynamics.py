@@ -34,8 +34,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     yield Table(
         "Field of a fast bunch",
         "Gaussian electron bunch, σ = 1 mm in the laboratory, 10⁶ quiet particles, one refined level: the largest error of "
-        "each component of E and B within 2.5 σ, over the largest value of that component, against the exact field of the bunch at "
-        "rest, boosted. The component of B along the motion is zero.",
+        "each component of E and B within 2.5 σ, over the largest value of that component, against the exact field of the "
+        "bunch at rest, boosted. The component of B along the motion is zero.",
         ("γ", "E_x", "E_y", "E_z", "B_x", "B_y", "cycles"),
         [_fast_bunch(comm, gamma) for gamma in (2.0, 20.0, 100.0)],
     )
@@ -80,9 +80,9 @@ def _explosions(comm: MPI.Comm) -> Table:
             rows.append([name, f"{cells}³ + 1 level", Goal(rms, 5e-3) if last else rms, goal])
     return Table(
         "Coulomb explosion",
-        f"{PARTICLES} electrons at rest, quiet, of 10 pC in a uniform ellipsoid with a half axis of 1 mm, until it is about twice "
-        "as large, in free space; one level refined where charge is. Largest error of the rms sizes along the axes, and of "
-        f"the elliptic radius that holds {EDGE:.1%} of the particles, against the exact law of a uniform ellipsoid.",
+        f"{PARTICLES} electrons at rest, quiet, of 10 pC in a uniform ellipsoid with a half axis of 1 mm, until it is about "
+        "twice as large, in free space; one level refined where charge is. Largest error of the rms sizes along the axes, and "
+        f"of the elliptic radius that holds {EDGE:.1%} of the particles, against the exact law of a uniform ellipsoid.",
         ("bunch", "mesh", "rms", "edge"),
         rows,
         curves,

@@ -133,7 +133,7 @@ void bind_particle(nb::module_& m) {
          ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
          OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after, Real flight, Pusher pusher,
          Real3 beta, std::optional<ConstColumns> electric, std::optional<ConstColumns> magnetic, Columns momentum_out,
-         Columns position_out, std::optional<Columns> between) {
+         Columns position_out, std::optional<Columns> between, ExternalFields const* external, Real time) {
         nb::gil_scoped_release release;
         auto const if_given = [](auto const& array) { return array ? columns(*array) : std::array<Real*, 3>{}; };
         Motion const motion{charge.data(),
@@ -144,13 +144,15 @@ void bind_particle(nb::module_& m) {
                             flight,
                             pusher,
                             beta,
-                            {if_given(electric), if_given(magnetic)}};
+                            {if_given(electric), if_given(magnetic)},
+                            external,
+                            time};
         push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
              {columns(momentum_out), columns(position_out), if_given(between)});
       },
       "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
       "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a, "electric"_a.none(),
-      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none());
+      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(), "external"_a.none(), "time"_a);
 
   nb::class_<BeamSums<Real>>(m, "BeamSums")
       .def_ro("weight", &BeamSums<Real>::weight)

@@ -3,7 +3,8 @@
 
 #include <array>
 
-#include "freespace/inverse_root.hpp"
+#include "base/inverse_root.hpp"
+#include "freespace/lane_sums.hpp"
 
 namespace amrpic::freespace {
 

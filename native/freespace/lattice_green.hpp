@@ -9,7 +9,8 @@
 #include <array>
 #include <vector>
 
-#include "freespace/inverse_root.hpp"
+#include "base/inverse_root.hpp"
+#include "freespace/lane_sums.hpp"
 
 namespace amrpic::freespace {
 

@@ -8,7 +8,8 @@
 #include <algorithm>
 #include <array>
 
-#include "freespace/inverse_root.hpp"
+#include "base/inverse_root.hpp"
+#include "freespace/lane_sums.hpp"
 
 namespace amrpic::freespace {
 

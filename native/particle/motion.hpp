@@ -2,6 +2,7 @@
 #pragma once
 
 #include "base/constants.hpp"
+#include "base/inverse_root.hpp"
 #include "base/lanes.hpp"
 
 namespace amrpic {
@@ -15,11 +16,11 @@ inline Vector3<V> cross(Vector3<V> const& a, Vector3<V> const& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
 
-/// The Lorentz factor of a momentum (kg m/s), with one over m c.
+/// One over the Lorentz factor of a momentum (kg m/s), with one over m c.
 template <class V>
-inline V lorentz_factor(Vector3<V> const& p, V const& per_mc) {
+inline V inverse_gamma(Vector3<V> const& p, V const& per_mc) {
   Vector3<V> const u{p[0] * per_mc, p[1] * per_mc, p[2] * per_mc};
-  return square_root(1 + dot(u, u));
+  return inverse_root(1 + dot(u, u));
 }
 
 enum class Pusher {
@@ -41,18 +42,18 @@ inline Vector3<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b
   V const tau_square = dot(tau, tau);
   V g_square = 1 + dot(u, u);
   if (pusher == Pusher::higuera_cary) {
-    V const along = dot(tau, u), s = g_square - tau_square;
-    g_square = 0.5 * (s + square_root(s * s + 4 * (tau_square + along * along)));
+    V const along = dot(tau, u), s = g_square - tau_square, under = s * s + 4 * (tau_square + along * along);
+    g_square = 0.5 * (s + under * inverse_root(under));
   }
-  // tan of half the angle atan t, by t / (1 + sqrt(1 + t^2)) with t = tau / g
-  V const scale = 1 / (square_root(g_square) + square_root(g_square + tau_square));
+  // By tan of half the angle atan t, which is t / (1 + sqrt(1 + t^2)) = tau / (g + w) with w^2 = g^2 + tau^2.
+  V const per_w = inverse_root(g_square + tau_square), sum_over_w = 1 + g_square * inverse_root(g_square) * per_w;
+  V const scale = per_w / sum_over_w;
   Vector3<V> half;
   for (std::size_t d = 0; d < 3; ++d) half[d] = scale * tau[d];
-  V const factor = 2 / (1 + scale * scale * tau_square);
   Vector3<V> out = cross(p, half);
   for (std::size_t d = 0; d < 3; ++d) out[d] += p[d];
   out = cross(out, half);
-  for (std::size_t d = 0; d < 3; ++d) out[d] = p[d] + factor * out[d];
+  for (std::size_t d = 0; d < 3; ++d) out[d] = p[d] + sum_over_w * out[d];
   return out;
 }
 

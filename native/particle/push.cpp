@@ -16,15 +16,54 @@ inline void add(Components& to, Components const& more) {
   for (int d = 0; d < 3; ++d) to[d] += more[d];
 }
 
-inline Components kicked(Components p, Lanes const& charge_time, Components const& e) {
-  for (int d = 0; d < 3; ++d) p[d] += charge_time * e[d];
-  return p;
-}
-
 /// B of charge that moves with `beta`, from its electric field.
 inline Components self_magnetic_field(Real3 const& beta, Components const& e) {
   Real3 const b{beta[0] / speed_of_light, beta[1] / speed_of_light, beta[2] / speed_of_light};
   return {b[1] * e[2] - b[2] * e[1], b[2] * e[0] - b[0] * e[2], b[0] * e[1] - b[1] * e[0]};
+}
+
+/// Eight particles in fields.
+struct Group {
+  Components x, p;
+  Lanes charge, inverse_mass, per_mc;
+
+  Components velocity() const {
+    Lanes const over = inverse_mass * inverse_gamma(p, per_mc);
+    return {over * p[0], over * p[1], over * p[2]};
+  }
+  void kick(Components const& e, Real time) {
+    Lanes const impulse = charge * time;
+    for (int d = 0; d < 3; ++d) p[d] += impulse * e[d];
+  }
+  void turn(Pusher pusher, Components const& b, Lanes const& time) {
+    p = turned(pusher, p, b, time * charge * inverse_mass, per_mc);
+  }
+};
+
+/// A part of a step: a kick by E and a turn by B before the positions' time, a turn and a kick after it. What elements
+/// have in the planes where they begin and end acts first and last.
+inline void act(Group& on, Components e, Components b, bool has_b, Real time, bool is_before, Motion const& motion) {
+  Edges<Lanes> edges;
+  Components arriving;
+  if (motion.external && time > 0) {
+    arriving = on.velocity();
+    Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
+    add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
+  }
+  Lanes const whole = time + Lanes{};
+  if (edges.crossed) on.turn(motion.pusher, edges.first, whole);
+  if (is_before) on.kick(e, time);
+  if (has_b) on.turn(motion.pusher, b, whole);
+  if (!is_before) on.kick(e, time);
+  if (!edges.crossed) return;
+  Components const leaving = on.velocity();
+  Lanes const now = dot(leaving, edges.normal),
+              ratio = dot(arriving, edges.normal) / select(now == 0, 1 + Lanes{}, now);
+  Lanes const slower = select(ratio < 0, 0 - ratio, ratio);
+  on.turn(motion.pusher, edges.last, slower * time);
+  Components const shift = cross(arriving, edges.moment);
+  Lanes const scale = on.charge * on.inverse_mass * time * inverse_gamma(on.p, on.per_mc);
+  for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - scale * shift[d];
 }
 
 }  // namespace
@@ -34,27 +73,24 @@ void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, 
   auto const p = out.momentum, x = out.position, between = out.between;
   bool const far = are_far(particles.count, p[0], p[1], p[2], x[0], x[1], x[2], between[0], between[1], between[2]);
   AddedFields const& added = motion.added;
-  bool const has_self_b = motion.beta != Real3{}, has_b = has_self_b || added.magnetic[0];
+  bool const has_self_b = motion.beta != Real3{},
+             has_b = has_self_b || added.magnetic[0] || (motion.external && motion.external->magnetic());
   read_field(mesh, clouds, field, particles, starts, [=](LaneGroup const& group, Components const& felt) {
-    Lanes const charge = load(motion.charge, motion.same, group);
     Lanes const inverse_mass = load(motion.inverse_mass, motion.same, group);
-    Lanes const per_mc = inverse_mass * (1 / speed_of_light);
-    Lanes const before = motion.before * charge, after = motion.after * charge;
-    Components e = felt, momentum = load_columns(particles.momentum, group);
+    Group on{load_columns(particles.position, group), load_columns(particles.momentum, group),
+             load(motion.charge, motion.same, group), inverse_mass, inverse_mass * (1 / speed_of_light)};
+    Components e = felt, b{};
     if (added.electric[0]) add(e, load_columns(added.electric, group));
-    Components b{};
     if (has_self_b) b = self_magnetic_field(motion.beta, felt);
     if (added.magnetic[0]) add(b, load_columns(added.magnetic, group));
 
-    momentum = kicked(momentum, before, e);
-    if (has_b) momentum = turned(motion.pusher, momentum, b, before * inverse_mass, per_mc);
-    for (int d = 0; d < 3 && between[0]; ++d) store(between[d], group, momentum[d], far);
-    if (has_b) momentum = turned(motion.pusher, momentum, b, after * inverse_mass, per_mc);
-    momentum = kicked(momentum, after, e);
-    Lanes const time_over_mass = motion.flight * inverse_mass / lorentz_factor(momentum, per_mc);
+    act(on, e, b, has_b, motion.before, true, motion);
+    for (int d = 0; d < 3 && between[0]; ++d) store(between[d], group, on.p[d], far);
+    act(on, e, b, has_b, motion.after, false, motion);
+    Lanes const time_over_mass = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
     for (int d = 0; d < 3; ++d) {
-      store(p[d], group, momentum[d], far);
-      store(x[d], group, load(particles.position[d], group) + time_over_mass * momentum[d], far);
+      store(p[d], group, on.p[d], far);
+      store(x[d], group, on.x[d] + time_over_mass * on.p[d], far);
     }
   });
   stream_end();

@@ -2,6 +2,7 @@
 
 #include <array>
 
+#include "external/external_fields.hpp"
 #include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
 #include "particle/motion.hpp"
@@ -26,6 +27,8 @@ struct Motion {
   Pusher pusher;
   Real3 beta;  ///< velocity over c of the charge whose field the mesh holds: B = beta x E / c
   AddedFields added;
+  ExternalFields const* external = nullptr;  ///< of elements; null where there are none
+  Real time = 0;                             ///< s, of the positions
 };
 
 /// Where particles are written: positions in m, momenta in kg m/s.
@@ -36,7 +39,8 @@ struct Moved {
 
 /// Write momenta after `before` and `after` seconds in the fields at their places, and the positions that a flight with
 /// these leads to: what `gather` would give is used and not kept. The parts are a kick by E and a turn by B, and a turn
-/// and a kick, so that a step of two equal parts is symmetric in time. Otherwise as `gather`. Collective.
+/// and a kick, so that a step of two equal parts is symmetric in time; the fields of elements are the means over the
+/// straight flight of each part, see `add_mean_field`. Otherwise as `gather`. Collective.
 void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
           std::int64_t const* starts, Motion const& motion, Moved const& out);
 

@@ -1,5 +1,3 @@
-// What the potential of free space does with eight numbers at a time: formulas that serve eight targets (or eight
-// boxes) in one pass.
 #pragma once
 
 #include <cmath>
@@ -7,9 +5,9 @@
 
 #include "base/lanes.hpp"
 
-namespace amrpic::freespace {
+namespace amrpic {
 
-inline double inverse_root(double value) { return 1 / std::sqrt(value); }
+inline Real inverse_root(Real value) { return 1 / std::sqrt(value); }
 
 /// 1 / sqrt(value) of normal numbers, to two units in the last place: a first guess from the exponent, then Newton's
 /// method. A library call per lane would take longer than the formulas that use it.
@@ -27,20 +25,4 @@ inline Vector inverse_root(Vector const& value) {
   }
 }
 
-inline Lanes absolute(Lanes const& value) { return select(value < Lanes{}, Lanes{} - value, value); }
-
-/// The sums of lanes that are four apart.
-template <class Vector>
-inline HalfLanes folded(Vector const& v) {
-  if constexpr (std::is_class_v<Vector>)
-    return v.low + v.high;
-  else
-    return __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
-}
-
-inline double sum_of(Lanes const& v) {
-  HalfLanes const four = folded(v);
-  return (four[0] + four[2]) + (four[1] + four[3]);
-}
-
-}  // namespace amrpic::freespace
+}  // namespace amrpic

@@ -88,13 +88,14 @@ class FormsNear {
     return out;
   }
 
-  /// Images of a cell around periodic axes are one unknown.
+  /// Images of a cell around periodic axes are one unknown: the first one from two cells below on, as far as the
+  /// numbers in `StencilCells` reach.
   Unknown unknown(Unknown::On level, Index3 offset) const {
     Unknown out{level, {}};
     for (int d = 0; d < 3; ++d) {
       int const cells = level_->domain().extent(d);
       int const period = level == Unknown::On::finer ? 2 * cells : level == Unknown::On::own ? cells : cells / 2;
-      if (level_->periodic()[d]) offset[d] -= period * floor_divide(offset[d] + period / 2, period);
+      if (level_->periodic()[d]) offset[d] -= period * floor_divide(offset[d] + 2, period);
       out.offset[std::size_t(d)] = std::int8_t(offset[d]);
     }
     return out;

@@ -114,6 +114,12 @@ def both_ends(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
     return (x == 0) | (x == n[0] - 1)
 
 
+def all_but_lowest(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
+    """A patch that leaves the lowest cells along z out: around the axis its ends look at the same ones."""
+    x, y, z = grid(n)
+    return (x < (n[0] + 1) // 2) & (y < (n[1] + 1) // 2) & (z > 0)
+
+
 def all_corners(rng: np.random.Generator, n: tuple[int, int, int]) -> Mask:
     """Blocks at the eight corners; over periodic axes they are one block that wraps all of them."""
     ends = [(index == 0) | (index == count - 1) for index, count in zip(grid(n), n, strict=True)]
@@ -326,6 +332,7 @@ def named_cases() -> list[Case]:
         make("region wrapping large blocks", (24, 8, 8), "ppnnnn", 8, [both_ends], max_grid_size=8),
         make("narrow periodic axis", (8, 8, 4), "nnddpp", 4, [l_shape, lower_corner], upper=STRETCHED),
         make("two cells around a periodic axis", (8, 8, 2), "nnddpp", 2, [l_shape], upper=(1.0, 2.0, 0.5)),
+        make("three cells around a periodic axis", (8, 8, 3), "nnddpp", 2, [all_but_lowest], upper=(1.0, 2.0, 0.7)),
         make("crossings normal to x", (12, 6, 6), "ddnndd", 2, [crossings(0)]),
         make("crossings normal to y", (6, 12, 6), "oooooo", 2, [crossings(1)]),
         make("crossings normal to z", (6, 6, 12), "pppppp", 2, [crossings(2)]),

@@ -20,7 +20,7 @@ inline Vector3<V> cross(Vector3<V> const& a, Vector3<V> const& b) {
 template <class V>
 inline V inverse_gamma(Vector3<V> const& p, V const& per_mc) {
   Vector3<V> const u{p[0] * per_mc, p[1] * per_mc, p[2] * per_mc};
-  return inverse_root(1 + dot(u, u));
+  return 1 / square_root(1 + dot(u, u));
 }
 
 enum class Pusher {

@@ -207,7 +207,6 @@ struct CloudBlock {
   alignas(64) LocalIndex corner[block_size];
   alignas(64) Real row_weight[width * width][block_size];
   alignas(64) Real x_weight[width][block_size];
-  alignas(64) Real felt[3][block_size];  ///< the tile averaged over the clouds
 };
 
 /// The tile averaged over clouds in y and z: the first two cells along x, side by side, and the third one.
@@ -300,14 +299,7 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
       std::array<Lanes, width> x_weight;
       for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
-      auto const felt = average_in_x<width>(averages, x_weight);
-      for (int d = 0; d < 3; ++d) store(clouds.felt[d] + start, felt[d]);
-    });
-    // In a loop of its own: what is done with the field is one long wait per group, unless several go on at a time.
-    for_each_group(block, [=, &clouds](LaneGroup const& group) {
-      int const start = int(group.first - block.first);
-      use(group, Components{load<Lanes>(clouds.felt[0] + start), load<Lanes>(clouds.felt[1] + start),
-                            load<Lanes>(clouds.felt[2] + start)});
+      use(group, average_in_x<width>(averages, x_weight));
     });
   });
   frame.require_inside(all_in, particles, chosen);

@@ -150,7 +150,7 @@ def extent(element: Element) -> tuple[float, float]:
 @singledispatch
 def kind(element: Element) -> Kind:
     """Return the field of an element in its own axes."""
-    raise NotImplementedError(type(element).__name__)
+    raise TypeError(f"no field of {element}")
 
 
 @kind.register
@@ -203,7 +203,7 @@ def fringe(element: FringedElement) -> _native.EngeFringe:
     return _native.EngeFringe(element.gap, element.coefficients, enge_reach(element.coefficients))
 
 
-# ---- maps: nodes beyond the grid's ends, so that all interpolation is alike ----
+# ---- maps: a ghost node beyond each end, so that all cells are interpolated by one formula ----
 
 
 def map_field(given: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0, phase: float = 0.0) -> Kind:

@@ -50,8 +50,12 @@ LABORATORY = Frame()
 
 def mean_momentum(comm: MPI.Comm, particles: Particles) -> np.ndarray:
     """Return the mean β γ (3,) of real particles: their total momentum over their total mass times c. Collective."""
-    mass = particles.weight * particles.mass
-    sums = comm.allreduce(np.array([*(particles.weight @ particles.momentum), mass.sum() * SPEED_OF_LIGHT]))
+    if particles.equal_weights and len(particles.species.kinds) == 1 and len(particles) > 0:  # no pass over either
+        momentum = particles.momentum.sum(axis=0) * particles.weight[0]
+        mass = len(particles) * particles.weight[0] * particles.mass[0]
+    else:
+        momentum, mass = particles.weight @ particles.momentum, particles.weight @ particles.mass
+    sums = comm.allreduce(np.array([*momentum, mass * SPEED_OF_LIGHT]))
     return sums[:3] / sums[3] if sums[3] > 0 else np.zeros(3)
 
 

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..mesh.hierarchy import Hierarchy
 from ..particles.arrays import empty_columns
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
-from ..stages.diagnostics import Moments, moments
 from ..stages.gather import gather
 from ..stages.push import push
 from .plan import Plan
@@ -44,13 +42,6 @@ class Staggered:
         out *= 0.5
         out += lagging
         return particles.replace(momentum=out)
-
-    def moments(self, particles: Particles, hierarchy: Hierarchy) -> Moments:
-        """Return the moments of the particles at the time of the state. Collective."""
-        comm = hierarchy.comm
-        if self.between is not None:
-            return moments(comm, self.synchronized(particles))
-        return moments(comm, particles, self.moved, 0.5 if self.lag > 0 else 0.0)
 
 
 def kick_and_drift(solution: Solution, particles: Particles, lag: float, time: float, plan: Plan) -> Staggered:

@@ -35,7 +35,6 @@ class Plan:
         self.notes: list[str] = []  # what the run settled by itself, for its log
         self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
-        self._frame = LABORATORY  # of that solver
         self.external = ExternalFields.of_scene(scene)
         self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
@@ -49,20 +48,20 @@ class Plan:
 
     def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY) -> PoissonSolver:
         """Return the solver of a hierarchy in a frame, set up at the first call. Collective."""
-        if self._solver is None or self._solver.hierarchy is not hierarchy or self._frame != frame:
-            options = self.scene.solver
-            same = options.reuse and self._frame == frame
-            kept = self._solver.base_setup if self._solver is not None and same else None
-            self._solver = None  # the old operators go before the new ones come
-            if frame != LABORATORY:
-                options = options.model_copy(update={"stretch": frame.stretch})
-            self._frame = frame
-            self._solver = PoissonSolver(
-                hierarchy,
-                options=options,
-                background="neutralizing" if self.scene.background == "neutralizing" else None,
-                reuse=kept,
-            )
+        options = self.scene.solver
+        if frame != LABORATORY:
+            options = options.model_copy(update={"stretch": frame.stretch})
+        solver = self._solver
+        if solver is not None and solver.hierarchy is hierarchy and solver.options == options:
+            return solver
+        kept = solver.base_setup if solver is not None and options.reuse and solver.options == options else None
+        solver = self._solver = None  # the old operators go before the new ones come
+        self._solver = PoissonSolver(
+            hierarchy,
+            options=options,
+            background="neutralizing" if self.scene.background == "neutralizing" else None,
+            reuse=kept,
+        )
         return self._solver
 
     def solve(self, rho: Field, guess: Field | None, frame: Frame = LABORATORY) -> tuple[Field, SolveReport]:

@@ -90,6 +90,5 @@ class State:
 
     def moments(self) -> Moments:
         """Return the moments of the particles at the time of the state. Collective."""
-        if self.staggered is None:
-            return moments(self.hierarchy.comm, self.particles)
-        return self.staggered.moments(self.particles, self.hierarchy)
+        beam = self.beam
+        return moments(self.hierarchy.comm, beam.particles, beam.later, beam.weight)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -112,6 +112,7 @@ class ConstantFocusingElement(PossiblyEverywhere):
 class FringedElement(Element):
     """A magnet with hard edges, or with the fringe of Enge at both ends."""
 
+    usual: ClassVar[tuple[float, ...]]  # coefficients of the fringe where none are given
     length: Length = Field(gt=0, description="From end to end, m: between hard edges, or the origins of the fringes.")
     fringe: Literal["hard", "enge"] = Field(
         default="hard",
@@ -144,11 +145,6 @@ class FringedElement(Element):
         return self
 
     @property
-    def usual(self) -> tuple[float, ...]:
-        """Coefficients of the fringe where none are given."""
-        raise NotImplementedError
-
-    @property
     def coefficients(self) -> tuple[float, ...]:
         """The six coefficients of the fringe."""
         given = tuple(self.enge or self.usual)
@@ -158,27 +154,21 @@ class FringedElement(Element):
 class QuadrupoleElement(FringedElement):
     """A quadrupole: B = (G y, G x, 0) inside."""
 
+    usual = ENGE_OF_QUADRUPOLES
     kind: Literal["quadrupole"]
     gradient: MagneticGradient = Field(
         description="G in T/m; a positive one focuses positive particles that move along +z in x."
     )
 
-    @property
-    def usual(self) -> tuple[float, ...]:
-        return ENGE_OF_QUADRUPOLES
-
 
 class DipoleElement(FringedElement):
     """A rectangular dipole: B = (0, field, 0) inside, ends at right angles to its axis."""
 
+    usual = ENGE_OF_DIPOLES
     kind: Literal["dipole"]
     field: MagneticField = Field(
         description="B_y in T; a positive one turns positive particles that move along +z to -x."
     )
-
-    @property
-    def usual(self) -> tuple[float, ...]:
-        return ENGE_OF_DIPOLES
 
 
 class SolenoidElement(Element):

@@ -7,6 +7,7 @@
 #include <type_traits>
 
 #include "base/lanes.hpp"
+#include "base/vector3.hpp"
 
 namespace amrpic {
 
@@ -40,10 +41,6 @@ V zero_unless(decltype(V{} < V{}) const& which, V const& x) {
   return select(which, x, V{});
 }
 
-template <class V>
-V dot(Real3 const& a, Vector3<V> const& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
 template <class V>
 Vector3<V> sum(Vector3<V> const& a, Vector3<V> const& b) {
   return {a[0] + b[0], a[1] + b[1], a[2] + b[2]};

@@ -4,17 +4,9 @@
 #include "base/constants.hpp"
 #include "base/inverse_root.hpp"
 #include "base/lanes.hpp"
+#include "base/vector3.hpp"
 
 namespace amrpic {
-
-template <class V>
-inline V dot(Vector3<V> const& a, Vector3<V> const& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-template <class V>
-inline Vector3<V> cross(Vector3<V> const& a, Vector3<V> const& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
 
 /// One over the Lorentz factor of a momentum (kg m/s), with one over m c.
 template <class V>

@@ -18,8 +18,7 @@ inline void add(Components& to, Components const& more) {
 
 /// B of charge that moves with `beta`, from its electric field.
 inline Components self_magnetic_field(Real3 const& beta, Components const& e) {
-  Real3 const b{beta[0] / speed_of_light, beta[1] / speed_of_light, beta[2] / speed_of_light};
-  return {b[1] * e[2] - b[2] * e[1], b[2] * e[0] - b[0] * e[2], b[0] * e[1] - b[1] * e[0]};
+  return cross(Real3{beta[0] / speed_of_light, beta[1] / speed_of_light, beta[2] / speed_of_light}, e);
 }
 
 /// Eight particles in fields.

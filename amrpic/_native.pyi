@@ -159,6 +159,11 @@ class ExternalElement:
 
 class ExternalFields:
     def __init__(self, elements: Sequence[ExternalElement]) -> None: ...
+    def seen_from(self, origin: Sequence[float], axes: Sequence[Sequence[float]]) -> ExternalFields:
+        """
+        The same fields in coordinates with another origin (m) and other unit vectors.
+        """
+
     @property
     def electric(self) -> bool: ...
     @property
@@ -395,7 +400,23 @@ def push(
     between: NDArray[numpy.float64] | None,
     external: ExternalFields | None,
     time: float,
+    shift: Sequence[float],
 ) -> None: ...
+def push_one(
+    position: Sequence[float],
+    momentum: Sequence[float],
+    charge: float,
+    mass: float,
+    before: float,
+    after: float,
+    flight: float,
+    pusher: Pusher,
+    external: ExternalFields | None,
+    time: float,
+) -> tuple[list[float], list[float]]:
+    """
+    Place (m) and momentum (kg m/s) of one particle in the fields of elements alone.
+    """
 
 class BeamSums:
     @property

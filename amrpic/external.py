@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _native
 from .io import field_maps
+from .mesh.window import Window
 from .particles.species import Species
 from .scene.bunches import DescribedBunch
 from .scene.elements import (
@@ -72,6 +73,14 @@ class ExternalFields:
         if isinstance(first, DescribedBunch):
             return cls(scene.elements, first.species, first.mean_momentum)
         return cls(scene.elements)
+
+    def seen_from(self, window: Window) -> Self:
+        """Return the same fields in the coordinates of a window."""
+        if window == Window():
+            return self
+        out = type(self)()
+        out.native = self.native.seen_from(window.origin, window.axes)
+        return out
 
     @property
     def electric(self) -> bool:

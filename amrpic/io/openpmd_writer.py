@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import OutputError
 from ..mesh.domain import AXES
+from ..mesh.window import Window
 from ..particles.particles import Particles
 from ..particles.species import Species
 from .atomic_files import Hdf5Writer, publish, remove, temporary
@@ -39,19 +40,30 @@ def path_of(directory: Path, step: int) -> Path:
     return Path(directory) / f"particles_{step:08d}.h5"
 
 
-def write(comm: MPI.Comm, path: Path, particles: Particles, step: int, time: float, about: Provenance) -> None:
+def write(
+    comm: MPI.Comm,
+    path: Path,
+    particles: Particles,
+    step: int,
+    time: float,
+    about: Provenance,
+    window: Window = Window(),
+) -> None:
     """Write all particles into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 
     A group for each species holds its particles in the order of their ids, which is the same on any number of ranks. Rank 0
-    writes what it receives in small pieces. Raises OutputError on all ranks.
+    writes what it receives in small pieces. Particles of a `window` are written along the axes of the laboratory, their places
+    from its origin, with this as the offset. Raises OutputError on all ranks.
     """
     path = Path(path)
     attempts = Attempts(f"cannot write particles {path}", "free some space or choose another output folder")
+    if window.is_turned:
+        particles = particles.replace(*map(window.to_laboratory, (particles.position, particles.momentum)))
     ordered = _by_id(comm, particles)
     writer = attempts.attempt(_open, path, step, time, about) if comm.rank == 0 else None
     for kind, (name, species) in enumerate(zip(ordered.species.names, ordered.species.kinds, strict=True)):
         group = f"/data/{step}/particles/{name}"
-        _write_species(comm, writer, group, species, ordered.select(ordered.kind == kind), time, attempts)
+        _write_species(comm, writer, group, species, ordered.select(ordered.kind == kind), time, window, attempts)
     if writer is not None:
         attempts.always(writer.close)
     if comm.rank == 0:
@@ -106,13 +118,14 @@ def _write_species(
     species: Species,
     particles: Particles,
     time: float,
+    window: Window,
     attempts: Attempts,
 ) -> None:
     """Write the particles of one species. Collective."""
     counts = comm.allgather(len(particles))
     total = comm.reduce(float(particles.weight.sum() * abs(species.charge)))
     if writer is not None:
-        attempts.attempt(_describe, writer.h5, group, species, sum(counts), total, time)
+        attempts.attempt(_describe, writer.h5, group, species, sum(counts), total, time, window)
     columns: Mapping[str, tuple[Array, tuple[int, ...]]] = {
         **{f"position/{axis}": (particles.position[:, i], LENGTH) for i, axis in enumerate(AXES)},
         **{f"momentum/{axis}": (particles.momentum[:, i], MOMENTUM) for i, axis in enumerate(AXES)},
@@ -126,13 +139,15 @@ def _write_species(
         collect(comm, range(comm.size), counts, rows, partial(attempts.attempt, _store, dataset))
 
 
-def _describe(h5: h5py.File, group: str, species: Species, count: int, charge: float, time: float) -> None:
+def _describe(
+    h5: h5py.File, group: str, species: Species, count: int, charge: float, time: float, window: Window
+) -> None:
     """Add what holds for all particles of a species."""
     member = h5.create_group(group)
     _set_text(member, "speciesType", species.name or "other")
     member.attrs.update(numParticles=count, totalCharge=charge, chargeUnitSI=1.0)
-    for axis in AXES:
-        _constant(h5, f"{group}/positionOffset/{axis}", 0.0, count, LENGTH)
+    for axis, offset in zip(AXES, window.origin, strict=True):
+        _constant(h5, f"{group}/positionOffset/{axis}", offset, count, LENGTH)
     for name, value, dimension in (
         ("charge", species.charge, CHARGE),
         ("mass", species.mass, MASS),

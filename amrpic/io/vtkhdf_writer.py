@@ -21,6 +21,7 @@ from ..errors import OutputError
 from ..mesh.boxes import cells_of
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
 from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, temporary
 from .provenance import Provenance
 from .writer_ranks import Attempts, Interleaved, Rows, collect, group_of, writer_groups
@@ -36,19 +37,26 @@ def path_of(directory: Path, step: int) -> Path:
 
 
 def write(
-    path: Path, hierarchy: Hierarchy, fields: Fields, step: int, time: float, about: Provenance, writers: int = 1
+    path: Path,
+    hierarchy: Hierarchy,
+    fields: Fields,
+    step: int,
+    time: float,
+    about: Provenance,
+    writers: int = 1,
+    window: Window = Window(),
 ) -> None:
     """Write fields into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 
     Ranks form `writers` groups (0: each its own); the first of a group writes what it receives from one rank at a time,
-    in small pieces. Raises OutputError on all ranks.
+    in small pieces. Coordinates are those of the mesh; where its `window` is, is noted. Raises OutputError on all ranks.
     """
     path = Path(path)
     comm = hierarchy.comm
     attempts = Attempts(f"cannot write fields {path}", "free some space or choose another output folder")
     groups = writer_groups(comm.size, writers)
     parts = [part_of(path, index) for index in range(len(groups))] if len(groups) > 1 else []
-    describe = partial(_describe, hierarchy=hierarchy, fields=fields, step=step, time=time, about=about)
+    describe = partial(_describe, hierarchy=hierarchy, fields=fields, step=step, time=time, about=about, window=window)
     mine = group_of(groups, comm.rank)
     _write_file(parts[mine] if parts else path, hierarchy, fields, groups[mine], None if parts else describe, attempts)
     if parts and comm.rank == 0:
@@ -140,7 +148,13 @@ def _store(dataset: h5py.Dataset, offset: int, piece: NDArray[Any]) -> None:
 
 
 def _describe(
-    writer: Hdf5Writer, hierarchy: Hierarchy, fields: Fields, step: int, time: float, about: Provenance
+    writer: Hdf5Writer,
+    hierarchy: Hierarchy,
+    fields: Fields,
+    step: int,
+    time: float,
+    about: Provenance,
+    window: Window,
 ) -> None:
     """Add all that makes a file with cell data a VTKHDF one, and what it is."""
     root = writer.h5.require_group("VTKHDF")
@@ -158,6 +172,7 @@ def _describe(
     ours = writer.h5.require_group("amrpic")
     ours.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
     ours.attrs["upper"] = np.array(hierarchy.domain.upper, dtype=np.float64)
+    ours.attrs.update(window_origin=window.origin, window_axes=window.axes)
     ours["scene"] = about.scene_text  # a dataset, since attributes end at 64 KiB
 
 

@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
 from ..parallel import global_sum
 from .arrays import empty_columns, recycled
 from .species import SpeciesTable
@@ -112,6 +113,27 @@ class Particles:
             self.species,
             self.sorting if position is None else None,
         )
+
+    def turned(self, matrix: np.ndarray) -> Particles:
+        """The particles with positions and momenta multiplied by a matrix (3, 3)."""
+        position, momentum = empty_columns(len(self)), empty_columns(len(self))
+        np.matmul(matrix, self.position.T, out=position.T)
+        np.matmul(matrix, self.momentum.T, out=momentum.T)
+        return self.replace(position, momentum)
+
+    def seen_from(self, window: Window) -> Particles:
+        """The particles in the coordinates of a window, from those of the laboratory."""
+        if window == Window():
+            return self
+        return self.replace(
+            window.from_laboratory(self.position - window.origin), window.from_laboratory(self.momentum)
+        )
+
+    def in_laboratory(self, window: Window) -> Particles:
+        """The opposite."""
+        if window == Window():
+            return self
+        return self.replace(window.places(self.position), window.to_laboratory(self.momentum))
 
     @property
     def equal_weights(self) -> bool:

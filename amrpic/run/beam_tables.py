@@ -31,7 +31,7 @@ from .state import State
 
 BEAM = "beam.csv"
 SLICES = "slices.csv"
-TIME = (Quantity("step", counts=True), Quantity("time", "s"))
+TIME = (Quantity("step", counts=True), Quantity("time", "s"), Quantity("s", "m"))
 GROUP = (*TIME, Quantity("group", is_text=True))
 SLICE = (*GROUP, Quantity("slice", counts=True))
 
@@ -99,7 +99,7 @@ class BeamTables:
         moments = group_moments(comm, beam, groups)
         quantiles = group_quantiles(comm, beam, groups, moments)
         lost = group_losses(comm, state.lost.particles, groups)
-        at: dict[str, float | str] = {"step": state.step, "time": state.time}
+        at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}
         named = list(zip(groups.names, groups.members, strict=True))
         self._series[BEAM].append(
             *(
@@ -128,7 +128,7 @@ class BeamTables:
                 f'the diagnostic "{name}" gives other values at step {state.step} than before; give the same ones in the same '
                 "shapes each time"
             )
-        series.append({"step": state.step, "time": state.time, **values})
+        series.append({"step": state.step, "time": state.time, "s": state.course.path, **values})
 
     def sync(self) -> None:
         """Force all rows to storage. Collective; raises OutputError."""

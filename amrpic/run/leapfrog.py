@@ -9,12 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import _native
 from ..particles.arrays import empty_columns
 from ..particles.frame import LABORATORY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..stages.gather import gather
 from ..stages.push import push
+from .course import Course
 from .plan import Plan
 from .solution import Solution
 
@@ -27,7 +29,8 @@ class Staggered:
     field or elements those of the state's time are the mean of both; with them they are kept, as `between`.
     """
 
-    moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted
+    moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted; from the origin of the next window
+    course: Course  # then
     lag: float  # s
     between: np.ndarray | None = None  # (n, 3) kg m/s
 
@@ -44,11 +47,19 @@ class Staggered:
         return particles.replace(momentum=out)
 
 
-def kick_and_drift(solution: Solution, particles: Particles, lag: float, time: float, plan: Plan) -> Staggered:
+def kick_and_drift(
+    solution: Solution, particles: Particles, lag: float, time: float, course: Course, plan: Plan
+) -> Staggered:
     """Return where particles go whose momenta lag positions by `lag` s, at `time` s. Collective."""
     by_e_alone = solution.frame == LABORATORY and not plan.scene.elements
     between = None if by_e_alone else empty_columns(len(particles))
-    return Staggered(_push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, time), lag, between)
+    motion = plan.scene.motion
+    assert isinstance(motion, Leapfrog)
+    then = course.after(plan.dt, time, plan.external, motion.pusher)
+    external = plan.external.seen_from(course.window).native if plan.scene.elements else None
+    shift = course.window.shift_to(then.window)
+    moved = _push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, external, time, shift)
+    return Staggered(moved, then, lag, between)
 
 
 def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: Plan) -> Particles:
@@ -69,7 +80,9 @@ def _push(
     dt: float,
     plan: Plan,
     between: np.ndarray | None = None,
+    external: _native.ExternalFields | None = None,
     time: float = 0.0,
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
     motion, frame = plan.scene.motion, solution.frame
     assert isinstance(motion, Leapfrog)
@@ -85,6 +98,7 @@ def _push(
         beta=frame.beta,
         electric=None if walls is None else gather(walls, particles, plan.clouds),
         between=between,
-        external=plan.external.native if plan.scene.elements else None,
+        external=external,
         time=time,
+        shift=shift,
     )

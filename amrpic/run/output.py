@@ -15,6 +15,7 @@ from .. import isa
 from ..errors import OutputError, SolverError
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
 from ..io.time_series import Series
+from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..parallel import together
 from ..scene.scene import Scene
@@ -175,6 +176,8 @@ class Recorder:
             **measured,
             "step": state.step,
             "time": state.time,
+            "s": state.course.path,
+            **{f"window_{axis}": x for axis, x in zip(AXES, state.window.origin, strict=True)},
             "regridded": int(state.regridded),
             "cycles": state.report.cycles,
             "residual": residuals[-1] if residuals else 0.0,
@@ -203,7 +206,14 @@ class Recorder:
         }
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
         vtkhdf_writer.write(
-            path, state.hierarchy, content, state.step, state.time, self._about, self._scene.output.writers
+            path,
+            state.hierarchy,
+            content,
+            state.step,
+            state.time,
+            self._about,
+            self._scene.output.writers,
+            state.window,
         )
 
     def _write_particles(self, state: State) -> None:
@@ -211,7 +221,7 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = openpmd_writer.path_of(self._scene.directory, state.step)
-        openpmd_writer.write(self._comm, path, state.particles, state.step, state.time, self._about)
+        openpmd_writer.write(self._comm, path, state.particles, state.step, state.time, self._about, state.window)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""

@@ -24,6 +24,7 @@ from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
+from .course import Course
 from .limits import require_room
 from .plan import Plan
 from .solution import Solution
@@ -51,7 +52,12 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
         owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
         weights=hierarchy.weights,
         about=about(scene),
-        extra={"species": particles.species.to_dict(), "report": vars(report), "frame": vars(state.solution.frame)},
+        extra={
+            "species": particles.species.to_dict(),
+            "report": vars(report),
+            "frame": vars(state.solution.frame),
+            "course": state.course.to_dict(),
+        },
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
     tables = {"particles": _columns(particles), "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
@@ -94,7 +100,8 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
         fields["rho"], fields["phi"], efield, SolveReport(**extra["report"]), Frame(**extra.get("frame", {}))
     )
     gone = Lost(_particles(lost, species), lost["time"])
-    return state_of(plan, particles, solution, gone, held.header.step, held.header.time)
+    course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
+    return state_of(plan, particles, solution, gone, course, held.header.step, held.header.time)
 
 
 def _fields(state: State) -> dict[str, Field]:

@@ -14,10 +14,12 @@ from ..io import checkpoint_writer
 from ..io.openpmd_writer import write as write_particles
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from .beam_tables import Diagnostic
+from .course import Reference
 from .output import Recorder
 from .plan import Plan
 from .restart import about, load, snapshot
@@ -103,9 +105,9 @@ class Simulation:
         checkpoint_writer.write(self.comm, Path(path), snapshot(state, self.scene), self.scene.output.writers)
 
     def write_particles(self, path: str | Path) -> None:
-        """Write all particles into the openPMD file `path` for BeamPhysics and others. Collective; OutputError on all ranks."""
+        """Write all particles into the openPMD file `path` for BeamPhysics and others, along the axes of the laboratory. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
-        write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene))
+        write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene), state.window)
 
     @property
     def remarks(self) -> list[str]:
@@ -152,6 +154,16 @@ class Simulation:
     def time(self) -> float:
         """Time, s."""
         return self.state.time
+
+    @property
+    def window(self) -> Window:
+        """Where the mesh is in the laboratory; coordinates of particles and fields are those of the mesh."""
+        return self.state.window
+
+    @property
+    def reference(self) -> Reference | None:
+        """The reference particle, in the laboratory."""
+        return self.state.course.reference
 
     @property
     def report(self) -> SolveReport:

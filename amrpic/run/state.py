@@ -8,18 +8,23 @@ import numpy as np
 
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
 from ..particles.particles import Particles, concatenate
 from ..stages.beam_diagnostics import Beam
 from ..stages.diagnostics import Moments, moments
 from ..stages.poisson import SolveReport
 from .clock import Spent
+from .course import Course
 from .leapfrog import Staggered
 from .solution import Solution
 
 
 @dataclass(frozen=True, eq=False)
 class Lost:
-    """Particles that left the domain, as they were when they did, and the time (n,) in s. This rank's share."""
+    """Particles that left the domain, as they were when they did, and the time (n,) in s. This rank's share.
+
+    Their coordinates are those of the laboratory.
+    """
 
     particles: Particles
     time: np.ndarray
@@ -40,6 +45,7 @@ class State:
     staggered: Staggered | None  # None without leapfrog: then momenta belong to the time of positions
     solution: Solution
     lost: Lost
+    course: Course
     step: int
     time: float  # s
     regridded: bool = False  # whether the latest step changed the mesh
@@ -48,6 +54,11 @@ class State:
     @property
     def hierarchy(self) -> Hierarchy:
         return self.solution.rho.hierarchy
+
+    @property
+    def window(self) -> Window:
+        """Where the mesh is in the laboratory."""
+        return self.course.window
 
     @property
     def rho(self) -> Field:

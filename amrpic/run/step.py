@@ -13,6 +13,7 @@ from ..scene.motion import Leapfrog, RandomWalk
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
 from .adapt import follow, make_base, outrun
+from .course import Course
 from .initial_particles import make_bunches
 from .leapfrog import kick, kick_and_drift
 from .particle_fields import ParticleFields
@@ -32,23 +33,24 @@ def advance(state: State, plan: Plan) -> State:
     fields = ParticleFields(particles, state.hierarchy, plan, (state.phi, state.efield), frame)
     if plan.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
-    lost = state.lost.joined(gone, now)
+    course = state.course if state.staggered is None else state.staggered.course
+    lost = state.lost.joined(gone.in_laboratory(course.window), now)
     regridded = fields.hierarchy is not state.hierarchy
-    return state_of(plan, fields.particles, _solution(fields), lost, step, now, plan.dt / 2, regridded)
+    return state_of(plan, fields.particles, _solution(fields), lost, course, step, now, plan.dt / 2, regridded)
 
 
 def begin(plan: Plan) -> State:
     """Return the state before the first step: particles made, mesh refined to fit them, field solved. Collective."""
-    base = make_base(plan)
+    base, course = make_base(plan), Course.of_scene(plan.scene)
     with plan.clock("beam"):
-        bunches = make_bunches(plan.comm, plan.scene)
+        bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
         plan.settle_interface(bunches)
         made = concatenate(bunches)
         particles, gone = migrate(made, base)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
     lost = Lost(Particles.empty(made.species), np.zeros(0)).joined(gone, 0.0)
-    return state_of(plan, fields.particles, _solution(fields), lost, 0, 0.0)
+    return state_of(plan, fields.particles, _solution(fields), lost, course, 0, 0.0)
 
 
 def state_of(
@@ -56,6 +58,7 @@ def state_of(
     particles: Particles,
     solution: Solution,
     lost: Lost,
+    course: Course,
     step: int,
     time: float,
     lag: float = 0.0,
@@ -68,8 +71,8 @@ def state_of(
     staggered = None
     if isinstance(plan.scene.motion, Leapfrog):
         with plan.clock("gather"):
-            staggered = kick_and_drift(solution, particles, lag, time, plan)
-    return State(particles, staggered, solution, lost, step, time, regridded, plan.clock.take())
+            staggered = kick_and_drift(solution, particles, lag, time, course, plan)
+    return State(particles, staggered, solution, lost, course, step, time, regridded, plan.clock.take())
 
 
 def kicked(state: State, plan: Plan) -> State:
@@ -86,7 +89,8 @@ def kicked(state: State, plan: Plan) -> State:
 def _moved(state: State, plan: Plan) -> Particles:
     """Return the particles at their next places, not yet sorted there."""
     if state.staggered is not None:
-        return state.staggered.moved
+        moved, turn = state.staggered.moved, state.window.turn_to(state.staggered.course.window)
+        return moved if turn is None else moved.turned(turn)
     motion = plan.scene.motion
     if isinstance(motion, RandomWalk):
         return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)

@@ -6,14 +6,21 @@ from typing import Literal
 
 from pydantic import Field
 
+from .real_particle import RealParticle
 from .section import Section
-from .units import Length, Time
+from .units import Length, Length3, Time
 
 
 class NoMotion(Section):
     """The particles rest."""
 
     kind: Literal["none"] = "none"
+
+
+class Reference(RealParticle):
+    """The particle that others are seen from: it moves by the fields of elements alone."""
+
+    position: Length3 = Field(default=(0.0, 0.0, 0.0), description="At the start, m.")
 
 
 class Leapfrog(Section):
@@ -30,6 +37,17 @@ class Leapfrog(Section):
         description="Where the self-field is electrostatic. rest: in the frame of the mean momentum, along a mesh axis, so "
         "that the laboratory has its magnetic field too; lab: in the laboratory, without one, refused above β² = 0.01; "
         "auto: lab below β² = 1e-4, else rest.",
+    )
+    window: Literal["none", "reference"] = Field(
+        default="none",
+        description="reference: the mesh goes with the reference particle. It keeps its axes and goes along the one that the "
+        "particle starts along; where all faces are open, it follows and turns with it. Coordinates of particles and fields are "
+        "then those of the mesh at the start; elements stay where they are.",
+    )
+    reference: Reference | None = Field(
+        default=None,
+        description="The particle that the path length s belongs to. By default, with a window, it starts in the middle of the "
+        "first bunch with its mean momentum.",
     )
     dt: Time = Field(gt=0, description="Time step, s; well below the plasma period and the time to cross a cell.")
 

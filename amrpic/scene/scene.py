@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SceneError
@@ -20,7 +21,7 @@ from .complaints import complaint, sentences
 from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
 from .elements import AnyElement, ConstantFocusingElement
-from .motion import Leapfrog, NoMotion, RandomWalk
+from .motion import Leapfrog, NoMotion, RandomWalk, Reference
 from .output import Output
 from .particles import ParticlesSection
 from .refinement import Refinement, StaticBox, StaticRule, every_rule
@@ -87,6 +88,7 @@ class Scene(Section):
         self._check_stretch()
         self._check_screening()
         self._check_elements()
+        self._check_window()
         return self
 
     def _check_cells(self) -> None:
@@ -181,6 +183,49 @@ class Scene(Section):
                     path=f"elements.{number}.wavenumber",
                     found=list(element.wavenumber),
                 )
+
+    @property
+    def reference(self) -> Reference | None:
+        """The reference particle at the start, if there is one."""
+        motion = self.motion
+        if not isinstance(motion, Leapfrog) or motion.reference is not None or motion.window == "none":
+            return motion.reference if isinstance(motion, Leapfrog) else None
+        first = self.bunches[0] if self.bunches else None
+        if not isinstance(first, DescribedBunch):
+            return None
+        places = first.places() or [self.domain.lower, self.domain.upper]
+        x, y, z = np.mean(places, axis=0).tolist()
+        return Reference(species=first.species, momentum=first.mean_momentum, position=(x, y, z))
+
+    def _check_window(self) -> None:
+        if not isinstance(self.motion, Leapfrog) or self.motion.window == "none":
+            return
+        reference = self.reference
+        if reference is None or not any(reference.mean_momentum):
+            raise complaint(
+                "needs a reference particle that moves",
+                "give motion.reference a momentum, or the first bunch one in the scene",
+                path="motion.window",
+                found=self.motion.window,
+            )
+        axis = AXES[int(np.argmax(np.abs(reference.mean_momentum)))]
+        across = self.domain.boundary[axis]
+        if not set(across) <= {"open", "periodic"}:
+            raise complaint(
+                "has a wall across the motion, which the window would take along",
+                'make both faces "open" or "periodic"',
+                path=f"domain.boundary.{axis}",
+                found=list(across),
+            )
+        for kind, given in (("potential", self.domain.potential), ("slope", self.domain.slope)):
+            for name, pair in given.items():
+                if any(isinstance(value, str) for value in pair):
+                    raise complaint(
+                        "is a formula, which the window would take along",
+                        "give numbers, or the field as an element",
+                        path=f"domain.{kind}.{name}",
+                        found=list(pair),
+                    )
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:

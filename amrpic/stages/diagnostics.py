@@ -25,6 +25,8 @@ def quantities(levels: int) -> list[Quantity]:
     return [
         Quantity("step", counts=True),
         Quantity("time", "s"),
+        Quantity("s", "m"),  # path length of the reference particle
+        *(Quantity(f"window_{axis}", "m") for axis in AXES),  # origin of the mesh's coordinates
         *(Quantity(f"cells_{level}", counts=True) for level in range(levels)),
         Quantity("boxes", counts=True),
         Quantity("regridded", counts=True),  # 1 where the step changed the mesh

@@ -17,6 +17,11 @@ RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from othe
 PUSHERS = ("higuera-cary", "boris")
 
 
+def pusher_of(name: str) -> _native.Pusher:
+    """Return one of `PUSHERS` as the kernels take it."""
+    return getattr(_native.Pusher, name.replace("-", "_"))
+
+
 def push(
     efield: VectorField,
     particles: Particles,
@@ -32,6 +37,7 @@ def push(
     between: np.ndarray | None = None,
     external: _native.ExternalFields | None = None,
     time: float = 0.0,
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
     """Return the particles after `before` s and a further `after` s in the fields at their places, and a flight of `dt` s.
     Let `migrate` follow.
@@ -40,7 +46,7 @@ def push(
     is read once. Charge whose field the mesh holds moves with `beta` c, so that B = beta × E / c. Fields that are added:
     `electric` (V/m) and `magnetic` (T), (n, 3) at the particles, and those of `external` elements at `time` (s). The two parts
     act one after the other, and what is between them is written into `between`, (n, 3): a second call goes on from there to
-    the same in all digits. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017),
+    the same in all digits. Positions afterwards are those from an origin that is `shift` (m) further on. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017),
     have it. Collective, and as `gather` in all else.
     """
     hierarchy = efield.hierarchy
@@ -59,7 +65,7 @@ def push(
             before,
             after,
             dt,
-            getattr(_native.Pusher, pusher.replace("-", "_")),
+            pusher_of(pusher),
             beta,
             electric,
             magnetic,
@@ -68,6 +74,7 @@ def push(
             between,
             external,
             time,
+            shift,
         )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None

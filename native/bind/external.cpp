@@ -178,6 +178,12 @@ void bind_external(nb::module_& m) {
 
   nb::class_<ExternalFields>(m, "ExternalFields")
       .def(nb::init<std::vector<Element>>(), "elements"_a)
+      .def(
+          "seen_from",
+          [](ExternalFields const& self, Real3 origin, std::array<Real3, 3> axes) {
+            return self.seen_from({origin, axes});
+          },
+          "origin"_a, "axes"_a, "The same fields in coordinates with another origin (m) and other unit vectors.")
       .def_prop_ro("electric", &ExternalFields::electric)
       .def_prop_ro("magnetic", &ExternalFields::magnetic)
       .def(

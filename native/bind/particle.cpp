@@ -2,6 +2,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -133,7 +134,7 @@ void bind_particle(nb::module_& m) {
          ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
          OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after, Real flight, Pusher pusher,
          Real3 beta, std::optional<ConstColumns> electric, std::optional<ConstColumns> magnetic, Columns momentum_out,
-         Columns position_out, std::optional<Columns> between, ExternalFields const* external, Real time) {
+         Columns position_out, std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
         nb::gil_scoped_release release;
         auto const if_given = [](auto const& array) { return array ? columns(*array) : std::array<Real*, 3>{}; };
         Motion const motion{charge.data(),
@@ -146,13 +147,28 @@ void bind_particle(nb::module_& m) {
                             beta,
                             {if_given(electric), if_given(magnetic)},
                             external,
-                            time};
+                            time,
+                            shift};
         push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
              {columns(momentum_out), columns(position_out), if_given(between)});
       },
       "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
       "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a, "electric"_a.none(),
-      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(), "external"_a.none(), "time"_a);
+      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(), "external"_a.none(), "time"_a,
+      "shift"_a);
+  m.def(
+      "push_one",
+      [](Real3 position, Real3 momentum, Real charge, Real mass, Real before, Real after, Real flight, Pusher pusher,
+         ExternalFields const* external, Real time) {
+        Motion motion{};
+        motion.before = before, motion.after = after, motion.flight = flight, motion.pusher = pusher;
+        motion.external = external, motion.time = time;
+        OneParticle const out = push_one({position, momentum, charge, 1 / mass}, motion);
+        return std::pair<Real3, Real3>{out.position, out.momentum};
+      },
+      "position"_a, "momentum"_a, "charge"_a, "mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a,
+      "external"_a.none(), "time"_a,
+      "Place (m) and momentum (kg m/s) of one particle in the fields of elements alone.");
 
   nb::class_<BeamSums<Real>>(m, "BeamSums")
       .def_ro("weight", &BeamSums<Real>::weight)

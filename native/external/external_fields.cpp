@@ -138,6 +138,20 @@ ExternalFields::ExternalFields(std::vector<Element> elements) {
   for (Entry& entry : entries_) entry.highest = highest = std::max(highest, entry.z.upper);
 }
 
+ExternalFields ExternalFields::seen_from(Frame const& frame) const {
+  std::vector<Element> elements;
+  for (Entry const& entry : entries_) {
+    Element seen = entry.element;
+    for (std::size_t d = 0; d < 3; ++d) seen.frame.origin[d] -= frame.origin[d];
+    if (frame.is_turned()) {
+      seen.frame.origin = along_axes(frame, seen.frame.origin);
+      for (Real3& axis : seen.frame.axis) axis = along_axes(frame, axis);
+    }
+    elements.push_back(std::move(seen));
+  }
+  return ExternalFields(std::move(elements));
+}
+
 std::size_t ExternalFields::first_near(Real lower) const {
   auto const found = std::lower_bound(entries_.begin(), entries_.end(), lower,
                                       [](Entry const& entry, Real z) { return entry.highest < z; });

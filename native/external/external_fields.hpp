@@ -39,6 +39,9 @@ class ExternalFields {
   ExternalFields() = default;
   explicit ExternalFields(std::vector<external::Element> elements);
 
+  /// The same fields in coordinates whose origin and axes are these in the present ones.
+  ExternalFields seen_from(external::Frame const& frame) const;
+
   bool empty() const { return entries_.empty(); }
   bool electric() const { return electric_; }  ///< whether any element has such a field
   bool magnetic() const { return magnetic_; }

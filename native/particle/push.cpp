@@ -89,10 +89,29 @@ void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, 
     Lanes const time_over_mass = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
     for (int d = 0; d < 3; ++d) {
       store(p[d], group, on.p[d], far);
-      store(x[d], group, on.x[d] + time_over_mass * on.p[d], far);
+      store(x[d], group, on.x[d] + (time_over_mass * on.p[d] - motion.shift[std::size_t(d)]), far);
     }
   });
   stream_end();
+}
+
+OneParticle push_one(OneParticle const& particle, Motion const& motion) {
+  Lanes const inverse_mass = particle.inverse_mass + Lanes{};
+  Group on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
+  for (std::size_t d = 0; d < 3; ++d) {
+    on.x[d] = particle.position[d] + Lanes{};
+    on.p[d] = particle.momentum[d] + Lanes{};
+  }
+  bool const has_b = motion.external && motion.external->magnetic();
+  act(on, {}, {}, has_b, motion.before, true, motion);
+  act(on, {}, {}, has_b, motion.after, false, motion);
+  Components const v = on.velocity();
+  OneParticle out = particle;
+  for (std::size_t d = 0; d < 3; ++d) {
+    out.momentum[d] = on.p[d][0];
+    out.position[d] = (on.x[d] + motion.flight * v[d])[0];
+  }
+  return out;
 }
 
 }  // namespace amrpic

@@ -29,6 +29,7 @@ struct Motion {
   AddedFields added;
   ExternalFields const* external = nullptr;  ///< of elements; null where there are none
   Real time = 0;                             ///< s, of the positions
+  Real3 shift{};                             ///< m, of the mesh's origin during the flight: new places are less by it
 };
 
 /// Where particles are written: positions in m, momenta in kg m/s.
@@ -43,5 +44,14 @@ struct Moved {
 /// straight flight of each part, see `add_mean_field`. Otherwise as `gather`. Collective.
 void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
           std::int64_t const* starts, Motion const& motion, Moved const& out);
+
+/// A particle by itself.
+struct OneParticle {
+  Real3 position, momentum;  ///< m, kg m/s
+  Real charge, inverse_mass;
+};
+
+/// The same for one particle, without a field of the mesh, added fields and a shift. Local.
+OneParticle push_one(OneParticle const& particle, Motion const& motion);
 
 }  // namespace amrpic

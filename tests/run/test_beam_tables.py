@@ -86,6 +86,7 @@ def test_tables_hold_a_row_per_group_and_slice_of_each_step_that_is_due(comm, tm
     assert own.dtype.names == (
         "step",
         "time",
+        "s",
         "step_again",
         *(f"shape_{i}_{j}" for i in (0, 1) for j in range(3)),
         "most_0",

@@ -1,0 +1,105 @@
+"""The reference particle and the window: how the mesh goes along with a beam."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .. import _native
+from ..external import ExternalFields
+from ..mesh.domain import AXES
+from ..mesh.window import Vector, Window, vector
+from ..scene.motion import Leapfrog
+from ..scene.scene import Scene
+from ..stages.push import pusher_of
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A particle that moves by the fields of elements alone; place and momentum are of one time, in the laboratory."""
+
+    position: Vector  # m
+    momentum: Vector  # kg m/s
+    charge: float  # C
+    mass: float  # kg
+    path: float = 0.0  # m, the length of its way so far
+
+    def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Reference:
+        """Return the particle `dt` s later than `time` s, moved as `push` moves those of a beam."""
+        constants = self.charge, self.mass
+        fields = external.native
+        method = pusher_of(pusher)
+        there, half = _native.push_one(self.position, self.momentum, *constants, 0.0, dt / 2, dt, method, fields, time)
+        there, whole = _native.push_one(there, half, *constants, dt / 2, 0.0, 0.0, method, fields, time + dt)
+        path = self.path + math.dist(there, self.position)
+        return Reference(vector(there), vector(whole), *constants, path)
+
+
+@dataclass(frozen=True)
+class Course:
+    """Where the reference particle is, if there is one, and the window."""
+
+    reference: Reference | None = None
+    window: Window = Window()
+    goes: str = "nowhere"  # with the reference particle: "x", "y" or "z" along that axis, "turning" wherever it goes
+
+    @property
+    def path(self) -> float:
+        """Length s of the way of the reference particle so far, m; nan without one."""
+        return math.nan if self.reference is None else self.reference.path
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> Course:
+        """Return the course at the start of a scene."""
+        start = scene.reference
+        if start is None:
+            return cls()
+        species = start.species
+        reference = Reference(start.position, start.mean_momentum, species.charge, species.mass)
+        assert isinstance(scene.motion, Leapfrog)
+        if scene.motion.window == "none":
+            return cls(reference)
+        axis = int(np.argmax(np.abs(reference.momentum)))
+        if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
+            return cls(reference, goes=AXES[axis])
+        window = _turned(Window(), reference, np.eye(3)[axis] * reference.momentum[axis], reference)
+        return cls(reference, window, goes="turning")
+
+    def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Course:
+        """Return the course `dt` s later than `time` s, in fields of elements in the laboratory."""
+        if self.reference is None:
+            return self
+        now, then = self.reference, self.reference.after(dt, time, external, pusher)
+        window = self.window
+        if self.goes == "turning":
+            window = _turned(window, now, np.array(now.momentum), then)
+        elif self.goes in AXES:
+            along = [axis == self.goes for axis in AXES]
+            way = np.subtract(then.position, now.position)
+            window = window.at(window.origin + np.where(along, way, 0.0))
+        return replace(self, reference=then, window=window)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what JSON can hold; numbers keep every bit."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Course:
+        """Return the course that `to_dict` gave."""
+        window, reference = values["window"], values["reference"]
+        x, y, z = map(tuple, window["axes"])
+        if reference is not None:
+            vectors = {key: tuple(reference[key]) for key in ("position", "momentum")}
+            reference = Reference(**{**reference, **vectors})
+        return cls(reference, Window(tuple(window["origin"]), (x, y, z)), values["goes"])
+
+
+def _turned(window: Window, now: Reference, direction: np.ndarray, then: Reference) -> Window:
+    """Return the window that goes with a particle and turns from a direction to its new one: it keeps its place on the mesh."""
+    place = window.from_laboratory(np.subtract(now.position, window.origin))
+    turned = window.turned(direction, np.array(then.momentum))
+    return turned.at(then.position - turned.to_laboratory(place))

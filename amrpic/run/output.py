@@ -221,7 +221,7 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = openpmd_writer.path_of(self._scene.directory, state.step)
-        openpmd_writer.write(self._comm, path, state.particles, state.step, state.time, self._about, state.window)
+        openpmd_writer.write(self._comm, path, state.synchronized, state.step, state.time, self._about, state.window)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""

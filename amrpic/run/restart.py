@@ -21,6 +21,7 @@ from ..particles.arrays import repeated
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
+from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
@@ -43,7 +44,10 @@ def about(scene: Scene) -> Provenance:
 
 def snapshot(state: State, scene: Scene) -> Snapshot:
     """Return the whole state as a checkpoint takes it: arrays shared, not copied."""
-    hierarchy, particles, report = state.hierarchy, state.particles, state.report
+    hierarchy, particles, report = state.hierarchy, state.synchronized, state.report
+    columns = _columns(particles)
+    if state.lag > 0:  # kept as they are, since what follows from those of the state's own time differs by rounding
+        columns["lagging_momentum"] = state.particles.momentum
     header = Header(
         step=state.step,
         time=state.time,
@@ -56,11 +60,12 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
             "species": particles.species.to_dict(),
             "report": vars(report),
             "frame": vars(state.solution.frame),
+            "lag": state.lag,
             "course": state.course.to_dict(),
         },
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
-    tables = {"particles": _columns(particles), "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
+    tables = {"particles": columns, "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
     return Snapshot(header, fields, tables)
 
 
@@ -88,8 +93,12 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
 
 def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     extra, lost = held.header.extra, held.tables["lost"]
-    species = SpeciesTable.from_dict(extra["species"])
-    particles, _ = migrate(_particles(held.tables["particles"], species), hierarchy)
+    species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra.get("lag", 0.0)
+    if lag > 0 and isinstance(plan.scene.motion, Leapfrog):
+        columns = {**columns, "momentum": columns["lagging_momentum"]}
+    else:
+        lag = 0.0
+    particles, _ = migrate(_particles(columns, species), hierarchy)
     units = {"rho": "C/m^3", "phi": "V"}
     fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():
@@ -101,7 +110,7 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     )
     gone = Lost(_particles(lost, species), lost["time"])
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
-    return state_of(plan, particles, solution, gone, course, held.header.step, held.header.time)
+    return state_of(plan, particles, solution, gone, course, held.header.step, held.header.time, lag)
 
 
 def _fields(state: State) -> dict[str, Field]:

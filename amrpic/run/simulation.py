@@ -107,7 +107,9 @@ class Simulation:
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others, along the axes of the laboratory. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
-        write_particles(self.comm, Path(path), state.particles, state.step, state.time, about(self.scene), state.window)
+        write_particles(
+            self.comm, Path(path), state.synchronized, state.step, state.time, about(self.scene), state.window
+        )
 
     @property
     def remarks(self) -> list[str]:

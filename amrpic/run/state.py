@@ -91,6 +91,11 @@ class State:
         return self.particles if self.staggered is None else self.staggered.synchronized(self.particles)
 
     @property
+    def lag(self) -> float:
+        """By how much momenta of `particles` lag the state's time, s, where they say more than those of its own time."""
+        return self.staggered.lag if self.staggered is not None and self.staggered.between is not None else 0.0
+
+    @property
     def beam(self) -> Beam:
         """The particles with what gives their momenta at the time of the state."""
         staggered = self.staggered

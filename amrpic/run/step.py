@@ -76,11 +76,8 @@ def state_of(
 
 
 def kicked(state: State, plan: Plan) -> State:
-    """Return the state with particles whose momenta belong to its own time, in all digits. Collective.
-
-    A run that starts with them goes on as it would have.
-    """
-    if state.staggered is None or state.staggered.lag == 0:
+    """Return the state whose `synchronized` particles have the momenta of its own time in all digits. Collective."""
+    if state.staggered is None or state.staggered.lag == 0 or state.staggered.between is not None:
         return state
     particles = kick(state.solution, state.particles, state.staggered, plan)
     return replace(state, particles=particles, staggered=replace(state.staggered, lag=0.0))

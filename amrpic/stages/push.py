@@ -46,8 +46,9 @@ def push(
     is read once. Charge whose field the mesh holds moves with `beta` c, so that B = beta × E / c. Fields that are added:
     `electric` (V/m) and `magnetic` (T), (n, 3) at the particles, and those of `external` elements at `time` (s). The two parts
     act one after the other, and what is between them is written into `between`, (n, 3): a second call goes on from there to
-    the same in all digits. Positions afterwards are those from an origin that is `shift` (m) further on. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017),
-    have it. Collective, and as `gather` in all else.
+    the same, without magnetic fields in all digits. Positions afterwards are those from an origin that is `shift` (m) further
+    on. Magnetic fields turn momenta as Boris (1970), or Higuera and Cary, Phys. Plasmas 24, 052104 (2017), have it. Collective,
+    and as `gather` in all else.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)

@@ -159,16 +159,15 @@ void bind_particle(nb::module_& m) {
   m.def(
       "push_one",
       [](Real3 position, Real3 momentum, Real charge, Real mass, Real before, Real after, Real flight, Pusher pusher,
-         ExternalFields const* external, Real time) {
+         ExternalFields const& external, Real time) {
         Motion motion{};
         motion.before = before, motion.after = after, motion.flight = flight, motion.pusher = pusher;
-        motion.external = external, motion.time = time;
+        motion.external = &external, motion.time = time;
         OneParticle const out = push_one({position, momentum, charge, 1 / mass}, motion);
         return std::pair<Real3, Real3>{out.position, out.momentum};
       },
-      "position"_a, "momentum"_a, "charge"_a, "mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a,
-      "external"_a.none(), "time"_a,
-      "Place (m) and momentum (kg m/s) of one particle in the fields of elements alone.");
+      "position"_a, "momentum"_a, "charge"_a, "mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "external"_a,
+      "time"_a, "Place (m) and momentum (kg m/s) of one particle in the fields of elements alone.");
 
   nb::class_<BeamSums<Real>>(m, "BeamSums")
       .def_ro("weight", &BeamSums<Real>::weight)

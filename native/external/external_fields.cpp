@@ -47,10 +47,16 @@ Vector3<V> in_laboratory(Frame const& frame, Vector3<V> const& a) {
 }
 
 template <class V>
-Flight<V> seen_from(Frame const& frame, bool turned, Flight<V> const& f) {
+Vector3<V> place_seen_from(Frame const& frame, bool turned, Vector3<V> const& x) {
+  Vector3<V> const out{x[0] - frame.origin[0], x[1] - frame.origin[1], x[2] - frame.origin[2]};
+  return turned ? along_axes(frame, out) : out;
+}
+
+template <class V>
+Flight<V> flight_seen_from(Frame const& frame, bool turned, Flight<V> const& f) {
   Flight<V> out = f;
-  for (std::size_t d = 0; d < 3; ++d) out.x[d] = f.x[d] - frame.origin[d];
-  if (turned) out.x = along_axes(frame, out.x), out.v = along_axes(frame, f.v);
+  out.x = place_seen_from(frame, turned, f.x);
+  if (turned) out.v = along_axes(frame, f.v);
   return out;
 }
 
@@ -113,7 +119,49 @@ void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn
   if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, to_laboratory, to.edges);
 }
 
+/// Add one field at places of which z lies in an interval. Return whether any is nearer to a hard end than `reach`.
+template <class Of>
+bool add_at(Of const& of, Element const& element, Interval const& z, bool turned, Real time, Real reach, Places& at) {
+  Interval const& extent = element.extent;
+  Real const origin = element.frame.origin[2];
+  bool const whole = extent.everywhere() ||
+                     (!turned && z.lower - reach >= origin + extent.lower && z.upper + reach < origin + extent.upper);
+  bool const ends = of.is_hard() && !whole;
+  Interval const around{extent.lower - reach, extent.upper + reach}, inside{extent.lower + reach, extent.upper - reach};
+  Lanes any_near{};
+  for (std::size_t n = 0; n < at.count; ++n) {
+    Vector3<Lanes> const x = place_seen_from(element.frame, turned, at.x[n]);
+    if (ends) {
+      Lanes const near = zero_unless(contains(around, x[2]), select(contains(inside, x[2]), Lanes{}, Lanes{} + 1));
+      at.near_end[n] += near;
+      any_near += near;
+    }
+    auto const add = [&](Vector3<Lanes>& sums, Vector3<Lanes> const& own) {
+      Vector3<Lanes> const more = turned ? in_laboratory(element.frame, own) : own;
+      for (std::size_t d = 0; d < 3; ++d) sums[d] += whole ? more[d] : zero_unless(contains(extent, x[2]), more[d]);
+    };
+    auto const there = field(of, x, time);
+    if (of.electric()) add(at.E[n], there.E);
+    if (of.magnetic()) add(at.B[n], there.B);
+  }
+  return any(any_near > Lanes{});
+}
+
 }  // namespace
+
+bool ExternalFields::add_field(Real time, Real reach, Places& at) const {
+  Lanes low = at.x[0][2], high = low;
+  for (std::size_t n = 0; n < at.count; ++n) {
+    low = lesser(low, at.x[n][2]), high = greater(high, at.x[n][2]);
+    at.near_end[n] = Lanes{};
+  }
+  Interval const z{lowest(low), highest(high)};
+  bool near = false;
+  for_each_near(z.lower - reach, z.upper + reach, [&](Element const& element, bool turned) {
+    near |= std::visit([&](auto const& of) { return add_at(of, element, z, turned, time, reach, at); }, element.kind);
+  });
+  return near;
+}
 
 Interval external::laboratory_extent(Element const& element) {
   Frame const& frame = element.frame;
@@ -166,7 +214,7 @@ void add_mean_field(ExternalFields const& fields, Flight<V> const& flight, Vecto
   Sums<V> const sums{E, B, edges};
   fields.for_each_near(lowest(lesser(start, end)), highest(greater(start, end)), [&](Element const& at, bool turned) {
     auto const to_laboratory = [&](Vector3<V> const& a) { return turned ? in_laboratory(at.frame, a) : a; };
-    auto const local = seen_from(at.frame, turned, flight);
+    auto const local = flight_seen_from(at.frame, turned, flight);
     std::visit([&](auto const& of) { add_one(of, at.extent, local, to_laboratory, sums); }, at.kind);
   });
 }

@@ -28,6 +28,14 @@ struct Element {
   Kind kind;
 };
 
+/// Places, eight at a time, and what is there.
+struct Places {
+  static constexpr std::size_t most = 8;
+  std::array<Vector3<Lanes>, most> x, E, B;  ///< m, V/m, T
+  std::array<Lanes, most> near_end;  ///< 1 where a hard end may be within reach, so that fields differ along a flight
+  std::size_t count = 0;             ///< of eights
+};
+
 /// Where a field can be, along the laboratory's z.
 Interval laboratory_extent(Element const& element);
 
@@ -45,6 +53,10 @@ class ExternalFields {
   bool empty() const { return entries_.empty(); }
   bool electric() const { return electric_; }  ///< whether any element has such a field
   bool magnetic() const { return magnetic_; }
+
+  /// Add the fields at places to what is there; set which are nearer to a hard end than `reach` (m). Return whether any
+  /// is.
+  bool add_field(Real time, Real reach, external::Places& at) const;
 
   /// Call f(element, whether it is turned) for those that may have a field between two z.
   template <class F>

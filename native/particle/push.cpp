@@ -1,6 +1,8 @@
 #include "particle/push.hpp"
 
-#include "base/lanes.hpp"
+#include <algorithm>
+
+#include "base/lane_pair.hpp"
 #include "particle/read_field.hpp"
 
 namespace amrpic {
@@ -16,43 +18,56 @@ inline void add(Components& to, Components const& more) {
   for (int d = 0; d < 3; ++d) to[d] += more[d];
 }
 
-/// B of charge that moves with `beta`, from its electric field.
-inline Components self_magnetic_field(Real3 const& beta, Components const& e) {
-  return cross(Real3{beta[0] / speed_of_light, beta[1] / speed_of_light, beta[2] / speed_of_light}, e);
+/// A velocity over c as one over c².
+inline Real3 per_c(Real3 const& beta) {
+  return {beta[0] / speed_of_light, beta[1] / speed_of_light, beta[2] / speed_of_light};
 }
 
-/// Eight particles in fields.
+/// Particles in fields: eight, or two times eight.
+template <class V>
 struct Group {
-  Components x, p;
-  Lanes charge, inverse_mass, per_mc;
+  Vector3<V> x, p;
+  V charge, inverse_mass, per_mc;
 
-  Components velocity() const {
-    Lanes const over = inverse_mass * inverse_gamma(p, per_mc);
-    return {over * p[0], over * p[1], over * p[2]};
+  Vector3<V> velocity() const { return scaled(inverse_mass * inverse_gamma(p, per_mc), p); }
+  void kick(Vector3<V> const& e, Real time) {
+    V const impulse = charge * time;
+    for (std::size_t d = 0; d < 3; ++d) p[d] += impulse * e[d];
   }
-  void kick(Components const& e, Real time) {
-    Lanes const impulse = charge * time;
-    for (int d = 0; d < 3; ++d) p[d] += impulse * e[d];
+  Turned<V> turned(Pusher pusher, Vector3<V> const& b, V const& time) const {
+    return amrpic::turned(pusher, p, b, time * charge * inverse_mass, per_mc);
   }
-  void turn(Pusher pusher, Components const& b, Lanes const& time) {
-    p = turned(pusher, p, b, time * charge * inverse_mass, per_mc);
-  }
+  void turn(Pusher pusher, Vector3<V> const& b, V const& time) { p = turned(pusher, b, time).between; }
 };
 
-/// A part of a step: a kick by E and a turn by B before the positions' time, a turn and a kick after it. What elements
-/// have in the planes where they begin and end acts first and last.
-inline void act(Group& on, Components e, Components b, bool has_b, Real time, bool is_before, Motion const& motion) {
-  Edges<Lanes> edges;
-  Components arriving;
-  if (motion.external && time > 0) {
-    arriving = on.velocity();
-    Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
-    add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
+/// Both parts of a step in the same fields: a kick by E and a turn by B, and a turn and a kick. Return the momenta
+/// between them.
+template <class V>
+inline Vector3<V> act(Group<V>& on, Vector3<V> const& e, Vector3<V> const& b, Motion const& motion) {
+  on.kick(e, motion.before);
+  auto [between, after] = on.turned(motion.pusher, b, motion.before + V{});
+  if (motion.after != motion.before) {
+    on.p = between;
+    after = on.turned(motion.pusher, b, motion.after + V{}).between;
   }
+  on.p = after;
+  on.kick(e, motion.after);
+  return between;
+}
+
+/// One of the parts, in fields of elements that may end on the way. What these have in the planes where they begin and
+/// end acts first and last.
+inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real time, bool is_before,
+                             Motion const& motion) {
+  if (!(time > 0)) return;
+  Edges<Lanes> edges;
+  Components const arriving = on.velocity();
+  Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
+  add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
   Lanes const whole = time + Lanes{};
   if (edges.crossed) on.turn(motion.pusher, edges.first, whole);
   if (is_before) on.kick(e, time);
-  if (has_b) on.turn(motion.pusher, b, whole);
+  on.turn(motion.pusher, b, whole);
   if (!is_before) on.kick(e, time);
   if (!edges.crossed) return;
   Components const leaving = on.velocity();
@@ -65,46 +80,147 @@ inline void act(Group& on, Components e, Components b, bool has_b, Real time, bo
   for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - scale * shift[d];
 }
 
+/// Those of `yes` where `which` is positive, else those of `no`.
+inline Components where(Lanes const& which, Components const& yes, Components const& no) {
+  Components out;
+  for (int d = 0; d < 3; ++d) out[d] = select(which > 0, yes[d], no[d]);
+  return out;
+}
+
+/// Both of them. Return the momenta between.
+inline Components act_along_flights(Group<Lanes>& on, Components const& e, Components const& b, Motion const& motion) {
+  act_along_flight(on, e, b, motion.before, true, motion);
+  Components const between = on.p;
+  act_along_flight(on, e, b, motion.after, false, motion);
+  return between;
+}
+
+inline Real reach_of(Motion const& motion) { return speed_of_light * std::max(motion.before, motion.after); }
+
+inline Vector3<LanePair> both(Components const& a, Components const& b) {
+  return {LanePair{a[0], b[0]}, LanePair{a[1], b[1]}, LanePair{a[2], b[2]}};
+}
+inline Group<LanePair> both(Group<Lanes> const& a, Group<Lanes> const& b) {
+  return {both(a.x, b.x), both(a.p, b.p), {a.charge, b.charge}, {a.inverse_mass, b.inverse_mass}, {a.per_mc, b.per_mc}};
+}
+inline Components low(Vector3<LanePair> const& of) { return {of[0].low, of[1].low, of[2].low}; }
+inline Components high(Vector3<LanePair> const& of) { return {of[0].high, of[1].high, of[2].high}; }
+
+/// What becomes of particles in a step.
+struct Moving {
+  Components between, p, x;
+};
+
+/// Moves particles that feel a field of the mesh.
+struct Mover {
+  ParticleView particles;
+  Motion motion;
+  Moved out;
+  bool far;  ///< whether what is written is not wanted soon
+
+  Group<Lanes> load_group(LaneGroup const& group) const {
+    Lanes const inverse_mass = load(motion.inverse_mass, motion.same, group);
+    return {load_columns(particles.position, group), load_columns(particles.momentum, group),
+            load(motion.charge, motion.same, group), inverse_mass, inverse_mass * (1 / speed_of_light)};
+  }
+  template <class V>
+  Vector3<V> flown(Group<V> const& on) const {
+    Vector3<V> out = on.velocity();
+    for (std::size_t d = 0; d < 3; ++d) out[d] = on.x[d] + (motion.flight * out[d] - motion.shift[d]);
+    return out;
+  }
+  void write(LaneGroup const& group, Moving const& moved) const {
+    for (std::size_t d = 0; d < 3; ++d) {
+      if (out.between[0]) store(out.between[d], group, moved.between[d], far);
+      store(out.momentum[d], group, moved.p[d], far);
+      store(out.position[d], group, moved.x[d], far);
+    }
+  }
+  /// By the field of the mesh alone.
+  void by_mesh(LaneGroup const& group, Components const& felt) const {
+    Group<Lanes> on = load_group(group);
+    on.kick(felt, motion.before);
+    Components const between = on.p;
+    on.kick(felt, motion.after);
+    write(group, {between, on.p, flown(on)});
+  }
+
+  /// The fields of charge that moves with beta, and those that are added.
+  std::array<Components, 2> fields(LaneGroup const& group, Components const& felt) const {
+    std::array<Components, 2> fields{felt, cross(per_c(motion.beta), felt)};
+    if (motion.added.electric[0]) add(fields[0], load_columns(motion.added.electric, group));
+    if (motion.added.magnetic[0]) add(fields[1], load_columns(motion.added.magnetic, group));
+    return fields;
+  }
+  /// By all fields.
+  template <bool elements>
+  void by_all(LaneBlock const& block, BlockComponents const& felt) const {
+    external::Places at;
+    for_each_group(block, [&](LaneGroup const& group) {
+      auto const [e, b] = fields(group, felt[number_in_block(block, group)]);
+      if constexpr (elements) at.x[at.count] = load_columns(particles.position, group);
+      at.E[at.count] = e, at.B[at.count] = b;
+      ++at.count;
+    });
+    bool const near = elements && motion.external->add_field(motion.time, reach_of(motion), at);
+    std::size_t n = 0;
+    for_each_two_groups(block, [&](LaneGroup const& group, LaneGroup const& other) {
+      std::size_t const i = n++, j = &group == &other ? i : n++;
+      auto on = both(load_group(group), load_group(other));
+      auto const between = act(on, both(at.E[i], at.E[j]), both(at.B[i], at.B[j]), motion);
+      auto const x = flown(on);
+      Moving moved{low(between), low(on.p), low(x)}, other_moved{high(between), high(on.p), high(x)};
+      if (near) {
+        moved = along_flights(group, felt, block, at.near_end[i], moved);
+        other_moved = along_flights(other, felt, block, at.near_end[j], other_moved);
+      }
+      write(group, moved);
+      write(other, other_moved);
+    });
+  }
+  /// The same with those particles of a group that are near the end of a field moved along their flights.
+  Moving along_flights(LaneGroup const& group, BlockComponents const& felt, LaneBlock const& block, Lanes const& near,
+                       Moving const& others) const {
+    if (bits_of(near > 0) == 0) return others;
+    auto const [e, b] = fields(group, felt[number_in_block(block, group)]);
+    Group<Lanes> on = load_group(group);
+    Components const between = act_along_flights(on, e, b, motion);
+    return {where(near, between, others.between), where(near, on.p, others.p), where(near, flown(on), others.x)};
+  }
+};
+
 }  // namespace
 
 void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
           std::int64_t const* starts, Motion const& motion, Moved const& out) {
   auto const p = out.momentum, x = out.position, between = out.between;
   bool const far = are_far(particles.count, p[0], p[1], p[2], x[0], x[1], x[2], between[0], between[1], between[2]);
-  AddedFields const& added = motion.added;
-  bool const has_self_b = motion.beta != Real3{},
-             has_b = has_self_b || added.magnetic[0] || (motion.external && motion.external->magnetic());
-  read_field(mesh, clouds, field, particles, starts, [=](LaneGroup const& group, Components const& felt) {
-    Lanes const inverse_mass = load(motion.inverse_mass, motion.same, group);
-    Group on{load_columns(particles.position, group), load_columns(particles.momentum, group),
-             load(motion.charge, motion.same, group), inverse_mass, inverse_mass * (1 / speed_of_light)};
-    Components e = felt, b{};
-    if (added.electric[0]) add(e, load_columns(added.electric, group));
-    if (has_self_b) b = self_magnetic_field(motion.beta, felt);
-    if (added.magnetic[0]) add(b, load_columns(added.magnetic, group));
-
-    act(on, e, b, has_b, motion.before, true, motion);
-    for (int d = 0; d < 3 && between[0]; ++d) store(between[d], group, on.p[d], far);
-    act(on, e, b, has_b, motion.after, false, motion);
-    Lanes const time_over_mass = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
-    for (int d = 0; d < 3; ++d) {
-      store(p[d], group, on.p[d], far);
-      store(x[d], group, on.x[d] + (time_over_mass * on.p[d] - motion.shift[std::size_t(d)]), far);
-    }
-  });
+  Mover const mover{particles, motion, out, far};
+  auto const move = [&](auto const& use) { read_field(mesh, clouds, field, particles, starts, use); };
+  if (motion.external && !motion.external->empty())
+    move([=](LaneBlock const& block, BlockComponents const& felt) { mover.by_all<true>(block, felt); });
+  else if (motion.beta != Real3{} || motion.added.electric[0] || motion.added.magnetic[0])
+    move([=](LaneBlock const& block, BlockComponents const& felt) { mover.by_all<false>(block, felt); });
+  else
+    move([=](LaneGroup const& group, Components const& felt) { mover.by_mesh(group, felt); });
   stream_end();
 }
 
 OneParticle push_one(OneParticle const& particle, Motion const& motion) {
   Lanes const inverse_mass = particle.inverse_mass + Lanes{};
-  Group on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
+  Group<Lanes> on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
   for (std::size_t d = 0; d < 3; ++d) {
     on.x[d] = particle.position[d] + Lanes{};
     on.p[d] = particle.momentum[d] + Lanes{};
   }
-  bool const has_b = motion.external && motion.external->magnetic();
-  act(on, {}, {}, has_b, motion.before, true, motion);
-  act(on, {}, {}, has_b, motion.after, false, motion);
+  external::Places at;
+  at.count = 1;
+  at.x[0] = on.x;
+  at.E[0] = at.B[0] = {};
+  if (motion.external->add_field(motion.time, reach_of(motion), at))
+    act_along_flights(on, {}, {}, motion);
+  else
+    act(on, at.E[0], at.B[0], motion);
   Components const v = on.velocity();
   OneParticle out = particle;
   for (std::size_t d = 0; d < 3; ++d) {

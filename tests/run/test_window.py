@@ -100,7 +100,7 @@ def test_the_reference_particle_moves_as_a_particle_of_the_beam() -> None:
     place, momentum = in_laboratory(run)
     assert run.reference is not None
     np.testing.assert_allclose(place[0], run.reference.position, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(momentum[0] / MC, np.array(run.reference.momentum) / MC, rtol=0, atol=1e-16)
+    np.testing.assert_allclose(momentum[0] / MC, np.array(run.reference.momentum) / MC, rtol=0, atol=2e-15)
 
 
 def test_walls_along_the_beam_keep_the_axes() -> None:

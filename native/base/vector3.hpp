@@ -13,5 +13,9 @@ template <class A, class V>
 inline Vector3<V> cross(Vector3<A> const& a, Vector3<V> const& b) {
   return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
 }
+template <class V>
+Vector3<V> scaled(V const& by, Vector3<V> const& a) {
+  return {by * a[0], by * a[1], by * a[2]};
+}
 
 }  // namespace amrpic

@@ -79,7 +79,7 @@ void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Se
       edges.first[d] += select(enters, B[d], V{});
       edges.last[d] += select(leaves, B[d], V{});
       edges.moment[d] += tau * B[d];
-      edges.normal[d] = select(leaves, normal[d], edges.normal[d]);
+      edges.normal[d] = select(direction == V{}, edges.normal[d], normal[d]);
     }
   };
   add(extent.lower, 1);

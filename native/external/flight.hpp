@@ -20,7 +20,7 @@ struct Edges {
 
   Vector3<V> first, last;  ///< T; in planes where a flight enters a field, and where it leaves it
   Vector3<V> moment;       ///< T s: the means of τ B, of both
-  Vector3<V> normal;       ///< of the planes of `last`
+  Vector3<V> normal;       ///< of these planes
 
   void begin() {
     if (crossed) return;

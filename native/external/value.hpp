@@ -45,10 +45,6 @@ template <class V>
 Vector3<V> sum(Vector3<V> const& a, Vector3<V> const& b) {
   return {a[0] + b[0], a[1] + b[1], a[2] + b[2]};
 }
-template <class V>
-Vector3<V> scaled(V const& by, Vector3<V> const& a) {
-  return {by * a[0], by * a[1], by * a[2]};
-}
 
 /// c[0] + c[1] x + c[2] x² + …
 template <class V, std::size_t n>

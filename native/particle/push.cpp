@@ -37,6 +37,22 @@ struct Group {
   void turn(Pusher pusher, Components const& b, Lanes const& time) {
     p = turned(pusher, p, b, time * charge * inverse_mass, per_mc);
   }
+  /// The passage of a plane with this unit normal and a mean B there, for what arrived with velocity `v` a time before.
+  ///
+  /// Along the normal dp/dn = q v × B / v_n: B along it turns p about it, and B in the plane gives the impulse
+  /// q v_n n × B, which does not depend on how p changes meanwhile; |p| stays. A solenoid's edge so keeps the canonical
+  /// angular momentum.
+  void pass(Pusher pusher, Components const& b, Components const& normal, Components const& v, Real time) {
+    Lanes const way = time * dot(v, normal), now = dot(velocity(), normal), slower = way / or_one(now);
+    Lanes const along = dot(b, normal);
+    turn(pusher, scaled(along, normal), select(slower < 0, 0 - slower, slower));
+    Components const impulse = scaled(charge * way, cross(normal, b));
+    Lanes const gained = 2 * dot(p, impulse) + dot(impulse, impulse), p_n = dot(p, normal);
+    Lanes const left = 1 - gained / or_one(p_n * p_n);
+    Lanes const change = select(gained == 0, Lanes{}, p_n * (square_root(select(left < 0, Lanes{}, left)) - 1));
+    for (int d = 0; d < 3; ++d) p[d] += impulse[d] + change * normal[d];
+  }
+  static Lanes or_one(Lanes const& divisor) { return select(divisor == 0, 1 + Lanes{}, divisor); }
 };
 
 /// A part of a step: a kick by E and a turn by B before the positions' time, a turn and a kick after it. What elements
@@ -49,17 +65,12 @@ inline void act(Group& on, Components e, Components b, bool has_b, Real time, bo
     Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
     add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
   }
-  Lanes const whole = time + Lanes{};
-  if (edges.crossed) on.turn(motion.pusher, edges.first, whole);
+  if (edges.crossed) on.pass(motion.pusher, edges.first, edges.normal, arriving, time);
   if (is_before) on.kick(e, time);
-  if (has_b) on.turn(motion.pusher, b, whole);
+  if (has_b) on.turn(motion.pusher, b, time + Lanes{});
   if (!is_before) on.kick(e, time);
   if (!edges.crossed) return;
-  Components const leaving = on.velocity();
-  Lanes const now = dot(leaving, edges.normal),
-              ratio = dot(arriving, edges.normal) / select(now == 0, 1 + Lanes{}, now);
-  Lanes const slower = select(ratio < 0, 0 - ratio, ratio);
-  on.turn(motion.pusher, edges.last, slower * time);
+  on.pass(motion.pusher, edges.last, edges.normal, arriving, time);
   Components const shift = cross(arriving, edges.moment);
   Lanes const scale = on.charge * on.inverse_mass * time * inverse_gamma(on.p, on.per_mc);
   for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - scale * shift[d];

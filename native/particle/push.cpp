@@ -37,12 +37,14 @@ struct Group {
   void turn(Pusher pusher, Components const& b, Lanes const& time) {
     p = turned(pusher, p, b, time * charge * inverse_mass, per_mc);
   }
-  /// The passage of a plane with this unit normal and a mean B there, for what arrived with velocity `v` a time before.
+  /// The passage of a plane with this unit normal and a mean B there over `time`, `when` (s) from now, for what arrived with velocity `v`.
   ///
   /// Along the normal dp/dn = q v × B / v_n: B along it turns p about it, and B in the plane gives the impulse
   /// q v_n n × B, which does not depend on how p changes meanwhile; |p| stays. A solenoid's edge so keeps the canonical
-  /// angular momentum.
-  void pass(Pusher pusher, Components const& b, Components const& normal, Components const& v, Real time) {
+  /// angular momentum. The place is shifted so that the change counts from the plane on.
+  void pass(Pusher pusher, Components const& b, Components const& normal, Components const& v, Real time,
+            Lanes const& when) {
+    Components const before = p;
     Lanes const way = time * dot(v, normal), now = dot(velocity(), normal), slower = way / or_one(now);
     Lanes const along = dot(b, normal);
     turn(pusher, scaled(along, normal), select(slower < 0, 0 - slower, slower));
@@ -51,6 +53,8 @@ struct Group {
     Lanes const left = 1 - gained / or_one(p_n * p_n);
     Lanes const change = select(gained == 0, Lanes{}, p_n * (square_root(select(left < 0, Lanes{}, left)) - 1));
     for (int d = 0; d < 3; ++d) p[d] += impulse[d] + change * normal[d];
+    Lanes const shift = when * inverse_mass * inverse_gamma(p, per_mc);
+    for (int d = 0; d < 3; ++d) x[d] = x[d] - shift * (p[d] - before[d]);
   }
   static Lanes or_one(Lanes const& divisor) { return select(divisor == 0, 1 + Lanes{}, divisor); }
 };
@@ -65,15 +69,11 @@ inline void act(Group& on, Components e, Components b, bool has_b, Real time, bo
     Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
     add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
   }
-  if (edges.crossed) on.pass(motion.pusher, edges.first, edges.normal, arriving, time);
+  if (edges.crossed) on.pass(motion.pusher, edges.first, edges.normal, arriving, time, edges.entered);
   if (is_before) on.kick(e, time);
   if (has_b) on.turn(motion.pusher, b, time + Lanes{});
   if (!is_before) on.kick(e, time);
-  if (!edges.crossed) return;
-  on.pass(motion.pusher, edges.last, edges.normal, arriving, time);
-  Components const shift = cross(arriving, edges.moment);
-  Lanes const scale = on.charge * on.inverse_mass * time * inverse_gamma(on.p, on.per_mc);
-  for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - scale * shift[d];
+  if (edges.crossed) on.pass(motion.pusher, edges.last, edges.normal, arriving, time, edges.left);
 }
 
 }  // namespace

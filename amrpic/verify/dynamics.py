@@ -1,4 +1,4 @@
-"""Moving particles: bunches that their own charge drives apart, and the fields of fast ones."""
+"""Moving particles: single ones, bunches that their own charge drives apart, fast ones, and waves in a plasma."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.special import elliprd
 
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
+from . import orbits, passages, plasma, two_frames
 from .runs import collected, end
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
@@ -25,6 +26,8 @@ BASES = (32, 64, 96)
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of this topic. Collective."""
+    yield from orbits.tables(comm)
+    yield from passages.tables(comm)
     yield _explosions(comm)
     yield Table(
         "Field of a fast bunch",
@@ -34,6 +37,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         ("γ", "E_x", "E_y", "E_z", "B_x", "B_y", "cycles"),
         [_fast_bunch(comm, gamma) for gamma in (2.0, 20.0, 100.0)],
     )
+    yield two_frames.table(comm)
+    yield from plasma.tables(comm)
 
 
 # ---- explosion ----

@@ -13,7 +13,7 @@ from ..external import ExternalFields
 from ..units import ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
 from .chosen import scene_of
 from .runs import collected, end
-from .table import Cell, Goal, Table
+from .table import Goal, Table
 
 MC = PROTON_MASS * SPEED_OF_LIGHT
 BETA_GAMMA = 0.2

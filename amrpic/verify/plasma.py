@@ -27,7 +27,7 @@ CELLS = (64, 8, 8)
 CELL = 1e-3  # m
 LENGTH = CELLS[0] * CELL
 SPEED = 3e-3 * SPEED_OF_LIGHT  # of beams and of thermal electrons
-SHAPES: tuple[Shape, ...] = ("cloud-in-cell", "triangular-shaped-cloud")
+SHAPES: tuple[Shape, ...] = ("cloud-in-cell", "triangular-shaped-cloud")  # a nearest-grid-point has no linear response
 
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
@@ -139,7 +139,7 @@ def damped(time: np.ndarray, size: float, phase: float, frequency: float, rate: 
 
 def _oscillation(comm: MPI.Comm, shape: Shape, waves: int) -> list[Cell]:
     k, dt = 2 * np.pi * waves / LENGTH, 0.2
-    places = even((256, 8, 8))
+    places = even((1024, 8, 8))
     places[:, 0] += 0.01 / k * np.sin(k * places[:, 0])
     time, wave = wave_of(comm, places, np.zeros_like(places), 1e8, dt, round(10 * np.pi / dt), shape, waves)
     (*_, measured, _), _ = curve_fit(damped, time, wave.real / abs(wave[0]), (np.sign(wave[0].real), 0.0, 1.0, 0.0))
@@ -170,7 +170,7 @@ def _two_stream(comm: MPI.Comm) -> Table:
         places.append(lattice + np.outer(moved.real, (1, 0, 0)))
         speed = sign * SPEED + plasma_frequency * (-1j * seen * moved).real
         velocities.append(np.outer(speed, (1, 0, 0)))
-    time, wave = wave_of(comm, np.concatenate(places), np.concatenate(velocities), plasma_frequency, 0.1, 300)
+    time, wave = wave_of(comm, np.concatenate(places), np.concatenate(velocities), plasma_frequency, 0.1, 400)
     size = np.abs(wave)
     linear = (size < 0.02) & (time < time[np.argmax(size)])
     measured = np.polyfit(time[linear], np.log(size[linear]), 1)[0]
@@ -209,7 +209,10 @@ def _landau(comm: MPI.Comm) -> Table:
 
     def draw_wave(path: Path) -> None:
         (size, *_), _ = curve_fit(
-            lambda t, size, phase: damped(t, size, phase, root.real, root.imag), time[fitted], wave.real[fitted], guess[:2]
+            lambda t, size, phase: damped(t, size, phase, root.real, root.imag),
+            time[fitted],
+            wave.real[fitted],
+            guess[:2],
         )
         with picture(path, "Landau damping, kλ_D = 0.5", "ω_p t", "amplitude of φ") as axes:
             axes.semilogy(time, np.abs(wave), label="measured")

@@ -16,7 +16,7 @@ from .table import Goal, Table
 GAMMA = 20.0
 SIGMA = (1e-3, 1e-3, 3e-3)  # m, at rest
 STEPS = 60
-PROPER_TIME = 9e-10  # s
+PROPER_TIME = 1.2e-9  # s
 
 
 def table(comm: MPI.Comm) -> Table:
@@ -45,29 +45,29 @@ def table(comm: MPI.Comm) -> Table:
     )
 
 
-def sizes(comm: MPI.Comm, gamma: float) -> np.ndarray:
+def sizes(comm: MPI.Comm, gamma: float, cells: int = 48, particles: int = 200_000, steps: int = STEPS) -> np.ndarray:
     """Rms sizes (steps + 1, 3) in m of the bunch with this Lorentz factor along z, at equal proper times. Collective."""
-    return np.array([state.moments().rms for state in states(comm, _scene(gamma))])
+    return np.array([state.moments().rms for state in states(comm, _scene(gamma, cells, particles, steps))])
 
 
-def _scene(gamma: float) -> dict[str, Any]:
+def _scene(gamma: float, cells: int, particles: int, steps: int) -> dict[str, Any]:
     squeezed = np.array(SIGMA) / (1, 1, gamma)
     reach = (7 * squeezed).tolist()
     fast = {"frame": "rest", "window": "reference"} if gamma > 1 else {}
     return {
-        "domain": {"lower": [-r for r in reach], "upper": reach, "cells": 48},
+        "domain": {"lower": [-r for r in reach], "upper": reach, "cells": cells},
         "bunches": [
             {
                 "distribution": "gaussian",
                 "species": "electron",
                 "charge": -10e-12,
-                "particles": 200_000,
+                "particles": particles,
                 "sigma": squeezed.tolist(),
                 "momentum": [0.0, 0.0, np.sqrt(gamma**2 - 1) * ELECTRON_MASS * SPEED_OF_LIGHT],
                 "sampling": "sobol",
             }
         ],
         "refinement": {"levels": 1, "rule": {"kind": "charge-density", "relative": 0.05}},
-        "motion": {"kind": "leapfrog", "dt": gamma * PROPER_TIME / STEPS, **fast},
-        "schedule": {"steps": STEPS},
+        "motion": {"kind": "leapfrog", "dt": gamma * PROPER_TIME / steps, **fast},
+        "schedule": {"steps": steps},
     }

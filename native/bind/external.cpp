@@ -192,7 +192,8 @@ void bind_external(nb::module_& m) {
             return edges(self, {position, velocity, 0, from, to});
           },
           "position"_a, "velocity"_a, "start"_a, "stop"_a,
-          "What `means` has in B from planes: where flights enter a field and where they leave it (T), when they do (s, two columns and one of zeros), "
+          "What `means` has in B from planes: where flights enter a field and where they leave it (T), when they do "
+          "(s, two columns and one of zeros), "
           "the normals of these planes, and 1 for flights that pass the end of a field.")
       .def(
           "means",

@@ -37,7 +37,8 @@ struct Group {
   void turn(Pusher pusher, Components const& b, Lanes const& time) {
     p = turned(pusher, p, b, time * charge * inverse_mass, per_mc);
   }
-  /// The passage of a plane with this unit normal and a mean B there over `time`, `when` (s) from now, for what arrived with velocity `v`.
+  /// The passage of a plane with this unit normal and a mean B there over `time`, `when` (s) from now, for what arrived
+  /// with velocity `v`.
   ///
   /// Along the normal dp/dn = q v × B / v_n: B along it turns p about it, and B in the plane gives the impulse
   /// q v_n n × B, which does not depend on how p changes meanwhile; |p| stays. A solenoid's edge so keeps the canonical

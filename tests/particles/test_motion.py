@@ -12,6 +12,7 @@ from amrpic.stages.push import PUSHERS, push
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from amrpic.verify.orbits import MC, Orbits, accelerated, turning
 
+
 @pytest.mark.parametrize("drift", [0.0, 0.3])
 @pytest.mark.parametrize("pusher", PUSHERS)
 def test_a_uniform_magnetic_field_turns_and_keeps_the_magnitude(pusher, drift):

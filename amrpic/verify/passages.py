@@ -19,7 +19,7 @@ MC = PROTON_MASS * SPEED_OF_LIGHT
 BETA_GAMMA = 0.2
 LENGTH = 0.6  # m, that particles fly
 TIME = LENGTH / (BETA_GAMMA / np.hypot(1, BETA_GAMMA) * SPEED_OF_LIGHT)  # s
-STEPS = (100, 200, 400, 800)
+STEPS = (200, 400, 800)
 
 QUADRUPOLE = {"kind": "quadrupole", "length": "0.1 m", "gradient": "3 T/m"}
 DIPOLE = {"kind": "dipole", "length": "0.1 m", "field": "0.1 T"}

@@ -34,7 +34,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of waves in a plasma. Collective."""
     yield Table(
         "Cold plasma oscillation",
-        "Electrons at rest, 64×8×8 cells, displaced by a sine wave of 1 % of what makes them overtake each other; five periods, "
+        "Electrons at rest, 64×8×8 cells, displaced by a sine wave of 0.1 % of what makes them overtake each other; five periods, "
         "ω_p Δt = 0.2. Frequency ω/ω_p by fit, against that of the mesh, which its difference of the potential across two "
         "cells, its Laplacian, its clouds with all their aliases, and leapfrog give together, and against 1, that of the "
         "continuum.",
@@ -140,7 +140,7 @@ def damped(time: np.ndarray, size: float, phase: float, frequency: float, rate: 
 def _oscillation(comm: MPI.Comm, shape: Shape, waves: int) -> list[Cell]:
     k, dt = 2 * np.pi * waves / LENGTH, 0.2
     places = even((1024, 8, 8))
-    places[:, 0] += 0.01 / k * np.sin(k * places[:, 0])
+    places[:, 0] += 1e-3 / k * np.sin(k * places[:, 0])
     time, wave = wave_of(comm, places, np.zeros_like(places), 1e8, dt, round(10 * np.pi / dt), shape, waves)
     (*_, measured, _), _ = curve_fit(damped, time, wave.real / abs(wave[0]), (np.sign(wave[0].real), 0.0, 1.0, 0.0))
     mesh = mesh_frequency(k * CELL, shape, dt)

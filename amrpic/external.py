@@ -114,7 +114,8 @@ class ExternalFields:
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Return what `means` has in B from planes where flights enter a field, and from those where they leave it (n, 3) in T.
 
-        Behind these when that is, two columns in s and one of zeros, the normals of the planes, and 1 for flights that pass an end.
+        Behind these when that is, two columns in s and one of zeros, the normals of the planes (n, 3), and 1 for flights that
+        pass an end (n).
         """
         places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
         first, last, when, normal, ends = self.native.edges(places, velocities, start, stop)

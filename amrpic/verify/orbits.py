@@ -27,10 +27,10 @@ def tables(_: MPI.Comm) -> Iterator[Table]:
     """The tables of one particle."""
     yield Table(
         "One particle in uniform fields",
-        f"A positron in B, and in E × B that lets it drift with 0.3 of its speed: {TURNS} turns of 200 steps. Error of its phase "
-        "in the frame that drifts, over the whole phase, and its order from that with 100 steps a turn; change of |p| without "
-        "E. In E along z: error of the momentum over what is gained, and order of the error of the place, 50 to 200 steps. "
-        "Against exact orbits.",
+        f"A positron in B, and in E × B that lets it drift with 0.3 of its speed: {TURNS} turns of 200 steps. Error of its "
+        "phase in the drifting frame, over the whole phase, and its order from that with 100 steps a turn; change of |p| "
+        "without E. In E along z: error of the momentum over what is gained, and order of the error of the place, 50 to 200 "
+        "steps. Against exact orbits.",
         ("fields", "βγ", "pusher", "phase", "order", "momentum"),
         [*_turning_rows("B", 0.0), *_turning_rows("E × B", 0.3), *_accelerated_rows()],
     )

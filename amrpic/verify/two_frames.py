@@ -34,11 +34,11 @@ def table(comm: MPI.Comm) -> Table:
 
     return Table(
         "One bunch in two frames",
-        f"A cold Gaussian bunch of 200000 quiet electrons, 10 pC, at rest 1 × 1 × 3 mm, expands in free space by its own field for "
-        f"{PROPER_TIME * 1e9:g} ns of its own time: once at rest, and once in the laboratory at γ = {GAMMA:g}, where lengths along z "
-        "are γ times shorter, steps γ times longer, its magnetic field acts too, and the window goes along. Largest difference of "
-        "the rms sizes at equal proper time. Particles a length z' apart come to that time z'/c apart, which counts in second "
-        "order of the speed of expansion over c.",
+        f"A cold Gaussian bunch of 200000 quiet electrons, 10 pC, at rest 1 × 1 × 3 mm, expands in free space by its own field "
+        f"for {PROPER_TIME * 1e9:g} ns of its own time: once at rest, and once in the laboratory at γ = {GAMMA:g}, where "
+        "lengths along z are γ times shorter, steps γ times longer, its magnetic field acts too, and the window goes along. "
+        "Largest difference of the rms sizes at equal proper time. Particles a length z' apart come to that time z'/c apart, "
+        "which counts in second order of the speed of expansion over c.",
         ("axis", "growth", "difference"),
         [[axis, growth[d], Goal(errors[d], 0.01)] for d, axis in enumerate("xyz")],
         picture=draw,

@@ -65,7 +65,7 @@ def test_frames_change_momenta_as_lorentz_has_it():
 @pytest.mark.parametrize("kind", ["solenoid", "dipole"])
 def test_edges_keep_the_magnitude_of_momenta_and_canonical_ones(kind):
     rng = np.random.default_rng(2)
-    x, u = rng.normal(0, 1e-2, (20, 3)), rng.normal(0, 0.3, (20, 3)) + [0, 0, 1]
+    x, u = rng.normal(0, 1e-2, (20, 3)), rng.normal((0, 0, 1), 0.3, (20, 3))
     out = passages.past_edge(passages.HARD[kind], x, u, 1)
     assert np.linalg.norm(out, axis=1) == pytest.approx(np.linalg.norm(u, axis=1))
     if kind == "solenoid":  # the canonical angular momentum, q B r²/2 more inside
@@ -79,6 +79,6 @@ def test_edges_keep_the_magnitude_of_momenta_and_canonical_ones(kind):
 
 def test_a_hard_solenoid_keeps_the_canonical_angular_momentum_of_steep_flights():
     """Through the push: what enters is as far off as what the pusher's order leaves, whatever the slope."""
-    steep = dict(passages.HARD["solenoid"], field="1 T")
+    steep = dict(passages.HARD["solenoid"], field=1.0)
     errors = [passages.passage_error(MPI.COMM_SELF, steep, steps, passages.through_hard) for steps in (800, 1600)]
     assert errors[1] < 0.3 * errors[0]

@@ -41,6 +41,7 @@ def table(comm: MPI.Comm) -> Table:
         "which counts in second order of the speed of expansion over c.",
         ("axis", "growth", "difference"),
         [[axis, growth[d], Goal(errors[d], 0.01)] for d, axis in enumerate("xyz")],
+        upwards="rms sizes",
         picture=draw,
     )
 

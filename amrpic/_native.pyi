@@ -172,7 +172,7 @@ class ExternalFields:
         self, position: NDArray[numpy.float64], velocity: NDArray[numpy.float64], start: float, stop: float
     ) -> list[NDArray[numpy.float64]]:
         """
-        What `means` has in B from planes: where flights enter a field and where they leave it (T), means of τ B (T s), the normals of the planes where they leave, and 1 for flights that pass the end of a field.
+        What `means` has in B from planes: where flights enter a field and where they leave it (T), when they do (s, two columns and one of zeros), the normals of these planes, and 1 for flights that pass the end of a field.
         """
 
     def means(
@@ -411,7 +411,7 @@ def push_one(
     after: float,
     flight: float,
     pusher: Pusher,
-    external: ExternalFields | None,
+    external: ExternalFields,
     time: float,
 ) -> tuple[list[float], list[float]]:
     """

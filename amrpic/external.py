@@ -114,11 +114,12 @@ class ExternalFields:
     ) -> tuple[Array, Array, Array, Array, Array]:
         """Return what `means` has in B from planes where flights enter a field, and from those where they leave it (n, 3) in T.
 
-        Behind these the means of τ B of both in T s, the normals of the latter planes, and 1 for flights that pass an end (n).
+        Behind these when that is, two columns in s and one of zeros, the normals of the planes (n, 3), and 1 for flights that
+        pass an end (n).
         """
         places, velocities = (np.ascontiguousarray(array, dtype=float) for array in (position, velocity))
-        first, last, moment, normal, ends = self.native.edges(places, velocities, start, stop)
-        return first, last, moment, normal, ends
+        first, last, when, normal, ends = self.native.edges(places, velocities, start, stop)
+        return first, last, when, normal, ends
 
 
 def native_element(element: Element) -> _native.ExternalElement:

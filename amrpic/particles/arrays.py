@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 
 from .. import _native
+from ..errors import ParticleError
 
 PAGE = 512  # doubles
 
@@ -24,6 +25,21 @@ def empty_columns(count: int) -> np.ndarray:
     capacity = -(-count // PAGE) * PAGE + PAGE // 8
     memory = recycled(3 * capacity + PAGE, np.float64)
     return memory[first : first + 3 * capacity].reshape(3, capacity).T[:count]
+
+
+def columns(values: np.ndarray, what: str) -> np.ndarray:
+    """The same values (n, 3) with contiguous columns, as kernels read them: themselves, or a copy.
+
+    Raises ParticleError for another shape; `what` says in it what they are.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != 3:
+        raise ParticleError(f"the {what} have shape {values.shape}; give (n, 3)")
+    if values.strides[0] == values.itemsize or len(values) == 0:
+        return values
+    out = empty_columns(len(values))
+    out[...] = values
+    return out
 
 
 def recycled(count: int, dtype: type) -> np.ndarray:

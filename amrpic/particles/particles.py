@@ -13,7 +13,7 @@ from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..parallel import global_sum
-from .arrays import empty_columns, recycled
+from .arrays import columns, empty_columns, recycled
 from .species import SpeciesTable
 
 
@@ -46,8 +46,8 @@ class Particles:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "position", _columns(self.position, "position"))
-        set_(self, "momentum", _columns(self.momentum, "momentum"))
+        set_(self, "position", columns(self.position, "positions of particles"))
+        set_(self, "momentum", columns(self.momentum, "momenta of particles"))
         set_(self, "weight", _weights(self.weight))
         set_(self, "id", np.ascontiguousarray(self.id, dtype=np.int64))
         count = len(self.position)
@@ -193,14 +193,3 @@ def concatenate(parts: Sequence[Particles]) -> Particles:
 def _weights(values: np.ndarray) -> np.ndarray:
     values = np.asarray(values, dtype=np.float64)
     return values if values.strides == (0,) else np.ascontiguousarray(values)
-
-
-def _columns(values: np.ndarray, name: str) -> np.ndarray:
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] != 3:
-        raise ParticleError(f"{name} of particles has shape {values.shape}; give (n, 3)")
-    if values.strides[0] == values.itemsize or len(values) == 0:
-        return values
-    out = empty_columns(len(values))
-    out[...] = values
-    return out

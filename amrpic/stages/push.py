@@ -7,7 +7,7 @@ import numpy as np
 from .. import _native
 from ..errors import ParticleError
 from ..mesh.field import VectorField
-from ..particles.arrays import empty_columns
+from ..particles.arrays import columns, empty_columns
 from ..particles.clouds import PLAIN, Clouds
 from ..particles.particles import Particles
 
@@ -68,8 +68,8 @@ def push(
             dt,
             pusher_of(pusher),
             beta,
-            electric,
-            magnetic,
+            _at_particles(electric, particles, "electric"),
+            _at_particles(magnetic, particles, "magnetic"),
             momentum,
             position,
             between,
@@ -80,6 +80,15 @@ def push(
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return particles.replace(position, momentum)
+
+
+def _at_particles(field: np.ndarray | None, particles: Particles, kind: str) -> np.ndarray | None:
+    if field is None:
+        return None
+    found = columns(field, f"{kind} fields at particles")
+    if len(found) != len(particles):
+        raise ParticleError(f"{len(found)} {kind} fields are given for {len(particles)} particles; give one for each")
+    return found
 
 
 def random_walk(particles: Particles, amplitude: float, seed: int, step: int) -> Particles:

@@ -90,12 +90,17 @@ class Lattice:
         return 2 * np.pi * np.array(self.waves) / np.subtract(self.upper, self.lower)
 
     def _origin(self, axis: int, s: Array) -> Array:
-        """Where what is at s came from, by Newton's method."""
-        k, shift, at = self.wave_numbers()[axis], self.displacement[axis], np.array(s, dtype=float)
-        for _ in range(50):
-            phase = k * (at - self.lower[axis])
-            at = at - (at + shift * np.sin(phase) - s) / (1 + shift * k * np.cos(phase))
-        return at
+        """Where what is at s came from."""
+        lower = self.lower[axis]
+        return lower + before_shift(s - lower, self.displacement[axis], self.wave_numbers()[axis])
+
+
+def before_shift(s: Array, shift: float, k: float) -> Array:
+    """The a of a + shift sin(k a) = s, by Newton's method; |k shift| < 1."""
+    at = np.array(s, dtype=float)
+    for _ in range(50):
+        at = at - (at + shift * np.sin(k * at) - s) / (1 + shift * k * np.cos(k * at))
+    return at
 
 
 def density_of(scene: Scene) -> Density:

@@ -54,7 +54,7 @@ def draw_curves(table: Table, path: Path) -> None:
                 label=name,
             )
         axes.set_yscale("log")
-        if table.across.startswith("base cells"):
+        if table.across in ("base cells per axis", "steps", "steps a turn"):
             _mark_resolutions(axes, table)
 
 

@@ -1,21 +1,17 @@
-"""Moving particles: bunches that their own charge drives apart, and the fields of fast ones."""
+"""Moving particles: single ones, bunches that their own charge drives apart, fast ones, and waves in a plasma."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
 from scipy.special import elliprd
 
-from ..particles.particles import Particles
-from ..run.plan import Plan
-from ..run.state import State
-from ..run.step import advance, begin
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from .chosen import scene_of
+from . import orbits, passages, plasma, two_frames
+from .runs import collected, end
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
 
@@ -30,6 +26,8 @@ BASES = (32, 64, 96)
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of this topic. Collective."""
+    yield from orbits.tables(comm)
+    yield from passages.tables(comm)
     yield _explosions(comm)
     yield Table(
         "Field of a fast bunch",
@@ -39,6 +37,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         ("γ", "E_x", "E_y", "E_z", "B_x", "B_y", "cycles"),
         [_fast_bunch(comm, gamma) for gamma in (2.0, 20.0, 100.0)],
     )
+    yield two_frames.table(comm)
+    yield from plasma.tables(comm)
 
 
 # ---- explosion ----
@@ -96,7 +96,7 @@ def _explosion(comm: MPI.Comm, start: Sequence[float], cells: int) -> tuple[floa
     time = doubling_time(start)
     exact = half_axes(start, time)
     reach = 1.25 * float(exact.max())
-    state = _end(
+    state = end(
         comm,
         {
             "domain": {"lower": [-reach] * 3, "upper": [reach] * 3, "cells": cells},
@@ -117,23 +117,9 @@ def _explosion(comm: MPI.Comm, start: Sequence[float], cells: int) -> tuple[floa
         },
     )
     rms = state.moments().rms * np.sqrt(5) / exact
-    radius = np.sort(np.linalg.norm(_places(comm, state.particles) / exact, axis=1))
+    radius = np.sort(np.linalg.norm(collected(comm, state.particles)[0] / exact, axis=1))
     edge = radius[int(EDGE * len(radius))] / EDGE ** (1 / 3)
     return float(np.abs(rms - 1).max()), abs(float(edge) - 1)
-
-
-def _places(comm: MPI.Comm, particles: Particles) -> np.ndarray:
-    """The places of all particles on every rank."""
-    return np.concatenate(comm.allgather(np.array(particles.position)))
-
-
-def _end(comm: MPI.Comm, scene: dict[str, Any]) -> State:
-    """The last state of a scene. Collective."""
-    plan = Plan(comm, scene_of(scene))
-    state = begin(plan)
-    while state.step < plan.scene.schedule.last_step:
-        state = advance(state, plan)
-    return state
 
 
 # ---- fast bunches ----
@@ -141,7 +127,7 @@ def _end(comm: MPI.Comm, scene: dict[str, Any]) -> State:
 
 def _fast_bunch(comm: MPI.Comm, gamma: float) -> list[Cell]:
     sigma, momentum = 1e-3, np.sqrt(gamma**2 - 1)
-    state = _end(
+    state = end(
         comm,
         {
             "domain": {"lower": [-5 * sigma] * 3, "upper": [5 * sigma] * 3, "cells": 64},

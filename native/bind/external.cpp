@@ -84,7 +84,7 @@ std::pair<std::vector<Real>, std::vector<Real>> means_by_eights(ExternalFields c
   return out;
 }
 
-/// Their edges: first, last, moment, normal and ends.
+/// Their edges: first, last, when those were as two columns of three, normal and ends.
 std::array<Rows, 5> edges(ExternalFields const& fields, Flights const& flights) {
   std::array<std::vector<Real>, 4> out;
   std::vector<Real> ends;
@@ -93,7 +93,7 @@ std::array<Rows, 5> edges(ExternalFields const& fields, Flights const& flights) 
     Edges<Real> found;
     found.begin();
     add_mean_field(fields, flights.flight<Real>([&](auto const& at) { return at(n); }), E, B, found);
-    std::array<Vector3<Real>, 4> const all{found.first, found.last, found.moment, found.normal};
+    std::array<Vector3<Real>, 4> const all{found.first, found.last, {found.entered, found.left, 0}, found.normal};
     for (std::size_t k = 0; k < 4; ++k) out[k].insert(out[k].end(), all[k].begin(), all[k].end());
     ends.push_back(found.ends);
   }
@@ -192,9 +192,9 @@ void bind_external(nb::module_& m) {
             return edges(self, {position, velocity, 0, from, to});
           },
           "position"_a, "velocity"_a, "start"_a, "stop"_a,
-          "What `means` has in B from planes: where flights enter a field and where they leave it (T), means of τ B (T "
-          "s), "
-          "the normals of the planes where they leave, and 1 for flights that pass the end of a field.")
+          "What `means` has in B from planes: where flights enter a field and where they leave it (T), when they do "
+          "(s, two columns and one of zeros), "
+          "the normals of these planes, and 1 for flights that pass the end of a field.")
       .def(
           "means",
           [](ExternalFields const& self, bind::RealRows position, bind::RealRows velocity, Real time, Real from,

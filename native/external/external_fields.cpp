@@ -81,11 +81,12 @@ void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Se
     auto const normal = to_laboratory({V{}, V{}, V{} + 1});
     auto const enters = sign * direction > V{}, leaves = sign * direction < V{};
     edges.begin();
+    edges.entered = select(enters, tau, edges.entered);
+    edges.left = select(leaves, tau, edges.left);
     for (std::size_t d = 0; d < 3; ++d) {
       edges.first[d] += select(enters, B[d], V{});
       edges.last[d] += select(leaves, B[d], V{});
-      edges.moment[d] += tau * B[d];
-      edges.normal[d] = select(leaves, normal[d], edges.normal[d]);
+      edges.normal[d] = select(direction == V{}, edges.normal[d], normal[d]);
     }
   };
   add(extent.lower, 1);

@@ -86,8 +86,8 @@ class ExternalFields {
 ///
 /// What is in planes turns a momentum at once, where other fields do so along the flight. So a step of second order
 /// turns by `first`, then by E and B, then by `last` times |v · normal| before over that now: a flight gets more of
-/// what it crosses slowly. It shifts x by -q/(γm) v × moment (to - from), since the drift has the new velocity from the
-/// plane on.
+/// what it crosses slowly. It shifts x by minus the change of v times when that was, since the drift has the new
+/// velocity from the plane on.
 ///
 /// Where `ends` is 0, both halves of a flight from -t to t may take its mean, which is that at x.
 template <class V>

@@ -19,12 +19,13 @@ struct Edges {
   bool crossed = false;  ///< whether any flight gets something in a plane; if not, the rest has no values
 
   Vector3<V> first, last;  ///< T; in planes where a flight enters a field, and where it leaves it
-  Vector3<V> moment;       ///< T s: the means of τ B, of both
-  Vector3<V> normal;       ///< of the planes of `last`
+  V entered, left;         ///< s, when
+  Vector3<V> normal;       ///< of these planes
 
   void begin() {
     if (crossed) return;
-    first = last = moment = {};
+    first = last = {};
+    entered = left = V{};
     normal = {V{}, V{}, V{} + 1};
     crossed = true;
   }

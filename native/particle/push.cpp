@@ -55,6 +55,29 @@ inline Vector3<V> act(Group<V>& on, Vector3<V> const& e, Vector3<V> const& b, Mo
   return between;
 }
 
+inline Lanes or_one(Lanes const& divisor) { return select(divisor == 0, 1 + Lanes{}, divisor); }
+
+/// The passage of a plane with this unit normal and a mean B there over `time`, `when` (s) from now, for what arrived
+/// with velocity `v`.
+///
+/// Along the normal dp/dn = q v × B / v_n: B along it turns p about it, and B in the plane gives the impulse
+/// q v_n n × B, which does not depend on how p changes meanwhile; |p| stays. A solenoid's edge so keeps the canonical
+/// angular momentum. The place is shifted so that the change counts from the plane on.
+inline void pass(Group<Lanes>& on, Pusher pusher, Components const& b, Components const& normal, Components const& v,
+                 Real time, Lanes const& when) {
+  Components const before = on.p;
+  Lanes const way = time * dot(v, normal), now = dot(on.velocity(), normal), slower = way / or_one(now);
+  Lanes const along = dot(b, normal);
+  on.turn(pusher, scaled(along, normal), select(slower < 0, 0 - slower, slower));
+  Components const impulse = scaled(on.charge * way, cross(normal, b));
+  Lanes const gained = 2 * dot(on.p, impulse) + dot(impulse, impulse), p_n = dot(on.p, normal);
+  Lanes const left = 1 - gained / or_one(p_n * p_n);
+  Lanes const change = select(gained == 0, Lanes{}, p_n * (square_root(select(left < 0, Lanes{}, left)) - 1));
+  for (int d = 0; d < 3; ++d) on.p[d] += impulse[d] + change * normal[d];
+  Lanes const shift = when * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
+  for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - shift * (on.p[d] - before[d]);
+}
+
 /// One of the parts, in fields of elements that may end on the way. What these have in the planes where they begin and
 /// end acts first and last.
 inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real time, bool is_before,
@@ -64,27 +87,11 @@ inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real 
   Components const arriving = on.velocity();
   Real const from = is_before ? -time : 0, to = is_before ? 0 : time;
   add_mean_field(*motion.external, Flight<Lanes>{on.x, arriving, motion.time, from, to}, e, b, edges);
-  Lanes const whole = time + Lanes{};
-  if (edges.crossed) on.turn(motion.pusher, edges.first, whole);
+  if (edges.crossed) pass(on, motion.pusher, edges.first, edges.normal, arriving, time, edges.entered);
   if (is_before) on.kick(e, time);
-  on.turn(motion.pusher, b, whole);
+  on.turn(motion.pusher, b, time + Lanes{});
   if (!is_before) on.kick(e, time);
-  if (!edges.crossed) return;
-  Components const leaving = on.velocity();
-  Lanes const now = dot(leaving, edges.normal),
-              ratio = dot(arriving, edges.normal) / select(now == 0, 1 + Lanes{}, now);
-  Lanes const slower = select(ratio < 0, 0 - ratio, ratio);
-  on.turn(motion.pusher, edges.last, slower * time);
-  Components const shift = cross(arriving, edges.moment);
-  Lanes const scale = on.charge * on.inverse_mass * time * inverse_gamma(on.p, on.per_mc);
-  for (int d = 0; d < 3; ++d) on.x[d] = on.x[d] - scale * shift[d];
-}
-
-/// Those of `yes` where `which` is positive, else those of `no`.
-inline Components where(Lanes const& which, Components const& yes, Components const& no) {
-  Components out;
-  for (int d = 0; d < 3; ++d) out[d] = select(which > 0, yes[d], no[d]);
-  return out;
+  if (edges.crossed) pass(on, motion.pusher, edges.last, edges.normal, arriving, time, edges.left);
 }
 
 /// Both of them. Return the momenta between.
@@ -110,6 +117,13 @@ inline Components high(Vector3<LanePair> const& of) { return {of[0].high, of[1].
 struct Moving {
   Components between, p, x;
 };
+
+/// Those of `yes` where `which` is positive, else those of `no`.
+inline Components where(Lanes const& which, Components const& yes, Components const& no) {
+  Components out;
+  for (int d = 0; d < 3; ++d) out[d] = select(which > 0, yes[d], no[d]);
+  return out;
+}
 
 /// Moves particles that feel a field of the mesh.
 struct Mover {

@@ -489,12 +489,14 @@ def rotated(v: np.ndarray, B: np.ndarray, duration: float) -> np.ndarray:
 
 def half_kick(fields: ExternalFields, x: np.ndarray, v: np.ndarray, start: float, stop: float) -> tuple[Any, Any]:
     """What a half step does to places and velocities: planes where the flight enters, inside, planes where it leaves."""
-    first, last, moment, normal, _ = fields.edges(x, v, start, stop)
+    first, last, when, normal, _ = fields.edges(x, v, start, stop)
     inside = fields.means(x, v, 0.0, start, stop)[1] - first - last
     duration = stop - start
-    now = rotated(rotated(v, first, duration), inside, duration)
+    entered = rotated(v, first, duration)
+    now = rotated(entered, inside, duration)
     slower = np.abs((v * normal).sum(axis=1) / (now * normal).sum(axis=1))[:, None]
-    return x - np.cross(v, moment) * duration, rotated(now, slower * last, duration)
+    left = rotated(now, slower * last, duration)
+    return x - (entered - v) * when[:, :1] - (left - now) * when[:, 1:2], left
 
 
 def leapfrog(fields: ExternalFields, x: np.ndarray, v: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:

@@ -124,7 +124,7 @@ class ExternalFields:
 def native_element(element: Element) -> _native.ExternalElement:
     """Return an element as the kernels take it."""
     return _native.ExternalElement(
-        element.centre, axes(element.direction, element.roll), extent(element), kind(element)
+        element.centre, axes(element.direction, element.roll), extent(element), kind(element), slopes(element)
     )
 
 
@@ -151,9 +151,22 @@ def extent(element: Element) -> tuple[float, float]:
     if isinstance(element, MapElement) or (isinstance(element, SolenoidElement) and element.fringe == "sheet"):
         return EVERYWHERE
     half = element.length / 2  # type: ignore[attr-defined]
-    if isinstance(element, FringedElement) and element.gap is not None:
-        half += enge_reach(element.coefficients) * element.gap
-    return (-half, half)
+    if not isinstance(element, FringedElement) or element.gap is None:
+        return (-half, half)
+    fringe = enge_reach(element.coefficients) * element.gap
+    entrance, exit = faces(element)
+    return (-half - fringe / math.cos(entrance), half + fringe / math.cos(exit))
+
+
+def slopes(element: Element) -> tuple[float, float]:
+    """Return by how much the planes at both ends of an element rise along its z, per x."""
+    entrance, exit = faces(element)
+    return (math.tan(entrance), -math.tan(exit))
+
+
+def faces(element: Element) -> tuple[float, float]:
+    """Return the angles of the pole faces of an element in rad."""
+    return (element.entrance_angle, element.exit_angle) if isinstance(element, DipoleElement) else (0.0, 0.0)
 
 
 @singledispatch
@@ -180,7 +193,7 @@ def _(element: QuadrupoleElement) -> Kind:
 
 @kind.register
 def _(element: DipoleElement) -> Kind:
-    return _native.DipoleField(element.field, element.length / 2, fringe(element))
+    return _native.DipoleField(element.field, element.length / 2, fringe(element), faces(element))
 
 
 @kind.register

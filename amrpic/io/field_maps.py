@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .writer_ranks import one_line
+from .openpmd_files import base, opened, text
 
 Array = NDArray[np.float64]
 DIMENSION = {"E": (1, 1, -3, -1, 0, 0, 0), "B": (0, 1, -2, -1, 0, 0, 0)}  # m, kg, s, A, K, mol, cd
@@ -34,19 +34,10 @@ class FieldMap:
 def read(file: str | Path, iteration: int | None = None) -> FieldMap:
     """Return the fields of a file. Raises InputError, naming what is wrong with it."""
     path = Path(file)
-    try:
-        with h5py.File(path, "r", locking=False) as h5:
-            meshes = _meshes(path, h5, iteration)
-            fields = {name: _read_mesh(path, meshes[name], name) for name in DIMENSION if name in meshes}
-            found = ", ".join(meshes) or "nothing"
-    except FileNotFoundError:
-        raise InputError(
-            f"field map {path} does not exist; correct the path (relative ones start at the scene file)"
-        ) from None
-    except (OSError, KeyError, TypeError, ValueError) as reason:
-        raise InputError(
-            f"field map {path} cannot be read as openPMD ({one_line(reason)}); write it anew by the standard 1.1"
-        ) from None
+    with opened(path, "field map", "write it anew by the standard 1.1") as h5:
+        meshes = h5[base(h5, f"field map {path}", iteration) + text(h5.attrs["meshesPath"])]
+        fields = {name: _read_mesh(path, meshes[name], name) for name in DIMENSION if name in meshes}
+        found = ", ".join(meshes) or "nothing"
     if not fields:
         raise InputError(f"field map {path} holds {found} where E or B were expected; name the records E and B")
     return _joined(path, list(fields.values()))
@@ -73,21 +64,8 @@ def _shape(field: FieldMap) -> tuple[int, ...]:
     return values.shape[:-1]
 
 
-def _meshes(path: Path, h5: h5py.File, iteration: int | None) -> h5py.Group:
-    """Return the group of meshes that is meant."""
-    base = _text(h5.attrs["basePath"])
-    if "%T" in base:
-        before, after = base.split("%T")
-        names = [name for name in h5[before] if iteration is None or int(name) == iteration]
-        if len(names) != 1:
-            what = f"no iteration {iteration}" if iteration is not None else f"{len(names)} iterations"
-            raise InputError(f"field map {path} holds {what}; set iteration to one of {', '.join(h5[before])}")
-        base = before + names[0] + after
-    return h5[base + _text(h5.attrs["meshesPath"])]
-
-
 def _read_mesh(path: Path, mesh: h5py.Group, name: str) -> FieldMap:
-    geometry = _text(mesh.attrs["geometry"])
+    geometry = text(mesh.attrs["geometry"])
     where = f"record {name} of field map {path}"
     if geometry not in COMPONENTS:
         raise InputError(f'{where} has the geometry "{geometry}"; write it as cartesian or thetaMode')
@@ -128,7 +106,7 @@ def _component(component: h5py.Dataset | h5py.Group, geometry: str) -> tuple[Arr
     )
     if geometry == "thetaMode" and values.ndim == 3:
         values = values[0]
-    if _text(component.parent.attrs.get("dataOrder", "C")) == "F":
+    if text(component.parent.attrs.get("dataOrder", "C")) == "F":
         values = values.T
     place = np.asarray(attributes.get("position", np.zeros(values.ndim)), dtype=float)
     return np.asarray(values, dtype=float) * float(attributes.get("unitSI", 1.0)), place
@@ -174,9 +152,5 @@ def _require_finite(where: str, values: Array) -> None:
         )
 
 
-def _text(value: Any) -> str:
-    return value.decode() if isinstance(value, bytes) else str(value)
-
-
 def _texts(values: Any) -> list[str]:
-    return [_text(value) for value in np.atleast_1d(values)]
+    return [text(value) for value in np.atleast_1d(values)]

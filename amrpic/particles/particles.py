@@ -135,6 +135,13 @@ class Particles:
             return self
         return self.replace(window.places(self.position), window.to_laboratory(self.momentum))
 
+    def read_only(self) -> Particles:
+        """The same particles, through arrays that cannot be written to."""
+        views = [array.view() for array in self.arrays]
+        for view in views:
+            view.flags.writeable = False
+        return Particles(*views, self.species, self.sorting)
+
     @property
     def equal_weights(self) -> bool:
         """Whether the weights are one number that is repeated."""

@@ -26,7 +26,7 @@ class Staggered:
     """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions.
 
     Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2. Without a magnetic
-    field or elements those of the state's time are the mean of both; with them they are kept, as `between`.
+    field, elements or fields from Python those of the state's time are the mean of both; with them they are kept, as `between`.
     """
 
     moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted; from the origin of the next window
@@ -51,7 +51,7 @@ def kick_and_drift(
     solution: Solution, particles: Particles, lag: float, time: float, course: Course, plan: Plan
 ) -> Staggered:
     """Return where particles go whose momenta lag positions by `lag` s, at `time` s. Collective."""
-    by_e_alone = solution.frame == LABORATORY and not plan.scene.elements
+    by_e_alone = solution.frame == LABORATORY and not plan.scene.elements and not plan.fields
     between = None if by_e_alone else empty_columns(len(particles))
     motion = plan.scene.motion
     assert isinstance(motion, Leapfrog)
@@ -86,7 +86,7 @@ def _push(
 ) -> Particles:
     motion, frame = plan.scene.motion, solution.frame
     assert isinstance(motion, Leapfrog)
-    walls = plan.wall_field(solution)
+    electric, magnetic = _added(solution, particles, plan, time)
     return push(
         solution.efield,
         particles,
@@ -96,9 +96,22 @@ def _push(
         plan.clouds,
         pusher=motion.pusher,
         beta=frame.beta,
-        electric=None if walls is None else gather(walls, particles, plan.clouds),
+        electric=electric,
+        magnetic=magnetic,
         between=between,
         external=external,
         time=time,
         shift=shift,
     )
+
+
+def _added(
+    solution: Solution, particles: Particles, plan: Plan, time: float
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Return E and B at the particles, (n, 3), of walls and of functions, or None where there are none. Collective."""
+    walls = plan.wall_field(solution)
+    electric = None if walls is None else gather(walls, particles, plan.clouds)
+    if not plan.fields:
+        return electric, None
+    given, magnetic = plan.fields.at(particles, time)
+    return given if electric is None else electric + given, magnetic

@@ -63,16 +63,16 @@ struct Sums {
 
 /// Add what the planes at both ends of a field give to flights that cross them.
 template <class V, class Of, class Turn>
-void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Segment<V> const& segment,
+void add_edges(Of const& of, Slab const& extent, Flight<V> const& flight, Segment<V> const& segment,
                Turn const& to_laboratory, Edges<V>& edges) {
-  auto const add = [&](Real plane, Real sign) {
+  auto const add = [&](Plane const& plane, Real sign) {
     V const direction = direction_across(plane, segment);
     if (all(direction == V{})) return;
-    V const density = direction / segment.dz();                                // the mean of δ(z - plane)
-    V const share = clamped((plane - segment.start[2]) / segment.dz(), 0, 1);  // of the segment before the plane
+    V const density = direction / segment.rise(plane);  // the mean of δ(height - place)
+    V const share = clamped(segment.share_before(plane), 0, 1);
     V const tau = flight.from + share * (flight.to - flight.from);
-    auto const B = to_laboratory(scaled<V>(sign * density, edge_field<V>(of, segment.point(share))));
-    auto const normal = to_laboratory({V{}, V{}, V{} + 1});
+    auto const B = to_laboratory(scaled<V>(sign * density, edge_field<V>(of, plane, segment.point(share))));
+    auto const normal = to_laboratory({V{} - plane.slope, V{}, V{} + 1});
     auto const enters = sign * direction > V{}, leaves = sign * direction < V{};
     edges.begin();
     for (std::size_t d = 0; d < 3; ++d) {
@@ -88,14 +88,13 @@ void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Se
 
 /// Add the mean of one field along a flight in its own axes.
 template <class V, class Of, class Turn>
-void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn const& to_laboratory,
-             Sums<V> const& to) {
+void add_one(Of const& of, Slab const& extent, Flight<V> const& flight, Turn const& to_laboratory, Sums<V> const& to) {
   auto const add = [&](Fields<V> const& mean) {
     if (of.electric()) to.E = sum(to.E, to_laboratory(mean.E));
     if (of.magnetic()) to.B = sum(to.B, to_laboratory(mean.B));
   };
   if (!of.is_hard() || extent.everywhere()) {
-    auto const here = contains(extent, flight.x[2]);
+    auto const here = contains(extent, flight.x);
     if (!any(here)) return;
     auto mean = field(of, flight.x, flight.time);
     for (std::size_t d = 0; d < 3; ++d)
@@ -118,8 +117,10 @@ void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn
 Interval external::laboratory_extent(Element const& element) {
   Frame const& frame = element.frame;
   Real const along = frame.axis[2][2], z = frame.origin[2];
-  if (std::abs(along) != 1) return {-infinity, infinity};  // a tilted slab passes every z somewhere
-  auto const [lower, upper] = along > 0 ? element.extent : Interval{-element.extent.upper, -element.extent.lower};
+  auto const [first, last] = element.extent;
+  bool const across = std::abs(along) == 1 && first.slope == 0 && last.slope == 0;
+  if (!across) return {-infinity, infinity};  // a tilted plane passes every z somewhere
+  auto const [lower, upper] = along > 0 ? Interval{first.place, last.place} : Interval{-last.place, -first.place};
   auto const rounding = [=](Real end) { return 1e-14 * (std::abs(z) + std::abs(end)); };  // of places in either axes
   return {z + lower - rounding(lower), z + upper + rounding(upper)};
 }

@@ -133,7 +133,11 @@ void bind_external(nb::module_& m) {
       .def(
           "__init__",
           [](Dipole* self, Real field, Real half, Enge const& fringe, std::array<Real, 2> angle) {
-            new (self) Dipole{field, half, fringe, angle};
+            new (self) Dipole{field,
+                              half,
+                              fringe,
+                              {std::sin(angle[0]), std::sin(angle[1])},
+                              {std::cos(angle[0]), std::cos(angle[1])}};
           },
           "field"_a, "half"_a, "fringe"_a, "angle"_a = std::array<Real, 2>{});
   nb::class_<Solenoid>(m, "SolenoidField")

@@ -69,7 +69,7 @@ struct Dipole {
   Real B0;    ///< T
   Real half;  ///< length, m
   Enge fringe;
-  std::array<Real, 2> angle{};  ///< of the faces where z is lowest and highest, rad
+  std::array<Real, 2> sine{}, cosine{1, 1};  ///< of the angles of the faces where z is lowest and highest
   static constexpr bool has_edges = true;
   bool is_hard() const { return fringe.hard(); }
   static constexpr bool electric() { return false; }
@@ -79,8 +79,7 @@ struct Dipole {
 template <class V>
 Fields<V> between_turned_faces(Dipole const& of, Vector3<V> const& at) {
   auto const& [x, y, z] = at;
-  Real const sine[] = {std::sin(of.angle[0]), std::sin(of.angle[1])},
-             cosine[] = {std::cos(of.angle[0]), std::cos(of.angle[1])};
+  auto const &sine = of.sine, &cosine = of.cosine;
   auto const in = fall_off<V>(of.fringe, sine[0] * x - cosine[0] * (z + of.half)),
              out = fall_off<V>(of.fringe, sine[1] * x + cosine[1] * (z - of.half));
   // of the product: Δf, and ∇f and ∇Δf along the two normals (sine, 0, ∓cosine), of which twice the product is `cross`
@@ -100,7 +99,7 @@ template <class V>
 Fields<V> field(Dipole const& of, Vector3<V> const& at, Real) {
   if (of.is_hard()) return {{}, {V{}, V{} + of.B0, V{}}};
   V const y = at[1], yy = y * y;
-  if (of.angle != std::array<Real, 2>{}) return between_turned_faces(of, at);
+  if (of.sine != std::array<Real, 2>{}) return between_turned_faces(of, at);
   auto const f = profile<V>(of.fringe, of.half, at[2]);
   return {{}, {V{}, of.B0 * (f.value - f.second * yy / 2), of.B0 * y * (f.first - f.third * yy / 6)}};
 }

@@ -58,9 +58,7 @@ def when(file: str | Path) -> tuple[int, float]:
 
 def _opened(path: Path) -> contextlib.AbstractContextManager[h5py.File]:
     """Open a file for a while; what goes wrong becomes InputError."""
-    return opened(
-        path, "particle file", "write it anew, for instance by ParticleGroup.write of openpmd-beamphysics"
-    )
+    return opened(path, "particle file", "write it anew, for instance by ParticleGroup.write of openpmd-beamphysics")
 
 
 def _find(path: Path, h5: h5py.File, iteration: int | None, group: str | None) -> h5py.Group:

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from ..errors import InputError
+from ..mesh.window import Window
 from ..parallel import call_together
 from ..particles.arrays import empty_columns
 from ..particles.particles import Particles
@@ -22,8 +23,8 @@ class FieldFunctions:
     """Functions (x, y, z, t) -> (E, B) whose fields add.
 
     x, y, z (n,) in m are the places of this rank's particles, read-only, and t in s is their time. E in V/m and B in T have three
-    components each, along x, y, z, each an array (n,) or one number. A function is called on all ranks, also for n = 0, once per
-    step, and may communicate.
+    components each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks,
+    also for n = 0, once per step, and may communicate.
     """
 
     def __init__(self, comm: MPI.Comm, functions: Sequence[FieldFunction]) -> None:
@@ -41,12 +42,12 @@ class FieldFunctions:
         """What the functions are called."""
         return [str(getattr(function, "__name__", type(function).__name__)) for function in self._functions]
 
-    def at(self, particles: Particles, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return E in V/m and B in T, (n, 3), at the particles, at `time` in s. Collective.
+    def at(self, particles: Particles, time: float, window: Window) -> tuple[np.ndarray, np.ndarray]:
+        """Return E in V/m and B in T, (n, 3), at the particles of a window and along its axes, at `time` in s. Collective.
 
         InputError on all ranks if a function fails, or returns other shapes or numbers that are not finite.
         """
-        places = particles.position.view()
+        places = window.places(particles.position)
         places.flags.writeable = False
         fields = [empty_columns(len(particles)) for _ in range(2)]
         for field in fields:
@@ -57,7 +58,7 @@ class FieldFunctions:
             if not isinstance(given, tuple | list | np.ndarray) or len(given) != 2:
                 raise ValueError(f"it returns {_shapes(given)}; return two, E and B")
             for name, field, components in zip("EB", fields, given, strict=True):
-                field += _columns(name, components, places)
+                field += window.from_laboratory(_columns(name, components, places))
 
         for number, (function, name) in enumerate(zip(self._functions, self.names, strict=True)):
             what = f'fields[{number}], "{name}", failed at t = {time:g} s'

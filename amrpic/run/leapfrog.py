@@ -57,8 +57,9 @@ def kick_and_drift(
     assert isinstance(motion, Leapfrog)
     then = course.after(plan.dt, time, plan.external, motion.pusher)
     external = plan.external.seen_from(course.window).native if plan.scene.elements else None
+    given = plan.fields.at(particles, time, course.window) if plan.fields else None
     shift = course.window.shift_to(then.window)
-    moved = _push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, external, time, shift)
+    moved = _push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, external, given, time, shift)
     return Staggered(moved, then, lag, between)
 
 
@@ -81,12 +82,17 @@ def _push(
     plan: Plan,
     between: np.ndarray | None = None,
     external: _native.ExternalFields | None = None,
+    given: tuple[np.ndarray, np.ndarray] | None = None,
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
     motion, frame = plan.scene.motion, solution.frame
     assert isinstance(motion, Leapfrog)
-    electric, magnetic = _added(solution, particles, plan, time)
+    walls = plan.wall_field(solution)
+    electric, magnetic = given if given is not None else (None, None)
+    if walls is not None:
+        of_walls = gather(walls, particles, plan.clouds)
+        electric = of_walls if electric is None else electric + of_walls
     return push(
         solution.efield,
         particles,
@@ -103,15 +109,3 @@ def _push(
         time=time,
         shift=shift,
     )
-
-
-def _added(
-    solution: Solution, particles: Particles, plan: Plan, time: float
-) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return E and B at the particles, (n, 3), of walls and of functions, or None where there are none. Collective."""
-    walls = plan.wall_field(solution)
-    electric = None if walls is None else gather(walls, particles, plan.clouds)
-    if not plan.fields:
-        return electric, None
-    given, magnetic = plan.fields.at(particles, time)
-    return given if electric is None else electric + given, magnetic

@@ -42,8 +42,9 @@ class Simulation:
         """`fields` are external fields, added to those of the scene's elements: functions (x, y, z, t) -> (E, B).
 
         x, y, z (n,) in m are the places of a rank's particles, t in s is their time. E in V/m and B in T have three components
-        each, along x, y, z, each an array (n,) or one number. A function is called on all ranks, also for n = 0, and may
-        communicate. Raises InputError on all ranks if one fails or gives something else.
+        each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks, also
+        for n = 0, and may communicate. A window follows the elements alone. Raises InputError on all ranks if a function fails
+        or gives something else.
         """
         plan = Plan(comm, scene, fields)
         self._hold(plan, begin(plan))
@@ -79,7 +80,7 @@ class Simulation:
     def kick(self, change: ArrayLike) -> None:
         """Change the momenta of this rank's particles by `change`, (n, 3) in kg m/s, in the order of `particles`. Collective.
 
-        It acts at the time of the present positions, before the next step, and is part of what this step writes if called
+        It is along the axes of the mesh, as their momenta are, and acts at the time of the present positions, before the next step, and is part of what this step writes if called
         from `on_step`. Raises InputError on all ranks if the shape is another one, or a number not finite.
         """
         now = kicked(self.state, self._plan)
@@ -126,7 +127,8 @@ class Simulation:
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
-        checkpoint_writer.write(self.comm, Path(path), snapshot(state, self.scene, self._plan.fields.names), self.scene.output.writers)
+        content = snapshot(state, self.scene, self._plan.fields.names)
+        checkpoint_writer.write(self.comm, Path(path), content, self.scene.output.writers)
 
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others, along the axes of the laboratory. Collective; OutputError on all ranks."""

@@ -92,7 +92,9 @@ def with_momenta(state: State, momentum: np.ndarray, plan: Plan) -> State:
     particles = state.particles.replace(momentum=momentum)
     if state.staggered is None:
         return replace(state, particles=particles)
-    out = state_of(plan, particles, state.solution, state.lost, state.course, state.step, state.time, regridded=state.regridded)
+    out = state_of(
+        plan, particles, state.solution, state.lost, state.course, state.step, state.time, regridded=state.regridded
+    )
     spent = {stage: state.spent.get(stage, Spent()) + more for stage, more in out.spent.items()}
     return replace(out, spent={**state.spent, **spent})
 

@@ -52,7 +52,12 @@ HARD: dict[str, Element] = {
 }
 TURNED = DipoleElement(kind="dipole", length=0.2, field=0.8, entrance_angle=0.6, exit_angle=-0.4)
 CAVITY = CavityElement(kind="cavity", length=0.2, field=2e6, frequency=1.3e9, phase=0.3)
-EVERY = {**SMOOTH, **{f"hard {key}": element for key, element in HARD.items()}, "cavity": CAVITY, "hard turned dipole": TURNED}
+EVERY = {
+    **SMOOTH,
+    **{f"hard {key}": element for key, element in HARD.items()},
+    "cavity": CAVITY,
+    "hard turned dipole": TURNED,
+}
 
 
 def moved(element: Element, **changes: Any) -> Any:

@@ -143,6 +143,32 @@ def test_kicks_act_at_the_time_of_positions(comm):
     assert np.abs(found["momentum"] - p).max() < 1e-12 * BETA_GAMMA * MC
 
 
+def lens_in_laboratory(run: amrpic.Simulation) -> None:
+    if run.step % 3 == 0:
+        places = run.window.places(run.particles.position)
+        run.kick(run.window.from_laboratory(-0.4 * BETA_GAMMA * MC * places * (1, 1, 0)))
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_fields_and_kicks_are_the_same_in_a_window_that_turns(comm):
+    bend = {"kind": "dipole", "length": "0.1 m", "field": "0.5 T"}
+    window = {
+        "motion": {"kind": "leapfrog", "dt": DT, "window": "reference"},
+        "domain": {"lower": ["-4 cm", "-4 cm", "-14 cm"], "upper": ["4 cm", "4 cm", "-6 cm"], "cells": 8},
+    }
+    reference = {"position": [0, 0, -0.1], "momentum": [0, 0, BETA_GAMMA * MC]}
+    window["motion"]["reference"] = reference
+    found, should = [], []
+    for into, given in ((found, scene([bend], 40, **window)), (should, scene([bend], 40))):
+        run = amrpic.Simulation(comm, given, fields=[wave])
+        run.on_step(lens_in_laboratory)
+        whole = ended(run, comm)
+        into += [run.window.places(whole["position"]), run.window.to_laboratory(whole["momentum"])]
+        assert run.window.is_turned == (into is found)
+    for a, b in zip(found, should, strict=True):
+        assert float(np.abs(a - b).max()) < 1e-11 * np.abs(b).max()
+
+
 def test_a_kick_before_the_first_step_is_in_the_first_state(comm):
     run = amrpic.Simulation(comm, scene())
     before = gathered(run, comm)["momentum"]
@@ -245,7 +271,11 @@ def test_mistakes_of_kicks_end_all_ranks_with_a_sentence(comm):
     nan = np.zeros((len(before), 3))
     if len(before):
         nan[-1, 1] = np.nan
-    for change, words in ((0.0, "has shape () for"), (np.zeros((3, 61)), "has shape (3, 61)"), (nan, "[0.0, nan, 0.0] kg m/s")):
+    for change, words in (
+        (0.0, "has shape () for"),
+        (np.zeros((3, 61)), "has shape (3, 61)"),
+        (nan, "[0.0, nan, 0.0] kg m/s"),
+    ):
         with pytest.raises(InputError) as refused:
             run.kick(change)
         assert words in str(refused.value)

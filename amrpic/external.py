@@ -248,10 +248,8 @@ def map_field(given: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0
 
 
 def nodes_through_axis(given: field_maps.FieldMap) -> int:
-    """Return how many nodes beyond the axis those of a map determine by symmetry, if its first one is on the axis, or half
-    a spacing away."""
-    offset = given.lower[0] / given.spacing[0]
-    return next((nodes for nodes, place in ((1, 0.0), (2, 0.5)) if abs(offset - place) < 1e-6), 0)
+    """Return how many nodes beyond the axis those of a map determine by symmetry: its first one is on it, or half a spacing away."""
+    return 1 if given.lower[0] < given.spacing[0] / 4 else 2
 
 
 def padded(values: Array, mirrored: int) -> Array:

@@ -48,6 +48,14 @@ def without(element: dict[str, Any], *keys: str, **more: Any) -> dict[str, Any]:
     return {key: value for key, value in element.items() if key not in keys} | more
 
 
+def test_pole_faces_have_units_and_bounds():
+    dipole = {"kind": "dipole", "length": 0.1, "field": 1.0}
+    given = scene({**dipole, "entrance_angle": "10 deg", "exit_angle": -0.2}, motion={"kind": "leapfrog", "dt": 1e-12})
+    assert (given.elements[0].entrance_angle, given.elements[0].exit_angle) == pytest.approx((math.pi / 18, -0.2))
+    assert "exit_angle" in refusal({**dipole, "exit_angle": "90 deg"})
+    assert "entrance_angle" in refusal({**without(QUADRUPOLE), "entrance_angle": 0.1})
+
+
 def test_elements_of_a_toml_file(tmp_path):
     file = tmp_path / "line.toml"
     file.write_text(

@@ -248,7 +248,7 @@ def map_field(given: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0
 
 
 def nodes_through_axis(given: field_maps.FieldMap) -> int:
-    """Return how many nodes beyond the axis those of a map determine by symmetry: its first one is on it, or half a spacing away."""
+    """Return how many nodes beyond the axis those of a map determine by symmetry: its first is on it or half a spacing off."""
     return 1 if given.lower[0] < given.spacing[0] / 4 else 2
 
 

@@ -137,10 +137,10 @@ class Particles:
 
     def read_only(self) -> Particles:
         """The same particles, through arrays that cannot be written to."""
-        views = [array.view() for array in self.arrays]
+        position, momentum, weight, number = views = [array.view() for array in self.arrays]
         for view in views:
             view.flags.writeable = False
-        return Particles(*views, self.species, self.sorting)
+        return Particles(position, momentum, weight, number, self.species, self.sorting)
 
     @property
     def equal_weights(self) -> bool:

@@ -22,9 +22,9 @@ FieldFunction = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[Comp
 class FieldFunctions:
     """Functions (x, y, z, t) -> (E, B) whose fields add.
 
-    x, y, z (n,) in m are the places of this rank's particles, read-only, and t in s is their time. E in V/m and B in T have three
-    components each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks,
-    also for n = 0, once per step, and may communicate.
+    x, y, z (n,) in m are the places of this rank's particles, read-only, and t in s is their time. E in V/m and B in T have
+    three components each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on
+    all ranks, also for n = 0, once per step, and may communicate.
     """
 
     def __init__(self, comm: MPI.Comm, functions: Sequence[FieldFunction]) -> None:
@@ -54,7 +54,8 @@ class FieldFunctions:
             field[...] = 0
 
         def add(function: FieldFunction) -> None:
-            given = function(*places.T, time)
+            x, y, z = places.T
+            given = function(x, y, z, time)
             if not isinstance(given, tuple | list | np.ndarray) or len(given) != 2:
                 raise ValueError(f"it returns {_shapes(given)}; return two, E and B")
             for name, field, components in zip("EB", fields, given, strict=True):

@@ -42,8 +42,8 @@ def about(scene: Scene) -> Provenance:
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
 
 
-def snapshot(state: State, scene: Scene, fields: Sequence[str] = ()) -> Snapshot:
-    """Return the whole state as a checkpoint takes it: arrays shared, not copied; `fields` names those from Python."""
+def snapshot(state: State, scene: Scene, functions: Sequence[str] = ()) -> Snapshot:
+    """Return the whole state as a checkpoint takes it: arrays shared, not copied; `functions` names fields from Python."""
     hierarchy, particles, report = state.hierarchy, state.particles, state.report
     header = Header(
         step=state.step,
@@ -58,7 +58,7 @@ def snapshot(state: State, scene: Scene, fields: Sequence[str] = ()) -> Snapshot
             "report": vars(report),
             "frame": vars(state.solution.frame),
             "course": state.course.to_dict(),
-            "fields": list(fields),
+            "fields": list(functions),
         },
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}

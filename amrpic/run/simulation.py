@@ -42,9 +42,9 @@ class Simulation:
         """`fields` are external fields, added to those of the scene's elements: functions (x, y, z, t) -> (E, B).
 
         x, y, z (n,) in m are the places of a rank's particles, t in s is their time. E in V/m and B in T have three components
-        each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks, also
-        for n = 0, and may communicate. A window follows the elements alone. Raises InputError on all ranks if a function fails
-        or gives something else.
+        each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks,
+        also for n = 0, and may communicate. A window follows the elements alone. Raises InputError on all ranks if a function
+        fails or gives something else.
         """
         plan = Plan(comm, scene, fields)
         self._hold(plan, begin(plan))
@@ -74,14 +74,15 @@ class Simulation:
         return run
 
     def on_step(self, callback: Callable[[Simulation], None]) -> None:
-        """Have `callback` called with this simulation after each step, on all ranks, before outputs of that step are written."""
+        """Have `callback` called with this simulation after each step, on all ranks, before that step is written."""
         self._callbacks.append(callback)
 
     def kick(self, change: ArrayLike) -> None:
         """Change the momenta of this rank's particles by `change`, (n, 3) in kg m/s, in the order of `particles`. Collective.
 
-        It is along the axes of the mesh, as their momenta are, and acts at the time of the present positions, before the next step, and is part of what this step writes if called
-        from `on_step`. Raises InputError on all ranks if the shape is another one, or a number not finite.
+        It is along the axes of the mesh, as their momenta are. It acts at the time of the present positions, before the next
+        step, and is part of what this step writes if called from `on_step`. Raises InputError on all ranks if the shape is
+        another one, or a number not finite.
         """
         now = kicked(self.state, self._plan)
         with together(self.comm, InputError):
@@ -212,7 +213,7 @@ def _momenta(change: ArrayLike, count: int, step: int) -> np.ndarray:
         )
     if bad := np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist():
         raise InputError(
-            f"a kick at step {step} is {values[bad[0]].tolist()} kg m/s for particle {bad[0]} of {count} of a rank; give finite "
-            "numbers"
+            f"a kick at step {step} is {values[bad[0]].tolist()} kg m/s for particle {bad[0]} of {count} of a rank; "
+            "give finite numbers"
         )
     return values

@@ -603,7 +603,7 @@ def test_leapfrog_through_hard_edges_is_of_second_order(name, tilted):
     turned = np.array(axes(tuple(turn.apply([0, 0, 1])), 0.0))
     errors = []
     coarse = 50 if name == "turned dipole" else 25  # steps from which on the order shows
-    for steps in coarse * 2 ** np.arange(5):
+    for steps in (coarse * 2**k for k in range(5)):
         places, velocities = leapfrog(fields, x @ turned, v @ turned, steps)
         errors.append(np.linalg.norm(np.hstack([places @ turned.T, velocities @ turned.T]) - exact, axis=1).mean())
     order = -np.polyfit(np.log(2.0) * np.arange(5), np.log(errors), 1)[0]

@@ -164,7 +164,7 @@ RADIUS, BEND = 1.0, 0.18  # m, rad
 SMALL = 1e-5  # m and rad
 
 
-def sector_matrices(entrance: float, exit: float, before: float, after: float) -> list[np.ndarray]:
+def sector_matrices(entrance: float, exit: float, before: float = 0.1, after: float = 0.05) -> list[np.ndarray]:
     """For x and y: drift, pole face, sector, pole face, drift (K. L. Brown, SLAC-75), angles from the normal of the orbit."""
     c, s = np.cos(BEND), np.sin(BEND)
     sectors = np.array([[[c, RADIUS * s], [-s / RADIUS, c]], [[1, RADIUS * BEND], [0, 1]]])
@@ -216,7 +216,7 @@ def test_a_hard_dipole_with_pole_faces_is_its_transfer_matrix(angles, sign):
     found = (seen[:4] - seen[4:]).T / (2 * SMALL)
     # Mirrored in x, a face is turned the other way.
     expected = np.zeros((4, 4))
-    expected[:2, :2], expected[2:, 2:] = sector_matrices(*(BEND / 2 + sign * np.array(angles)), 0.1, 0.05)
+    expected[:2, :2], expected[2:, 2:] = sector_matrices(BEND / 2 + sign * angles[0], BEND / 2 + sign * angles[1])
     # The orbit's error is of second order in the step, and goes with the place in the step where a face is crossed: that of
     # its derivative by x is of first order.
     assert np.abs(found - expected).max() < 3.5e-4

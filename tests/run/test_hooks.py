@@ -69,7 +69,7 @@ def wave(x: np.ndarray, y: np.ndarray, z: np.ndarray, t: float) -> Fields:
     return (1e5 * np.cos(1e9 * t) + 0 * x, 0, 1e6 * x), (0, 0.05 * np.sin(30 * z), 0)
 
 
-ELEMENTS = {
+ELEMENTS: dict[str, dict[str, Any]] = {
     "uniform": {"kind": "uniform", "electric_field": [2e5, -1e5, 3e5], "magnetic_field": [0.02, 0.01, -0.03]},
     "quadrupole": {"kind": "quadrupole", "length": 10, "gradient": 5, "fringe": "enge", "gap": 0.01},  # taken at points
 }
@@ -152,13 +152,14 @@ def lens_in_laboratory(run: amrpic.Simulation) -> None:
 @pytest.mark.mpi(ranks=(1, 2))
 def test_fields_and_kicks_are_the_same_in_a_window_that_turns(comm):
     bend = {"kind": "dipole", "length": "0.1 m", "field": "0.5 T"}
-    window = {
+    window: dict[str, Any] = {
         "motion": {"kind": "leapfrog", "dt": DT, "window": "reference"},
         "domain": {"lower": ["-4 cm", "-4 cm", "-14 cm"], "upper": ["4 cm", "4 cm", "-6 cm"], "cells": 8},
     }
     reference = {"position": [0, 0, -0.1], "momentum": [0, 0, BETA_GAMMA * MC]}
     window["motion"]["reference"] = reference
-    found, should = [], []
+    found: list[np.ndarray] = []
+    should: list[np.ndarray] = []
     for into, given in ((found, scene([bend], 40, **window)), (should, scene([bend], 40))):
         run = amrpic.Simulation(comm, given, fields=[wave])
         run.on_step(lens_in_laboratory)

@@ -10,7 +10,7 @@ import pytest
 
 from amrpic.errors import SceneError
 from amrpic.external import ExternalFields, axes
-from amrpic.scene.elements import MapElement, enge_reach
+from amrpic.scene.elements import DipoleElement, MapElement, enge_reach
 from amrpic.scene.scene import Scene
 from amrpic.scene.units import to_si
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
@@ -51,7 +51,9 @@ def without(element: dict[str, Any], *keys: str, **more: Any) -> dict[str, Any]:
 def test_pole_faces_have_units_and_bounds():
     dipole = {"kind": "dipole", "length": 0.1, "field": 1.0}
     given = scene({**dipole, "entrance_angle": "10 deg", "exit_angle": -0.2}, motion={"kind": "leapfrog", "dt": 1e-12})
-    assert (given.elements[0].entrance_angle, given.elements[0].exit_angle) == pytest.approx((math.pi / 18, -0.2))
+    [magnet] = given.elements
+    assert isinstance(magnet, DipoleElement)
+    assert (magnet.entrance_angle, magnet.exit_angle) == pytest.approx((math.pi / 18, -0.2))
     assert "exit_angle" in refusal({**dipole, "exit_angle": "90 deg"})
     assert "entrance_angle" in refusal({**without(QUADRUPOLE), "entrance_angle": 0.1})
 

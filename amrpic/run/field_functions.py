@@ -24,7 +24,7 @@ class FieldFunctions:
 
     x, y, z (n,) in m are the places of this rank's particles, read-only, and t in s is their time. E in V/m and B in T have
     three components each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on
-    all ranks, also for n = 0, once per step, and may communicate.
+    all ranks, also for n = 0, once per step and kick, and may communicate.
     """
 
     def __init__(self, comm: MPI.Comm, functions: Sequence[FieldFunction]) -> None:

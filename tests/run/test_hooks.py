@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
+from scipy.integrate import solve_ivp
 
 import amrpic
 from amrpic.errors import InputError
@@ -119,6 +120,28 @@ def test_time_of_a_function_is_that_of_positions(comm):
     assert np.allclose([t for t, _ in times], DT * np.arange(4), rtol=1e-14)
     speed = BETA_GAMMA / np.hypot(1, BETA_GAMMA) * SPEED_OF_LIGHT
     assert np.diff([z for _, z in times]) == pytest.approx(3 * [speed * DT], rel=1e-2)
+
+
+def test_orbits_in_a_field_that_changes_are_those_of_scipy(comm):
+    """At second order in the step."""
+    start = gathered(amrpic.Simulation(comm, scene()), comm)
+
+    def change(t: float, state: np.ndarray) -> np.ndarray:
+        x, u = state.reshape(2, -1, 3)
+        v = SPEED_OF_LIGHT * u / np.sqrt(1 + (u**2).sum(axis=1, keepdims=True))
+        E, B = (np.stack(np.broadcast_arrays(*field), axis=1) for field in wave(*x.T, t))
+        return np.concatenate([v, ELEMENTARY_CHARGE / MC * (E + np.cross(v, B))]).ravel()
+
+    initial = np.concatenate([start["position"], start["momentum"] / MC]).ravel()
+    exact = solve_ivp(change, (0, 20 * DT), initial, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1].reshape(2, -1, 3)
+    errors = []
+    for steps in (20, 40, 80):
+        given = scene(steps=steps, motion={"kind": "leapfrog", "dt": 20 * DT / steps})
+        found = ended(amrpic.Simulation(comm, given, fields=[wave]), comm)
+        off = found["position"] - exact[0], BETA_GAMMA * (found["momentum"] / MC - exact[1])
+        errors.append(float(max(np.abs(values).max() for values in off)))
+    assert np.log2(errors[0] / errors[2]) / 2 > 1.9, errors
+    assert errors[-1] < 1e-6, errors
 
 
 def lens(run: amrpic.Simulation) -> None:

@@ -129,7 +129,7 @@ def test_orbits_in_a_field_that_changes_are_those_of_scipy(comm):
     def change(t: float, state: np.ndarray) -> np.ndarray:
         x, u = state.reshape(2, -1, 3)
         v = SPEED_OF_LIGHT * u / np.sqrt(1 + (u**2).sum(axis=1, keepdims=True))
-        E, B = (np.stack(np.broadcast_arrays(*field), axis=1) for field in wave(*x.T, t))
+        E, B = (np.stack(np.broadcast_arrays(*field), axis=1) for field in wave(x[:, 0], x[:, 1], x[:, 2], t))
         return np.concatenate([v, ELEMENTARY_CHARGE / MC * (E + np.cross(v, B))]).ravel()
 
     initial = np.concatenate([start["position"], start["momentum"] / MC]).ravel()
@@ -230,8 +230,8 @@ def test_a_restart_without_the_fields_gets_a_remark(comm, tmp_path):
     run.checkpoint(tmp_path / "made")
     [remark] = amrpic.Simulation.restart(comm, tmp_path / "made").remarks
     assert remark == (
-        "fields from Python are none, up to the checkpoint uniform, wave; give Simulation.restart the same ones to go on as "
-        "before"
+        "fields from Python are none, and were uniform, wave up to the checkpoint; give Simulation.restart the same ones to go "
+        "on as before"
     )
 
 

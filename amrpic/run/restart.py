@@ -145,8 +145,8 @@ def _remarks_on_fields(names: Sequence[str], before: Sequence[str]) -> list[str]
         return []
     now, then = (", ".join(given) or "none" for given in (names, before))
     return [
-        f"fields from Python are {now}, and were {then} up to the checkpoint; give Simulation.restart the same ones to go on as "
-        "before"
+        f"fields from Python are {now}, and were {then} up to the checkpoint; give Simulation.restart the same ones to go on "
+        "as before"
     ]
 
 

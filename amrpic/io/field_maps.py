@@ -72,7 +72,11 @@ def _read_mesh(path: Path, mesh: h5py.Group, name: str) -> FieldMap:
         raise InputError(f'{where} has the geometry "{geometry}"; write it as cartesian or thetaMode')
     _require_dimension(where, mesh, DIMENSION[name])
     _require_axes(where, mesh, AXES[geometry])
-    read = {key: _component(f"{where}/{key}", mesh[key], geometry) for key in COMPONENTS[geometry] if key in mesh}
+    read = {
+        key: _component(f"component {key} of {where}", mesh[key], geometry)
+        for key in COMPONENTS[geometry]
+        if key in mesh
+    }
     if not read:
         found = ", ".join(mesh) or "no components"
         raise InputError(f"{where} holds {found}; write the components {', '.join(COMPONENTS[geometry])}")

@@ -206,7 +206,11 @@ ON_AXIS = {**T, "gridSpacing": np.array([0.1, 0.1]), "gridGlobalOffset": np.arra
             "begins at r = 0.025 m with nodes 0.1 m",
         ),
         ({"E": {"z": R}}, {**ON_AXIS, "gridGlobalOffset": np.array([-0.1, 0.0])}, "begins at r = -0.1 m"),
-        ({"E": {"z": np.ones((3, 5, 6))}}, ON_AXIS, "E/z holds 3 modes; write a field that is the same all around"),
+        (
+            {"E": {"z": np.ones((3, 5, 6))}},
+            ON_AXIS,
+            "h5 holds 3 modes; write a field that is the same all around its axis",
+        ),
         ({"E": {"x": np.ones((7, 7, 7))}, "B": {"x": np.ones((7, 7, 8))}}, {}, "holds E and B on different grids"),
         (
             cartesian(),

@@ -111,7 +111,7 @@ class QuadrupoleField:
     def __init__(self, gradient: float, half: float, fringe: EngeFringe) -> None: ...
 
 class DipoleField:
-    def __init__(self, field: float, half: float, fringe: EngeFringe) -> None: ...
+    def __init__(self, field: float, half: float, fringe: EngeFringe, angle: Sequence[float] = [0.0, 0.0]) -> None: ...
 
 class SolenoidField:
     def __init__(self, field: float, half: float, radius: float) -> None:
@@ -155,7 +155,11 @@ class ExternalElement:
         | GapField
         | PillboxField
         | MapField,
-    ) -> None: ...
+        slope: Sequence[float] = [0.0, 0.0],
+    ) -> None:
+        """
+        The extent is along z; its lower and upper end are planes that rise with x by the slopes.
+        """
 
 class ExternalFields:
     def __init__(self, elements: Sequence[ExternalElement]) -> None: ...

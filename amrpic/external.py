@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _native
 from .io import field_maps
-from .mesh.window import Window
+from .mesh.window import AT_REST, Window
 from .particles.species import Species
 from .scene.bunches import DescribedBunch
 from .scene.elements import (
@@ -76,7 +76,7 @@ class ExternalFields:
 
     def seen_from(self, window: Window) -> Self:
         """Return the same fields in the coordinates of a window."""
-        if window == Window():
+        if window == AT_REST:
             return self
         out = type(self)()
         out.native = self.native.seen_from(window.origin, window.axes)
@@ -125,7 +125,7 @@ class ExternalFields:
 def native_element(element: Element) -> _native.ExternalElement:
     """Return an element as the kernels take it."""
     return _native.ExternalElement(
-        element.centre, axes(element.direction, element.roll), extent(element), kind(element)
+        element.centre, axes(element.direction, element.roll), extent(element), kind(element), slopes(element)
     )
 
 
@@ -152,9 +152,22 @@ def extent(element: Element) -> tuple[float, float]:
     if isinstance(element, MapElement) or (isinstance(element, SolenoidElement) and element.fringe == "sheet"):
         return EVERYWHERE
     half = element.length / 2  # type: ignore[attr-defined]
-    if isinstance(element, FringedElement) and element.gap is not None:
-        half += enge_reach(element.coefficients) * element.gap
-    return (-half, half)
+    if not isinstance(element, FringedElement) or element.gap is None:
+        return (-half, half)
+    fringe = enge_reach(element.coefficients) * element.gap
+    entrance, exit = faces(element)
+    return (-half - fringe / math.cos(entrance), half + fringe / math.cos(exit))
+
+
+def slopes(element: Element) -> tuple[float, float]:
+    """Return by how much the planes at both ends of an element rise along its z, per x."""
+    entrance, exit = faces(element)
+    return (math.tan(entrance), -math.tan(exit))
+
+
+def faces(element: Element) -> tuple[float, float]:
+    """Return the angles of the pole faces of an element in rad."""
+    return (element.entrance_angle, element.exit_angle) if isinstance(element, DipoleElement) else (0.0, 0.0)
 
 
 @singledispatch
@@ -181,7 +194,7 @@ def _(element: QuadrupoleElement) -> Kind:
 
 @kind.register
 def _(element: DipoleElement) -> Kind:
-    return _native.DipoleField(element.field, element.length / 2, fringe(element))
+    return _native.DipoleField(element.field, element.length / 2, fringe(element), faces(element))
 
 
 @kind.register
@@ -236,10 +249,8 @@ def map_field(given: field_maps.FieldMap, scale: float = 1.0, omega: float = 0.0
 
 
 def nodes_through_axis(given: field_maps.FieldMap) -> int:
-    """Return how many nodes beyond the axis those of a map determine by symmetry, if its first one is on the axis, or half
-    a spacing away."""
-    offset = given.lower[0] / given.spacing[0]
-    return next((nodes for nodes, place in ((1, 0.0), (2, 0.5)) if abs(offset - place) < 1e-6), 0)
+    """Return how many nodes beyond the axis those of a map determine by symmetry: its first is on it or half a spacing off."""
+    return 1 if given.lower[0] < given.spacing[0] / 4 else 2
 
 
 def padded(values: Array, mirrored: int) -> Array:

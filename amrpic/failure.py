@@ -6,6 +6,7 @@ import sys
 import time
 import traceback
 from types import TracebackType
+from typing import NoReturn
 
 from mpi4py import MPI
 
@@ -27,25 +28,36 @@ class Meeting:
 
         If all ranks come, rank 0 speaks for them. A rank that failed alone speaks for itself and ends all of them.
         """
-        everyone = self._all_came()
-        if self._comm.rank == 0 or not everyone:
-            alone = "" if everyone else f" (on rank {self._comm.rank} of {self._comm.size} alone)"
-            sys.stdout.flush()
-            print(f"{text}{alone}", file=sys.stderr, flush=True)
         status = BAD_INPUT if isinstance(failure, SceneError | InputError | HierarchyError) else 1
-        if not everyone:
-            self._comm.Abort(status)
+        if not is_over(self._comm.Ibarrier(), GRACE):
+            end_alone(self._comm, text, status)
+        if self._comm.rank == 0:
+            say(text)
         self._comm.Barrier()  # mpiexec ends the others when the first one exits, so rank 0 must have spoken
         if self._comm.size < MPI.COMM_WORLD.size:
             self._comm.Abort(status)  # ranks that were not invited must not wait either
         return status
 
-    def _all_came(self) -> bool:
-        arrival = self._comm.Ibarrier()
-        end = time.monotonic() + GRACE
-        while not (came := arrival.Test()) and time.monotonic() < end:
-            time.sleep(1e-3)
-        return came
+
+def is_over(collective: MPI.Request, patience: float) -> bool:
+    """Return whether all ranks have come to a collective call within `patience` s."""
+    end = time.monotonic() + patience
+    while not (over := collective.Test()) and time.monotonic() < end:
+        time.sleep(1e-4)
+    return over
+
+
+def say(text: str) -> None:
+    """Print on stderr, after all that was printed before."""
+    sys.stdout.flush()
+    print(text, file=sys.stderr, flush=True)
+
+
+def end_alone(comm: MPI.Comm, text: str, status: int) -> NoReturn:
+    """Print what failed on this rank alone, and end all ranks with it."""
+    say(f"{text} (on rank {comm.rank} of {comm.size} alone)")
+    comm.Abort(status)
+    raise SystemExit(status)  # Abort does not return
 
 
 def sentence(failure: BaseException) -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
@@ -14,7 +12,7 @@ from mpi4py import MPI
 
 from . import _native
 from .errors import AmrpicError
-from .failure import BAD_INPUT, GRACE, Meeting, end_scripts_together
+from .failure import BAD_INPUT, GRACE, Meeting, end_alone, end_scripts_together, is_over
 
 
 class Communicator(MPI.Intracomm):
@@ -119,13 +117,9 @@ def call_together(comm: MPI.Comm, call: Callable[[], T], error: type[Exception],
     except Exception as caught:
         failure, message = caught, f"{what} ({type(caught).__name__}: {caught})"
     mine, first = np.array(comm.rank if failure is not None else comm.size), np.empty((), dtype=int)
-    meeting, end = comm.Iallreduce(mine, first, op=MPI.MIN), time.monotonic() + GRACE
-    while not meeting.Test():
-        if failure is not None and time.monotonic() > end:
-            sys.stdout.flush()
-            print(f"amrpic: {message} (on rank {comm.rank} of {comm.size} alone)", file=sys.stderr, flush=True)
-            comm.Abort(BAD_INPUT)
-        time.sleep(1e-4)
+    meeting = comm.Iallreduce(mine, first, op=MPI.MIN)
+    if not is_over(meeting, np.inf if failure is None else GRACE):
+        end_alone(comm, f"amrpic: {message}", BAD_INPUT)
     if first == comm.size:
         return value
     raise error(comm.bcast(message, root=int(first))) from failure

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .writer_ranks import one_line
+from .openpmd_files import base, opened, text
 
 Array = NDArray[np.float64]
 DIMENSION = {"E": (1, 1, -3, -1, 0, 0, 0), "B": (0, 1, -2, -1, 0, 0, 0)}  # m, kg, s, A, K, mol, cd
 COMPONENTS = {"cartesian": ("x", "y", "z"), "thetaMode": ("r", "t", "z")}
 AXES = {"cartesian": ("x", "y", "z"), "thetaMode": ("r", "z")}
+NEAR_AXIS = 1e-6  # spacings
 
 
 @dataclass(frozen=True)
@@ -34,19 +35,10 @@ class FieldMap:
 def read(file: str | Path, iteration: int | None = None) -> FieldMap:
     """Return the fields of a file. Raises InputError, naming what is wrong with it."""
     path = Path(file)
-    try:
-        with h5py.File(path, "r", locking=False) as h5:
-            meshes = _meshes(path, h5, iteration)
-            fields = {name: _read_mesh(path, meshes[name], name) for name in DIMENSION if name in meshes}
-            found = ", ".join(meshes) or "nothing"
-    except FileNotFoundError:
-        raise InputError(
-            f"field map {path} does not exist; correct the path (relative ones start at the scene file)"
-        ) from None
-    except (OSError, KeyError, TypeError, ValueError) as reason:
-        raise InputError(
-            f"field map {path} cannot be read as openPMD ({one_line(reason)}); write it anew by the standard 1.1"
-        ) from None
+    with opened(path, "field map", "write it anew by the standard 1.1") as h5:
+        meshes = h5[base(h5, f"field map {path}", iteration) + text(h5.attrs["meshesPath"])]
+        fields = {name: _read_mesh(path, meshes[name], name) for name in DIMENSION if name in meshes}
+        found = ", ".join(meshes) or "nothing"
     if not fields:
         raise InputError(f"field map {path} holds {found} where E or B were expected; name the records E and B")
     return _joined(path, list(fields.values()))
@@ -73,27 +65,18 @@ def _shape(field: FieldMap) -> tuple[int, ...]:
     return values.shape[:-1]
 
 
-def _meshes(path: Path, h5: h5py.File, iteration: int | None) -> h5py.Group:
-    """Return the group of meshes that is meant."""
-    base = _text(h5.attrs["basePath"])
-    if "%T" in base:
-        before, after = base.split("%T")
-        names = [name for name in h5[before] if iteration is None or int(name) == iteration]
-        if len(names) != 1:
-            what = f"no iteration {iteration}" if iteration is not None else f"{len(names)} iterations"
-            raise InputError(f"field map {path} holds {what}; set iteration to one of {', '.join(h5[before])}")
-        base = before + names[0] + after
-    return h5[base + _text(h5.attrs["meshesPath"])]
-
-
 def _read_mesh(path: Path, mesh: h5py.Group, name: str) -> FieldMap:
-    geometry = _text(mesh.attrs["geometry"])
+    geometry = text(mesh.attrs["geometry"])
     where = f"record {name} of field map {path}"
     if geometry not in COMPONENTS:
         raise InputError(f'{where} has the geometry "{geometry}"; write it as cartesian or thetaMode')
     _require_dimension(where, mesh, DIMENSION[name])
     _require_axes(where, mesh, AXES[geometry])
-    read = {key: _component(mesh[key], geometry) for key in COMPONENTS[geometry] if key in mesh}
+    read = {
+        key: _component(f"component {key} of {where}", mesh[key], geometry)
+        for key in COMPONENTS[geometry]
+        if key in mesh
+    }
     if not read:
         found = ", ".join(mesh) or "no components"
         raise InputError(f"{where} holds {found}; write the components {', '.join(COMPONENTS[geometry])}")
@@ -102,33 +85,39 @@ def _read_mesh(path: Path, mesh: h5py.Group, name: str) -> FieldMap:
     for number, key in enumerate(COMPONENTS[geometry]):
         if key in read:
             values[..., number] = read[key][0]
-    _require_nodes(where, shape)
+    _require_nodes(where, shape, AXES[geometry])
     _require_finite(where, values)
     order = [_texts(mesh.attrs["axisLabels"]).index(axis) for axis in AXES[geometry]]
     values = values.transpose(*order, len(order))
-    spacing, lower = (np.asarray(mesh.attrs[key], dtype=float) for key in ("gridSpacing", "gridGlobalOffset"))
+    spacing, lower = (_per_axis(where, mesh, key, len(order)) for key in ("gridSpacing", "gridGlobalOffset"))
     unit = np.broadcast_to(np.asarray(mesh.attrs.get("gridUnitSI", 1.0), dtype=float), spacing.shape)
     if not (spacing * unit > 0).all() or not np.isfinite(spacing * unit).all():
         raise InputError(f"{where} has the spacing {(spacing * unit).tolist()} m; write a positive one along each axis")
-    lower = ((lower + place * spacing) * unit)[order]
+    lower, spacing = ((lower + place * spacing) * unit)[order], (spacing * unit)[order]
+    if geometry == "thetaMode":
+        _require_axis(where, lower[0], spacing[0])
     return FieldMap(
         geometry == "thetaMode",
         tuple(map(float, lower)),
-        tuple(map(float, (spacing * unit)[order])),
+        tuple(map(float, spacing)),
         values if name == "E" else None,
         values if name == "B" else None,
     )
 
 
-def _component(component: h5py.Dataset | h5py.Group, geometry: str) -> tuple[Array, Array]:
+def _component(where: str, component: h5py.Dataset | h5py.Group, geometry: str) -> tuple[Array, Array]:
     """Return the values of a component in SI units in the order of the axis labels, and where in a cell its nodes lie."""
     attributes = component.attrs
     values = (
         np.full(tuple(attributes["shape"]), float(attributes["value"])) if "value" in attributes else component[...]
     )
+    if np.iscomplexobj(values):
+        raise InputError(f"{where} holds complex numbers; write the real amplitude of each field, with the phase apart")
     if geometry == "thetaMode" and values.ndim == 3:
+        if values[1:].any():
+            raise InputError(f"{where} holds {len(values)} modes; write a field that is the same all around its axis")
         values = values[0]
-    if _text(component.parent.attrs.get("dataOrder", "C")) == "F":
+    if text(component.parent.attrs.get("dataOrder", "C")) == "F":
         values = values.T
     place = np.asarray(attributes.get("position", np.zeros(values.ndim)), dtype=float)
     return np.asarray(values, dtype=float) * float(attributes.get("unitSI", 1.0)), place
@@ -160,7 +149,27 @@ def _require_axes(where: str, mesh: h5py.Group, expected: tuple[str, ...]) -> No
         raise InputError(f"{where} has the axes {', '.join(found)}; write {', '.join(expected)}")
 
 
-def _require_nodes(where: str, shape: tuple[int, ...]) -> None:
+def _per_axis(where: str, mesh: h5py.Group, key: str, axes: int) -> Array:
+    """Return an attribute that holds a number per axis."""
+    values = np.asarray(mesh.attrs[key], dtype=float)
+    if values.shape != (axes,) or not np.isfinite(values).all():
+        raise InputError(f"{where} has {key} {values.tolist()}; write {axes} finite numbers, one per axis")
+    return values
+
+
+def _require_axis(where: str, lower: float, spacing: float) -> None:
+    offset = lower / spacing
+    if min(abs(offset), abs(offset - 0.5)) > NEAR_AXIS:
+        raise InputError(
+            f"{where} begins at r = {lower:g} m with nodes {spacing:g} m apart; begin at the axis, or half a spacing away"
+        )
+
+
+def _require_nodes(where: str, shape: tuple[int, ...], axes: tuple[str, ...]) -> None:
+    if len(shape) != len(axes):
+        raise InputError(
+            f"{where} has nodes along {len(shape)} axes; write an array with an index per axis {', '.join(axes)}"
+        )
     if min(shape) < 3:
         raise InputError(f"{where} has {' × '.join(map(str, shape))} nodes; interpolation needs 3 along each axis")
 
@@ -174,9 +183,5 @@ def _require_finite(where: str, values: Array) -> None:
         )
 
 
-def _text(value: Any) -> str:
-    return value.decode() if isinstance(value, bytes) else str(value)
-
-
 def _texts(values: Any) -> list[str]:
-    return [_text(value) for value in np.atleast_1d(values)]
+    return [text(value) for value in np.atleast_1d(values)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ from ..errors import InputError, ParticleError
 from ..mesh.domain import AXES
 from ..particles.particles import Particles
 from ..particles.species import SPECIES, Species, SpeciesTable
+from .openpmd_files import base, chosen, opened, text
 from .openpmd_writer import ALIVE
-from .writer_ranks import one_line
 
 Array = NDArray[Any]
 
@@ -50,27 +50,15 @@ def groups(file: str | Path) -> list[str]:
 def when(file: str | Path) -> tuple[int, float]:
     """Return iteration and time in s of a file of one iteration, zero where it does not know. Raises InputError."""
     with _opened(Path(file)) as h5:
-        parts = _base(Path(file), h5, None).strip("/").split("/")
+        parts = base(h5, f"particle file {file}", None).strip("/").split("/")
         attributes = h5["/".join(parts)].attrs
         step = int(parts[-1]) if parts[-1].isdigit() else 0
         return step, float(attributes.get("time", 0.0)) * float(attributes.get("timeUnitSI", 1.0))
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
+def _opened(path: Path) -> contextlib.AbstractContextManager[h5py.File]:
     """Open a file for a while; what goes wrong becomes InputError."""
-    try:
-        with h5py.File(path, "r", locking=False) as h5:
-            yield h5
-    except FileNotFoundError:
-        raise InputError(
-            f"particle file {path} does not exist; correct the path (relative ones start at the scene file)"
-        ) from None
-    except (OSError, KeyError, TypeError, ValueError) as reason:
-        raise InputError(
-            f"particle file {path} cannot be read as openPMD ({one_line(reason)}); write it anew, for instance by "
-            "ParticleGroup.write of openpmd-beamphysics"
-        ) from None
+    return opened(path, "particle file", "write it anew, for instance by ParticleGroup.write of openpmd-beamphysics")
 
 
 def _find(path: Path, h5: h5py.File, iteration: int | None, group: str | None) -> h5py.Group:
@@ -79,29 +67,12 @@ def _find(path: Path, h5: h5py.File, iteration: int | None, group: str | None) -
     if "position" in particles:
         return particles
     names = [name for name, member in particles.items() if "position" in member]
-    return particles[_chosen(path, "group", names, group)]
-
-
-def _chosen(path: Path, key: str, names: Sequence[str], wanted: str | int | None) -> str:
-    found = [name for name in names if wanted is None or name == wanted or (name.isdigit() and int(name) == wanted)]
-    if len(found) == 1:
-        return found[0]
-    what = f"no {key} {wanted}" if wanted is not None else f"{len(names)} {key}s"
-    raise InputError(f"particle file {path} holds {what}; set {key} to one of {', '.join(names) or 'another file'}")
+    return particles[chosen(f"particle file {path}", "group", names, group)]
 
 
 def _particles(path: Path, h5: h5py.File, iteration: int | None) -> h5py.Group:
     """Return what holds the groups of particles, or is the only one."""
-    return h5[_base(path, h5, iteration) + _text(h5.attrs["particlesPath"])]
-
-
-def _base(path: Path, h5: h5py.File, iteration: int | None) -> str:
-    """Return the path of an iteration."""
-    base = _text(h5.attrs["basePath"])
-    if "%T" in base:
-        before, after = base.split("%T")
-        base = before + _chosen(path, "iteration", list(h5[before]), iteration) + after
-    return base
+    return h5[base(h5, f"particle file {path}", iteration) + text(h5.attrs["particlesPath"])]
 
 
 class _Source:
@@ -166,7 +137,7 @@ class _Source:
         return np.full(self.rows.stop - self.rows.start, abs(total / self.count / species.charge))
 
     def _species(self) -> Species:
-        name = _text(self.group.attrs.get("speciesType", self.group.name.rpartition("/")[2]))
+        name = text(self.group.attrs.get("speciesType", self.group.name.rpartition("/")[2]))
         constants = {}
         for key in ("charge", "mass"):
             attributes = self.group[key].attrs if key in self.group else {}
@@ -200,8 +171,3 @@ class _Source:
         if not holds.all():
             row = self.rows.start + int(np.argmin(holds))
             raise InputError(f"particle file {self.path} has {what} in row {row} of {self.count}; {remedy}")
-
-
-def _text(value: Any) -> str:
-    value = np.ravel(value)[0] if isinstance(value, np.ndarray) else value
-    return value.decode() if isinstance(value, bytes) else str(value)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import OutputError
 from ..mesh.domain import AXES
-from ..mesh.window import Window
+from ..mesh.window import AT_REST, Window
 from ..particles.particles import Particles
 from ..particles.species import Species
 from .atomic_files import Hdf5Writer, publish, remove, temporary
@@ -47,7 +47,7 @@ def write(
     step: int,
     time: float,
     about: Provenance,
-    window: Window = Window(),
+    window: Window = AT_REST,
 ) -> None:
     """Write all particles into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 

@@ -21,7 +21,7 @@ from ..errors import OutputError
 from ..mesh.boxes import cells_of
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import Window
+from ..mesh.window import AT_REST, Window
 from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, temporary
 from .provenance import Provenance
 from .writer_ranks import Attempts, Interleaved, Rows, collect, group_of, writer_groups
@@ -44,7 +44,7 @@ def write(
     time: float,
     about: Provenance,
     writers: int = 1,
-    window: Window = Window(),
+    window: Window = AT_REST,
 ) -> None:
     """Write fields into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 

@@ -67,3 +67,6 @@ def vector(of: ArrayLike) -> Vector:
     """Return three numbers."""
     x, y, z = np.asarray(of, dtype=float).tolist()
     return (x, y, z)
+
+
+AT_REST = Window()  # the coordinates of the laboratory

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
-from ..mesh.window import Window
+from ..mesh.window import AT_REST, Window
 from ..parallel import global_sum
 from .arrays import columns, empty_columns, recycled
 from .species import SpeciesTable
@@ -123,7 +123,7 @@ class Particles:
 
     def seen_from(self, window: Window) -> Particles:
         """The particles in the coordinates of a window, from those of the laboratory."""
-        if window == Window():
+        if window == AT_REST:
             return self
         return self.replace(
             window.from_laboratory(self.position - window.origin), window.from_laboratory(self.momentum)
@@ -131,9 +131,16 @@ class Particles:
 
     def in_laboratory(self, window: Window) -> Particles:
         """The opposite."""
-        if window == Window():
+        if window == AT_REST:
             return self
         return self.replace(window.places(self.position), window.to_laboratory(self.momentum))
+
+    def read_only(self) -> Particles:
+        """The same particles, through arrays that cannot be written to."""
+        position, momentum, weight, number = views = [array.view() for array in self.arrays]
+        for view in views:
+            view.flags.writeable = False
+        return Particles(position, momentum, weight, number, self.species, self.sorting)
 
     @property
     def equal_weights(self) -> bool:

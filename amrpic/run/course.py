@@ -12,7 +12,7 @@ import numpy as np
 from .. import _native
 from ..external import ExternalFields
 from ..mesh.domain import AXES
-from ..mesh.window import Vector, Window, vector
+from ..mesh.window import AT_REST, Vector, Window, vector
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.push import pusher_of
@@ -44,7 +44,7 @@ class Course:
     """Where the reference particle is, if there is one, and the window."""
 
     reference: Reference | None = None
-    window: Window = Window()
+    window: Window = AT_REST
     goes: str = "nowhere"  # with the reference particle: "x", "y" or "z" along that axis, "turning" wherever it goes
 
     @property
@@ -66,7 +66,7 @@ class Course:
         axis = int(np.argmax(np.abs(reference.momentum)))
         if not all(face == "open" for pair in scene.domain.boundary.values() for face in pair):
             return cls(reference, goes=AXES[axis])
-        window = _turned(Window(), reference, np.eye(3)[axis] * reference.momentum[axis], reference)
+        window = _turned(AT_REST, reference, np.eye(3)[axis] * reference.momentum[axis], reference)
         return cls(reference, window, goes="turning")
 
     def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Course:

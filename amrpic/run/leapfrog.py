@@ -26,7 +26,7 @@ class Staggered:
     """Where leapfrog takes the particles of a state next, and by how much their momenta lag positions.
 
     Momenta of the particles lag the state's time by `lag` (0 or Δt/2), those of `moved` lead it by Δt/2. Without a magnetic
-    field or elements those of the state's time are the mean of both; with them they are kept, as `between`.
+    field, elements or fields from Python those of the state's time are the mean of both; with them they are kept, as `between`.
     """
 
     moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted; from the origin of the next window
@@ -51,14 +51,15 @@ def kick_and_drift(
     solution: Solution, particles: Particles, lag: float, time: float, course: Course, plan: Plan
 ) -> Staggered:
     """Return where particles go whose momenta lag positions by `lag` s, at `time` s. Collective."""
-    by_e_alone = solution.frame == LABORATORY and not plan.scene.elements
+    by_e_alone = solution.frame == LABORATORY and not plan.scene.elements and not plan.fields
     between = None if by_e_alone else empty_columns(len(particles))
     motion = plan.scene.motion
     assert isinstance(motion, Leapfrog)
     then = course.after(plan.dt, time, plan.external, motion.pusher)
     external = plan.external.seen_from(course.window).native if plan.scene.elements else None
+    given = plan.fields.at(particles, time, course.window) if plan.fields else None
     shift = course.window.shift_to(then.window)
-    moved = _push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, external, time, shift)
+    moved = _push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, external, given, time, shift)
     return Staggered(moved, then, lag, between)
 
 
@@ -81,12 +82,17 @@ def _push(
     plan: Plan,
     between: np.ndarray | None = None,
     external: _native.ExternalFields | None = None,
+    given: tuple[np.ndarray, np.ndarray] | None = None,
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
     motion, frame = plan.scene.motion, solution.frame
     assert isinstance(motion, Leapfrog)
     walls = plan.wall_field(solution)
+    electric, magnetic = given if given is not None else (None, None)
+    if walls is not None:
+        of_walls = gather(walls, particles, plan.clouds)
+        electric = of_walls if electric is None else electric + of_walls
     return push(
         solution.efield,
         particles,
@@ -96,7 +102,8 @@ def _push(
         plan.clouds,
         pusher=motion.pusher,
         beta=frame.beta,
-        electric=None if walls is None else gather(walls, particles, plan.clouds),
+        electric=electric,
+        magnetic=magnetic,
         between=between,
         external=external,
         time=time,

@@ -242,5 +242,5 @@ class Recorder:
             self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._scene), output.writers)
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._scene, self._plan.fields.names), output.writers)
         checkpoint_writer.prune(self._comm, directory, output.keep)

@@ -20,13 +20,14 @@ from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
+from .field_functions import FieldFunction, FieldFunctions
 from .solution import Solution
 
 
 class Plan:
-    """The scene, and a solver that is kept as long as its hierarchy."""
+    """The scene and the fields from Python, and a solver that is kept as long as its hierarchy."""
 
-    def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
+    def __init__(self, comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> None:
         self.comm = own(comm)
         self.scene = scene
         self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
@@ -36,6 +37,11 @@ class Plan:
         self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
         self.external = ExternalFields.of_scene(scene)
+        self.fields = FieldFunctions(self.comm, fields)
+        if fields and not isinstance(scene.motion, Leapfrog):
+            self.remark(
+                f'fields from Python act on nothing, since motion.kind is "{scene.motion.kind}"; set it to "leapfrog"'
+            )
         self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from ..scene.scene import Scene
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from .course import Course
+from .field_functions import FieldFunction
 from .limits import require_room
 from .plan import Plan
 from .solution import Solution
@@ -42,8 +43,8 @@ def about(scene: Scene) -> Provenance:
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
 
 
-def snapshot(state: State, scene: Scene) -> Snapshot:
-    """Return the whole state as a checkpoint takes it: arrays shared, not copied."""
+def snapshot(state: State, scene: Scene, functions: Sequence[str] = ()) -> Snapshot:
+    """Return the whole state as a checkpoint takes it: arrays shared, not copied; `functions` names fields from Python."""
     hierarchy, particles, report = state.hierarchy, state.synchronized, state.report
     columns = _columns(particles)
     if state.lag > 0:  # kept as they are, since what follows from those of the state's own time differs by rounding
@@ -62,6 +63,7 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
             "frame": vars(state.solution.frame),
             "lag": state.lag,
             "course": state.course.to_dict(),
+            "fields": list(functions),
         },
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
@@ -69,7 +71,9 @@ def snapshot(state: State, scene: Scene) -> Snapshot:
     return Snapshot(header, fields, tables)
 
 
-def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State, Plan]:
+def load(
+    comm: MPI.Comm, path: Path, scene: Scene | None = None, fields: Sequence[FieldFunction] = ()
+) -> tuple[State, Plan]:
     """Return the state in a checkpoint and the plan to go on with, on any number of ranks. Collective; InputError on all ranks.
 
     `scene` may replace that of the checkpoint if its mesh is the same.
@@ -85,8 +89,9 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     sizes = refinement.max_grid_size, refinement.blocking_factor
     hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
     held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
-    plan = Plan(comm, scene)
-    for remark in _remarks(scene, header.about.scene):
+    plan = Plan(comm, scene, fields)
+    made_with = header.extra.get("fields", [])
+    for remark in _remarks(scene, header.about.scene) + _remarks_on_fields(plan.fields.names, made_with):
         plan.remark(remark)
     return _state(plan, held, hierarchy), plan
 
@@ -141,6 +146,17 @@ def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
     if changed:
         out.append(f"the run goes on otherwise than up to the checkpoint: {'; '.join(changed)}")
     return out
+
+
+def _remarks_on_fields(names: Sequence[str], before: Sequence[str]) -> list[str]:
+    """Return that fields from Python are others than before, if they are."""
+    if names == before:
+        return []
+    now, then = (", ".join(given) or "none" for given in (names, before))
+    return [
+        f"fields from Python are {now}, and were {then} up to the checkpoint; give Simulation.restart the same ones to go on "
+        "as before"
+    ]
 
 
 def _differences(now: Any, before: Any, path: str) -> Iterator[tuple[str, Any, Any]]:

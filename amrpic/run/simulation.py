@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
 
+import numpy as np
 from mpi4py import MPI
+from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..io import checkpoint_writer
@@ -15,16 +17,18 @@ from ..io.openpmd_writer import write as write_particles
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
+from ..parallel import together
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from .beam_tables import Diagnostic
 from .course import Reference
+from .field_functions import FieldFunction
 from .output import Recorder
 from .plan import Plan
 from .restart import about, load, snapshot
 from .state import Lost, State
-from .step import advance, begin, kicked
+from .step import advance, begin, kicked, with_momenta
 from .stop import Stop
 
 
@@ -34,8 +38,15 @@ class Simulation:
     The attributes are those of the present state; they are values, and a later step makes new ones.
     """
 
-    def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
-        plan = Plan(comm, scene)
+    def __init__(self, comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> None:
+        """`fields` are external fields, added to those of the scene's elements: functions (x, y, z, t) -> (E, B).
+
+        x, y, z (n,) in m are the places of a rank's particles, t in s is their time. E in V/m and B in T have three components
+        each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks,
+        also for n = 0, and may communicate. A window follows the elements alone. Raises InputError on all ranks if a function
+        fails or gives something else.
+        """
+        plan = Plan(comm, scene, fields)
         self._hold(plan, begin(plan))
 
     def _hold(self, plan: Plan, state: State) -> None:
@@ -47,21 +58,36 @@ class Simulation:
         self._recorded = False  # whether the outputs hold the present state already
 
     @classmethod
-    def restart(cls, comm: MPI.Comm, path: str | Path, scene: Scene | None = None) -> Self:
+    def restart(
+        cls, comm: MPI.Comm, path: str | Path, scene: Scene | None = None, fields: Sequence[FieldFunction] = ()
+    ) -> Self:
         """Return the run that a checkpoint holds, on any number of ranks. Collective; InputError on all ranks.
 
         `scene` takes the place of the one in the checkpoint, to go on for longer or write something else; its domain and box
-        sizes must be those of the checkpoint. On as many ranks as wrote it, the run goes on bit by bit as it would have.
+        sizes must be those of the checkpoint. `fields` are as for a new run: a checkpoint holds their names alone. On as many
+        ranks as wrote it, the run goes on bit by bit as it would have.
         """
-        state, plan = load(comm, Path(path), scene)
+        state, plan = load(comm, Path(path), scene, fields)
         run = cls.__new__(cls)
         run._hold(plan, state)
         run._recorded = True
         return run
 
     def on_step(self, callback: Callable[[Simulation], None]) -> None:
-        """Have `callback` called with this simulation after each step, on all ranks."""
+        """Have `callback` called with this simulation after each step, on all ranks, before that step is written."""
         self._callbacks.append(callback)
+
+    def kick(self, change: ArrayLike) -> None:
+        """Change the momenta of this rank's particles by `change`, (n, 3) in kg m/s, in the order of `particles`. Collective.
+
+        It is along the axes of the mesh, as their momenta are. It acts at the time of the present positions, before the next
+        step, and is part of what this step writes if called from `on_step`. Raises InputError on all ranks if the shape is
+        another one, or a number not finite.
+        """
+        now = kicked(self.state, self._plan)
+        with together(self.comm, InputError):
+            momentum = now.synchronized.momentum + _momenta(change, len(now.particles), now.step)
+        self.state = with_momenta(now, momentum, self._plan)
 
     def diagnose(self, name: str, diagnostic: Diagnostic) -> None:
         """Have the numbers and arrays that `diagnostic` returns for a state written into `own_<name>.csv`.
@@ -92,9 +118,9 @@ class Simulation:
                     record.stopped(self.state, reason)
                     return reason
                 self.state = advance(self.state, self._plan)
-                record.state(self.state, self.remarks)
                 for callback in self._callbacks:
                     callback(self)
+                record.state(self.state, self.remarks)
             self.state = kicked(self.state, self._plan)
             record.end(self.state)
         return None
@@ -102,10 +128,14 @@ class Simulation:
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
-        checkpoint_writer.write(self.comm, Path(path), snapshot(state, self.scene), self.scene.output.writers)
+        content = snapshot(state, self.scene, self._plan.fields.names)
+        checkpoint_writer.write(self.comm, Path(path), content, self.scene.output.writers)
 
     def write_particles(self, path: str | Path) -> None:
-        """Write all particles into the openPMD file `path` for BeamPhysics and others, along the axes of the laboratory. Collective; OutputError on all ranks."""
+        """Write all particles into the openPMD file `path` for BeamPhysics and others, in the laboratory.
+
+        Collective; OutputError on all ranks.
+        """
         state = kicked(self.state, self._plan)
         write_particles(
             self.comm, Path(path), state.synchronized, state.step, state.time, about(self.scene), state.window
@@ -122,11 +152,11 @@ class Simulation:
 
     @property
     def particles(self) -> Particles:
-        """This rank's particles; momenta belong to the same time as positions.
+        """This rank's particles; momenta belong to the same time as positions. Their arrays are read-only: see `kick`.
 
         During a run they are made at each call and equal those of a checkpoint to rounding; at its end they are the same.
         """
-        return self.state.synchronized
+        return self.state.synchronized.read_only()
 
     @property
     def rho(self) -> Field:
@@ -176,3 +206,19 @@ class Simulation:
     def lost(self) -> Lost:
         """This rank's particles that left the domain, and when."""
         return self.state.lost
+
+
+def _momenta(change: ArrayLike, count: int, step: int) -> np.ndarray:
+    """Return changes of momenta as an array; raises InputError unless they are (count, 3) finite numbers."""
+    values = np.asarray(change, dtype=np.float64)
+    if values.shape != (count, 3):
+        raise InputError(
+            f"a kick at step {step} has shape {values.shape} for {count} particles of a rank; give a row of x, y, z in kg m/s "
+            "for each of simulation.particles"
+        )
+    if bad := np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist():
+        raise InputError(
+            f"a kick at step {step} is {values[bad[0]].tolist()} kg m/s for particle {bad[0]} of {count} of a rank; "
+            "give finite numbers"
+        )
+    return values

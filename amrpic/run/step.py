@@ -13,6 +13,7 @@ from ..scene.motion import Leapfrog, RandomWalk
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
 from .adapt import follow, make_base, outrun
+from .clock import Spent
 from .course import Course
 from .initial_particles import make_bunches
 from .leapfrog import kick, kick_and_drift
@@ -81,6 +82,18 @@ def kicked(state: State, plan: Plan) -> State:
         return state
     particles = kick(state.solution, state.particles, state.staggered, plan)
     return replace(state, particles=particles, staggered=replace(state.staggered, lag=0.0))
+
+
+def with_momenta(state: State, momentum: np.ndarray, plan: Plan) -> State:
+    """Return the state with particles of other momenta (n, 3) in kg m/s, at its own time. Collective."""
+    particles = state.particles.replace(momentum=momentum)
+    if state.staggered is None:
+        return replace(state, particles=particles)
+    out = state_of(
+        plan, particles, state.solution, state.lost, state.course, state.step, state.time, regridded=state.regridded
+    )
+    spent = {stage: state.spent.get(stage, Spent()) + more for stage, more in out.spent.items()}
+    return replace(out, spent={**state.spent, **spent})
 
 
 def _moved(state: State, plan: Plan) -> Particles:

@@ -162,12 +162,22 @@ class QuadrupoleElement(FringedElement):
 
 
 class DipoleElement(FringedElement):
-    """A rectangular dipole: B = (0, field, 0) inside, ends at right angles to its axis."""
+    """A dipole: B = (0, field, 0) between two pole faces, at right angles to its axis unless they are turned about its y.
+
+    As with MAD-X's rbend, a positive angle makes the magnet shorter at positive x: where particles turn to -x, such a face
+    defocuses in x and focuses in y. A sector magnet that turns by θ to -x has both angles -θ/2.
+    """
 
     usual = ENGE_OF_DIPOLES
     kind: Literal["dipole"]
     field: MagneticField = Field(
         description="B_y in T; a positive one turns positive particles that move along +z to -x."
+    )
+    entrance_angle: Angle = Field(
+        default=0.0, gt=-1.5, lt=1.5, description="Of the pole face at its low z, rad; positive: shorter at x > 0."
+    )
+    exit_angle: Angle = Field(
+        default=0.0, gt=-1.5, lt=1.5, description="Of the pole face at its high z, rad; positive: shorter at x > 0."
     )
 
 

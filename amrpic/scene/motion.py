@@ -41,8 +41,8 @@ class Leapfrog(Section):
     window: Literal["none", "reference"] = Field(
         default="none",
         description="reference: the mesh goes with the reference particle. It keeps its axes and goes along the one that the "
-        "particle starts along; where all faces are open, it follows and turns with it. Coordinates of particles and fields are "
-        "then those of the mesh at the start; elements stay where they are.",
+        "particle starts along; where all faces are open, it follows and turns with it. Coordinates of particles and fields "
+        "are then those of the mesh at the start; elements stay where they are.",
     )
     reference: Reference | None = Field(
         default=None,

@@ -33,6 +33,7 @@ SMOOTH: Mapping[str, dict[str, Any]] = {
     "dipole": {**DIPOLE, **ENGE},
     "rf-gap": {"kind": "rf-gap", "length": "5 cm", "voltage": "200 kV", "frequency": "100 MHz", "phase": "30 deg"},
     "focusing": FOCUSING,
+    "turned dipole": {**DIPOLE, **ENGE, "entrance_angle": "20 deg", "exit_angle": "-0.3 rad"},
 }
 HARD: Mapping[str, dict[str, Any]] = {
     "quadrupole": QUADRUPOLE,

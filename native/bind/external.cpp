@@ -132,10 +132,14 @@ void bind_external(nb::module_& m) {
   nb::class_<Dipole>(m, "DipoleField")
       .def(
           "__init__",
-          [](Dipole* self, Real field, Real half, Enge const& fringe) {
-            new (self) Dipole{field, half, fringe};
+          [](Dipole* self, Real field, Real half, Enge const& fringe, std::array<Real, 2> angle) {
+            new (self) Dipole{field,
+                              half,
+                              fringe,
+                              {std::sin(angle[0]), std::sin(angle[1])},
+                              {std::cos(angle[0]), std::cos(angle[1])}};
           },
-          "field"_a, "half"_a, "fringe"_a);
+          "field"_a, "half"_a, "fringe"_a, "angle"_a = std::array<Real, 2>{});
   nb::class_<Solenoid>(m, "SolenoidField")
       .def(
           "__init__",
@@ -171,10 +175,12 @@ void bind_external(nb::module_& m) {
   nb::class_<Element>(m, "ExternalElement")
       .def(
           "__init__",
-          [](Element* self, Real3 origin, std::array<Real3, 3> axes, std::array<Real, 2> extent, Kind kind) {
-            new (self) Element{{origin, axes}, {extent[0], extent[1]}, std::move(kind)};
+          [](Element* self, Real3 origin, std::array<Real3, 3> axes, std::array<Real, 2> extent, Kind kind,
+             std::array<Real, 2> slope) {
+            new (self) Element{{origin, axes}, {{extent[0], slope[0]}, {extent[1], slope[1]}}, std::move(kind)};
           },
-          "origin"_a, "axes"_a, "extent"_a, "kind"_a);
+          "origin"_a, "axes"_a, "extent"_a, "kind"_a, "slope"_a = std::array<Real, 2>{},
+          "The extent is along z; its lower and upper end are planes that rise with x by the slopes.");
 
   nb::class_<ExternalFields>(m, "ExternalFields")
       .def(nb::init<std::vector<Element>>(), "elements"_a)

@@ -182,9 +182,9 @@ void bind_particle(nb::module_& m) {
       [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          OnePerParticle mass, ConstColumns later, Real share) {
         nb::gil_scoped_release release;
-        auto const particles = view(position, momentum, weight, id);
-        return beam_sums(Communicator(MPI_Comm_f2c(comm)), particles, mass.data(), mass.stride(0) == 0, columns(later),
-                         share);
+        BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
+                            share};
+        return beam_sums(Communicator(MPI_Comm_f2c(comm)), beam);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
 

@@ -69,16 +69,17 @@ struct Sums {
 
 /// Add what the planes at both ends of a field give to flights that cross them.
 template <class V, class Of, class Turn>
-void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Segment<V> const& segment,
+void add_edges(Of const& of, Slab const& extent, Flight<V> const& flight, Segment<V> const& segment,
                Turn const& to_laboratory, Edges<V>& edges) {
-  auto const add = [&](Real plane, Real sign) {
+  auto const add = [&](Plane const& plane, Real sign) {
     V const direction = direction_across(plane, segment);
     if (all(direction == V{})) return;
-    V const density = direction / segment.dz();                                // the mean of δ(z - plane)
-    V const share = clamped((plane - segment.start[2]) / segment.dz(), 0, 1);  // of the segment before the plane
+    V const density = direction / segment.rise(plane);  // the mean of δ(height - place)
+    V const share = clamped(segment.share_before(plane), 0, 1);
     V const tau = flight.from + share * (flight.to - flight.from);
-    auto const B = to_laboratory(scaled<V>(sign * density, edge_field<V>(of, segment.point(share))));
-    auto const normal = to_laboratory({V{}, V{}, V{} + 1});
+    auto const B = to_laboratory(scaled<V>(sign * density, edge_field<V>(of, plane, segment.point(share))));
+    Real const per_length = 1 / plane.steepness();
+    auto const normal = to_laboratory({V{} - plane.slope * per_length, V{}, V{} + per_length});
     auto const enters = sign * direction > V{}, leaves = sign * direction < V{};
     edges.begin();
     edges.entered = select(enters, tau, edges.entered);
@@ -95,14 +96,13 @@ void add_edges(Of const& of, Interval const& extent, Flight<V> const& flight, Se
 
 /// Add the mean of one field along a flight in its own axes.
 template <class V, class Of, class Turn>
-void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn const& to_laboratory,
-             Sums<V> const& to) {
+void add_one(Of const& of, Slab const& extent, Flight<V> const& flight, Turn const& to_laboratory, Sums<V> const& to) {
   auto const add = [&](Fields<V> const& mean) {
     if (of.electric()) to.E = sum(to.E, to_laboratory(mean.E));
     if (of.magnetic()) to.B = sum(to.B, to_laboratory(mean.B));
   };
   if (!of.is_hard() || extent.everywhere()) {
-    auto const here = contains(extent, flight.x[2]);
+    auto const here = contains(extent, flight.x);
     if (!any(here)) return;
     auto mean = field(of, flight.x, flight.time);
     for (std::size_t d = 0; d < 3; ++d)
@@ -123,23 +123,23 @@ void add_one(Of const& of, Interval const& extent, Flight<V> const& flight, Turn
 /// Add one field at places of which z lies in an interval. Return whether any is nearer to a hard end than `reach`.
 template <class Of>
 bool add_at(Of const& of, Element const& element, Interval const& z, bool turned, Real time, Real reach, Places& at) {
-  Interval const& extent = element.extent;
+  Slab const &extent = element.extent, around = extent.grown(reach), inside = extent.grown(-reach);
   Real const origin = element.frame.origin[2];
-  bool const whole = extent.everywhere() ||
-                     (!turned && z.lower - reach >= origin + extent.lower && z.upper + reach < origin + extent.upper);
+  bool const whole =
+      extent.everywhere() || (!turned && extent.is_straight() && z.lower >= origin + inside.lower.place &&
+                              z.upper < origin + inside.upper.place);
   bool const ends = of.is_hard() && !whole;
-  Interval const around{extent.lower - reach, extent.upper + reach}, inside{extent.lower + reach, extent.upper - reach};
   Lanes any_near{};
   for (std::size_t n = 0; n < at.count; ++n) {
     Vector3<Lanes> const x = place_seen_from(element.frame, turned, at.x[n]);
     if (ends) {
-      Lanes const near = zero_unless(contains(around, x[2]), select(contains(inside, x[2]), Lanes{}, Lanes{} + 1));
+      Lanes const near = zero_unless(contains(around, x), select(contains(inside, x), Lanes{}, Lanes{} + 1));
       at.near_end[n] += near;
       any_near += near;
     }
     auto const add = [&](Vector3<Lanes>& sums, Vector3<Lanes> const& own) {
       Vector3<Lanes> const more = turned ? in_laboratory(element.frame, own) : own;
-      for (std::size_t d = 0; d < 3; ++d) sums[d] += whole ? more[d] : zero_unless(contains(extent, x[2]), more[d]);
+      for (std::size_t d = 0; d < 3; ++d) sums[d] += whole ? more[d] : zero_unless(contains(extent, x), more[d]);
     };
     auto const there = field(of, x, time);
     if (of.electric()) add(at.E[n], there.E);
@@ -167,8 +167,10 @@ bool ExternalFields::add_field(Real time, Real reach, Places& at) const {
 Interval external::laboratory_extent(Element const& element) {
   Frame const& frame = element.frame;
   Real const along = frame.axis[2][2], z = frame.origin[2];
-  if (std::abs(along) != 1) return {-infinity, infinity};  // a tilted slab passes every z somewhere
-  auto const [lower, upper] = along > 0 ? element.extent : Interval{-element.extent.upper, -element.extent.lower};
+  auto const [first, last] = element.extent;
+  bool const across = std::abs(along) == 1 && first.slope == 0 && last.slope == 0;
+  if (!across) return {-infinity, infinity};  // a tilted plane passes every z somewhere
+  auto const [lower, upper] = along > 0 ? Interval{first.place, last.place} : Interval{-last.place, -first.place};
   auto const rounding = [=](Real end) { return 1e-14 * (std::abs(z) + std::abs(end)); };  // of places in either axes
   return {z + lower - rounding(lower), z + upper + rounding(upper)};
 }

@@ -21,11 +21,16 @@ struct Frame {
   bool is_turned() const { return axis != std::array<Real3, 3>{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}; }
 };
 
-/// A kind of field somewhere; outside its extent along its own z it is zero.
+/// A kind of field somewhere; outside its extent in its own axes it is zero.
 struct Element {
   Frame frame;
-  Interval extent;
+  Slab extent;
   Kind kind;
+};
+
+/// From a lower to an upper number; may be infinite.
+struct Interval {
+  Real lower, upper;
 };
 
 /// Places, eight at a time, and what is there.

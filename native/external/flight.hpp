@@ -33,41 +33,63 @@ struct Edges {
 
 namespace external {
 
-/// From a lower to an upper number; may be infinite.
-struct Interval {
-  Real lower, upper;
-  bool everywhere() const { return std::isinf(lower) && std::isinf(upper); }
+/// The plane z = place + slope x.
+struct Plane {
+  Real place, slope = 0;
+
+  template <class V>
+  V height(Vector3<V> const& x) const {  ///< along z, of the plane that goes through x
+    return slope == 0 ? x[2] : x[2] - slope * x[0];
+  }
+  Real steepness() const { return std::sqrt(1 + slope * slope); }  ///< most height per length of way
+};
+
+/// From a lower to an upper plane; may be infinite.
+struct Slab {
+  Plane lower, upper;
+  bool everywhere() const { return std::isinf(lower.place) && std::isinf(upper.place); }
+  bool is_straight() const { return lower.slope == 0 && upper.slope == 0; }
+
+  /// The slab that is so much thicker at either face.
+  Slab grown(Real by) const {
+    return {{lower.place - by * lower.steepness(), lower.slope}, {upper.place + by * upper.steepness(), upper.slope}};
+  }
 };
 
 template <class V>
-auto contains(Interval const& interval, V const& x) {
-  return (x >= V{} + interval.lower) & (x < V{} + interval.upper);
+auto contains(Slab const& slab, Vector3<V> const& x) {
+  return (slab.lower.height(x) >= V{} + slab.lower.place) & (slab.upper.height(x) < V{} + slab.upper.place);
 }
 
 /// A flight as the segment between its ends.
 template <class V>
 struct Segment {
-  Vector3<V> start, way;
-  V end_z;
+  Vector3<V> start, end, way;
 
-  explicit Segment(Flight<V> const& f) : start(at(f, f.from)) {
-    Vector3<V> const end = at(f, f.to);
+  explicit Segment(Flight<V> const& f) : start(at(f, f.from)), end(at(f, f.to)) {
     for (std::size_t d = 0; d < 3; ++d) way[d] = end[d] - start[d];
-    end_z = end[2];
   }
   Vector3<V> point(V const& s) const { return sum(start, scaled(s, way)); }  ///< after the share `s` of its length
-  auto meets(Interval const& z) const {
-    return (greater(start[2], end_z) >= V{} + z.lower) & (V{} + z.upper >= lesser(start[2], end_z));
+  auto meets(Slab const& slab) const {
+    auto const &lower = slab.lower, &upper = slab.upper;
+    return (greater(lower.height(start), lower.height(end)) >= V{} + lower.place) &
+           (V{} + upper.place >= lesser(upper.height(start), upper.height(end)));
   }
-  auto lies_in(Interval const& z) const { return contains(z, start[2]) & contains(z, end_z); }
-  V dz() const { return select(way[2] == V{}, V{} + 1, way[2]); }  ///< along z, to divide by
+  auto lies_in(Slab const& slab) const { return contains(slab, start) & contains(slab, end); }
+
+  /// Across a plane; what does not move counts as moving up, so slowly that it arrives nowhere.
+  V rise(Plane const& plane) const {
+    V const rise = plane.height(way);
+    return select(rise == V{}, V{} + 1e-300, rise);
+  }
+  V share_before(Plane const& plane) const { return (plane.place - plane.height(start)) / rise(plane); }
 
   static Vector3<V> at(Flight<V> const& f, Real tau) {
     return {f.x[0] + f.v[0] * tau, f.x[1] + f.v[1] * tau, f.x[2] + f.v[2] * tau};
   }
 };
 
-/// The part of a segment between two planes of constant z: its share of the whole, and its middle.
+/// The part of a segment between two planes: its share of the whole, and its middle.
 template <class V>
 struct Part {
   V share;
@@ -75,21 +97,20 @@ struct Part {
 };
 
 template <class V>
-Part<V> part_inside(Interval const& z, Segment<V> const& segment) {
-  V const to_lower = (z.lower - segment.start[2]) / segment.dz(),
-          to_upper = (z.upper - segment.start[2]) / segment.dz();
-  V const first = clamped(lesser(to_lower, to_upper), 0, 1), last = clamped(greater(to_lower, to_upper), 0, 1);
-  auto const rests = segment.way[2] == V{};
-  V const inside = zero_unless(contains(z, segment.start[2]), V{} + 1);
-  return {select(rests, inside, last - first), segment.point(select(rests, V{} + 0.5, 0.5 * (first + last)))};
+Part<V> part_inside(Slab const& slab, Segment<V> const& segment) {
+  V const to_lower = segment.share_before(slab.lower), to_upper = segment.share_before(slab.upper);
+  auto const from_above = segment.rise(slab.lower) < V{}, to_below = segment.rise(slab.upper) < V{};
+  V const first = clamped(greater(select(from_above, V{}, to_lower), select(to_below, to_upper, V{})), 0, 1);
+  V const last = clamped(lesser(select(from_above, to_lower, V{} + 1), select(to_below, V{} + 1, to_upper)), 0, 1);
+  return {greater(last - first, V{}), segment.point(0.5 * (first + last))};
 }
 
-/// 1 if a segment crosses a plane of constant z upwards, -1 downwards, else 0: by the sides of its ends alone, so that
-/// of segments that follow each other one crosses.
+/// 1 if a segment crosses a plane upwards, -1 downwards, else 0: by the sides of its ends alone, so that of segments
+/// that follow each other one crosses.
 template <class V>
-V direction_across(Real plane, Segment<V> const& segment) {
-  auto const below = [&](V const& z) { return zero_unless(z < V{} + plane, V{} + 1); };
-  return below(segment.start[2]) - below(segment.end_z);
+V direction_across(Plane const& plane, Segment<V> const& segment) {
+  auto const below = [&](Vector3<V> const& x) { return zero_unless(plane.height(x) < V{} + plane.place, V{} + 1); };
+  return below(segment.start) - below(segment.end);
 }
 
 }  // namespace external

@@ -1,11 +1,12 @@
 // Fields of magnets and of uniform and linear fields, in their own axes: z along the axis, the origin in the middle.
 //
 // Each kind has `is_hard`: whether its field ends at two planes, so that its mean is that of the part between them;
-// `field` at a point; if it `has_edges`, `edge_field`: B that stands before δ(z - plane) at the plane where it begins,
-// and with the opposite sign at that where it ends; `electric` and `magnetic`: whether it has such a field.
+// `field` at a point; if it `has_edges`, `edge_field`: B that stands before δ(height - place) at the plane where it
+// begins, and with the opposite sign at that where it ends; `electric` and `magnetic`: whether it has such a field.
 #pragma once
 
 #include "external/enge.hpp"
+#include "external/flight.hpp"
 
 namespace amrpic::external {
 
@@ -60,12 +61,15 @@ Fields<V> field(Quadrupole const& of, Vector3<V> const& at, Real) {
            G * x * y * (f.first - f.third * (xx + yy) / 12)}};
 }
 
-/// B = ∇ψ, ψ = B0 (y f - y³ f'' / 6): curl B = 0, and div B = -B0 y³ f'''' / 6. Positive particles that move along +z
-/// turn to -x. Hard edges: f is a step, f' its δ, which focuses vertically those that cross the edge at an angle.
+/// B = ∇ψ, ψ = B0 (y f - y³ Δf / 6): curl B = 0, and div B = -B0 y³ ΔΔf / 6. Positive particles that move along +z turn
+/// to -x. Hard edges: f is a step, ∇f its δ, which focuses vertically those that cross the edge at an angle. With
+/// turned pole faces, f is the product of two profiles, each along the normal of its face; a positive angle makes the
+/// magnet shorter at x > 0.
 struct Dipole {
   Real B0;    ///< T
   Real half;  ///< length, m
   Enge fringe;
+  std::array<Real, 2> sine{}, cosine{1, 1};  ///< of the angles of the faces where z is lowest and highest
   static constexpr bool has_edges = true;
   bool is_hard() const { return fringe.hard(); }
   static constexpr bool electric() { return false; }
@@ -73,16 +77,37 @@ struct Dipole {
 };
 
 template <class V>
+Fields<V> between_turned_faces(Dipole const& of, Vector3<V> const& at) {
+  auto const& [x, y, z] = at;
+  auto const &sine = of.sine, &cosine = of.cosine;
+  auto const in = fall_off<V>(of.fringe, sine[0] * x - cosine[0] * (z + of.half)),
+             out = fall_off<V>(of.fringe, sine[1] * x + cosine[1] * (z - of.half));
+  // of the product: Δf, and ∇f and ∇Δf along the two normals (sine, 0, ∓cosine), of which twice the product is `cross`
+  Real const cross = 2 * (sine[0] * sine[1] - cosine[0] * cosine[1]);
+  V const laplacian = in.second * out.value + cross * in.first * out.first + in.value * out.second, six = y * y / 6;
+  V const by_in = in.first * out.value -
+                  six * (in.third * out.value + cross * in.second * out.first + in.first * out.second),
+          by_out = in.value * out.first -
+                   six * (in.second * out.first + cross * in.first * out.second + in.value * out.third);
+  V const By = of.B0 * y;
+  return {{},
+          {By * (sine[0] * by_in + sine[1] * by_out), of.B0 * (in.value * out.value - 3 * six * laplacian),
+           By * (cosine[1] * by_out - cosine[0] * by_in)}};
+}
+
+template <class V>
 Fields<V> field(Dipole const& of, Vector3<V> const& at, Real) {
   if (of.is_hard()) return {{}, {V{}, V{} + of.B0, V{}}};
-  auto const f = profile<V>(of.fringe, of.half, at[2]);
   V const y = at[1], yy = y * y;
+  if (of.sine != std::array<Real, 2>{}) return between_turned_faces(of, at);
+  auto const f = profile<V>(of.fringe, of.half, at[2]);
   return {{}, {V{}, of.B0 * (f.value - f.second * yy / 2), of.B0 * y * (f.first - f.third * yy / 6)}};
 }
 
 template <class V>
-Vector3<V> edge_field(Dipole const& of, Vector3<V> const& at) {
-  return {V{}, V{}, of.B0 * at[1]};
+Vector3<V> edge_field(Dipole const& of, Plane const& plane, Vector3<V> const& at) {
+  V const along = of.B0 * at[1];
+  return {0 - plane.slope * along, V{}, along};
 }
 
 /// Hard edges: B_z = B0 between two planes, B_r = -(r/2) B_z'. With a radius R the thin winding of a coil: on the axis
@@ -117,7 +142,7 @@ Fields<V> field(Solenoid const& of, Vector3<V> const& at, Real) {
 }
 
 template <class V>
-Vector3<V> edge_field(Solenoid const& of, Vector3<V> const& at) {
+Vector3<V> edge_field(Solenoid const& of, Plane const&, Vector3<V> const& at) {
   Real const half_B = of.B0 / 2;
   return {0 - half_B * at[0], 0 - half_B * at[1], V{}};
 }

@@ -145,11 +145,7 @@ class Block {
 };
 
 std::array<Lanes, n> coordinates(BeamLanes const& of) {
-  constexpr Real c = speed_of_light;
-  Lanes const square = of.u[0] * of.u[0] + of.u[1] * of.u[1] + of.u[2] * of.u[2];
-  // u² / (gamma + 1) equals gamma - 1 and loses no digits when particles are slow.
-  Lanes const energy = of.mass * (c * c) * (square / (square_root(1 + square) + 1));
-  return {of.x[0], of.x[1], of.x[2], of.u[0], of.u[1], of.u[2], energy};
+  return {of.x[0], of.x[1], of.x[2], of.u[0], of.u[1], of.u[2], kinetic_energy(of)};
 }
 
 /// Those of this rank's particles.

@@ -1,7 +1,6 @@
 #include "particle/moments.hpp"
 
 #include "base/communicator.hpp"
-#include "base/constants.hpp"
 
 namespace amrpic {
 
@@ -15,28 +14,18 @@ BeamSums<Real> part(BeamSums<Lanes> const& eight, int i) {
 }
 
 /// Those of this rank's particles.
-BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool same, std::array<Real*, 3> const& later,
-                          Real share) {
-  constexpr Real c = speed_of_light;
+BeamSums<Real> local_sums(BeamView const& beam) {
+  std::int64_t const count = beam.particles.count;
   BeamSums<Lanes> eight;
-  for (std::int64_t first = 0; first < particles.count; first += lane_count) {
-    std::int64_t const left = particles.count - first;
+  for (std::int64_t first = 0; first < count; first += lane_count) {
+    std::int64_t const left = count - first;
     LaneGroup const group{first, left < lane_count ? (1u << left) - 1 : all_lanes};
-    Lanes weight = load(particles.weight, particles.equal_weights, group);
-    if (!group.whole()) weight = select(mask_of(group.lanes), weight, Lanes{});
-    Lanes const m = load(mass, same, group), per_mc = 1 / (m * c);
-    std::array<Lanes, 3> x, u;
-    Lanes square{};
-    for (std::size_t d = 0; d < 3; ++d) {
-      Lanes const early = load(particles.momentum[d], group), p = early + share * (load(later[d], group) - early);
-      x[d] = load(particles.position[d], group);
-      u[d] = p * per_mc;
-      square += u[d] * u[d];
-      eight.momentum[d] += weight * p;
-    }
-    // u² / (gamma + 1) equals gamma - 1 and loses no digits when particles are slow.
-    eight.kinetic_energy += weight * (m * (c * c)) * (square / (square_root(1 + square) + 1));
-    eight.add(weight, x, u);
+    BeamLanes const of = load(beam, group);
+    Lanes const weight = group.whole() ? of.weight : select(mask_of(group.lanes), of.weight, Lanes{});
+    Lanes const weighted_mc = weight * of.mass * speed_of_light;
+    for (std::size_t d = 0; d < 3; ++d) eight.momentum[d] += weighted_mc * of.u[d];
+    eight.kinetic_energy += weight * kinetic_energy(of);
+    eight.add(weight, of.x, of.u);
   }
   BeamSums<Real> out;
   for (int i = 0; i < lane_count; ++i) out.add(part(eight, i));
@@ -45,10 +34,9 @@ BeamSums<Real> local_sums(ParticleView const& particles, Real const* mass, bool 
 
 }  // namespace
 
-BeamSums<Real> beam_sums(Communicator const& comm, ParticleView const& particles, Real const* mass, bool same,
-                         std::array<Real*, 3> const& later, Real share) {
+BeamSums<Real> beam_sums(Communicator const& comm, BeamView const& beam) {
   BeamSums<Real> out;
-  std::vector const own{local_sums(particles, mass, same, later, share)};
+  std::vector const own{local_sums(beam)};
   for (auto const& of_rank : comm.gather(own).values) out.add(of_rank);
   return out;
 }

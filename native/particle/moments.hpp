@@ -1,7 +1,7 @@
 #pragma once
 
 #include "base/communicator.hpp"
-#include "particle/view.hpp"
+#include "particle/beam_parts.hpp"
 
 namespace amrpic {
 
@@ -49,9 +49,7 @@ struct BeamSums {
   }
 };
 
-/// Those of the particles of all ranks, with momenta a `share` of the way to `later` ones. `mass` (kg) holds one value
-/// for all if they are `same`, else one for each. Collective.
-BeamSums<Real> beam_sums(Communicator const& comm, ParticleView const& particles, Real const* mass, bool same,
-                         std::array<Real*, 3> const& later, Real share);
+/// Those of the particles of all ranks. Collective.
+BeamSums<Real> beam_sums(Communicator const& comm, BeamView const& beam);
 
 }  // namespace amrpic

@@ -44,7 +44,7 @@ def write(
             mesh.attrs["unitDimension"] = np.array(DIMENSION[name], dtype=float)
             mesh.attrs.update(attributes)
             for key, values in components.items():
-                stored = values[None] if geometry == "thetaMode" else values
+                stored = values[None] if geometry == "thetaMode" and values.ndim == 2 else values
                 mesh[key] = (stored.T if order == "F" else stored) / unit
                 mesh[key].attrs["unitSI"] = unit
     return path
@@ -145,6 +145,17 @@ def test_map_in_another_place(tmp_path):
     assert np.allclose(there[0], fields_of(file).fields(here)[0] * (-1, 1, -1), rtol=1e-12)
 
 
+def test_axes_may_come_in_any_order(tmp_path):
+    """Labels z, y, x: indices, spacings and offsets are in that order."""
+    turned = {name: {key: values.T for key, values in of.items()} for name, of in cartesian().items()}
+    labels = np.array(["z", "y", "x"], dtype="S")
+    plain = field_maps.read(write(tmp_path / "xyz.h5", cartesian(), SPACING, LOWER))
+    other = field_maps.read(write(tmp_path / "zyx.h5", turned, SPACING[::-1], LOWER[::-1], axisLabels=labels))
+    assert (other.lower, other.spacing) == (plain.lower, plain.spacing)
+    for one, same in ((other.electric, plain.electric), (other.magnetic, plain.magnetic)):
+        assert one is not None and same is not None and np.array_equal(one, same)
+
+
 def refusal(path: Path, **more: Any) -> str:
     with pytest.raises(InputError) as refused:
         field_maps.read(path, **more)
@@ -165,6 +176,14 @@ def uneven() -> Records:
     return records
 
 
+def complex_() -> Records:
+    return {"E": {"x": np.full((7, 7, 7), 1j)}}
+
+
+R, T = np.zeros((5, 6)), {"geometry": "thetaMode", "axisLabels": np.array(["r", "z"], dtype="S")}
+ON_AXIS = {**T, "gridSpacing": np.array([0.1, 0.1]), "gridGlobalOffset": np.array([0.0, 0.0])}
+
+
 @pytest.mark.parametrize(
     "records, attributes, words",
     [
@@ -175,6 +194,24 @@ def uneven() -> Records:
         (cartesian(), {"geometry": "spherical"}, 'has the geometry "spherical"; write it as cartesian or thetaMode'),
         (cartesian(), {"axisLabels": np.array(["u", "y", "z"], dtype="S")}, "has the axes u, y, z; write x, y, z"),
         (cartesian(), {"unitDimension": np.zeros(7)}, "has the dimension (0.0, "),
+        (cartesian(), {"gridSpacing": np.array([0.1, 0.1])}, "has gridSpacing [0.1, 0.1]; write 3 finite numbers"),
+        (cartesian(), {"gridSpacing": 0.1}, "has gridSpacing 0.1; write 3 finite numbers, one per axis"),
+        (cartesian(), {"gridGlobalOffset": np.array([0, np.nan, 0])}, "has gridGlobalOffset [0.0, nan, 0.0]; write 3"),
+        (cartesian(), {"gridUnitSI": 0.0}, "has the spacing [0.0, 0.0, 0.0] m; write a positive one"),
+        ({"E": {"x": np.zeros((7, 7))}}, {}, "has nodes along 2 axes; write an array with an index per axis x, y, z"),
+        (complex_(), {}, "holds complex numbers; write the real amplitude"),
+        (
+            {"E": {"z": R}},
+            {**ON_AXIS, "gridGlobalOffset": np.array([0.025, 0.0])},
+            "begins at r = 0.025 m with nodes 0.1 m",
+        ),
+        ({"E": {"z": R}}, {**ON_AXIS, "gridGlobalOffset": np.array([-0.1, 0.0])}, "begins at r = -0.1 m"),
+        (
+            {"E": {"z": np.ones((3, 5, 6))}},
+            ON_AXIS,
+            "h5 holds 3 modes; write a field that is the same all around its axis",
+        ),
+        ({"E": {"x": np.ones((7, 7, 7))}, "B": {"x": np.ones((7, 7, 8))}}, {}, "holds E and B on different grids"),
         (
             cartesian(),
             {"gridSpacing": np.array([0.1, -0.1, 0.1])},
@@ -185,6 +222,22 @@ def uneven() -> Records:
 )
 def test_mistakes_get_a_sentence(tmp_path, records, attributes, words):
     assert words in refusal(write(tmp_path / "map.h5", records, SPACING, LOWER, **attributes))
+
+
+def test_components_at_different_places_of_a_cell(tmp_path):
+    file = write(tmp_path / "yee.h5", cartesian(), SPACING, LOWER)
+    with h5py.File(file, "a") as h5:
+        h5["data/5/fields/E/x"].attrs["position"] = np.array([0.5, 0, 0])
+        h5["data/5/fields/E/y"].attrs["position"] = np.array([0, 0.5, 0])
+    assert "has components at the places [0.5, 0.0, 0.0] and [0.0, 0.5, 0.0] of a cell; interpolate" in refusal(file)
+
+
+def test_what_is_missing_is_named(tmp_path):
+    for name in ("gridSpacing", "axisLabels", "geometry"):
+        file = write(tmp_path / f"{name}.h5", cartesian(), SPACING, LOWER)
+        with h5py.File(file, "a") as h5:
+            del h5["data/5/fields/B"].attrs[name]
+        assert name in refusal(file)
 
 
 def test_files_that_are_none(tmp_path):

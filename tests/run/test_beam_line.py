@@ -69,6 +69,69 @@ def test_a_hard_quadrupole_is_its_transfer_matrix():
     assert np.polyfit(np.log(2.0) * np.arange(4), np.log(errors), 1)[0] < -1.5 or errors[-1] < 1e-8, errors
 
 
+RADIUS, BEND = 1.0, 0.18  # m, rad
+SMALL = 1e-5  # m and rad
+
+
+def sector_matrices(entrance: float, exit: float, before: float = 0.1, after: float = 0.05) -> list[np.ndarray]:
+    """For x and y: drift, pole face, sector, pole face, drift (K. L. Brown, SLAC-75), angles from the normal of the orbit."""
+    c, s = np.cos(BEND), np.sin(BEND)
+    sectors = np.array([[[c, RADIUS * s], [-s / RADIUS, c]], [[1, RADIUS * BEND], [0, 1]]])
+    drift = [np.array([[1, length], [0, 1]]) for length in (before, after)]
+    face = [[np.array([[1, 0], [sign * np.tan(e) / RADIUS, 1]]) for sign in (1, -1)] for e in (entrance, exit)]
+    return [drift[1] @ face[1][plane] @ sectors[plane] @ face[0][plane] @ drift[0] for plane in (0, 1)]
+
+
+def seen_along(orbit: np.ndarray, place: np.ndarray, momentum: np.ndarray) -> np.ndarray:
+    """x, x', y, y' of particles (n, 4) where they pass the plane through a point across a direction of x and z."""
+    (x0, z0), (sine, cosine) = orbit
+    along = np.array([sine, 0, cosine])
+    slope = momentum / (momentum @ along)[:, None]
+    passed = place + slope * ((np.array([x0, 0, z0]) - place) @ along)[:, None]
+    x = (passed[:, 0] - x0) * cosine - (passed[:, 2] - z0) * sine
+    return np.stack([x, slope[:, 0] * cosine - slope[:, 2] * sine, passed[:, 1], slope[:, 1]], axis=1)
+
+
+@pytest.mark.parametrize(
+    "angles, sign", [((0.0, 0.0), 1), ((-0.09, -0.09), 1), ((0.4, -0.3), 1), ((0.4, -0.3), -1)],
+    ids=["rectangle", "sector", "wedge", "wedge that bends to +x"],
+)  # fmt: skip
+def test_a_hard_dipole_with_pole_faces_is_its_transfer_matrix(angles, sign):
+    """To first order in the coordinates about the design orbit; with positive angles a magnet is shorter at x > 0."""
+    half = RADIUS * np.sin(BEND / 2)
+    arrive, leave = (np.array([way * sign * np.sin(BEND / 2), np.cos(BEND / 2)]) for way in (1, -1))
+    start = np.array([0, -half]) - 0.1 * arrive
+    axis_x = np.array([arrive[1], 0, -arrive[0]])  # across the orbit
+    offsets = SMALL * np.concatenate([np.eye(4), -np.eye(4)])
+    place = np.array([start[0], 0, start[1]]) + offsets[:, :1] * axis_x + offsets[:, 2:3] * [0, 1, 0]
+    way = np.array([arrive[0], 0, arrive[1]]) + offsets[:, 1:2] * axis_x + offsets[:, 3:] * [0, 1, 0]
+    momentum = BETA_GAMMA * MC * way / np.linalg.norm(way, axis=1, keepdims=True)
+    magnet = {
+        "kind": "dipole",
+        "length": 2 * half,
+        "field": sign * BETA_GAMMA * MC / ELEMENTARY_CHARGE / RADIUS,
+        "entrance_angle": angles[0],
+        "exit_angle": angles[1],
+    }
+    bunch = {
+        "distribution": "arrays",
+        "species": "proton",
+        "charge": 1e-25,
+        "position": place.tolist(),
+        "momenta": momentum.tolist(),
+    }
+    x, p = end(scene([magnet], 200, bunches=[bunch]))
+    seen = seen_along(np.array([[0, half] + 0.05 * leave, leave]), x, p)
+    found = (seen[:4] - seen[4:]).T / (2 * SMALL)
+    # Mirrored in x, a face is turned the other way.
+    expected = np.zeros((4, 4))
+    expected[:2, :2], expected[2:, 2:] = sector_matrices(BEND / 2 + sign * angles[0], BEND / 2 + sign * angles[1])
+    # The orbit's error is of second order in the step, and goes with the place in the step where a face is crossed: that of
+    # its derivative by x is of first order.
+    assert np.abs(found - expected).max() < 3.5e-4
+    assert np.linalg.det(found) == pytest.approx(1, abs=1e-3)
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3))
 def test_elements_act_the_same_on_any_number_of_ranks(comm):
     given = scene([SMOOTH["quadrupole"], HARD["solenoid"]], 40)

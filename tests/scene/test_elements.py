@@ -10,7 +10,7 @@ import pytest
 
 from amrpic.errors import SceneError
 from amrpic.external import ExternalFields, axes
-from amrpic.scene.elements import MapElement, enge_reach
+from amrpic.scene.elements import DipoleElement, MapElement, enge_reach
 from amrpic.scene.scene import Scene
 from amrpic.scene.units import to_si
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
@@ -46,6 +46,16 @@ def refusal(element: dict[str, Any], **changes: Any) -> str:
 
 def without(element: dict[str, Any], *keys: str, **more: Any) -> dict[str, Any]:
     return {key: value for key, value in element.items() if key not in keys} | more
+
+
+def test_pole_faces_have_units_and_bounds():
+    dipole = {"kind": "dipole", "length": 0.1, "field": 1.0}
+    given = scene({**dipole, "entrance_angle": "10 deg", "exit_angle": -0.2}, motion={"kind": "leapfrog", "dt": 1e-12})
+    [magnet] = given.elements
+    assert isinstance(magnet, DipoleElement)
+    assert (magnet.entrance_angle, magnet.exit_angle) == pytest.approx((math.pi / 18, -0.2))
+    assert "exit_angle" in refusal({**dipole, "exit_angle": "90 deg"})
+    assert "entrance_angle" in refusal({**without(QUADRUPOLE), "entrance_angle": 0.1})
 
 
 def test_elements_of_a_toml_file(tmp_path):

@@ -107,4 +107,16 @@ def test_a_state_without_particles_can_be_measured(comm):
     assert row["memory"] > 1e6
     known = [quantity.name for quantity in diagnostics.quantities(3)]
     assert set(row) <= set(known)
-    assert set(known) - set(row) == {"step", "time", "regridded", "cycles", "residual", "seconds", "cells_2"}
+    assert set(known) - set(row) == {
+        "step",
+        "time",
+        "s",
+        "window_x",
+        "window_y",
+        "window_z",
+        "regridded",
+        "cycles",
+        "residual",
+        "seconds",
+        "cells_2",
+    }

@@ -16,7 +16,7 @@ from ..units import SPEED_OF_LIGHT
 from .bunches import Train
 from .complaints import complaint
 from .elements import gradient_of
-from .units import ElectricGradient, Emittance, Length, WaveNumber
+from .units import ElectricGradient, Emittance, Length, Momentum, WaveNumber
 
 SIZES = ("sigma", "emittance", "tune_depression")
 
@@ -41,6 +41,12 @@ class ThermalBunch(Train):
     emittance: Emittance | None = Field(default=None, ge=0, description="Normalised rms emittance, m rad, for sigma.")
     tune_depression: float | None = Field(
         default=None, ge=0, lt=1, description="k/k0, of the wave numbers with and without charge, for sigma; 0 is cold."
+    )
+    longitudinal_spread: Momentum | None = Field(
+        default=None,
+        ge=0,
+        description="Standard deviation of the momentum along z, kg m/s. Without it the temperature is the same along z, in the "
+        "frame of the beam: one that is much colder along z than across is unstable (Harris).",
     )
     mismatch: float = Field(
         default=1.0, gt=0, description="Factor on places across the beam, and of momenta its inverse; 1 is matched."
@@ -85,10 +91,10 @@ class ThermalBunch(Train):
                 path=next(name for name in ("momentum", "velocity", "direction") if getattr(self, name) is not None),
                 found=list(self.momentum or self.velocity or self.direction or ()),
             )
-        if any(self.momentum_spread[:2]):
+        if any(self.momentum_spread):
             raise complaint(
-                "has values across the beam, where the temperature gives them",
-                "give 0 for x and y",
+                "is given although the temperature gives it",
+                "leave it out, or give longitudinal_spread",
                 path="momentum_spread",
                 found=list(self.momentum_spread),
             )
@@ -137,7 +143,8 @@ class ThermalBunch(Train):
         size, temperature = self._equilibrium
         spread = math.sqrt(self._gamma * self.species.mass * max(temperature, 0.0))
         across = Plane(size * self.mismatch, 0.0, spread / self.mismatch)
-        return (across, across, Plane(self.length / math.sqrt(12), 0.0, self.momentum_spread[2]))
+        along = self._gamma * spread if self.longitudinal_spread is None else self.longitudinal_spread
+        return (across, across, Plane(self.length / math.sqrt(12), 0.0, along))
 
     def unit(self, u: np.ndarray) -> np.ndarray:
         size, temperature = self._equilibrium

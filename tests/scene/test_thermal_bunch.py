@@ -82,6 +82,7 @@ def test_bunch_is_matched_and_has_what_was_asked_for(given, momentum):
     gamma = np.hypot(1, momentum / (ELECTRON_MASS * SPEED_OF_LIGHT))
     size = part.rms[0]
     temperature = (part.rms[3] * ELECTRON_MASS * SPEED_OF_LIGHT) ** 2 / (gamma * ELECTRON_MASS)
+    assert part.rms[5] == pytest.approx(gamma * part.rms[3], rel=2e-3)  # isotropic where it rests
     own = ELEMENTARY_CHARGE * 1e-12 / LENGTH / (8 * np.pi * VACUUM_PERMITTIVITY * gamma**2)
     assert ELEMENTARY_CHARGE * 1e5 * size**2 == pytest.approx(temperature + own, rel=2e-3)
     depression = part.tune_depression(0, LENGTH)
@@ -117,7 +118,7 @@ def test_wave_number_is_that_of_the_element():
         ({"sigma": 1e-3, "wavenumber": 3.0}, "is given as well as wavenumber"),
         ({"sigma": 1e-3, "gradient": None, "wavenumber": 3.0}, "needs a mean momentum"),
         ({"sigma": 1e-3, "velocity": [1e6, 0, 0]}, "bunches.0.velocity ([1000000.0, 0.0, 0.0]) is not along z"),
-        ({"sigma": 1e-3, "momentum_spread": 1e-25}, "across the beam"),
+        ({"sigma": 1e-3, "momentum_spread": 1e-25}, "is given although the temperature gives it"),
         ({"tune_depression": 0.5, "charge": 0.0, "particles": 0}, "needs a charge"),
         ({"sigma": 1e-3, "species": {"charge": 0, "mass": 1}, "charge": 0.0, "particles": 0}, "has no charge"),
     ],

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
-from scipy.special import elliprd
 
+from ..particles.equivalent_beam import ellipsoid_gradient
 from ..particles.particles import Particles
 from ..run.plan import Plan
 from ..run.state import State
 from ..run.step import advance, begin
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
+from . import envelopes, halo, thermal
 from .chosen import scene_of
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
@@ -39,6 +40,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         ("γ", "E_x", "E_y", "E_z", "B_x", "B_y", "cycles"),
         [_fast_bunch(comm, gamma) for gamma in (2.0, 20.0, 100.0)],
     )
+    yield envelopes.table(comm)
+    yield thermal.table(comm)
+    yield halo.table(comm)
 
 
 # ---- explosion ----
@@ -47,15 +51,12 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
 def half_axes(start: Sequence[float], time: float) -> np.ndarray:
     """Half axes (m) of a uniform ellipsoid of electrons that starts at rest, after `time` s.
 
-    It stays uniform: E along an axis is 3 Q / (4πε₀) x R_D / 3 with Carlson's integral of the other half axes squared and its
-    own (O. D. Kellogg, Foundations of Potential Theory, 1929, chapter VII, in Carlson's form).
+    It stays uniform, since E along an axis is linear.
     """
-    strength = CHARGE * -ELEMENTARY_CHARGE / (4 * np.pi * EPS0 * ELECTRON_MASS)
 
     def change(_: float, y: np.ndarray) -> np.ndarray:
-        a, square = y[:3], y[:3] ** 2
-        integrals = [elliprd(square[(d + 1) % 3], square[(d + 2) % 3], square[d]) for d in range(3)]
-        return np.concatenate([y[3:], strength * np.array(integrals) * a])
+        gradients = [ellipsoid_gradient(CHARGE, *(np.roll(y[:3], -d) / np.sqrt(5))) for d in range(3)]
+        return np.concatenate([y[3:], -ELEMENTARY_CHARGE / ELECTRON_MASS * np.array(gradients) * y[:3]])
 
     return solve_ivp(change, (0, time), [*start, 0, 0, 0], rtol=1e-11, atol=1e-15).y[:3, -1]
 

@@ -10,7 +10,9 @@ import pytest
 from mpi4py import MPI
 from scipy.integrate import cumulative_simpson
 
+from amrpic import Simulation
 from amrpic.errors import SceneError
+from amrpic.io import time_series
 from amrpic.particles import thermal_equilibrium
 from amrpic.particles.distributions import thermal
 from amrpic.particles.sampling import draw
@@ -132,3 +134,20 @@ def test_a_domain_that_does_not_continue_the_beam_is_remarked_on():
     assert not scene(sigma=3e-3).remarks()
     (remark,) = scene(sigma=3e-3, length=LENGTH / 2).remarks()
     assert "a piece of a continuous beam" in remark
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_table_of_the_beam_says_the_tune_depression_asked_for(comm, tmp_path):
+    """Of each group by its own charge; none of two species together, nor of a bunch without width."""
+    given = scene(tune_depression=0.4)
+    needle = {"distribution": "kv", "charge": 1e-15, "particles": 10, "sigma": [0, 1e-3, 1e-3], "momentum_spread": 1e-25}
+    bunches = [*given.to_dict()["bunches"], needle]
+    output = {"directory": str(tmp_path), "write": ["series"]}
+    Simulation(comm, Scene.from_dict({**given.to_dict(), "bunches": bunches, "output": output})).run()
+    comm.barrier()
+    rows = time_series.read(tmp_path / "beam.csv")
+    found = {group: rows["tune_depression_x"][i] for i, group in enumerate(rows["group"])}
+    assert found["electron"] == found["bunch_0"] == pytest.approx(0.4, rel=2e-3)
+    assert np.isnan(found["all"]) and np.isnan(found["bunch_1"])
+    of_needle = rows["tune_depression_y"][list(rows["group"]).index("bunch_1")]
+    assert np.isnan(found["proton"]) and 0 < of_needle < 1

@@ -29,8 +29,9 @@ def ellipsoid_gradient(charge: float, size: float, other: float, along: float) -
 def tune_depression(emittance: float, size: float, gradient: float, charge: float, mass: float, gamma: float) -> float:
     """Return k/k0, the wave numbers with and without self-field, of the beam that is matched with these moments.
 
-    Of a normalised rms `emittance` (m rad) and an rms `size` (m), whose self-force per length is charge × `gradient` (V/m²); from
-    the envelope equation at rest, k0² <x²> = ε²/<x²> + <x F_x>/(γ m v²) with k = ε/<x²>. nan if neither is positive.
+    Of a normalised rms `emittance` (m rad) and an rms `size` (m), whose self-force per length is `charge` (C) × `gradient`
+    (V/m²), and particles of a `mass` (kg); from the envelope equation at rest, k0² <x²> = ε²/<x²> + <x F_x>/(γ m v²) with
+    k = ε/<x²>. nan without emittance and self-force.
     """
     cold = charge * gradient * gamma * size**4 / (mass * SPEED_OF_LIGHT**2)
     both = emittance**2 + cold

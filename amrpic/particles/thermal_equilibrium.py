@@ -4,8 +4,8 @@ The density is n(0) exp(-ψ) with ψ = (K r²/2 + q φ(r)/γ²)/T: K the focusin
 r = s λ in Debye lengths, λ² = ε0 γ² T/(q² n(0)), Poisson's equation is (s ψ')'/s = 1 + δ - exp(-ψ), and δ > 0 alone
 distinguishes beams (R. C. Davidson, H. Qin, Physics of Intense Charged Particle Beams, 2001; S. M. Lund, T. Kikuchi,
 R. C. Davidson, Phys. Rev. ST Accel. Beams 12 (2009) 114801). By the virial theorem K <x²> = T + S for every δ, with
-S = <x F_x> = q λ_q/(8π ε0 γ²) for its own field and the charge per length λ_q. So the tune depression k/k0, that of the KV beam with the
-same rms size and emittance, is sqrt(T/(K <x²>)); it fixes ∫ exp(-ψ) s ds = 4 S/T = 4 ((k0/k)² - 1), and that fixes δ.
+S = <x F_x> = q λ_q/(8π ε0 γ²) for its own field and the charge per length λ_q. So the tune depression k/k0, that of the KV beam
+with the same rms size and emittance, is sqrt(T/(K <x²>)); it fixes ∫ exp(-ψ) s ds = 4 S/T = 4 ((k0/k)² - 1), and that fixes δ.
 """
 
 from __future__ import annotations

@@ -104,7 +104,11 @@ class BeamTables:
         named = list(zip(groups.names, groups.members, strict=True))
         self._series[BEAM].append(
             *(
-                {**at, "group": name, **_row(group_values(moments[members], quantiles[members], lost[members], self._period))}
+                {
+                    **at,
+                    "group": name,
+                    **_row(group_values(moments[members], quantiles[members], lost[members], self._period)),
+                }
                 for name, members in named
             )
         )

@@ -299,8 +299,8 @@ class Scene(Section):
         for number, bunch in enumerate(self.bunches):
             if isinstance(bunch, ThermalBunch) and not math.isclose(bunch.length, self.domain.value.period(2)):
                 out.append(
-                    f"bunches.{number} is a piece of a continuous beam, {bunch.length:g} m long, which a domain would continue that "
-                    "is periodic along z over this length"
+                    f"bunches.{number} is a piece of a continuous beam, {bunch.length:g} m long, which a domain would continue "
+                    "that is periodic along z over this length"
                 )
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:

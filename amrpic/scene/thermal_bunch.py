@@ -45,8 +45,8 @@ class ThermalBunch(Train):
     longitudinal_spread: Momentum | None = Field(
         default=None,
         ge=0,
-        description="Standard deviation of the momentum along z, kg m/s. Without it the temperature is the same along z, in the "
-        "frame of the beam: one that is much colder along z than across is unstable (Harris).",
+        description="Standard deviation of the momentum along z, kg m/s. Without it the temperature is the same along z, in "
+        "the frame of the beam: one that is much colder along z than across is unstable (Harris).",
     )
     mismatch: float = Field(
         default=1.0, gt=0, description="Factor on places across the beam, and of momenta its inverse; 1 is matched."
@@ -70,7 +70,9 @@ class ThermalBunch(Train):
             raise complaint("has no charge, which the focusing acts on", "give another one", path="species", found=0.0)
         if self.gradient is not None and self.gradient * self.species.charge <= 0:
             raise complaint(
-                f"does not focus particles of {self.species.charge:g} C", "give one of the sign of the charge", path="gradient"
+                f"does not focus particles of {self.species.charge:g} C",
+                "give one of the sign of the charge",
+                path="gradient",
             )
         given_sizes = [name for name in SIZES if getattr(self, name) is not None]
         if len(given_sizes) != 1:

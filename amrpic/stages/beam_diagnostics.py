@@ -320,9 +320,7 @@ def group_losses(comm: MPI.Comm, lost: Particles, groups: Groups) -> dict[frozen
 # ---- tables ----
 
 
-def group_values(
-    part: Part, quantiles: Quantiles, lost: tuple[int, float], period: float = math.inf
-) -> list[Value]:
+def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float], period: float = math.inf) -> list[Value]:
     """Return all that is measured of a group, in the order of its table; z repeats after `period` m."""
     return [
         (Quantity("particles", counts=True), part.particles),

@@ -7,7 +7,7 @@ of a round beam vanish, those of an elliptic one are some 1e-3 of its own field.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,7 +43,7 @@ class Envelope:
     gamma: float = 1.0
 
     def at(self, times: np.ndarray, focusing: Focusing, step: float = np.inf) -> np.ndarray:
-        """Return rms sizes and their derivatives (x, y, x', y') at times, (4, n); `step` is the longest of the integration, s."""
+        """Return rms sizes and their derivatives (x, y, x', y') at times, (4, n); integrated by steps of at most `step` s."""
         strength = -ELEMENTARY_CHARGE / (self.gamma**3 * ELECTRON_MASS)
 
         def change(time: float, s: np.ndarray) -> list[float]:
@@ -55,7 +55,9 @@ class Envelope:
             return [s[2], s[3], *(rate * size for rate, size in zip(rates, (x, y), strict=True))]
 
         span = (times[0], times[-1])
-        return solve_ivp(change, span, [*self.start, 0, 0], t_eval=times, max_step=step, rtol=1e-9, atol=1e-12 * RADIUS).y
+        return solve_ivp(
+            change, span, [*self.start, 0, 0], t_eval=times, max_step=step, rtol=1e-9, atol=1e-12 * RADIUS
+        ).y
 
     def bunch(self, particles: int) -> dict[str, Any]:
         """The KV beam of this envelope at its start, as a section of a scene."""
@@ -85,7 +87,7 @@ def matched(depression: float = DEPRESSION) -> Envelope:
 
 def slab(
     bunches: list[dict[str, Any]],
-    elements: list[dict[str, Any]],
+    elements: Sequence[Mapping[str, Any]],
     dt: float,
     steps: int,
     levels: int,
@@ -101,7 +103,7 @@ def slab(
             "boundary": {"x": "dirichlet", "y": "dirichlet", "z": "periodic"},
         },
         "bunches": bunches,
-        "elements": elements,
+        "elements": list(elements),
         "refinement": {"levels": levels, "regrid_every": 10, "rule": {"kind": "charge-density", "relative": 0.02}},
         "solver": {"tolerance": "discretization"},
         "motion": {"kind": "leapfrog", "dt": dt, **(motion or {})},

@@ -59,11 +59,12 @@ def table(comm: MPI.Comm) -> Table:
     ]
     return Table(
         "Envelopes of a KV beam",
-        f"Slab of {LENGTH / RADIUS:.2g} beam radii of {PARTICLES} electrons, periodic along z, in a square grounded pipe of a half "
-        "width of 6 beam radii, tune depression 0.5, the same temperature along z as across: at rest in constant focusing, "
-        f"{MISMATCH:g} times as large as the matched beam, and at {BETA:g} c through quadrupoles with hard edges, 60° of phase per cell "
-        f"without charge, the window going with it, matched; {LEVELS} refined levels. Largest relative error of the rms sizes along "
-        f"x and y over {PERIODS} periods of the focusing, against the envelope equation, and change of the emittances.",
+        f"Slab of {PARTICLES} electrons, {LENGTH / RADIUS:.2g} beam radii long, periodic along z, in a square grounded pipe of a "
+        "half width of 6 beam radii, tune depression 0.5, the same temperature along z as across: at rest in constant focusing, "
+        f"{MISMATCH:g} times as large as the matched beam, and matched at {BETA:g} c through quadrupoles with hard edges, 60° "
+        f"of phase per cell without charge, {CELL / LENGTH:.0f} slabs to a cell, the window going with it; {LEVELS} refined "
+        f"levels. Largest relative error of the rms sizes along x and y over {PERIODS} periods of the focusing, against the envelope "
+        "equation, and change of the emittances.",
         ("channel", "envelopes", "emittances"),
         rows,
         upwards="rms sizes",
@@ -96,7 +97,9 @@ def constant_focusing() -> Channel:
 def lattice() -> Channel:
     """Quadrupoles, with the beam that is matched to them."""
     square = quadrupole_square()
-    gradient = -square * GAMMA * ELECTRON_MASS / (ELEMENTARY_CHARGE * SPEED)  # T/m: electrons are focused by negative ones
+    gradient = (
+        -square * GAMMA * ELECTRON_MASS / (ELEMENTARY_CHARGE * SPEED)
+    )  # T/m: electrons are focused by negative ones
     elements = [
         {
             "kind": "quadrupole",
@@ -144,14 +147,16 @@ def matched_to(focusing: Focusing) -> Envelope:
 
     def beam(unknown: np.ndarray) -> Envelope:
         x, y, charge = unknown
-        return replace(
-            smooth, start=(x * RADIUS, y * RADIUS), charge=charge * smooth.charge * GAMMA**3, gamma=GAMMA
-        )
+        return replace(smooth, start=(x * RADIUS, y * RADIUS), charge=charge * smooth.charge * GAMMA**3, gamma=GAMMA)
 
     def mistakes(unknown: np.ndarray) -> list[float]:
         x, _, *slopes = beam(unknown).at(times, focusing, step=times[1])
         advance = 2 * np.trapezoid(smooth.emittance / x**2, times)
-        return [slopes[0][-1] / (RADIUS * OMEGA), slopes[1][-1] / (RADIUS * OMEGA), advance / (DEPRESSION * ADVANCE) - 1]
+        return [
+            slopes[0][-1] / (RADIUS * OMEGA),
+            slopes[1][-1] / (RADIUS * OMEGA),
+            advance / (DEPRESSION * ADVANCE) - 1,
+        ]
 
     return beam(root(mistakes, [0.6, 0.4, 1.0], tol=1e-10).x)
 

@@ -40,9 +40,9 @@ def table(comm: MPI.Comm) -> Table:
     found, wanted = (float(values.max() / RADIUS) for values in (reached, exact))
     return Table(
         "Halo of a breathing core",
-        f"Weightless electrons that start at rest, at up to {FURTHEST} matched radii and at all angles, in constant focusing and in "
-        f"the field of a uniform round core of tune depression 0.5 whose radius follows the envelope equation from {MISMATCH} of "
-        f"the matched one; {CORE} particles make the core, {LEVELS} levels are refined, {PERIODS} periods of {STEPS} steps. "
+        f"Weightless electrons that start at rest, at up to {FURTHEST} matched radii and at all angles, in constant focusing "
+        f"and in the field of a uniform round core of tune depression 0.5 whose radius follows the envelope equation from "
+        f"{MISMATCH} of the matched one; {CORE} particles make the core, {LEVELS} levels are refined, {PERIODS} periods of {STEPS} steps. "
         "Largest radius that any of them reaches, in matched radii, and that of the particle-core equation (R. L. Gluckstern, "
         "Phys. Rev. Lett. 73 (1994) 1247; T. P. Wangler et al., Phys. Rev. ST Accel. Beams 1 (1998) 084201).",
         ("largest radius", "by the equation", "error"),
@@ -73,9 +73,11 @@ def _force(x: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _reached(comm: MPI.Comm, core: Envelope, start: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Largest distances from the axis of test particles on the mesh, m, where the core has a prescribed radius (m) at each step."""
+    """Largest distances of test particles from the axis on the mesh, m; the core has a prescribed radius (m) at each step."""
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(len(start))
-    place = np.stack([start * np.cos(angle), start * np.sin(angle), np.linspace(-0.49, 0.49, len(start)) * LENGTH], axis=1)
+    place = np.stack(
+        [start * np.cos(angle), start * np.sin(angle), np.linspace(-0.49, 0.49, len(start)) * LENGTH], axis=1
+    )
     tests = {"distribution": "arrays", "species": "electron", "position": place, "charge": 1e-15 * core.charge * LENGTH}
     plan = Plan(comm, scene_of(slab([core.bunch(CORE), tests], [FOCUSING], PERIOD / STEPS, len(radius) - 1, LEVELS)))
     state, largest = begin(plan), start.copy()
@@ -95,6 +97,8 @@ def _breathing(state: State, factor: float) -> State:
 
 
 def _draw(start: np.ndarray, reached: np.ndarray, exact: np.ndarray, path: Path) -> None:
-    with picture(path, "Halo of a breathing core", "radius at the start / matched radius", "largest radius / matched radius") as axes:
+    with picture(
+        path, "Halo of a breathing core", "radius at the start / matched radius", "largest radius / matched radius"
+    ) as axes:
         axes.plot(start, reached, ".", markersize=2, label="test particles")
         axes.plot(start, exact, "k", linewidth=0.7, label="particle-core equation")

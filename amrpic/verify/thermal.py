@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -28,12 +28,14 @@ def table(comm: MPI.Comm) -> Table:
     rows: list[list[Cell]] = []
     for name, levels in meshes.items():
         growth = float(np.abs(found[name] - 1).max())
-        rows.append([name, RADIUS / width * 2**levels, Goal(growth, 0.01) if levels else growth, float(found[name][-1] - 1)])
+        rows.append(
+            [name, RADIUS / width * 2**levels, Goal(growth, 0.01) if levels else growth, float(found[name][-1] - 1)]
+        )
     return Table(
         "Emittance of a matched thermal beam",
-        f"Slab of {PARTICLES} electrons in thermal equilibrium with constant focusing and their own field, tune depression 0.5, "
-        f"over {PERIODS} periods of the focusing in steps of 1/{STEPS} of one, in a square grounded pipe of a half width of 12 rms "
-        "sizes: largest change, and change at the end, of the mean of both transverse emittances.",
+        f"Slab of {PARTICLES} electrons in thermal equilibrium with constant focusing and their own field, tune depression "
+        f"{DEPRESSION}, over {PERIODS} periods of the focusing in steps of 1/{STEPS} of one, in a square grounded pipe of a "
+        "half width of 12 rms sizes: largest change, and change at the end, of the mean of both transverse emittances.",
         ("mesh", "cells in two rms sizes", "largest", "at the end"),
         rows,
         upwards="emittance over that at the start",
@@ -58,7 +60,7 @@ def _emittances(comm: MPI.Comm, levels: int) -> np.ndarray:
     return np.array(found) / found[0]
 
 
-def _draw(found: dict[str, Sequence[float]], path: Path) -> None:
+def _draw(found: Mapping[str, np.ndarray], path: Path) -> None:
     with picture(path, "Emittance of a matched thermal beam", "periods", "emittance over that at the start") as axes:
         for name, values in found.items():
             axes.plot(range(len(values)), values, linewidth=1, label=name)

@@ -15,11 +15,13 @@ from amrpic.errors import SceneError
 from amrpic.io import time_series
 from amrpic.particles import thermal_equilibrium
 from amrpic.particles.distributions import thermal
+from amrpic.particles.groups import Groups
+from amrpic.particles.phase_space import Plane
 from amrpic.particles.sampling import draw
 from amrpic.run.initial_particles import make_particles
 from amrpic.scene.scene import Scene
+from amrpic.scene.thermal_bunch import ThermalBunch
 from amrpic.stages.beam_diagnostics import Beam, group_moments
-from amrpic.particles.groups import Groups
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
 LENGTH = 0.02  # m
@@ -43,6 +45,12 @@ def scene(**bunch: Any) -> Scene:
     }
     bunches = [{key: value for key, value in (BUNCH | bunch).items() if value is not None}]
     return Scene.from_dict({"domain": domain, "bunches": bunches})
+
+
+def across(**bunch: Any) -> Plane:
+    (made,) = scene(**bunch).bunches
+    assert isinstance(made, ThermalBunch)
+    return made.planes[0]
 
 
 @pytest.mark.parametrize("log_delta", [-300.0, -10.0, 0.0, 5.0])
@@ -97,16 +105,16 @@ def test_bunch_is_matched_and_has_what_was_asked_for(given, momentum):
 
 
 def test_mismatch_changes_sizes_and_not_the_emittance():
-    matched, wide = (scene(tune_depression=0.5, mismatch=factor).bunches[0].planes[0] for factor in (1.0, 1.5))
+    matched, wide = (across(tune_depression=0.5, mismatch=factor) for factor in (1.0, 1.5))
     assert (wide.size, wide.spread) == pytest.approx((1.5 * matched.size, matched.spread / 1.5), rel=1e-14)
 
 
 def test_wave_number_is_that_of_the_element():
     momentum = 3 * ELECTRON_MASS * SPEED_OF_LIGHT
     k = np.sqrt(1e5 * ELEMENTARY_CHARGE * np.sqrt(10) * ELECTRON_MASS) / momentum  # γ m v² k² = K
-    by_wave = scene(momentum=[0, 0, momentum], gradient=None, wavenumber=k, sigma=3e-3)
-    by_gradient = scene(momentum=[0, 0, momentum], sigma=3e-3)
-    assert by_wave.bunches[0].planes[0].spread == pytest.approx(by_gradient.bunches[0].planes[0].spread, rel=1e-12)
+    by_wave = across(momentum=[0, 0, momentum], gradient=None, wavenumber=k, sigma=3e-3)
+    by_gradient = across(momentum=[0, 0, momentum], sigma=3e-3)
+    assert by_wave.spread == pytest.approx(by_gradient.spread, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +148,13 @@ def test_a_domain_that_does_not_continue_the_beam_is_remarked_on():
 def test_table_of_the_beam_says_the_tune_depression_asked_for(comm, tmp_path):
     """Of each group by its own charge; none of two species together, nor of a bunch without width."""
     given = scene(tune_depression=0.4)
-    needle = {"distribution": "kv", "charge": 1e-15, "particles": 10, "sigma": [0, 1e-3, 1e-3], "momentum_spread": 1e-25}
+    needle = {
+        "distribution": "kv",
+        "charge": 1e-15,
+        "particles": 10,
+        "sigma": [0, 1e-3, 1e-3],
+        "momentum_spread": 1e-25,
+    }
     bunches = [*given.to_dict()["bunches"], needle]
     output = {"directory": str(tmp_path), "write": ["series"]}
     Simulation(comm, Scene.from_dict({**given.to_dict(), "bunches": bunches, "output": output})).run()

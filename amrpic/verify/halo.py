@@ -41,10 +41,11 @@ def table(comm: MPI.Comm) -> Table:
     return Table(
         "Halo of a breathing core",
         f"Weightless electrons that start at rest, at up to {FURTHEST} matched radii and at all angles, in constant focusing "
-        f"and in the field of a uniform round core of tune depression 0.5 whose radius follows the envelope equation from "
-        f"{MISMATCH} of the matched one; {CORE} particles make the core, {LEVELS} levels are refined, {PERIODS} periods of {STEPS} steps. "
-        "Largest radius that any of them reaches, in matched radii, and that of the particle-core equation (R. L. Gluckstern, "
-        "Phys. Rev. Lett. 73 (1994) 1247; T. P. Wangler et al., Phys. Rev. ST Accel. Beams 1 (1998) 084201).",
+        "and in the field of a uniform round core of tune depression 0.5 whose radius follows the envelope equation from "
+        f"{MISMATCH} of the matched one; {CORE} particles make the core, {LEVELS} levels are refined, {PERIODS} periods of "
+        f"{STEPS} steps. Largest radius that any of them reaches, in matched radii, and that of the particle-core equation "
+        "(R. L. Gluckstern, Phys. Rev. Lett. 73 (1994) 1247; T. P. Wangler et al., Phys. Rev. ST Accel. Beams 1 (1998) "
+        "084201).",
         ("largest radius", "by the equation", "error"),
         [[found, wanted, Goal(abs(found / wanted - 1), 0.02)]],
         upwards="largest radius over radius at the start",

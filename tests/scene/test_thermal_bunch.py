@@ -129,6 +129,7 @@ def test_wave_number_is_that_of_the_element():
         ({"sigma": 1e-3, "gradient": None, "wavenumber": 3.0}, "needs a mean momentum"),
         ({"sigma": 1e-3, "velocity": [1e6, 0, 0]}, "bunches.0.velocity ([1000000.0, 0.0, 0.0]) is not along z"),
         ({"sigma": 1e-3, "momentum_spread": 1e-25}, "is given although the temperature gives it"),
+        ({"sigma": 1e-3, "gradient": [-1e5, -2e5, 0]}, "bunches.0.gradient ([-100000.0, -200000.0, 0]) is not a"),
         ({"tune_depression": 0.5, "charge": 0.0, "particles": 0}, "needs a charge"),
         ({"sigma": 1e-3, "species": {"charge": 0, "mass": 1}, "charge": 0.0, "particles": 0}, "has no charge"),
     ],

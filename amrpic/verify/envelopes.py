@@ -169,9 +169,9 @@ def _draw(found: Mapping[str, Sequence[np.ndarray]], path: Path) -> None:
                 axes.plot(
                     times,
                     measured[:, axis] / RADIUS,
-                    f"C{2 * colour + axis}.",
-                    markersize=2,
-                    markevery=5,
+                    f"C{2 * colour + axis}o",
+                    markersize=3,
+                    markevery=(2 * axis, 5),
                     label=f"{name}, {'xy'[axis]}",
                 )
         axes.plot([], [], "k", linewidth=0.5, label="envelope equation")

@@ -62,6 +62,10 @@ class Domain:
     def periodic(self) -> tuple[bool, bool, bool]:
         return tuple(faces[0] == "periodic" for faces in self.boundary)  # type: ignore[return-value]
 
+    def period(self, axis: int) -> float:
+        """Length in m after which space repeats along an axis; infinity where it does not."""
+        return self.upper[axis] - self.lower[axis] if self.periodic[axis] else np.inf
+
     @property
     def singular(self) -> bool:
         """Whether the faces fix the potential only up to a constant."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import betaincinv, ndtri
 
+from .thermal_equilibrium import squared_radius
+
 DRAWS = 7
 
 
@@ -63,6 +65,15 @@ def kapchinsky_vladimirsky(u: np.ndarray, normal_z: bool) -> np.ndarray:
     x, px = _polar(2 * np.sqrt(u[0]), u[1])  # the share of a plane in the squared radius is even in (0, 1)
     y, py = _polar(2 * np.sqrt(1 - u[0]), u[2])
     return np.stack([x, y, ndtri(u[3]) if normal_z else _even(u[3]), px, py, ndtri(u[4])])
+
+
+def thermal(u: np.ndarray, depression: float) -> np.ndarray:
+    """Thermal equilibrium of a continuous round beam with a tune depression in [0, 1]; z even in |z| < sqrt(3).
+
+    Normal in x, y at 1, constant in a disc of radius 2 at 0; normal momenta. See `thermal_equilibrium`.
+    """
+    x, y = _polar(np.sqrt(squared_radius(depression)(u[0])), u[1])
+    return np.stack([x, y, _even(u[2]), *ndtri(u[3:6])])
 
 
 def waterbag(u: np.ndarray) -> np.ndarray:

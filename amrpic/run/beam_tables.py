@@ -62,6 +62,7 @@ class BeamTables:
         self._comm, self._about, self._keep = comm, about, keep_to_step
         self._every, self._slices = scene.diagnostics.every, scene.diagnostics.slices
         self._directory = scene.directory
+        self._period = scene.domain.value.period(2)
         self._groups = groups_of(state, scene)
         self._own = own
         self._series: dict[str, Series] = {}
@@ -103,7 +104,11 @@ class BeamTables:
         named = list(zip(groups.names, groups.members, strict=True))
         self._series[BEAM].append(
             *(
-                {**at, "group": name, **_row(group_values(moments[members], quantiles[members], lost[members]))}
+                {
+                    **at,
+                    "group": name,
+                    **_row(group_values(moments[members], quantiles[members], lost[members], self._period)),
+                }
                 for name, members in named
             )
         )
@@ -143,7 +148,7 @@ class BeamTables:
 
 NOTHING = (
     Part(
-        0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(7), np.zeros((7, 7)), np.zeros((3, 5, 5)), np.zeros(7), np.zeros(7)
+        0, 0.0, 0.0, 0.0, 0.0, np.zeros(3), np.zeros(7), np.zeros((7, 7)), np.zeros((3, 5, 5)), np.zeros(7), np.zeros(7)
     ),
     Quantiles(np.zeros((3, len(FRACTIONS))), np.zeros(len(FRACTIONS)), np.zeros(len(FRACTIONS))),
     (0, 0.0),

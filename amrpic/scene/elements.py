@@ -77,6 +77,13 @@ class UniformElement(PossiblyEverywhere):
     magnetic_field: MagneticField3 = Field(default=(0.0, 0.0, 0.0), description="Along its x, y, z, T.")
 
 
+def gradient_of(wavenumber: float, species: Species, momentum: tuple[float, float, float]) -> float:
+    """Return the gradient γ m v² k²/q (V/m²) in which particles of a momentum (kg m/s) oscillate with k (1/m) across it."""
+    p = math.hypot(*momentum)
+    gamma = math.hypot(1.0, p / (species.mass * SPEED_OF_LIGHT))
+    return wavenumber**2 * p * p / (gamma * species.mass * species.charge)
+
+
 class ConstantFocusingElement(PossiblyEverywhere):
     """Linear focusing: the electric field -(gx x, gy y, gz z)."""
 
@@ -103,9 +110,7 @@ class ConstantFocusingElement(PossiblyEverywhere):
         if self.wavenumber is None:
             assert self.gradient is not None
             return self.gradient
-        p = math.hypot(*momentum)
-        gamma = math.hypot(1.0, p / (species.mass * SPEED_OF_LIGHT))
-        x, y, z = (k * k * p * p / (gamma * species.mass * species.charge) for k in self.wavenumber)
+        x, y, z = (gradient_of(k, species, momentum) for k in self.wavenumber)
         return (x, y, z)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,6 +29,7 @@ from .refinement import Refinement, StaticBox, StaticRule, every_rule
 from .schedule import Schedule
 from .section import Section
 from .solver_options import SolverSection
+from .thermal_bunch import ThermalBunch
 
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
 
@@ -58,6 +60,7 @@ class Scene(Section):
             | ParabolicBunch
             | HollowBunch
             | HaloBunch
+            | ThermalBunch
             | LatticeBunch
             | ArrayBunch
             | OpenPMDBunch,
@@ -293,6 +296,12 @@ class Scene(Section):
             out.append("the scene has zero particles; the field is that of the boundary alone")
         if self.elements and not isinstance(self.motion, Leapfrog):
             out.append(f'elements act on nothing, since motion.kind is "{self.motion.kind}"; set it to "leapfrog"')
+        for number, bunch in enumerate(self.bunches):
+            if isinstance(bunch, ThermalBunch) and not math.isclose(bunch.length, self.domain.value.period(2)):
+                out.append(
+                    f"bunches.{number} is a piece of a continuous beam, {bunch.length:g} m long, which a domain would continue "
+                    "that is periodic along z over this length"
+                )
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:
             out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .. import _native
 from ..mesh.domain import AXES
+from ..particles.equivalent_beam import ellipsoid_gradient, line_gradient, tune_depression
 from ..particles.groups import Groups, layers
 from ..particles.particles import Particles
 from ..units import SPEED_OF_LIGHT, Quantity
@@ -55,6 +56,7 @@ class Part:
     particles: int  # macroparticles
     weight: float  # real ones
     charge: float  # C
+    mass: float  # kg, of one real particle; nan for several species
     flow: float  # C m/s: charge times velocity along z, that of the mean momentum of each species
     momentum: np.ndarray  # (3,) kg m/s, of all together
     mean: np.ndarray  # (7,)
@@ -112,6 +114,21 @@ class Part:
         fourth = float(of[4, 0] * of[0, 4] + 3 * of[2, 2] ** 2 - 4 * of[1, 3] * of[3, 1])
         return _ratio(math.sqrt(max(3 * fourth, 0.0)), 2 * second) - 2
 
+    def tune_depression(self, axis: int, period: float) -> float:
+        """Tune depression across z of the matched beam with these moments; nan for several species or without a size.
+
+        That of a continuous beam where z repeats after `period` m, else (infinity) that of an ellipsoid.
+        """
+        size, other, along = (float(self.rms[i]) for i in (axis, 1 - axis, 2))
+        if not size > 0:
+            return UNKNOWN
+        gamma = math.hypot(1.0, *self.mean[3:6])
+        if math.isfinite(period):
+            gradient = line_gradient(self.charge / period, size, other) / gamma**2
+        else:
+            gradient = ellipsoid_gradient(self.charge, size, other, gamma * along) / gamma
+        return tune_depression(self.emittance(axis), size, gradient, self.charge / self.weight, self.mass, gamma)
+
 
 def _ratio(a: float, b: float) -> float:
     return a / b if b > 0 else UNKNOWN
@@ -135,17 +152,19 @@ def _joined(of_runs: Sequence[tuple[int, _native.BeamMoments]], groups: Groups) 
     held = [(groups.species[run], moments) for run, moments in of_runs if moments.weight > 0]
     charge = sum(species.charge * moments.weight for species, moments in held)
     flow = sum(species.charge * moments.weight * _velocity(np.array(moments.mean[3:6])) for species, moments in held)
+    kinds = {species for species, _ in held}
     momentum = sum(
         (species.mass * SPEED_OF_LIGHT * moments.weight * np.array(moments.mean[3:6]) for species, moments in held),
         start=np.zeros(3),
     )
     if not sums.weight > 0:
         none, square, planes = np.full(7, UNKNOWN), np.full((7, 7), UNKNOWN), np.full((3, 5, 5), UNKNOWN)
-        return Part(int(sums.count), 0.0, 0.0, 0.0, momentum, none, square, planes, none, none)
+        return Part(int(sums.count), 0.0, 0.0, UNKNOWN, 0.0, momentum, none, square, planes, none, none)
     return Part(
         int(sums.count),
         sums.weight,
         charge,
+        kinds.pop().mass if len(kinds) == 1 else UNKNOWN,
         flow,
         momentum,
         np.array(sums.mean),
@@ -301,8 +320,8 @@ def group_losses(comm: MPI.Comm, lost: Particles, groups: Groups) -> dict[frozen
 # ---- tables ----
 
 
-def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float]) -> list[Value]:
-    """Return all that is measured of a group, in the order of its table."""
+def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float], period: float = math.inf) -> list[Value]:
+    """Return all that is measured of a group, in the order of its table; z repeats after `period` m."""
     return [
         (Quantity("particles", counts=True), part.particles),
         (Quantity("charge", "C"), part.charge),
@@ -315,6 +334,7 @@ def group_values(part: Part, quantiles: Quantiles, lost: tuple[int, float]) -> l
         *_extremes(part),
         *_correlations(part),
         *(value for axis in range(3) for value in _ellipse(part, axis)),
+        *((Quantity(f"tune_depression_{AXES[i]}"), part.tune_depression(i, period)) for i in range(2)),
         *(value for axis in range(3) for value in _fourth_moments(part, axis)),
         *(value for axis in range(3) for value in _halo(part, axis)),
         *(

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
-from scipy.special import elliprd
 
+from ..particles.equivalent_beam import ellipsoid_gradient
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from . import orbits, passages, plasma, two_frames
+from . import envelopes, halo, orbits, passages, plasma, thermal, two_frames
 from .runs import collected, end
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
@@ -39,6 +39,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     )
     yield two_frames.table(comm)
     yield from plasma.tables(comm)
+    yield envelopes.table(comm)
+    yield thermal.table(comm)
+    yield halo.table(comm)
 
 
 # ---- explosion ----
@@ -47,15 +50,12 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
 def half_axes(start: Sequence[float], time: float) -> np.ndarray:
     """Half axes (m) of a uniform ellipsoid of electrons that starts at rest, after `time` s.
 
-    It stays uniform: E along an axis is 3 Q / (4πε₀) x R_D / 3 with Carlson's integral of the other half axes squared and its
-    own (O. D. Kellogg, Foundations of Potential Theory, 1929, chapter VII, in Carlson's form).
+    It stays uniform, since E along an axis is linear.
     """
-    strength = CHARGE * -ELEMENTARY_CHARGE / (4 * np.pi * EPS0 * ELECTRON_MASS)
 
     def change(_: float, y: np.ndarray) -> np.ndarray:
-        a, square = y[:3], y[:3] ** 2
-        integrals = [elliprd(square[(d + 1) % 3], square[(d + 2) % 3], square[d]) for d in range(3)]
-        return np.concatenate([y[3:], strength * np.array(integrals) * a])
+        gradients = [ellipsoid_gradient(CHARGE, *(np.roll(y[:3], -d) / np.sqrt(5))) for d in range(3)]
+        return np.concatenate([y[3:], -ELEMENTARY_CHARGE / ELECTRON_MASS * np.array(gradients) * y[:3]])
 
     return solve_ivp(change, (0, time), [*start, 0, 0, 0], rtol=1e-11, atol=1e-15).y[:3, -1]
 

@@ -51,6 +51,8 @@ SHAPES: dict[str, Shape] = {
     "tube": (lambda u: distributions.tube(u, INNER), (TUBE**4 * (1 + INNER**2 + INNER**4) / 8, 9 / 5, 3, 3)),
     "kv": (lambda u: distributions.kapchinsky_vladimirsky(u, False), (2, 9 / 5, 2, 3)),
     "kv with normal z": (lambda u: distributions.kapchinsky_vladimirsky(u, True), (2, 3, 2, 3)),
+    "thermal without charge": (lambda u: distributions.thermal(u, 1.0), (3, 9 / 5, 3, 3)),
+    "cold thermal": (lambda u: distributions.thermal(u, 0.0), (2, 9 / 5, 3, 3)),
     "waterbag": (distributions.waterbag, (12 / 5,) * 4),
     "halo": (lambda u: distributions.halo(u, SHARE, SIZE), (TAIL4,) * 4),
 }
@@ -62,6 +64,8 @@ EVEN: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "shell": lambda x: (squares(x, 0, 1, 2) ** 1.5 / SHELL**3 - INNER**3) / (1 - INNER**3),
     "tube": lambda x: (squares(x, 0, 1) / TUBE**2 - INNER**2) / (1 - INNER**2),
     "kv": lambda x: squares(x, 0, 1) / 4,  # the projection onto x, y fills an ellipse evenly
+    "thermal without charge": lambda x: np.exp(-squares(x, 0, 1) / 2),
+    "cold thermal": lambda x: squares(x, 0, 1) / 4,
     "waterbag": lambda x: (squares(x, 0, 1, 2, 3, 4, 5) / 8) ** 3,
     "halo": lambda x: (
         1

@@ -327,6 +327,7 @@ class Migration:
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
+        gone: NDArray[numpy.int64],
     ) -> None: ...
     @property
     def lost(self) -> NDArray[numpy.int64]: ...
@@ -341,6 +342,30 @@ class Migration:
         starts: NDArray[numpy.int64],
     ) -> bool: ...
 
+class Hole(enum.Enum):
+    ellipse = 0
+
+    rectangle = 1
+
+class Aperture:
+    def __init__(
+        self, hole: Hole, centre: Sequence[float], half_width: Sequence[float], z: Sequence[float]
+    ) -> None: ...
+
+def first_encounters(
+    apertures: Sequence[Aperture],
+    start: NDArray[numpy.float64],
+    end: NDArray[numpy.float64],
+    start_offset: Sequence[float],
+    end_offset: Sequence[float],
+) -> tuple: ...
+def crossings(
+    planes: Sequence[float],
+    start: NDArray[numpy.float64],
+    end: NDArray[numpy.float64],
+    start_offset: Sequence[float],
+    end_offset: Sequence[float],
+) -> tuple: ...
 def count_per_box(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> list: ...
 
 class Shape(enum.Enum):

@@ -18,19 +18,20 @@ def add(commands: Commands) -> None:
     """Add the command to the parser."""
     plot = command(commands, "plot", _plot, "draw pictures of a run that was written")
     plot.add_argument(
-        "path", metavar="PATH", help="directory of a run, a fields file, a checkpoint, or a particles file"
+        "path", metavar="PATH", help="directory of a run, a fields file, a checkpoint, a particles file, or losses.csv"
     )
     plot.add_argument(
         "--quantity",
         metavar="NAME",
         action="append",
-        help="phi, rho, |E|, Ex, Ey or Ez; of phase-space x-px, y-py, z-pz, x-y, z-x, z-y or slices; several if "
-        "repeated; default an overview",
+        help="phi, rho, |E|, Ex, Ey or Ez; of phase-space x-px, y-py, z-pz, x-y, z-x, z-y or slices; of losses energy, "
+        "charge or particles; several if repeated; default an overview",
     )
     plot.add_argument(
         "--kind",
-        choices=("slice", "projection", "line", "phase-space"),
-        help="of pictures; default slice of a quantity; phase-space shows the particles of a checkpoint or particles file",
+        choices=("slice", "projection", "line", "phase-space", "losses"),
+        help="of pictures; default slice of a quantity; phase-space shows the particles of a checkpoint or particles file, "
+        "losses the map of losses along z",
     )
     plot.add_argument(
         "--axis",
@@ -59,7 +60,7 @@ def _plot(chosen: argparse.Namespace) -> int:
     folder = None if chosen.output is None else Path(chosen.output)
     with together(MPI.COMM_WORLD, OutputError):
         if MPI.COMM_WORLD.rank == 0:
-            draw = _draw_particles if chosen.kind == "phase-space" else _draw_fields
+            draw = {"phase-space": _draw_particles, "losses": _draw_losses}.get(chosen.kind, _draw_fields)
             print(*draw(chosen, folder), sep="\n")
     return 0
 
@@ -80,6 +81,14 @@ def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Pat
     for name in given:
         raise InputError(f"{name} says nothing to phase space; leave it out, or choose another kind of picture")
     return plot(Path(chosen.path), folder, chosen.quantity or OVERVIEW, group)
+
+
+def _draw_losses(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
+    from ..view.loss_map import OVERVIEW, plot
+
+    for name in _given(chosen):
+        raise InputError(f"{name} says nothing to a map of losses; leave it out, or choose another kind of picture")
+    return plot(Path(chosen.path), folder, chosen.quantity or OVERVIEW)
 
 
 def _given(chosen: argparse.Namespace) -> dict[str, Any]:

@@ -61,11 +61,8 @@ class Series:
         """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
         attempts = self._attempts()
         if self._comm.rank == 0:
-            attempts.attempt(self._write, "".join(self._line(row) for row in rows))
+            attempts.attempt(self._write, "".join(_line(row, self.columns) for row in rows))
         attempts.settle(self._comm)
-
-    def _line(self, row: Mapping[str, float | str]) -> str:
-        return ",".join(_text(row.get(column.name, 0), column) for column in self.columns) + "\n"
 
     def _write(self, line: str) -> None:
         if os.write(self._descriptor, line.encode()) < len(line):
@@ -88,6 +85,24 @@ class Series:
             self._descriptor = -1
 
 
+def write(
+    comm: MPI.Comm,
+    path: Path,
+    columns: Sequence[Quantity],
+    rows: Sequence[Mapping[str, float | str]],
+    about: Provenance,
+) -> None:
+    """Write a table that is not appended to, that of rank 0, in place of one that is there. Collective; raises OutputError."""
+    path = Path(path)
+    attempts = Attempts(f"cannot write table {path}", "free some space or choose another output folder")
+    if comm.rank == 0:
+        attempts.attempt(
+            temporary(path).write_text, _head(columns, about) + "".join(_line(row, columns) for row in rows)
+        )
+        attempts.attempt(publish, path)
+    attempts.settle(comm)
+
+
 def read(path: Path) -> NDArray[Any]:
     """Return the complete rows of a series as a structured array, a field per column. Raises InputError."""
     return _parsed(Path(path))[1]
@@ -102,6 +117,10 @@ def _text(value: float | str, column: Quantity) -> str:
     if isinstance(value, str):
         return value
     return str(int(value)) if column.counts else repr(float(value))
+
+
+def _line(row: Mapping[str, float | str], columns: Sequence[Quantity]) -> str:
+    return ",".join(_text(row.get(column.name, 0), column) for column in columns) + "\n"
 
 
 def _head(columns: Sequence[Quantity], about: Provenance) -> str:

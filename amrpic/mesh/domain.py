@@ -13,6 +13,7 @@ from ..errors import HierarchyError
 
 BOUNDARIES = ("open", "dirichlet", "neumann", "periodic")
 AXES = "xyz"
+FACES = tuple(f"{axis}_{side}" for axis in AXES for side in ("lower", "upper"))
 Faces = tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
 BoundarySpec = str | Mapping[str, str | Sequence[str]]
 

@@ -13,6 +13,7 @@ from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
 from ..parallel import global_sum
+from ..units import SPEED_OF_LIGHT
 from .arrays import columns, empty_columns, recycled
 from .species import SpeciesTable
 
@@ -97,6 +98,13 @@ class Particles:
     def mass(self) -> np.ndarray:
         """(n,) kg, of one real particle."""
         return self.spread(self.species.masses)
+
+    @property
+    def kinetic_energy(self) -> np.ndarray:
+        """(n,) J, of one real particle."""
+        square = np.square(self.momentum / (self.mass[:, None] * SPEED_OF_LIGHT)).sum(axis=1)
+        # u² / (γ + 1) equals γ - 1 and loses no digits when particles are slow.
+        return self.mass * SPEED_OF_LIGHT**2 * (square / (np.sqrt(1 + square) + 1))
 
     def select(self, chosen: np.ndarray | slice) -> Particles:
         """The particles that an index array, a mask or a slice names."""

@@ -22,11 +22,12 @@ from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
 from .beam_tables import BeamTables, Diagnostic
+from .flight import kicked
 from .log import RunLog
+from .loss_files import remove_losses, write_losses, write_screens
 from .plan import Plan
 from .restart import about, snapshot
 from .state import State
-from .step import kicked
 
 SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
@@ -95,6 +96,8 @@ class Recorder:
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
             self._log.note(note)
+        if "losses" in self._wanted and not resumed:
+            remove_losses(comm, scene.directory)
         if comm.rank == 0 and not resumed and (sentence := left_behind(scene.directory, scene.schedule.last_step)):
             self._log.warn(sentence)
 
@@ -131,7 +134,9 @@ class Recorder:
                 self._beam.record(state)
             self._log.step(row)
             if row["particles"] == 0 and row["lost_particles"] > 0:
-                self._log.warn("all particles have left the domain; enlarge it, or shorten the run or its steps")
+                self._log.warn(
+                    "all particles have left the domain or met apertures; enlarge them, or shorten the run or its steps"
+                )
             for remark in remarks:
                 if remark not in self._warned:
                     self._warned.add(remark)
@@ -146,6 +151,7 @@ class Recorder:
             if particles_due:
                 self._write_particles(state)
             if checkpoint_due:
+                self._write_records(state)
                 self._write_checkpoint(state)
 
     def end(self, state: State) -> None:
@@ -155,12 +161,14 @@ class Recorder:
         if self._wanted & {"fields", "pictures"}:
             self._write_fields(state)
         self._write_particles(state)
+        self._write_records(state)
         self._write_checkpoint(state)
         if "pictures" in self._wanted:
             self._draw(state)
 
     def stopped(self, state: State, reason: str) -> None:
         """Write what a run needs to go on later; the momenta are to be of its time."""
+        self._write_records(state)
         self._write_checkpoint(state)
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
 
@@ -222,6 +230,13 @@ class Recorder:
         self._written["particles"] = state.step
         path = openpmd_writer.path_of(self._scene.directory, state.step)
         openpmd_writer.write(self._comm, path, state.synchronized, state.step, state.time, self._about, state.window)
+
+    def _write_records(self, state: State) -> None:
+        if "losses" not in self._wanted or self._written.get("losses") == state.step:
+            return
+        self._written["losses"] = state.step
+        write_losses(self._comm, state, self._scene, self._about)
+        write_screens(self._comm, state, self._scene, self._about)
 
     def _draw(self, state: State) -> None:
         """Draw the field dump of a state."""

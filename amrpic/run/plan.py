@@ -18,6 +18,7 @@ from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
+from ..stages.encounters import native_aperture
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
 from .field_functions import FieldFunction, FieldFunctions
@@ -37,6 +38,7 @@ class Plan:
         self._solves: list[SolveReport] = []
         self._solver: PoissonSolver | None = None
         self.external = ExternalFields.of_scene(scene)
+        self.apertures = [native_aperture(aperture) for aperture in scene.apertures]
         self.fields = FieldFunctions(self.comm, fields)
         if fields and not isinstance(scene.motion, Leapfrog):
             self.remark(

@@ -15,27 +15,32 @@ from ..io.checkpoint_manifest import Header
 from ..io.checkpoint_reader import read, verify
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
+from ..mesh.domain import FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
 from ..particles.arrays import repeated
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
+from ..stages.encounters import Flights
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from .course import Course
 from .field_functions import FieldFunction
 from .limits import require_room
 from .plan import Plan
+from .records import Record
 from .solution import Solution
-from .state import Lost, State
+from .state import State
 from .step import state_of
 
 COLUMNS = ("position", "momentum", "weight", "id")
+RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
-FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion")
+FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
 
 
 def about(scene: Scene) -> Provenance:
@@ -64,10 +69,11 @@ def snapshot(state: State, scene: Scene, functions: Sequence[str] = ()) -> Snaps
             "lag": state.lag,
             "course": state.course.to_dict(),
             "fields": list(functions),
+            "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
     )
     fields = {name: [field.array(level) for level in range(hierarchy.levels)] for name, field in _fields(state).items()}
-    tables = {"particles": columns, "lost": {**_columns(state.lost.particles), "time": state.lost.time}}
+    tables = {"particles": columns, "lost": _table(state.lost), "screens": _table(state.screens)}
     return Snapshot(header, fields, tables)
 
 
@@ -97,7 +103,7 @@ def load(
 
 
 def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
-    extra, lost = held.header.extra, held.tables["lost"]
+    extra = held.header.extra
     species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra.get("lag", 0.0)
     if lag > 0 and isinstance(plan.scene.motion, Leapfrog):
         columns = {**columns, "momentum": columns["lagging_momentum"]}
@@ -113,15 +119,35 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     solution = Solution(
         fields["rho"], fields["phi"], efield, SolveReport(**extra["report"]), Frame(**extra.get("frame", {}))
     )
-    gone = Lost(_particles(lost, species), lost["time"])
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
-    return state_of(plan, particles, solution, gone, course, held.header.step, held.header.time, lag)
+    lost, screens = _records(held, species, hierarchy.domain)
+    return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
 
 
 def _fields(state: State) -> dict[str, Field]:
     efield = state.efield.with_components()
     # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
     return {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
+
+
+def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:
+    """Return what is recorded of losses and of screens."""
+    tables, names = held.tables, held.header.extra.get("names")
+    if names is not None:
+        return tuple(_recorded(tables[of], species, names[of]) for of in ("lost", "screens"))  # type: ignore[return-value]
+    # An older checkpoint: lost particles are as they were outside the domain.
+    particles, count = _particles(tables["lost"], species), len(tables["lost"]["time"])
+    left = Flights(particles.position, particles.position, domain, Window(), Window()).exits(np.arange(count))
+    lost = Record(particles, tables["lost"]["time"], left.direction, left.what, FACES)
+    return lost, Record.empty(species, ())
+
+
+def _recorded(table: Mapping[str, np.ndarray], species: SpeciesTable, names: Sequence[str]) -> Record:
+    return Record(_particles(table, species), table["time"], table["direction"], table["cause"], tuple(names))
+
+
+def _table(record: Record) -> dict[str, np.ndarray]:
+    return {**_columns(record.particles), **{name: getattr(record, name) for name in RECORDED}}
 
 
 def _columns(particles: Particles) -> dict[str, np.ndarray]:
@@ -141,7 +167,7 @@ def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
     changed = [
         f"{path} is {_text(value)}, before {_text(before)}"
         for part in FOLLOWED
-        for path, value, before in _differences(now.get(part), made_from.get(part), part)
+        for path, value, before in _differences(now.get(part), made_from.get(part, []), part)
     ]
     if changed:
         out.append(f"the run goes on otherwise than up to the checkpoint: {'; '.join(changed)}")

@@ -24,11 +24,13 @@ from ..stages.poisson import SolveReport
 from .beam_tables import Diagnostic
 from .course import Reference
 from .field_functions import FieldFunction
+from .flight import kicked
 from .output import Recorder
 from .plan import Plan
+from .records import Record
 from .restart import about, load, snapshot
-from .state import Lost, State
-from .step import advance, begin, kicked, with_momenta
+from .state import State
+from .step import advance, begin, with_momenta
 from .stop import Stop
 
 
@@ -203,9 +205,14 @@ class Simulation:
         return self.state.report
 
     @property
-    def lost(self) -> Lost:
-        """This rank's particles that left the domain, and when."""
+    def lost(self) -> Record:
+        """This rank's particles that were lost: where and when they left the domain or met which aperture."""
         return self.state.lost
+
+    @property
+    def screens(self) -> Record:
+        """This rank's particles as they passed screens, once for each passage."""
+        return self.state.screens
 
 
 def _momenta(change: ArrayLike, count: int, step: int) -> np.ndarray:

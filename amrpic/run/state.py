@@ -4,37 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..particles.particles import Particles, concatenate
+from ..particles.particles import Particles
 from ..stages.beam_diagnostics import Beam
 from ..stages.diagnostics import Moments, moments
 from ..stages.poisson import SolveReport
 from .clock import Spent
 from .course import Course
 from .leapfrog import Staggered
+from .records import Record
 from .solution import Solution
-
-
-@dataclass(frozen=True, eq=False)
-class Lost:
-    """Particles that left the domain, as they were when they did, and the time (n,) in s. This rank's share.
-
-    Their coordinates are those of the laboratory.
-    """
-
-    particles: Particles
-    time: np.ndarray
-
-    def joined(self, particles: Particles, now: float) -> Lost:
-        """Return these and those that are lost now."""
-        if len(particles) == 0:
-            return self
-        times = np.concatenate([self.time, np.full(len(particles), now)])
-        return Lost(concatenate([self.particles, particles]), times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +25,8 @@ class State:
     particles: Particles  # sorted on the hierarchy; their momenta lag positions where `staggered` says so
     staggered: Staggered | None  # None without leapfrog: then momenta belong to the time of positions
     solution: Solution
-    lost: Lost
+    lost: Record  # at faces of the domain and at apertures
+    screens: Record  # as they passed these
     course: Course
     step: int
     time: float  # s

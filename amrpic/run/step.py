@@ -10,34 +10,34 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..particles.particles import Particles, concatenate
 from ..scene.motion import Leapfrog, RandomWalk
-from ..stages.migrate import migrate
 from ..stages.push import random_walk
 from .adapt import follow, make_base, outrun
 from .clock import Spent
 from .course import Course
+from .flight import fly, place
 from .initial_particles import make_bunches
-from .leapfrog import kick, kick_and_drift
+from .leapfrog import kick_and_drift
 from .particle_fields import ParticleFields
 from .plan import Plan
+from .records import Record
 from .solution import Solution
-from .state import Lost, State
+from .state import State
 
 
 def advance(state: State, plan: Plan) -> State:
     """Return the state one step later. Collective; SolverError if the solve does not converge."""
     step, now = state.step + 1, state.time + plan.dt
+    course = state.course if state.staggered is None else state.staggered.course
     with plan.clock("push"):
         moved = _moved(state, plan)
     with plan.clock("migrate"):
-        particles, gone = migrate(moved, state.hierarchy)
+        particles, lost, screens = fly(state, moved, course.window, plan)
     frame = plan.frame(particles, state.solution.frame)
     fields = ParticleFields(particles, state.hierarchy, plan, (state.phi, state.efield), frame)
     if plan.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
-    course = state.course if state.staggered is None else state.staggered.course
-    lost = state.lost.joined(gone.in_laboratory(course.window), now)
     regridded = fields.hierarchy is not state.hierarchy
-    return state_of(plan, fields.particles, _solution(fields), lost, course, step, now, plan.dt / 2, regridded)
+    return state_of(plan, fields.particles, _solution(fields), lost, screens, course, step, now, plan.dt / 2, regridded)
 
 
 def begin(plan: Plan) -> State:
@@ -47,18 +47,18 @@ def begin(plan: Plan) -> State:
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
         plan.settle_interface(bunches)
         made = concatenate(bunches)
-        particles, gone = migrate(made, base)
+        particles, lost, screens = place(made, base, course.window, plan)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
-    lost = Lost(Particles.empty(made.species), np.zeros(0)).joined(gone, 0.0)
-    return state_of(plan, fields.particles, _solution(fields), lost, course, 0, 0.0)
+    return state_of(plan, fields.particles, _solution(fields), lost, screens, course, 0, 0.0)
 
 
 def state_of(
     plan: Plan,
     particles: Particles,
     solution: Solution,
-    lost: Lost,
+    lost: Record,
+    screens: Record,
     course: Course,
     step: int,
     time: float,
@@ -73,15 +73,7 @@ def state_of(
     if isinstance(plan.scene.motion, Leapfrog):
         with plan.clock("gather"):
             staggered = kick_and_drift(solution, particles, lag, time, course, plan)
-    return State(particles, staggered, solution, lost, course, step, time, regridded, plan.clock.take())
-
-
-def kicked(state: State, plan: Plan) -> State:
-    """Return the state whose `synchronized` particles have the momenta of its own time in all digits. Collective."""
-    if state.staggered is None or state.staggered.lag == 0 or state.staggered.between is not None:
-        return state
-    particles = kick(state.solution, state.particles, state.staggered, plan)
-    return replace(state, particles=particles, staggered=replace(state.staggered, lag=0.0))
+    return State(particles, staggered, solution, lost, screens, course, step, time, regridded, plan.clock.take())
 
 
 def with_momenta(state: State, momentum: np.ndarray, plan: Plan) -> State:
@@ -90,7 +82,15 @@ def with_momenta(state: State, momentum: np.ndarray, plan: Plan) -> State:
     if state.staggered is None:
         return replace(state, particles=particles)
     out = state_of(
-        plan, particles, state.solution, state.lost, state.course, state.step, state.time, regridded=state.regridded
+        plan,
+        particles,
+        state.solution,
+        state.lost,
+        state.screens,
+        state.course,
+        state.step,
+        state.time,
+        regridded=state.regridded,
     )
     spent = {stage: state.spent.get(stage, Spent()) + more for stage, more in out.spent.items()}
     return replace(out, spent={**state.spent, **spent})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from .section import Section
+from .units import Length
 
 
 class Diagnostics(Section):
@@ -23,4 +24,9 @@ class Diagnostics(Section):
         le=1000,
         description="Slices along z of each group of particles, in slices.csv, all as long; 0: none. They reach over the "
         "group, at most 4 rms lengths to either side of its centre: particles beyond are in the outermost ones.",
+    )
+    loss_bin: Length | None = Field(
+        default=None,
+        gt=0,
+        description="Length of the bins of losses.csv along z, m; a hundredth of the domain's if not given.",
     )

@@ -13,9 +13,10 @@ class Output(Section):
     """What a run writes."""
 
     directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
-    write: list[Literal["checkpoint", "fields", "particles", "series", "pictures"]] = Field(
-        default=["checkpoint", "fields", "series", "pictures"],
-        description="The kinds of output wanted; particles are openPMD files, which a restart does without.",
+    write: list[Literal["checkpoint", "fields", "particles", "series", "losses", "pictures"]] = Field(
+        default=["checkpoint", "fields", "series", "losses", "pictures"],
+        description="The kinds of output wanted; particles are openPMD files, which a restart does without; losses are the "
+        "records of lost particles and of screens, as openPMD, and a map of losses along z: written where there are any.",
     )
     checkpoint_every: int = Field(
         default=10, ge=0, description="Steps between checkpoints; 0 writes the last one only."

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from ..errors import SceneError
-from ..mesh.domain import AXES
+from ..mesh.domain import AXES, FACES
 from . import toml
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
@@ -23,6 +23,7 @@ from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
 from .elements import AnyElement, ConstantFocusingElement
 from .motion import Leapfrog, NoMotion, RandomWalk, Reference
+from .obstacles import AnyAperture, Screen, aperture_names, repeated_names
 from .output import Output
 from .particles import ParticlesSection
 from .refinement import Refinement, StaticBox, StaticRule, every_rule
@@ -70,6 +71,8 @@ class Scene(Section):
     elements: list[AnyElement] = Field(
         default=[], description="Magnets, cavities and other fields along the beam line."
     )
+    apertures: list[AnyAperture] = Field(default=[], description="Holes in solids at which particles are lost.")
+    screens: list[Screen] = Field(default=[], description="Planes where particles are recorded as they pass.")
     refinement: Refinement = Refinement()
     particles: ParticlesSection = ParticlesSection()
     solver: SolverSection = SolverSection()
@@ -92,6 +95,7 @@ class Scene(Section):
         self._check_screening()
         self._check_elements()
         self._check_window()
+        self._check_names()
         return self
 
     def _check_cells(self) -> None:
@@ -230,6 +234,18 @@ class Scene(Section):
                         found=list(pair),
                     )
 
+    def _check_names(self) -> None:
+        screens = [screen.name for screen in self.screens]
+        for key, names, taken in (("apertures", aperture_names(self.apertures), FACES), ("screens", screens, ())):
+            for number, name in repeated_names(names, taken):
+                has_it = "a face of the domain" if name in taken else f"one of the {key} before it"
+                raise complaint(
+                    f"is the name of {has_it} already",
+                    "give each one of its own",
+                    path=f"{key}.{number}.name",
+                    found=name,
+                )
+
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
         """Return the scene of a TOML file, with `key.path=value` overrides.
@@ -302,6 +318,8 @@ class Scene(Section):
                     f"bunches.{number} is a piece of a continuous beam, {bunch.length:g} m long, which a domain would continue "
                     "that is periodic along z over this length"
                 )
+        if self.screens and isinstance(self.motion, NoMotion):
+            out.append('nothing passes screens, since motion.kind is "none"; set it to "leapfrog"')
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:
             out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")

@@ -11,6 +11,8 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import raise_together
 from ..particles.particles import Particles, Sorting
 
+NONE = np.zeros(0, dtype=np.int64)
+
 
 def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Particles]:
     """Return this rank's particles, and those that it lost because they lie outside the domain. Collective.
@@ -20,16 +22,25 @@ def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Part
     behind them those that came through a periodic face. Lost particles stay as they are, on the rank that held them. Raises
     ParticleError on all ranks if a position or momentum is not finite.
     """
+    arrived, lost = migrate_without(particles, hierarchy, NONE)
+    return arrived, particles.select(lost)
+
+
+def migrate_without(particles: Particles, hierarchy: Hierarchy, gone: np.ndarray) -> tuple[Particles, np.ndarray]:
+    """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices.
+
+    Collective.
+    """
     weight = particles.one_weight(hierarchy.comm)
     given = particles if weight is not None else particles.with_own_weights()
-    plan = _native.Migration(hierarchy.particle_mesh, *given.arrays)
+    plan = _native.Migration(hierarchy.particle_mesh, *given.arrays, gone)
     here = Particles.allocate(plan.arriving, particles.species, weight)
     starts = np.empty(hierarchy.particle_mesh.slots + 1, dtype=np.int64)
     finite = plan.finish(*here.arrays, starts)
     if not hierarchy.comm.allreduce(finite, MPI.LAND):
         _refuse_not_finite(particles, hierarchy.comm)
     arrived = Particles(*here.arrays, here.species, Sorting(hierarchy, starts))
-    return arrived, particles.select(plan.lost)
+    return arrived, plan.lost
 
 
 def particles_per_box(particles: Particles, hierarchy: Hierarchy) -> list[np.ndarray]:

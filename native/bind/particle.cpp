@@ -8,6 +8,7 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "particle/apertures.hpp"
 #include "particle/array_pool.hpp"
 #include "particle/beam_amplitudes.hpp"
 #include "particle/beam_moments.hpp"
@@ -46,6 +47,24 @@ ParticleView view(Vectors const& position, Vectors const& momentum, OnePerPartic
           const_cast<Real*>(weight.data()), weight.stride(0) == 0, const_cast<std::int64_t*>(id.data())};
 }
 
+Flights flights(ConstColumns const& start, ConstColumns const& end, Real3 const& start_offset,
+                Real3 const& end_offset) {
+  return {std::int64_t(start.shape(0)), columns(start), columns(end), start_offset, end_offset};
+}
+
+/// Flights, what they meet, and after which share of their way.
+nb::tuple to_arrays(std::vector<Encounter> const& encounters) {
+  std::vector<std::int64_t> flight, what;
+  std::vector<Real> share;
+  for (Encounter const& e : encounters) {
+    flight.push_back(e.flight);
+    what.push_back(e.what);
+    share.push_back(e.share);
+  }
+  return nb::make_tuple(bind::to_array(std::move(flight)), bind::to_array(std::move(what)),
+                        bind::to_array(std::move(share)));
+}
+
 }  // namespace
 
 void bind_particle(nb::module_& m) {
@@ -67,12 +86,13 @@ void bind_particle(nb::module_& m) {
       .def(
           "__init__",
           [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
-             Row<std::int64_t const> id) {
+             Row<std::int64_t const> id, Row<std::int64_t const> gone) {
             nb::gil_scoped_release release;
-            new (self) Migration(mesh, view(position, momentum, weight, id));
+            ParticleList const without{gone.data(), gone.data() + gone.shape(0)};
+            new (self) Migration(mesh, view(position, momentum, weight, id), without);
           },
-          "mesh"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(),
-          nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
+          "mesh"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, nb::keep_alive<1, 2>(),
+          nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
       .def_prop_ro(
           "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
       .def_prop_ro("arriving", &Migration::arriving)
@@ -84,6 +104,31 @@ void bind_particle(nb::module_& m) {
             return self.finish(view(position, momentum, weight, id), starts.data());
           },
           "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a);
+
+  nb::enum_<Aperture::Hole>(m, "Hole")
+      .value("ellipse", Aperture::Hole::ellipse)
+      .value("rectangle", Aperture::Hole::rectangle);
+  nb::class_<Aperture>(m, "Aperture")
+      .def(
+          "__init__",
+          [](Aperture* self, Aperture::Hole hole, std::array<Real, 2> centre, std::array<Real, 2> half_width,
+             std::array<Real, 2> z) {
+            new (self) Aperture{hole, centre, half_width, {z[0], z[1]}};
+          },
+          "hole"_a, "centre"_a, "half_width"_a, "z"_a);
+  m.def(
+      "first_encounters",
+      [](std::vector<Aperture> const& apertures, ConstColumns start, ConstColumns end, Real3 start_offset,
+         Real3 end_offset) {
+        return to_arrays(first_encounters(apertures, flights(start, end, start_offset, end_offset)));
+      },
+      "apertures"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
+  m.def(
+      "crossings",
+      [](std::vector<Real> const& planes, ConstColumns start, ConstColumns end, Real3 start_offset, Real3 end_offset) {
+        return to_arrays(crossings(planes, flights(start, end, start_offset, end_offset)));
+      },
+      "planes"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
 
   m.def(
       "count_per_box",

@@ -28,11 +28,6 @@ struct Element {
   Kind kind;
 };
 
-/// From a lower to an upper number; may be infinite.
-struct Interval {
-  Real lower, upper;
-};
-
 /// Places, eight at a time, and what is there.
 struct Places {
   static constexpr std::size_t most = 8;

@@ -33,6 +33,11 @@ struct Edges {
 
 namespace external {
 
+/// From a lower to an upper number; may be infinite.
+struct Interval {
+  Real lower, upper;
+};
+
 /// The plane z = place + slope x.
 struct Plane {
   Real place, slope = 0;

@@ -15,7 +15,8 @@ namespace {
 /// time are compared with the current brick, and only those that left it are looked up.
 class Classifier {
  public:
-  Classifier(ParticleMesh& mesh, ParticleView const& particles) : mesh_(mesh), particles_(particles) {
+  Classifier(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone)
+      : mesh_(mesh), particles_(particles), next_gone_(gone.first), end_of_gone_(gone.last) {
     out_.stays = Scratch<std::uint8_t>(std::size_t(particles.count) / lane_count + 1);
     out_.leavers.resize(std::size_t(mesh.hierarchy().comm().ranks()));
     out_.per_brick.assign(std::size_t(mesh.bricks()), 0);
@@ -30,6 +31,7 @@ class Classifier {
     int slot = -1, brick = -1;
   };
 
+  LaneGroup remaining(LaneGroup const& group);
   void compare(LaneGroup const& group);
   unsigned outside(HomeBrick const& brick, LaneGroup const& group) const;
   void find_leavers();
@@ -44,6 +46,7 @@ class Classifier {
 
   ParticleMesh& mesh_;
   ParticleView const& particles_;
+  std::int64_t const *next_gone_, *end_of_gone_;
   Destinations out_;
   LocalBrick current_;
   HomeBrick current_brick_{};       ///< at first one that contains nothing
@@ -60,16 +63,28 @@ Destinations Classifier::classify() && {
   LocalIndex const count = LocalIndex(particles_.count), whole = count / lane_count * lane_count;
   for (LocalIndex n = 0; n < whole; n += lane_count) {
     for (int d = 0; d < 3; ++d) bring_near(particles_.position[d] + n + page<Real>);
-    compare({n, all_lanes});
+    compare(remaining({n, all_lanes}));
   }
-  if (whole < count) compare({whole, all_lanes >> (lane_count - (count - whole))});
+  if (whole < count) compare(remaining({whole, all_lanes >> (lane_count - (count - whole))}));
   find_leavers();
   end_run(count);
   return std::move(out_);
 }
 
+/// Those of a group that are not gone.
+inline LaneGroup Classifier::remaining(LaneGroup const& group) {
+  LaneGroup out = group;
+  for (; next_gone_ != end_of_gone_ && *next_gone_ < group.first + lane_count; ++next_gone_)
+    out.lanes &= ~(1u << (*next_gone_ - group.first));
+  return out;
+}
+
 /// Compare a group with the current brick, or with that of its last particle.
 inline void Classifier::compare(LaneGroup const& group) {
+  if (group.lanes == 0) {
+    out_.stays[std::size_t(group.first / lane_count)] = 0;
+    return;
+  }
   unsigned out = outside(current_brick_, group);
   if (2 * __builtin_popcount(out) > __builtin_popcount(group.lanes)) {
     find_leavers();
@@ -185,8 +200,8 @@ void Classifier::move_to(LocalBrick const& at, LocalIndex n, std::vector<Destina
 
 }  // namespace
 
-Destinations classify(ParticleMesh& mesh, ParticleView const& particles) {
-  return Classifier(mesh, particles).classify();
+Destinations classify(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone) {
+  return Classifier(mesh, particles, gone).classify();
 }
 
 std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::array<Real*, 3> const& position,

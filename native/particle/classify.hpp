@@ -37,8 +37,13 @@ struct Destinations {
   bool finite = true;                        ///< whether all positions are, and the momenta of those lost
 };
 
-/// Find where each particle goes, wrapped along periodic axes. Local.
-Destinations classify(ParticleMesh& mesh, ParticleView const& particles);
+/// Places of some particles, ascending, in memory that others own.
+struct ParticleList {
+  std::int64_t const *first, *last;
+};
+
+/// Find where each particle goes, wrapped along periodic axes; those that are `gone` go nowhere. Local.
+Destinations classify(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone);
 
 /// Number of `count` particles of this rank in each box of each level, over all boxes of the level; those that are
 /// outside the domain are not counted.

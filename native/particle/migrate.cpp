@@ -20,10 +20,11 @@ void require_few(std::int64_t particles, Communicator const& comm) {
 
 }  // namespace
 
-Migration::Migration(ParticleMesh& mesh, ParticleView const& particles) : mesh_(mesh), particles_(particles) {
+Migration::Migration(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone)
+    : mesh_(mesh), particles_(particles) {
   Communicator const& comm = mesh.hierarchy().comm();
   require_few(particles.count, comm);
-  destinations_ = classify(mesh, particles);
+  destinations_ = classify(mesh, particles, gone);
   auto const& staying = destinations_.per_brick;
   staying_ = std::accumulate(staying.begin(), staying.end(), std::int64_t(0));
   leaving_ = pack(mesh, particles, destinations_.leavers);

@@ -12,8 +12,9 @@ namespace amrpic {
 class Migration {
  public:
   /// Find where each particle goes, wrapped along periodic axes, and how many will come. Collective. The particles must
-  /// live until `finish`. Throws std::length_error on all ranks if one gets more than 2^31 of them.
-  Migration(ParticleMesh& mesh, ParticleView const& particles);
+  /// live until `finish`; those that are `gone` are left out. Throws std::length_error on all ranks if one gets more
+  /// than 2^31 of them.
+  Migration(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone);
 
   std::vector<std::int64_t> const& lost() const { return destinations_.lost; }  ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + arrivals_.count(); }        ///< how many live here afterwards

@@ -1,0 +1,95 @@
+"""The flight of particles from one step to the next, and the records of what they meet on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..mesh.domain import FACES
+from ..mesh.hierarchy import Hierarchy
+from ..mesh.window import Window
+from ..particles.particles import Particles, Sorting
+from ..scene.obstacles import aperture_names
+from ..scene.scene import Scene
+from ..stages.encounters import Encounters, Flights
+from ..stages.migrate import migrate_without
+from .leapfrog import kick
+from .plan import Plan
+from .records import Record
+from .state import State
+
+NONE = np.zeros(0, dtype=np.int64)
+NOTHING = Encounters(NONE, NONE, np.zeros(0), np.zeros((0, 3)), NONE)
+
+
+def causes(scene: Scene) -> tuple[str, ...]:
+    """Return the names of all where particles of a scene are lost: faces of the domain, then apertures."""
+    return (*FACES, *aperture_names(scene.apertures))
+
+
+def place(made: Particles, base: Hierarchy, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
+    """Return the particles of a scene at their start, and records of losses, of those outside, and of screens. Collective."""
+    scene, species = plan.scene, made.species
+    particles, outside = migrate_without(made, base, NONE)
+    left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
+    momentum = window.to_laboratory(made.momentum[outside])
+    lost = _record(left, momentum, made, np.zeros(len(left)), causes(scene))
+    return particles, lost, Record.empty(species, [screen.name for screen in scene.screens])
+
+
+def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
+    """Return the particles of a state where they have `moved`, and its records of losses and screens with those of the flight.
+
+    Collective. Each flight is a straight line in the laboratory; those that touch an aperture end there. `window`: where the
+    mesh is then.
+    """
+    scene, hierarchy = plan.scene, state.hierarchy
+    flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
+    stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
+    particles, outside = migrate_without(moved, hierarchy, stopped.flight)
+    lost = replace(stopped, what=stopped.what + len(FACES))
+    if len(outside) > 0:
+        lost = lost.joined(flights.exits(outside))
+    planes, screens = [screen.z for screen in scene.screens], [screen.name for screen in scene.screens]
+    passed = flights.crossings(planes, lost) if planes else NOTHING
+    if not plan.comm.allreduce(len(lost) + len(passed)):
+        return particles, state.lost, state.screens
+    met = np.unique(np.concatenate([lost.flight, passed.flight]))
+    before = state.window.to_laboratory(_momenta(state, plan, met))
+
+    def recorded(of: Encounters, names: Sequence[str]) -> Record:
+        late = window.to_laboratory(moved.momentum[of.flight])
+        # Those of the flight belong to its middle.
+        momentum = late + (2 * of.share - 1)[:, None] * (late - before[np.searchsorted(met, of.flight)])
+        return _record(of, momentum, moved, state.time + of.share * plan.dt, names)
+
+    return particles, state.lost.joined(recorded(lost, causes(scene))), state.screens.joined(recorded(passed, screens))
+
+
+def kicked(state: State, plan: Plan) -> State:
+    """Return the state whose `synchronized` particles have the momenta of its own time in all digits. Collective."""
+    if state.staggered is None or state.staggered.lag == 0 or state.staggered.between is not None:
+        return state
+    particles = kick(state.solution, state.particles, state.staggered, plan)
+    return replace(state, particles=particles, staggered=replace(state.staggered, lag=0.0))
+
+
+def _momenta(state: State, plan: Plan, chosen: np.ndarray) -> np.ndarray:
+    """Return the momenta (m, 3) of some particles, ascending, as `kicked` has them for all. Collective."""
+    staggered, few = state.staggered, state.particles.select(chosen)
+    if staggered is None or staggered.lag == 0:
+        return few.momentum
+    if staggered.between is not None:
+        return staggered.between[chosen]
+    starts = np.searchsorted(chosen, state.particles.sorted_on(state.hierarchy).starts)
+    few = Particles(*few.arrays, few.species, Sorting(state.hierarchy, starts))
+    return kick(state.solution, few, staggered, plan).momentum
+
+
+def _record(
+    met: Encounters, momentum: np.ndarray, particles: Particles, time: np.ndarray, names: Sequence[str]
+) -> Record:
+    there = particles.select(met.flight).replace(met.place, momentum)
+    return Record(there, time, met.direction, met.what, tuple(names))

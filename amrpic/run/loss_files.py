@@ -1,0 +1,58 @@
+"""The files of records: losses as openPMD and as a map along z, screens as openPMD."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import OutputError
+from ..io import openpmd_writer, time_series
+from ..io.atomic_files import remove
+from ..io.provenance import Provenance
+from ..parallel import together
+from ..scene.scene import Scene
+from ..stages.loss_map import COLUMNS, loss_map
+from .state import State
+
+LOSSES = "losses.h5"
+LOSS_MAP = "losses.csv"
+BINS = 100  # of the domain, if the scene gives no length
+
+
+def write_losses(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) -> None:
+    """Write the losses so far, if there are any or apertures that they could be at. Collective; OutputError on all ranks."""
+    lost, domain = state.lost, scene.domain
+    if not scene.apertures and lost.particles.global_count(comm) == 0:
+        return
+    columns = {"time": lost.time, "direction": lost.direction, "particleStatus": lost.cause + openpmd_writer.DEAD}
+    path = scene.directory / LOSSES
+    openpmd_writer.write(comm, path, lost.particles, state.step, state.time, about, columns=columns, causes=lost.names)
+    lower, upper = domain.lower[2], domain.upper[2]
+    width = scene.diagnostics.loss_bin or (upper - lower) / BINS
+    rows = loss_map(comm, lost.particles, lost.cause, lost.names, lower, upper, width)
+    time_series.write(comm, scene.directory / LOSS_MAP, COLUMNS, rows, about)
+
+
+def write_screens(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) -> None:
+    """Write what each screen of a scene has seen so far. Collective; OutputError on all ranks."""
+    seen = state.screens
+    for screen in scene.screens:
+        number = seen.names.index(screen.name) if screen.name in seen.names else -1
+        here = np.flatnonzero(seen.cause == number)
+        columns = {"time": seen.time[here], "direction": seen.direction[here]}
+        path = screen_path(scene.directory, screen.name)
+        openpmd_writer.write(comm, path, seen.particles.select(here), state.step, state.time, about, columns=columns)
+
+
+def screen_path(directory: Path, name: str) -> Path:
+    """Return where the record of a screen lies in a run's directory."""
+    return Path(directory) / f"screen_{name}.h5"
+
+
+def remove_losses(comm: MPI.Comm, directory: Path) -> None:
+    """Delete the losses that an earlier run left. Collective; OutputError on all ranks."""
+    with together(comm, OutputError):
+        for name in (LOSSES, LOSS_MAP) if comm.rank == 0 else ():
+            remove(Path(directory) / name)

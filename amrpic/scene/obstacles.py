@@ -1,0 +1,87 @@
+"""The sections [[apertures]] and [[screens]] of a scene: what particles are lost at, and where they are recorded."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .complaints import complaint
+from .section import Section
+from .units import Length, Length3
+
+HalfWidth = Annotated[Length, Field(gt=0)]
+
+
+class Obstacle(Section):
+    """Something with a name of its own."""
+
+    name: str = ""
+
+    @model_validator(mode="after")
+    def _is_a_word(self) -> Self:
+        if self.name and not re.fullmatch(r"[\w+-]+", self.name):
+            raise complaint(
+                "cannot stand in tables and names of files",
+                "use letters, digits, _, + and - alone",
+                path="name",
+                found=self.name,
+            )
+        return self
+
+
+class Aperture(Obstacle):
+    """Solid all around a hole along z. Particles that touch it are lost there."""
+
+    name: str = Field(default="", description="A name of your own, in the records; aperture_0, … if not given.")
+    centre: Length3 = Field(default=(0.0, 0.0, 0.0), description="Middle of the hole, in the laboratory, m.")
+    length: Length | None = Field(
+        default=None, gt=0, description="Of the solid along z, m; without it the solid has no ends."
+    )
+
+
+class RoundAperture(Aperture):
+    """A round hole."""
+
+    kind: Literal["round"]
+    radius: Length = Field(gt=0, description="Of the hole, m.")
+
+
+class EllipticAperture(Aperture):
+    """An elliptic hole."""
+
+    kind: Literal["elliptic"]
+    half_widths: tuple[HalfWidth, HalfWidth] = Field(description="Half axes of the hole along x and y, m.")
+
+
+class RectangularAperture(Aperture):
+    """A rectangular hole."""
+
+    kind: Literal["rectangular"]
+    half_widths: tuple[HalfWidth, HalfWidth] = Field(description="Of the hole along x and y, m.")
+
+
+AnyAperture = Annotated[RoundAperture | EllipticAperture | RectangularAperture, Field(discriminator="kind")]
+
+
+class Screen(Obstacle):
+    """A plane of constant z where particles are recorded as they pass, in either direction."""
+
+    name: str = Field(min_length=1, description="A name of your own: the records are in screen_<name>.h5.")
+    z: Length = Field(description="Where, in the laboratory, m.")
+
+
+def aperture_names(apertures: Sequence[Aperture]) -> tuple[str, ...]:
+    """Return a name for each aperture."""
+    return tuple(aperture.name or f"aperture_{number}" for number, aperture in enumerate(apertures))
+
+
+def repeated_names(names: Iterable[str], taken: Iterable[str] = ()) -> Iterator[tuple[int, str]]:
+    """Yield number and name of those that have been `taken`, or are there before."""
+    known = set(taken)
+    for number, name in enumerate(names):
+        if name in known:
+            yield number, name
+        known.add(name)

@@ -1,0 +1,62 @@
+"""Where along z particles are lost, and what they deposit there."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from mpi4py import MPI
+
+from ..particles.particles import Particles
+from ..units import Quantity
+
+COLUMNS = (
+    Quantity("cause", is_text=True),
+    Quantity("lower", "m"),
+    Quantity("upper", "m"),
+    Quantity("particles", counts=True),
+    Quantity("charge", "C"),
+    Quantity("energy", "J"),
+)
+
+
+def loss_map(
+    comm: MPI.Comm,
+    lost: Particles,
+    cause: np.ndarray,
+    names: tuple[str, ...],
+    lower: float,
+    upper: float,
+    width: float,
+) -> list[dict[str, float | str]]:
+    """Return a row per cause and bin of z in which particles are lost: how many, their charge and kinetic energy. Collective.
+
+    `cause` (n,) are indices of `names`. Bins are as wide as `width`, one begins at `lower`, and `upper` belongs to the one
+    below, m. Each particle counts as the real ones that it stands for.
+    """
+    z = lost.position[:, 2]
+    number = np.where(z == upper, math.ceil((upper - lower) / width - 1e-9) - 1, np.floor((z - lower) / width))
+    keys = np.stack([cause, number.astype(np.int64)], axis=1)
+    values = np.stack([np.ones(len(lost)), lost.weight * lost.charge, lost.weight * lost.kinetic_energy], axis=1)
+    mine = _summed(keys, values)
+    parts = comm.allgather(mine)
+    keys, sums = _summed(*(np.concatenate([part[i] for part in parts]) for i in (0, 1)))
+    return [
+        {
+            "cause": names[of],
+            "lower": lower + bin_ * width,
+            "upper": lower + (bin_ + 1) * width,
+            "particles": count,
+            "charge": charge,
+            "energy": energy,
+        }
+        for (of, bin_), (count, charge, energy) in zip(keys.tolist(), sums.tolist(), strict=True)
+    ]
+
+
+def _summed(keys: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return each key (cause, bin) once, in order, and the sums of its values."""
+    once, place = np.unique(keys, axis=0, return_inverse=True)
+    out = np.zeros((len(once), values.shape[1]))
+    np.add.at(out, place.reshape(-1), values)
+    return once, out

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "base/types.hpp"
+#include "external/flight.hpp"
+
+namespace amrpic {
+
+/// Solid between two planes of constant z, which may lie at infinity, with a hole along z.
+struct Aperture {
+  enum class Hole { ellipse, rectangle };
+
+  Hole hole;
+  std::array<Real, 2> centre;      ///< of the hole in x and y, m
+  std::array<Real, 2> half_width;  ///< m
+  external::Interval z;            ///< m
+};
+
+/// Straight flights of particles, whose places were taken in axes that moved: those of the laboratory are offset by
+/// `start_offset` and `end_offset`.
+struct Flights {
+  std::int64_t count;
+  std::array<Real*, 3> start, end;  ///< m
+  Real3 start_offset, end_offset;   ///< m
+};
+
+/// Flight number `flight` meets aperture or plane number `what` after the share `share` of its way.
+struct Encounter {
+  std::int64_t flight;
+  int what;
+  Real share;
+};
+
+/// For each flight that touches the solid of an aperture the first place where it does: at once if it starts there. Of
+/// apertures that are met at the same place the first one counts. A wall of a hole is still in the hole.
+std::vector<Encounter> first_encounters(std::vector<Aperture> const& apertures, Flights const& flights);
+
+/// Where flights cross planes of constant z, flight by flight. Of flights that follow each other one crosses.
+std::vector<Encounter> crossings(std::vector<Real> const& planes, Flights const& flights);
+
+}  // namespace amrpic

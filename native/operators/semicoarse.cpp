@@ -1,6 +1,7 @@
 #include "operators/semicoarse.hpp"
 
 #include <algorithm>
+#include <limits>
 #include <set>
 
 #include "mesh/box_set.hpp"
@@ -155,15 +156,21 @@ class CopyCells {
   std::array<bool, 3> whole_;
 };
 
-/// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing while another spacing is more than
-/// twice that, else all ones.
+/// Whether one spacing is so much longer than another that relaxing does not couple cells along it.
+bool is_long(Real spacing, Real other) { return spacing > 1.8 * other; }
+
+/// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing, of those that can be coarsened,
+/// while another spacing is about twice that; else all ones.
 Index3 semicoarsening_of(Level const& level, Faces const& boundary) {
   Real3 const& h = level.spacing();
-  Real const finest = *std::min_element(h.begin(), h.end());
-  Index3 ratio{1, 1, 1};
-  if (!has_long_cells(level)) return ratio;
+  auto shortens = [&](int d) { return can_be_coarsened(level.domain().extent(d), boundary[d]); };
+  Real finest = std::numeric_limits<Real>::infinity();
   for (int d = 0; d < 3; ++d)
-    if (h[d] <= 1.5 * finest && can_be_coarsened(level.domain().extent(d), boundary[d])) ratio[d] = 2;
+    if (shortens(d)) finest = std::min(finest, h[d]);
+  Index3 ratio{1, 1, 1};
+  if (!is_long(*std::max_element(h.begin(), h.end()), finest)) return ratio;
+  for (int d = 0; d < 3; ++d)
+    if (h[d] <= 1.5 * finest && shortens(d)) ratio[d] = 2;
   return ratio;
 }
 
@@ -228,7 +235,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
 
 bool has_long_cells(Level const& level) {
   auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
-  return *most > 1.8 * *least;
+  return is_long(*most, *least);
 }
 
 std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,

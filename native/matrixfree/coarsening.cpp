@@ -38,6 +38,8 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   Level const& coarser = coarse_.level();
   std::vector<Copied> local;
   std::size_t size = 0;
+  for (auto* parents : {&sources_, &targets_}) parents->reserve(layout.own_blocks());
+  coarse_patches_.reserve(layout.own_blocks());
   int const reach = refines_ ? 2 : 1;  // the ghosts' fits reach one cell further
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
@@ -75,11 +77,11 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach past it
   Level const& level = fine_.level();
-  auto const reads = reads_across_ranks(
+  auto const across = copies_across_ranks(
       level, coarser, [&](Box const& o) { return o.grow(reach).refine(ratio_); },
       [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(reach)); });
   parents_ = RectangleExchange(
-      comm, coarse_.layout(), local, copies_across_ranks(reads),
+      comm, coarse_.layout(), local, across,
       [this](Box const& box, Part const& f) { for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f); });
 }
 

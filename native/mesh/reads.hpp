@@ -45,8 +45,8 @@ void for_each_reader(Level const& readers, Level const& owners, Near&& near, F&&
 }
 
 /// Call wanted(read) for what this rank reads of others, and asked(read) for what others read of it, where a box of
-/// `readers` reads the cells of `owners` in some regions: `regions(box, read)` calls read(region) for each, and must give
-/// the same on all ranks. `near`: as in `for_each_reader`.
+/// `readers` reads the cells of `owners` in some regions: `regions(box, read)` calls read(region) for each, and must
+/// give the same on all ranks. `near`: as in `for_each_reader`.
 template <class Near, class Regions, class Wanted, class Asked>
 void for_each_read_across_ranks(Level const& readers, Level const& owners, Near&& near, Regions&& regions,
                                 Wanted&& wanted, Asked&& asked) {

@@ -124,7 +124,6 @@ def test_an_axis_of_one_cell_does_not_keep_copies_from_coarsening_others(pool, w
     assert found <= 13, found
 
 
-
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize(
     ("cells", "spacing", "boundary"),

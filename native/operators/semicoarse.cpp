@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <map>
 #include <set>
 
 #include "mesh/box_set.hpp"
@@ -33,12 +34,16 @@ class CopyCells {
   std::vector<Box> kept() const {
     std::vector<Box> out;
     std::set<Index3> tried;
+    std::map<Index3, bool> known;  // whether a cell bridges a gap
     for (int b = 0; b < level_->box_count(); ++b) {
       Box const candidates = level_->box(b).coarsen(size_).intersect(domain_);
       std::vector<Box> rest{candidates}, own{surely_kept(b)};
       if (candidates.empty()) continue;
       for_each_cell(candidates, [&](Index3 const& cell) {
-        if (level_->box(b).contains(cells_in(cell)) || !bridges_gap(cell)) return;
+        if (level_->box(b).contains(cells_in(cell))) return;
+        auto const [at, fresh] = known.emplace(cell, false);
+        if (fresh) at->second = bridges_gap(cell);
+        if (!at->second) return;
         rest = without(rest, {cell, cell});
         own = without(own, {cell, cell});
       });

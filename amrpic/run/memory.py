@@ -136,10 +136,8 @@ def _copies(scene: Scene, level: int, boxes: Array) -> tuple[int, int, int]:
     """
     copied = weights = copies = 0
     h, period = _widths(scene, level), np.array(scene.domain.cells) * 2**level
-    while level > 0 and h.max() > 2.01 * h.min():
-        ratio = np.where((h <= 1.5 * h.min()) & (period > 2), 2, 1)
-        if ratio.max() == 1:
-            break
+    while level > 0 and h.max() > 2.01 * (least := h[period > 2].min(initial=np.inf)):
+        ratio = np.where((h <= 1.5 * least) & (period > 2), 2, 1)
         here = int(cells_of(boxes).sum())
         copied += here
         weights += here * int(ratio.prod())

@@ -38,6 +38,9 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   Level const& coarser = coarse_.level();
   std::vector<Copied> local;
   std::size_t size = 0;
+  sources_.reserve(layout.own_blocks());
+  if (in_place_) targets_.reserve(layout.own_blocks());
+  coarse_patches_.reserve(layout.own_blocks());
   int const reach = refines_ ? 2 : 1;  // the ghosts' fits reach one cell further
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
@@ -68,19 +71,21 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
       if (ghosts.seam_width[d] != 1 && ratio_[d] == 2) source.seam[d] = coarser.domain().extent(d);
     }
     sources_.push_back(source);
-    targets_.push_back(source);
-    if (in_place_) targets_.back().cells = coarse_.layout().blocks()[b].cells;
+    if (in_place_) {
+      targets_.push_back(source);
+      targets_.back().cells = coarse_.layout().blocks()[b].cells;
+    }
     coarse_patches_.push_back(patch);
     add_ghosts(patch, known, ghosts);
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach past it
   Level const& level = fine_.level();
-  auto const reads = reads_across_ranks(
+  auto const across = copies_across_ranks(
       level, coarser, [&](Box const& o) { return o.grow(reach).refine(ratio_); },
       [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(reach)); });
-  parents_ = RectangleExchange(
-      comm, coarse_.layout(), local, copies_across_ranks(reads),
-      [this](Box const& box, Part const& f) { for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f); });
+  parents_ = RectangleExchange(comm, coarse_.layout(), local, across, [this](Box const& box, Part const& f) {
+    for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
+  });
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.
@@ -112,8 +117,8 @@ void Coarsening::add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, C
 void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   Vector& target = clear_target();
   stages.push_back([&](std::size_t b, int k) {
-    if (b < targets_.size())
-      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), targets_[b], weight(), target);
+    if (b < sources_.size())
+      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), taking(b), weight(), target);
   });
   if (fine_.has_odd_ring()) {  // the copies behind it have not been swept as their cells were
     PlaneStage const restriction = std::move(stages.back());
@@ -130,8 +135,8 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
 void Coarsening::restrict_right_hand_side() {
   Vector& target = clear_target();
   fine_.run({[&](std::size_t b, int k) {
-    if (b < targets_.size())
-      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), targets_[b], weight(), target);
+    if (b < sources_.size())
+      fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), taking(b), weight(), target);
   }});
   add_to_coarse_level();
 }

@@ -49,6 +49,8 @@ class Coarsening {
   bool keeps_children_together() const;
   void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts);
   Vector& clear_target();
+  /// The parents that take the residuals of an own block.
+  Parents const& taking(std::size_t b) const { return in_place_ ? targets_[b] : sources_[b]; }
   float weight() const;
   void add_to_coarse_level();
   void add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, CoarseGhosts const& ghosts);
@@ -62,7 +64,8 @@ class Coarsening {
   bool gathers_;   ///< whether every rank holds all of the coarser level, but only a part of the finer one
   std::vector<CoarsePatch> coarse_patches_;  ///< of each own block
   Vector values_;                            ///< what they hold
-  std::vector<Parents> sources_, targets_;   ///< of each own block: parents in `values_`; where residuals go
+  std::vector<Parents> sources_;             ///< of each own block: parents in `values_`
+  std::vector<Parents> targets_;             ///< the same on the coarser level, if `in_place_`
   std::vector<Copy> ghosts_;                 ///< in `values_`
   RectangleExchange parents_;
   InterfaceCells interface_;

@@ -1,30 +1,8 @@
 #include "matrixfree/copies_across_ranks.hpp"
 
-#include <map>
-#include <tuple>
-
 namespace amrpic::matrixfree {
 
 namespace {
-
-std::vector<CopiedRectangle> few_rectangles(std::vector<Read> const& reads, std::array<Seam, 3> const& seams) {
-  std::map<std::tuple<int, Index3, int>, Box> of_box;  // by rank, shift, and box
-  for (Read const& read : reads) {
-    auto const [at, fresh] = of_box.emplace(std::make_tuple(read.rank, read.shift, read.owner), read.part);
-    if (!fresh) at->second = at->second.hull(read.part);
-  }
-  std::map<std::pair<int, Index3>, std::vector<Box>> of_rank;
-  for (auto const& [key, part] : of_box) {
-    auto& boxes = of_rank[{std::get<0>(key), std::get<1>(key)}];
-    for (Box const& piece : split({part}, seams)) boxes.push_back(piece);
-  }
-  std::vector<CopiedRectangle> out;
-  for (auto& [key, boxes] : of_rank) {
-    auto const& [rank, shift] = key;
-    for (Box const& box : joined(std::move(boxes), seams)) out.push_back({rank, box.shift_back(shift), shift});
-  }
-  return out;
-}
 
 std::vector<CopiedRectangle> at_edges(Level const& level, std::vector<CopiedRectangle> const& copies) {
   std::vector<CopiedRectangle> out;
@@ -35,8 +13,23 @@ std::vector<CopiedRectangle> at_edges(Level const& level, std::vector<CopiedRect
 
 }  // namespace
 
-CopiesAcrossRanks copies_across_ranks(Reads const& reads, std::array<Seam, 3> const& seams) {
-  return {few_rectangles(reads.asked, seams), few_rectangles(reads.wanted, seams)};
+void ReadOfBoxes::add(Read const& read) {
+  auto const [at, fresh] = of_box_.emplace(std::make_tuple(read.rank, read.shift, read.owner), read.part);
+  if (!fresh) at->second = at->second.hull(read.part);
+}
+
+std::vector<CopiedRectangle> ReadOfBoxes::rectangles(std::array<Seam, 3> const& seams) const {
+  std::map<std::pair<int, Index3>, std::vector<Box>> of_rank;
+  for (auto const& [key, part] : of_box_) {
+    auto& boxes = of_rank[{std::get<0>(key), std::get<1>(key)}];
+    for (Box const& piece : split({part}, seams)) boxes.push_back(piece);
+  }
+  std::vector<CopiedRectangle> out;
+  for (auto& [key, boxes] : of_rank) {
+    auto const& [rank, shift] = key;
+    for (Box const& box : joined(std::move(boxes), seams)) out.push_back({rank, box.shift_back(shift), shift});
+  }
+  return out;
 }
 
 CopiesAcrossRanks at_edges(Level const& level, CopiesAcrossRanks const& copies) {

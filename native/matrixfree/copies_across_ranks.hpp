@@ -1,6 +1,8 @@
 #pragma once
 
 #include <array>
+#include <map>
+#include <tuple>
 #include <vector>
 
 #include "mesh/box_set.hpp"
@@ -22,9 +24,28 @@ struct CopiesAcrossRanks {
   std::vector<CopiedRectangle> asked, wanted;
 };
 
-/// The cells that are read across ranks, in few rectangles, which are not joined across seams of the copies. Of a box,
-/// one rank has copies of one rectangle that holds all that it reads of it.
-CopiesAcrossRanks copies_across_ranks(Reads const& reads, std::array<Seam, 3> const& seams = {});
+/// What is read of each box of a level: by rank and shift, one rectangle that holds all of it.
+class ReadOfBoxes {
+ public:
+  void add(Read const& read);
+  /// In few rectangles, which are not joined across seams of the copies.
+  std::vector<CopiedRectangle> rectangles(std::array<Seam, 3> const& seams) const;
+
+ private:
+  std::map<std::tuple<int, Index3, int>, Box> of_box_;  ///< by rank, shift, and box
+};
+
+/// The cells that are read across ranks (see `for_each_read_across_ranks`), in few rectangles. Reads are not listed: of
+/// small boxes there may be a hundred times as many.
+template <class Near, class Regions>
+CopiesAcrossRanks copies_across_ranks(Level const& readers, Level const& owners, Near&& near, Regions&& regions,
+                                      std::array<Seam, 3> const& seams = {}) {
+  ReadOfBoxes asked, wanted;
+  for_each_read_across_ranks(
+      readers, owners, near, regions, [&](Read const& read) { wanted.add(read); },
+      [&](Read const& read) { asked.add(read); });
+  return {asked.rectangles(seams), wanted.rectangles(seams)};
+}
 
 /// The layers of copied cells beyond which the level ends.
 CopiesAcrossRanks at_edges(Level const& level, CopiesAcrossRanks const& copies);

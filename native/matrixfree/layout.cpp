@@ -70,10 +70,9 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
       copies.push_back(piece);
     }
   }
-  across_ranks_ = copies_across_ranks(reads_across_ranks(
-                                          level, level, [&](Box const& o) { return o.grow(depth); },
-                                          [&](int b, auto&& read) { read(level.box(b).grow(depth)); }),
-                                      seams);
+  across_ranks_ = copies_across_ranks(
+      level, level, [&](Box const& o) { return o.grow(depth); },
+      [&](int b, auto&& read) { read(level.box(b).grow(depth)); }, seams);
   for (CopiedRectangle const& r : across_ranks_.asked) mark_copied(r.cells);
   for (CopiedRectangle const& r : across_ranks_.wanted) copies.push_back(r.cells.shift(r.shift));
   for (Box const& box : joined(copies, seams)) add(box);

@@ -66,6 +66,7 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
       own(box, [&](Box const& part, Placement const& at) {
         local_.push_back({extent_of(part), at, from(region.copy, part.lower)});
       });
+  local_.shrink_to_fit();
   asked_ = packed(across.asked, false, own);
   wanted_ = packed(across.wanted, true, copies);
   auto parcels = [](std::vector<CopiedRectangle> const& rectangles) {

@@ -8,6 +8,7 @@ namespace {
 
 LevelFaces faces_of_blocks(Level const& level, Layout const& layout) {
   LevelFaces out;
+  out.reserve(layout.blocks().size());
   for (CellBlock const& block : layout.blocks()) out.emplace_back(level, block.box);
   return out;
 }

@@ -44,27 +44,42 @@ void for_each_reader(Level const& readers, Level const& owners, Near&& near, F&&
   for (int b : boxes) f(b);
 }
 
-/// Reads across ranks where a box of `readers` reads the cells of `owners` in some regions: `regions(box, read)` calls
-/// read(region) for each, and must give the same on all ranks. `near`: as in `for_each_reader`.
-template <class Near, class Regions>
-Reads reads_across_ranks(Level const& readers, Level const& owners, Near&& near, Regions&& regions) {
-  Reads out;
-  if (owners.ranks() == 1 || readers.ranks() == 1) return out;
+/// Call wanted(read) for what this rank reads of others, and asked(read) for what others read of it, where a box of
+/// `readers` reads the cells of `owners` in some regions: `regions(box, read)` calls read(region) for each, and must
+/// give the same on all ranks. `near`: as in `for_each_reader`.
+template <class Near, class Regions, class Wanted, class Asked>
+void for_each_read_across_ranks(Level const& readers, Level const& owners, Near&& near, Regions&& regions,
+                                Wanted&& wanted, Asked&& asked) {
+  if (owners.ranks() == 1 || readers.ranks() == 1) return;
   int const me = owners.rank();
-  auto add = [&](int reader, std::vector<Read>& list, auto&& is_meant) {
+  auto visit = [&](int reader, auto&& f) {
     int number = 0;
     regions(reader, [&](Box const& region) {
       owners.for_each_overlap(region, [&](int o, Box const& part, Index3 const& shift) {
         int const owner = owners.owner(o);
-        if (is_meant(owner))
-          list.push_back({owner == me ? readers.owner(reader) : owner, reader, o, number, part, shift});
+        f(owner, Read{owner == me ? readers.owner(reader) : owner, reader, o, number, part, shift});
       });
       ++number;
     });
   };
   for (int b = readers.first_local_box(); b < readers.last_local_box(); ++b)
-    add(b, out.wanted, [&](int owner) { return owner != me; });
-  for_each_reader(readers, owners, near, [&](int b) { add(b, out.asked, [&](int owner) { return owner == me; }); });
+    visit(b, [&](int owner, Read const& read) {
+      if (owner != me) wanted(read);
+    });
+  for_each_reader(readers, owners, near, [&](int b) {
+    visit(b, [&](int owner, Read const& read) {
+      if (owner == me) asked(read);
+    });
+  });
+}
+
+/// A list of all of them.
+template <class Near, class Regions>
+Reads reads_across_ranks(Level const& readers, Level const& owners, Near&& near, Regions&& regions) {
+  Reads out;
+  for_each_read_across_ranks(
+      readers, owners, near, regions, [&](Read const& read) { out.wanted.push_back(read); },
+      [&](Read const& read) { out.asked.push_back(read); });
   out.sort();
   return out;
 }

@@ -1,6 +1,8 @@
 #include "operators/semicoarse.hpp"
 
 #include <algorithm>
+#include <limits>
+#include <map>
 #include <set>
 
 #include "mesh/box_set.hpp"
@@ -14,6 +16,10 @@ using Faces = std::array<std::array<Boundary, 2>, 3>;
 
 /// Which cells a copy of a refinement level has, with `size` of the level's per cell along each axis. Corrections
 /// vanish at walls and one of the level's own cells outside its faces, at the centres of the coarser level's cells.
+///
+/// No gap of the level may be lost in larger cells: it holds corrections, and where nothing else does, a copy without
+/// it overshoots by factors of ten and more. So a cell that would bridge a gap is left out. The gap is then too wide
+/// and corrections too small, which does no harm.
 class CopyCells {
  public:
   CopyCells(std::shared_ptr<Level const> level, Faces const& boundary, Index3 const& size, Box const& domain)
@@ -28,10 +34,19 @@ class CopyCells {
   std::vector<Box> kept() const {
     std::vector<Box> out;
     std::set<Index3> tried;
+    std::map<Index3, bool> known;  // whether a cell bridges a gap
     for (int b = 0; b < level_->box_count(); ++b) {
       Box const candidates = level_->box(b).coarsen(size_).intersect(domain_);
       std::vector<Box> rest{candidates}, own{surely_kept(b)};
       if (candidates.empty()) continue;
+      for_each_cell(candidates, [&](Index3 const& cell) {
+        if (level_->box(b).contains(cells_in(cell))) return;
+        auto const [at, fresh] = known.emplace(cell, false);
+        if (fresh) at->second = bridges_gap(cell);
+        if (!at->second) return;
+        rest = without(rest, {cell, cell});
+        own = without(own, {cell, cell});
+      });
       level_->for_each_overlap(candidates.refine(size_).grow(reach_), [&](int other, Box const&, Index3 const&) {
         rest = without(rest, surely_kept(other));
         if (other < b) own = without(own, surely_kept(other));
@@ -52,9 +67,14 @@ class CopyCells {
     int const step = side == 0 ? -1 : 1, size = size_[axis];
     int at = side == 0 ? place.lower[axis] : place.upper[axis];
     int const farthest = at + step * size;
+    bool in_level = true;  // a narrow gap is reached from both sides, and corrections vanish between its two cells
     for (place.lower[axis] = place.upper[axis] = at + step; at != farthest && covers(place);
-         place.lower[axis] = place.upper[axis] = at + step)
+         place.lower[axis] = place.upper[axis] = at + step) {
+      bool const before = in_level;
+      in_level = level_->intersects(place);
+      if (!in_level && !before) break;
       at += step;
+    }
     Real const centre = (cell[axis] + 0.5) * size, zero = side == 0 ? at : at + 1;
     return std::max(std::abs(zero - centre) / size, 0.25);
   }
@@ -80,6 +100,35 @@ class CopyCells {
       }
     }
     return out;
+  }
+
+  /// The level's indices within a cell, inside the domain.
+  Box cells_in(Index3 const& cell) const { return Box{cell, cell}.refine(size_).intersect(level_->domain()); }
+
+  /// Whether a gap of the level lies in a cell, and neither this ends the copy on that side nor a wall holds it there.
+  bool bridges_gap(Index3 const& cell) const {
+    Box const whole = cells_in(cell);
+    std::vector<Box> gaps{whole};
+    level_->for_each_overlap(whole, [&](int, Box const& part, Index3 const&) { gaps = without(gaps, part); });
+    return std::any_of(gaps.begin(), gaps.end(), [&](Box const& gap) {
+      for (int axis = 0; axis < 3; ++axis) {
+        int const middle = cell[axis] * size_[axis] + size_[axis] / 2;
+        if (gap.lower[axis] >= middle && ends(cell, axis, 1)) return false;
+        if (gap.upper[axis] < middle && ends(cell, axis, 0)) return false;
+      }
+      return true;
+    });
+  }
+
+  /// Whether the copy ends beside a cell, or a wall holds corrections there.
+  bool ends(Index3 cell, int axis, int side) const {
+    if (!reach_[axis]) return false;
+    cell[axis] += side == 0 ? -1 : 1;
+    if (cell[axis] < domain_.lower[axis] || cell[axis] > domain_.upper[axis]) {
+      if (!level_->periodic()[axis]) return boundary_[axis][side] != Boundary::neumann;
+      cell[axis] = side == 0 ? domain_.upper[axis] : domain_.lower[axis];
+    }
+    return !covers(core(cell));
   }
 
   /// A box of the level grown to where corrections vanish.
@@ -112,15 +161,21 @@ class CopyCells {
   std::array<bool, 3> whole_;
 };
 
-/// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing while another spacing is more than
-/// twice that, else all ones.
+/// Whether one spacing is so much longer than another that relaxing does not couple cells along it.
+bool is_long(Real spacing, Real other) { return spacing > 1.8 * other; }
+
+/// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing, of those that can be coarsened,
+/// while another spacing is about twice that; else all ones.
 Index3 semicoarsening_of(Level const& level, Faces const& boundary) {
   Real3 const& h = level.spacing();
-  Real const finest = *std::min_element(h.begin(), h.end());
-  Index3 ratio{1, 1, 1};
-  if (!has_long_cells(level)) return ratio;
+  auto shortens = [&](int d) { return can_be_coarsened(level.domain().extent(d), boundary[d]); };
+  Real finest = std::numeric_limits<Real>::infinity();
   for (int d = 0; d < 3; ++d)
-    if (h[d] <= 1.5 * finest && can_be_coarsened(level.domain().extent(d), boundary[d])) ratio[d] = 2;
+    if (shortens(d)) finest = std::min(finest, h[d]);
+  Index3 ratio{1, 1, 1};
+  if (!is_long(*std::max_element(h.begin(), h.end()), finest)) return ratio;
+  for (int d = 0; d < 3; ++d)
+    if (h[d] <= 1.5 * finest && shortens(d)) ratio[d] = 2;
   return ratio;
 }
 
@@ -185,7 +240,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
 
 bool has_long_cells(Level const& level) {
   auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
-  return *most > 1.8 * *least;
+  return is_long(*most, *least);
 }
 
 std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,

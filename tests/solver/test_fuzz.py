@@ -18,6 +18,9 @@ from fuzz_pool import Broken, Pool
 
 LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 
+# Seeds and numbers of large cases that failed: unconverged after the residual grew, over cycles, over memory.
+FOUND = ((864211, 32), (864211, 420), (864211, 1030), (864211, 310))
+
 
 def check(results: list[fuzz.Result], seed: int) -> None:
     print(fuzz.summary(seed, results))
@@ -36,6 +39,11 @@ def test_two_thousand_problems_do_not_depend_on_how_they_are_solved():
     print(f"seed {seed}")
     results, _ = fuzz.run_all(seed, range(2000), LARGE, shrink=1, seconds=1200)
     check(results, seed)
+
+
+@pytest.mark.parametrize(("seed", "number"), FOUND)
+def test_problems_that_once_failed_pass(seed, number):
+    check(fuzz.run_all(seed, [number], LARGE, shrink=0)[0], seed)
 
 
 # --- what finds the failures ---

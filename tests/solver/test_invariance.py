@@ -101,7 +101,27 @@ def test_columns_that_touch_along_edges_alone_take_few_cycles(pool, height, limi
     assert found <= limit, found
 
 
-WALLS, RING = ("dirichlet", "dirichlet"), ("periodic", "periodic")
+WALLS, RING, CLOSED = ("dirichlet", "dirichlet"), ("periodic", "periodic"), ("neumann", "neumann")
+
+
+@pytest.mark.parametrize("upper", [CLOSED, WALLS])
+@pytest.mark.parametrize(("cells", "every"), [((8, 8, 8), 11), ((8, 8, 8), 37), ((9, 31, 6), 23)])
+def test_gaps_of_one_coarse_cell_hold_corrections_of_long_cells(pool, cells, every, upper):
+    """Everything is refined except single coarse cells. Copies of the level that bridged these gaps overshot by factors of up
+    to twenty, and cycles grew: 25 to more than 100 of them."""
+    refined = (c for c in itertools.product(*map(range, cells)) if (3 * c[0] + 5 * c[1] + 7 * c[2]) % every)
+    boxes = tuple(((2 * i, 2 * j, 2 * k), (2 * i + 1, 2 * j + 1, 2 * k + 1)) for i, j, k in refined)
+    found = outcome(pool, Case(cells, (1.0, 1.0, 40.0), (CLOSED, CLOSED, upper), (boxes,), blocking_factor=2))
+    assert found.cycles <= 16, found.cycles
+    assert max(found.residuals) < 5, found.residuals
+
+
+@pytest.mark.parametrize("walls", [CLOSED, WALLS])
+def test_an_axis_of_one_cell_does_not_keep_copies_from_coarsening_others(pool, walls):
+    """z has one cell on a copy when y has three. The copies ended there, and what is constant along y stayed: 23 and 26."""
+    case = Case((40, 5, 2), (68.0, 1.0, 1.0), (walls, RING, RING), ((((4, 0, 0), (75, 9, 3)),),), blocking_factor=2)
+    found = cycles(pool, case)
+    assert found <= 13, found
 
 
 @pytest.mark.parametrize("ranks", [1, 2])

@@ -33,8 +33,11 @@ VARIATION = 1  # cycles that a case may differ from its reference
 # rows of all levels at once are up to 7/4 as stiff, per level, as the coarser one believes (docs/theory.md, "Slow cycles").
 # Of 2,000 cases nine took more than 16 cycles, one 34.
 LOOSE_CYCLES, LOOSE_VARIATION = 20, 3
-# Memory of a matrix-free solve: potential, charge, solver, plans for each box, what Python holds.
+# Memory of a matrix-free solve: potential, charge, solver, plans for each box, which copies of levels of long cells have
+# too, what Python holds; and sixteen corrections with what they do to the residual, where slow cycles are combined
+# (docs/theory.md, "Slow cycles").
 BYTES_PER_CELL, BYTES_PER_BOX, BYTES_FREE = 100, 4000, 100e6
+BYTES_OF_ACCELERATION = 128  # per cell
 
 # Refusals that are documented: of cells for which there is no method or no memory.
 REFUSALS = (
@@ -154,7 +157,9 @@ def judge(case: Case, found: Outcome, plain: Outcome) -> tuple[list[Failure], fl
         if found.converged and plain.converged and worst > (bound := allowed_difference(case, plain)):
             fail("phi", f"differs by {worst:.2e} V, allowed are {bound:.2e} V, largest {plain.largest_phi:.2e} V")
     for name, outcome, matrix_free in (("", found, case.backend == "matrix-free"), ("reference: ", plain, True)):
-        most = BYTES_PER_CELL * outcome.cells + BYTES_PER_BOX * outcome.boxes + BYTES_FREE
+        per_cell = BYTES_PER_CELL + BYTES_OF_ACCELERATION * outcome.accelerated
+        boxes = outcome.boxes * (2 if case.levels and case.aspect_ratio > 1.8 else 1)
+        most = per_cell * outcome.cells + BYTES_PER_BOX * boxes + BYTES_FREE
         if matrix_free and outcome.growth > most:
             fail("memory", f"{name}{outcome.growth / 1e6:.0f} MB for {outcome.cells} cells, at most {most / 1e6:.0f}")
     # Compressed rows may take fewer. Around an odd number of cells they relax the last ones as colours of their own; what is

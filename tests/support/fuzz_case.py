@@ -147,6 +147,7 @@ class Outcome:
     reason: str = ""
     cycles: int = 0
     residuals: Sequence[float] = ()
+    accelerated: bool = False  # whether slow cycles were combined, which keeps the latest corrections
     cells: int = 0
     boxes: int = 0
     solver_bytes: int = 0  # that the solver counts, over all ranks
@@ -181,6 +182,7 @@ def solve(comm: Any, case: Case, wants_phi: bool = True) -> Outcome:
     out.solver_bytes = comm.allreduce(solver.native.backend_bytes)
     out.converged, out.reason = report.converged, report.reason
     out.cycles, out.residuals = report.cycles, list(report.residuals)
+    out.accelerated = "acceleration" in report.seconds
     out.cells = sum(phi.hierarchy.cells(level) for level in range(phi.hierarchy.levels))
     out.boxes = sum(len(phi.hierarchy.boxes(level)) for level in range(phi.hierarchy.levels))
     out.largest_phi = phi.max_abs()

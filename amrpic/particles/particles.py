@@ -122,6 +122,10 @@ class Particles:
             self.sorting if position is None else None,
         )
 
+    def with_weight(self, weight: np.ndarray) -> Particles:
+        """The same particles with other weights (n,)."""
+        return Particles(self.position, self.momentum, weight, self.id, self.species, self.sorting)
+
     def turned(self, matrix: np.ndarray) -> Particles:
         """The particles with positions and momenta multiplied by a matrix (3, 3)."""
         position, momentum = empty_columns(len(self)), empty_columns(len(self))

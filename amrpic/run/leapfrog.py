@@ -51,7 +51,7 @@ def kick_and_drift(
     solution: Solution, particles: Particles, lag: float, time: float, course: Course, plan: Plan
 ) -> Staggered:
     """Return where particles go whose momenta lag positions by `lag` s, at `time` s. Collective."""
-    by_e_alone = solution.frame == LABORATORY and not plan.scene.elements and not plan.fields
+    by_e_alone = solution.frames.only == LABORATORY and not plan.scene.elements and not plan.fields
     between = None if by_e_alone else empty_columns(len(particles))
     motion = plan.scene.motion
     assert isinstance(motion, Leapfrog)
@@ -86,13 +86,14 @@ def _push(
     time: float = 0.0,
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Particles:
-    motion, frame = plan.scene.motion, solution.frame
+    motion = plan.scene.motion
     assert isinstance(motion, Leapfrog)
     walls = plan.wall_field(solution)
     electric, magnetic = given if given is not None else (None, None)
     if walls is not None:
-        of_walls = gather(walls, particles, plan.clouds)
-        electric = of_walls if electric is None else electric + of_walls
+        electric = _sum(electric, gather(walls, particles, plan.clouds))
+    if solution.magnetic is not None:
+        magnetic = _sum(magnetic, gather(solution.magnetic, particles, plan.clouds))
     return push(
         solution.efield,
         particles,
@@ -101,7 +102,7 @@ def _push(
         dt,
         plan.clouds,
         pusher=motion.pusher,
-        beta=frame.beta,
+        beta=solution.beta,
         electric=electric,
         magnetic=magnetic,
         between=between,
@@ -109,3 +110,7 @@ def _push(
         time=time,
         shift=shift,
     )
+
+
+def _sum(one: np.ndarray | None, other: np.ndarray) -> np.ndarray:
+    return other if one is None else one + other

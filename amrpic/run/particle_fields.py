@@ -6,20 +6,21 @@ from functools import cached_property
 
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..particles.frame import Frame
+from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
 from ..stages.deposit import deposit
 from ..stages.migrate import migrate
 from ..stages.regrid import carry_over
 from ..stages.tag import count
 from .plan import Plan
+from .solution import Solution, superposed
 
 
 class ParticleFields:
     """Fields of particles that are sorted on a hierarchy. All ranks ask for the same ones: the first time is collective.
 
-    Potential and field are carried over from `known`, those of the step before; without it they are solved for, in `frame`, by
-    default that of the particles. Collective to make.
+    Potential and field are carried over from `known`, those of the step before; without it they are solved for, in `frames`, by
+    default those of the particles. Collective to make.
     """
 
     def __init__(
@@ -27,17 +28,17 @@ class ParticleFields:
         particles: Particles,
         hierarchy: Hierarchy,
         plan: Plan,
-        known: tuple[Field, VectorField] | None = None,
-        frame: Frame | None = None,
+        known: Solution | None = None,
+        frames: Frames | None = None,
     ) -> None:
         self.particles, self.hierarchy, self.plan, self.known = particles, hierarchy, plan, known
-        self.frame = frame if frame is not None else plan.frame(particles)
+        self.frames = frames if frames is not None else plan.frames(particles)
 
     def on(self, hierarchy: Hierarchy) -> ParticleFields:
         """Return the fields of the same particles on another hierarchy. Collective."""
         with self.plan.clock("migrate"):
             particles, _ = migrate(self.particles, hierarchy)
-        return ParticleFields(particles, hierarchy, self.plan, self.known, self.frame)
+        return ParticleFields(particles, hierarchy, self.plan, self.known, self.frames)
 
     @cached_property
     def rho(self) -> Field:
@@ -46,23 +47,41 @@ class ParticleFields:
             return deposit(self.particles, self.hierarchy, self.plan.clouds)
 
     @cached_property
+    def solution(self) -> Solution:
+        """What is solved for of the particles, from the potentials that are known. Collective; SolverError if a solve fails."""
+        plan, frames = self.plan, self.frames
+        plan.keep_solvers(frames)
+        if (only := frames.only) is not None:
+            rho, guess = self.rho, self.guess
+            with plan.clock("solve"):
+                phi, report = plan.solve(rho, guess, only)
+                efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
+            return Solution(rho, phi, efield, report, frames)
+        known = self.known.parts if self.known is not None else ()
+        guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
+        parts = []
+        for number, frame in enumerate(frames.members):
+            with plan.clock("deposit"):
+                rho = deposit(frames.part(self.particles, number), self.hierarchy, plan.clouds)
+            with plan.clock("solve"):
+                phi, report = plan.solve(rho, guesses[number] if guesses else None, frame, walls=False)
+                efield = plan.poisson(self.hierarchy, frame).deferred_field(phi, covered=plan.clouds.covered)
+            parts.append((frame, phi, efield, report))
+        with plan.clock("solve"):
+            return superposed(self.rho, parts, frames)
+
+    @cached_property
     def phi(self) -> Field:
         """Potential, V."""
-        if self.known is not None:
-            return self._carried(self.known[0])
-        rho = self.rho
-        with self.plan.clock("solve"):
-            return self.plan.solve(rho, None, self.frame)[0]
+        return self._carried(self.known.phi) if self.known is not None else self.solution.phi
 
     @cached_property
     def efield(self) -> VectorField:
         """Electric field, V/m."""
         if self.known is not None:
-            x, y, z = map(self._carried, self.known[1].components)
+            x, y, z = map(self._carried, self.known.efield.components)
             return VectorField(x, y, z)
-        phi = self.phi
-        with self.plan.clock("solve"):
-            return self.plan.poisson(self.hierarchy, self.frame).deferred_field(phi)
+        return self.solution.efield
 
     @cached_property
     def particles_per_cell(self) -> Field:
@@ -73,7 +92,7 @@ class ParticleFields:
     def guess(self) -> Field | None:
         """A potential to start a solve from, if one is known."""
         with self.plan.clock("regrid"):
-            return self.phi if self.known is not None or "phi" in vars(self) else None
+            return self.phi if self.known is not None else None
 
     def _carried(self, field: Field) -> Field:
         return field if field.hierarchy is self.hierarchy else carry_over(field, self.hierarchy)

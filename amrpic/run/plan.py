@@ -13,7 +13,8 @@ from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import own
 from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
-from ..particles.frame import LABORATORY, Frame, frame_of
+from ..particles.energy_bins import ONE_FRAME, Frames, frames_of, spread
+from ..particles.frame import LABORATORY, Frame
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
@@ -36,7 +37,7 @@ class Plan:
         self.remarks: list[str] = []
         self.notes: list[str] = []  # what the run settled by itself, for its log
         self._solves: list[SolveReport] = []
-        self._solver: PoissonSolver | None = None
+        self._solvers: dict[Frame, PoissonSolver] = {}
         self.external = ExternalFields.of_scene(scene)
         self.apertures = [native_aperture(aperture) for aperture in scene.apertures]
         self.fields = FieldFunctions(self.comm, fields)
@@ -47,37 +48,55 @@ class Plan:
         self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 
-    def frame(self, particles: Particles, before: Frame = LABORATORY) -> Frame:
-        """Return the frame in which to solve for the field of particles that move. Collective; InputError on all ranks."""
+    def frames(self, particles: Particles, before: Frames | None = None) -> Frames:
+        """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
+
+        Energy bins stay those of `before`, if it is given.
+        """
         motion = self.scene.motion
         if not isinstance(motion, Leapfrog):
-            return LABORATORY
-        return frame_of(self.comm, particles, self.scene.domain.value, motion.frame, before)
+            return ONE_FRAME
+        bins = None if motion.energy_bins == "auto" else motion.energy_bins
+        found = frames_of(self.comm, particles, self.scene.domain.value, motion.frame, bins, before)
+        if before is None and found.only is None:
+            self.note(
+                f"motion.energy_bins: {len(found.members)}; the rms of γ about its mean in them is "
+                f"{spread(self.comm, particles, found):.1%}, about half the error of the beam's force on itself"
+            )
+        return found
 
     def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY) -> PoissonSolver:
         """Return the solver of a hierarchy in a frame, set up at the first call. Collective."""
         options = self.scene.solver
         if frame != LABORATORY:
             options = options.model_copy(update={"stretch": frame.stretch})
-        solver = self._solver
-        if solver is not None and solver.hierarchy is hierarchy and solver.options == options:
+        solver = self._solvers.get(frame)
+        if solver is not None and solver.hierarchy is hierarchy:
             return solver
-        kept = solver.base_setup if solver is not None and options.reuse and solver.options == options else None
-        solver = self._solver = None  # the old operators go before the new ones come
-        self._solver = PoissonSolver(
+        kept = solver.base_setup if solver is not None and options.reuse else None
+        # the old operators go before the new ones come
+        solver = None
+        self._solvers = {of: made for of, made in self._solvers.items() if made.hierarchy is hierarchy}
+        self._solvers[frame] = PoissonSolver(
             hierarchy,
             options=options,
             background="neutralizing" if self.scene.background == "neutralizing" else None,
             reuse=kept,
         )
-        return self._solver
+        return self._solvers[frame]
 
-    def solve(self, rho: Field, guess: Field | None, frame: Frame = LABORATORY) -> tuple[Field, SolveReport]:
+    def keep_solvers(self, frames: Frames) -> None:
+        """Let go of the solvers of other frames."""
+        self._solvers = {of: made for of, made in self._solvers.items() if of in frames.members}
+
+    def solve(
+        self, rho: Field, guess: Field | None, frame: Frame = LABORATORY, walls: bool = True
+    ) -> tuple[Field, SolveReport]:
         """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge.
 
-        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone.
+        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone, and with `walls`.
         """
-        at_rest = frame == LABORATORY
+        at_rest = frame == LABORATORY and walls
         phi, report = self.poisson(rho.hierarchy, frame).solve(
             rho,
             guess=guess,
@@ -98,7 +117,7 @@ class Plan:
 
         It is solved for once on each mesh, in the laboratory.
         """
-        if solution.frame == LABORATORY or (self._potential is None and self._slope is None):
+        if solution.frames.only == LABORATORY or (self._potential is None and self._slope is None):
             return None
         hierarchy = solution.rho.hierarchy
         if self._wall_field is None or self._wall_field.hierarchy is not hierarchy:
@@ -139,7 +158,7 @@ class Plan:
         if levels > 0:
             why = "a bunch has at most" if few else "every bunch has more than"
             taken = self.scene.particles.interface
-            self.notes.append(f"particles.interface: {taken} clouds, because {why} {EQUAL_PARTICLES} (σ/h)² particles")
+            self.note(f"particles.interface: {taken} clouds, because {why} {EQUAL_PARTICLES} (σ/h)² particles")
 
     def _is_small(self, bunch: Particles, widths: np.ndarray) -> bool:
         """Whether a bunch is better off with matched clouds where cells have these widths (m). Collective."""
@@ -150,6 +169,11 @@ class Plan:
         """Whether the mesh follows the particles in this step, whatever they do."""
         refinement = self.scene.refinement
         return refinement.follows and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
+
+    def note(self, sentence: str) -> None:
+        """Note for the log what the run settled by itself, once."""
+        if sentence not in self.notes:
+            self.notes.append(sentence)
 
     def remark(self, sentence: str) -> None:
         """Note something that is legal and yet may not be meant, once."""

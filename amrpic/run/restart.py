@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ from ..io.checkpoint_manifest import Header
 from ..io.checkpoint_reader import read, verify
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
-from ..mesh.domain import FACES, Domain
+from ..mesh.domain import AXES, FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
 from ..particles.arrays import repeated
+from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
@@ -65,7 +67,7 @@ def snapshot(state: State, scene: Scene, functions: Sequence[str] = ()) -> Snaps
         extra={
             "species": particles.species.to_dict(),
             "report": vars(report),
-            "frame": vars(state.solution.frame),
+            "frames": asdict(state.solution.frames),
             "lag": state.lag,
             "course": state.course.to_dict(),
             "fields": list(functions),
@@ -116,9 +118,14 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
     efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
-    solution = Solution(
-        fields["rho"], fields["phi"], efield, SolveReport(**extra["report"]), Frame(**extra.get("frame", {}))
-    )
+    frames = _frames(extra)
+    magnetic: VectorField | None = None
+    parts: tuple[Field, ...] = ()
+    if frames.only is None:
+        magnetic = VectorField(*(fields[f"bfield_{axis}"] for axis in AXES))
+        parts = tuple(fields[f"phi_{number}"] for number in range(len(frames.members)))
+    report = SolveReport(**extra["report"])
+    solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic)
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     lost, screens = _records(held, species, hierarchy.domain)
     return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
@@ -127,7 +134,19 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
 def _fields(state: State) -> dict[str, Field]:
     efield = state.efield.with_components()
     # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
-    return {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
+    out = {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
+    if (magnetic := state.solution.magnetic) is not None:
+        out |= {f"bfield_{axis}": field for axis, field in zip(AXES, magnetic.components, strict=True)}
+        out |= {f"phi_{number}": part for number, part in enumerate(state.solution.parts)}
+    return out
+
+
+def _frames(extra: Mapping[str, Any]) -> Frames:
+    """Return the frames of a checkpoint; older ones hold one."""
+    if "frames" not in extra:
+        return Frames((Frame(**extra.get("frame", {})),))
+    held = extra["frames"]
+    return Frames(tuple(Frame(**member) for member in held["members"]), held["axis"], tuple(held["edges"]))
 
 
 def _records(held: Snapshot, species: SpeciesTable, domain: Domain) -> tuple[Record, Record]:

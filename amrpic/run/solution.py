@@ -2,37 +2,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..mesh.field import Field, VectorField
-from ..particles.frame import LABORATORY, Frame
+from ..mesh.hierarchy import Hierarchy
+from ..particles.energy_bins import ONE_FRAME, Frames
+from ..particles.frame import Frame
 from ..stages.poisson import SolveReport
 from ..units import SPEED_OF_LIGHT
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A charge density, and the potential and field that were solved for it."""
+    """A charge density, and the potential and field that were solved for it: those of all energy bins together."""
 
     rho: Field  # of the particles, C/m³; without a neutralizing background
     phi: Field  # V
     efield: VectorField  # V/m
-    report: SolveReport
-    frame: Frame = LABORATORY  # in which the charge rests
+    report: SolveReport  # of the bin that took most cycles
+    frames: Frames = ONE_FRAME  # in which the charge of each bin rests
+    parts: tuple[Field, ...] = ()  # φ of each bin, if there are more than one, V
+    magnetic: VectorField | None = None  # T, if there are more bins than one
+
+    @property
+    def beta(self) -> tuple[float, float, float]:
+        """Velocity over c of the charge, if there is one bin: its magnetic field is β × E / c. Else zero: see `magnetic`."""
+        only = self.frames.only
+        return (0.0, 0.0, 0.0) if only is None else only.beta
 
     @property
     def bfield(self) -> VectorField:
-        """Magnetic field of the charge, β × E / c, T; made anew each time."""
-        b = np.array(self.frame.beta) / SPEED_OF_LIGHT
-        out = [Field(self.rho.hierarchy, "T") for _ in range(3)]
-        for axis in range(3):
-            up, down = (axis + 1) % 3, (axis + 2) % 3
-            for level in range(self.rho.hierarchy.levels):
-                values = out[axis].array(level)
-                if b[up] != 0:
-                    values += b[up] * self.efield.components[down].array(level)
-                if b[down] != 0:
-                    values -= b[down] * self.efield.components[up].array(level)
-        return VectorField(*out)
+        """Magnetic field of the charge, T; made anew each time if there is one bin."""
+        if self.magnetic is not None:
+            return self.magnetic
+        out = zeros(self.rho.hierarchy, "T")
+        add_magnetic(out, self.efield, self.beta)
+        return out
+
+
+def superposed(rho: Field, parts: Sequence[tuple[Frame, Field, VectorField, SolveReport]], frames: Frames) -> Solution:
+    """Return the sum of what was solved for each bin."""
+    hierarchy = rho.hierarchy
+    phi, electric, magnetic = Field(hierarchy, "V"), zeros(hierarchy, "V/m"), zeros(hierarchy, "T")
+    for frame, part, field, _ in parts:
+        _add(phi, 1.0, part)
+        field = field.with_components()
+        for total, component in zip(electric.components, field.components, strict=True):
+            _add(total, 1.0, component)
+        add_magnetic(magnetic, field, frame.beta)
+    report = max((one[3] for one in parts), key=lambda report: report.cycles)
+    return Solution(rho, phi, electric, report, frames, tuple(one[1] for one in parts), magnetic)
+
+
+def zeros(hierarchy: Hierarchy, unit: str) -> VectorField:
+    """Return a field of zeros."""
+    x, y, z = (Field(hierarchy, unit) for _ in range(3))
+    return VectorField(x, y, z)
+
+
+def add_magnetic(to: VectorField, efield: VectorField, beta: Sequence[float]) -> None:
+    """Add the magnetic field β × E / c of charge that moves with β c."""
+    b = np.array(beta) / SPEED_OF_LIGHT
+    for axis in range(3):
+        up, down = (axis + 1) % 3, (axis + 2) % 3
+        if b[up] != 0:
+            _add(to.components[axis], b[up], efield.components[down])
+        if b[down] != 0:
+            _add(to.components[axis], -b[down], efield.components[up])
+
+
+def _add(to: Field, times: float, field: Field) -> None:
+    for level in range(field.hierarchy.levels):
+        to.array(level)[...] += times * field.array(level)

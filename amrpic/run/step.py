@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
+from ..particles.energy_bins import EVERY
 from ..particles.particles import Particles, concatenate
 from ..scene.motion import Leapfrog, RandomWalk
 from ..stages.push import random_walk
@@ -32,12 +33,12 @@ def advance(state: State, plan: Plan) -> State:
         moved = _moved(state, plan)
     with plan.clock("migrate"):
         particles, lost, screens = fly(state, moved, course.window, plan)
-    frame = plan.frame(particles, state.solution.frame)
-    fields = ParticleFields(particles, state.hierarchy, plan, (state.phi, state.efield), frame)
+    frames = plan.frames(particles, state.solution.frames if step % EVERY else None)
+    fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames)
     if plan.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)
     regridded = fields.hierarchy is not state.hierarchy
-    return state_of(plan, fields.particles, _solution(fields), lost, screens, course, step, now, plan.dt / 2, regridded)
+    return state_of(plan, fields.particles, fields.solution, lost, screens, course, step, now, plan.dt / 2, regridded)
 
 
 def begin(plan: Plan) -> State:
@@ -50,7 +51,7 @@ def begin(plan: Plan) -> State:
         particles, lost, screens = place(made, base, course.window, plan)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
-    return state_of(plan, fields.particles, _solution(fields), lost, screens, course, 0, 0.0)
+    return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, 0.0)
 
 
 def state_of(
@@ -105,15 +106,6 @@ def _moved(state: State, plan: Plan) -> Particles:
     if isinstance(motion, RandomWalk):
         return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)
     return state.particles
-
-
-def _solution(fields: ParticleFields) -> Solution:
-    """Return the field of the particles. Collective; SolverError if the solve does not converge."""
-    plan, rho = fields.plan, fields.rho
-    with plan.clock("solve"):
-        phi, report = plan.solve(rho, fields.guess, fields.frame)
-        efield = plan.poisson(fields.hierarchy, fields.frame).deferred_field(phi, covered=plan.clouds.covered)
-    return Solution(rho, phi, efield, report, fields.frame)
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:

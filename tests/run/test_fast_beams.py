@@ -46,7 +46,7 @@ def scene(*changes: str, gamma: float = 20.0, direction: tuple = (0, 0, 1), **bu
 def test_the_field_of_a_fast_bunch_is_the_boosted_one(gamma):
     """E across is γ times that at rest, E along is as at rest, B = β × E / c."""
     state = amrpic.Simulation(MPI.COMM_SELF, scene("domain.cells=[64, 64, 64]", gamma=gamma, particles=200_000)).state
-    assert state.solution.frames.only.gamma == pytest.approx(gamma, rel=1e-9)
+    assert state.solution.frames.members[0].gamma == pytest.approx(gamma, rel=1e-9)
     at_rest = Gaussian((1e-3, 1e-3, gamma * 1e-3), (0.0, 0.0, 0.0), -10e-12)
     points = np.random.default_rng(3).normal(0, 1.5e-3, (3, 2000)).clip(-5e-3, 5e-3)
     x, y, z = at_rest.field(points[0], points[1], gamma * points[2])
@@ -123,5 +123,5 @@ def test_what_has_no_frame_is_refused_in_one_sentence(comm, changes, options, sa
 
 def test_slow_beams_stay_in_the_laboratory():
     for gamma, gammas in ((1 + 4e-5, 1.0), (1 + 6e-5, 1 + 6e-5)):
-        frame = amrpic.Simulation(MPI.COMM_SELF, scene(gamma=gamma)).state.solution.frames.only
+        frame = amrpic.Simulation(MPI.COMM_SELF, scene(gamma=gamma)).state.solution.frames.members[0]
         assert frame.gamma == pytest.approx(gammas, abs=1e-9)

@@ -11,7 +11,7 @@ from typing import Any
 from bases import base_of, base_ratio, is_base
 from gamma import CUBES, gamma_ratio, memory_ratio
 from measuring import Record
-from particles import record_name
+from particles import OWN_B, SOLENOID, record_name
 from pic_step import IMPACTX_WALLS, step_name
 from solving import BESIDE_DST, BOXES, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
@@ -218,6 +218,9 @@ def particles(found: Found) -> Iterator[Goal]:
         for count, must in ((1_000_000, few), (10_000_000, many)):
             each = 1e9 * found.seconds(record_name(stage, count, "cloud-in-cell")) / count
             yield Goal(f"{stage}, {count:.0e} particles", each, must, aim, " ns")
+    for stage in (OWN_B, SOLENOID):
+        plain, turned = (record_name(one, 1_000_000, "cloud-in-cell") for one in ("gather+push", stage))
+        yield Goal(f"{stage}, against that without B", found.ratio(turned, plain), 1.6, unit="×")
 
 
 def step(found: Found) -> Iterator[Goal]:

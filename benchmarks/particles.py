@@ -14,10 +14,13 @@ from measuring import Record, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
 
 import amrpic
+from amrpic.external import ExternalFields
 from amrpic.mesh.hierarchy import Hierarchy
+from amrpic.particles.arrays import empty_columns
 from amrpic.particles.clouds import SHAPES, Clouds, Shape
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
+from amrpic.scene.elements import SolenoidElement
 from amrpic.stages.deposit import deposit
 from amrpic.stages.diagnostics import moments
 from amrpic.stages.gather import gather
@@ -28,7 +31,8 @@ Result = TypeVar("Result")
 ELECTRON = SpeciesTable((SPECIES["electron"],))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
-STAGES = ("deposit", "field", "gather", "gather+push", "migrate", "moments")
+OWN_B, SOLENOID = "gather+push, own B", "gather+push, solenoid"
+STAGES = ("deposit", "field", "gather", "gather+push", OWN_B, SOLENOID, "migrate", "moments")
 
 
 def measure(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", repeats: int = 5) -> dict[str, float]:
@@ -50,7 +54,8 @@ def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell")
     Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
     Keys: "deposit"; "field", what the two next ones read, from the potential, which takes the same for any number of
     particles; "gather", the field at the particles alone; "gather+push", all of a leapfrog step's motion: the field, two half
-    kicks and the drift; "migrate", after each particle has moved by 0.3 cell widths in a direction of its own, so that about
+    kicks and the drift, and the same with the magnetic field of a fast bunch, or of a solenoid around all of them, with the
+    momenta between; "migrate", after each particle has moved by 0.3 cell widths in a direction of its own, so that about
     two in five change their cell; "moments", what a row of the time series tells of them. A stage's result is dropped before
     the next repeat, as a run drops the step before.
     """
@@ -65,6 +70,9 @@ def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell")
     step *= MOVE / cells / np.sqrt((step**2).sum(axis=0))
     moved = homes.replace(position=homes.position + step.T)
     pushed = push(efield, homes, DT / 2, DT / 2, DT, clouds)
+    between = empty_columns(particles)
+    coil = SolenoidElement(kind="solenoid", centre=(0.5, 0.5, 0.5), length=2.0, field=1e-3)
+    external = ExternalFields([coil]).native
     del step
 
     return {
@@ -72,6 +80,8 @@ def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell")
         "field": lambda: solver.deferred_field(phi),
         "gather": lambda: gather(efield, homes, clouds),
         "gather+push": lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds),
+        OWN_B: lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds, beta=(0, 0, 0.5), between=between),
+        SOLENOID: lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds, external=external, between=between),
         "migrate": lambda: migrate(moved, hierarchy),
         "moments": lambda: moments(hierarchy.comm, homes, pushed, 0.5),
     }

@@ -97,7 +97,8 @@ def table(comm: MPI.Comm) -> Table:
         "its pt is how much less energy a particle has, over p c. The particles start at one time here, and are taken on "
         "straight lines to the plane z = 0, where they start there. The charge of a bunch is positive there for the sign of "
         "the reference particle, and a sector is a dipole here with both faces turned by minus half its angle. The picture "
-        "has sizes at one time in the axes of the reference particle (lines) beside ImpactX's (circles). `make impactx` makes ImpactX's values anew.",
+        "has sizes at one time in the axes of the reference particle (lines) beside ImpactX's (circles). "
+        "`make impactx` makes ImpactX's values anew.",
         (
             "space charge",
             "screen",

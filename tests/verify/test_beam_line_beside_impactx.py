@@ -37,7 +37,7 @@ def test_emittances_of_what_passes_a_plane_are_normalised():
     assert list(found.values()) == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+@pytest.mark.mpi(ranks=(2,), timeout=120)
 @pytest.mark.parametrize("charge", CHARGES)
 def test_a_bunch_passes_screens_as_in_impactx(comm: MPI.Comm, charge: str) -> None:
     found = beam_line.along(comm, CHARGES[charge], particles=2**14, steps=106)

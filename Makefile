@@ -20,7 +20,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: always stub docs help setup build run test nehalem aarch64 verify sanitize bench solvers lint format clean
+.PHONY: always stub docs help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -78,6 +78,10 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	  tests/run/test_kill_restart.py tests/run/test_memory.py tests/solver/test_rounding_floor.py tests/solver/test_invariance.py \
 	  tests/solver/test_every_base.py tests/solver/test_fuzz.py $(ARGS); \
 	exit $$failed
+
+# What the verification compares with where a peer is needed to make it.
+impactx: setup .venv/.peers  ## ImpactX's values for amrpic verify, made anew: amrpic/verify/beam_line.json
+	$(BIN)/python benchmarks/impactx_line.py
 
 setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, native build; nothing twice
 	@:

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from ..particles.equivalent_beam import ellipsoid_gradient
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from . import envelopes, halo, orbits, passages, plasma, thermal, two_frames
+from . import beam_line, envelopes, halo, orbits, passages, plasma, thermal, two_frames
 from .runs import collected, end
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
@@ -45,6 +45,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         [_fast_bunches(comm, gammas) for gammas in ((4.0, 20.0), (5.0, -3.0))],
     )
     yield two_frames.table(comm)
+    yield beam_line.table(comm)
     yield from plasma.tables(comm)
     yield envelopes.table(comm)
     yield thermal.table(comm)

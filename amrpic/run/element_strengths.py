@@ -88,9 +88,7 @@ def _(element: CavityElement) -> Strength:
     """Near the axis B_φ = E0 k r / (2 c)."""
     k = 2 * math.pi * element.frequency / SPEED_OF_LIGHT
     gradient = abs(element.field) * k / (2 * SPEED_OF_LIGHT)
-    return Strength(
-        abs(element.field), magnetic_gradient=gradient, frequency=element.frequency, length=element.length
-    )
+    return Strength(abs(element.field), magnetic_gradient=gradient, frequency=element.frequency, length=element.length)
 
 
 @strength.register

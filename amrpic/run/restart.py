@@ -131,9 +131,12 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic)
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     lost, screens = _records(held, species, hierarchy.domain)
-    if math.isnan(plan.dt) and held.header.about.scene["motion"].get("dt") == "auto":
-        plan.dt = extra["dt"]
-    settle_time_step(plan, particles, solution, course)
+    given = held.header.about.scene["motion"].get("dt")
+    before = extra.get("dt", given)
+    if math.isnan(plan.dt) and given == "auto":
+        plan.dt = before
+    if plan.dt != before:
+        settle_time_step(plan, particles, solution, course)
     return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
 
 

@@ -59,7 +59,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         f"40 protons with βγ = {BETA_GAMMA} fly {LENGTH} m through one element: errors of their places and momenta, over what "
         "the element changes of them (roots of mean squares, added), with these numbers of steps. Against SciPy's DOP853 in "
         "the same field; at hard edges it stops for what Maxwell's equations ask for there. Magnets with Enge's fringe, a "
-        "solenoid as a thin sheet, the gap and focusing without ends are smooth. Last, the steps that `dt = \"auto\"` takes, and "
+        'solenoid as a thin sheet, the gap and focusing without ends are smooth. Last, the steps that `dt = "auto"` takes, and '
         "its error.",
         ("element", *(f"{steps} steps" for steps in STEPS), "order", "steps of auto", "auto"),
         [[name, *cells] for name, (_, cells) in found.items()],

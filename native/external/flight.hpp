@@ -77,7 +77,7 @@ struct Segment {
     for (std::size_t d = 0; d < 3; ++d) way[d] = end[d] - start[d];
   }
   Vector3<V> point(V const& s) const { return sum(start, scaled(s, way)); }  ///< after the share `s` of its length
-  V time(V const& s) const { return starts + s * lasts; }                              ///< s, then
+  V time(V const& s) const { return starts + s * lasts; }                    ///< s, then
   auto meets(Slab const& slab) const {
     auto const &lower = slab.lower, &upper = slab.upper;
     return (greater(lower.height(start), lower.height(end)) >= V{} + lower.place) &

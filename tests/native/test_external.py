@@ -364,7 +364,7 @@ def test_a_cavity_acts_at_the_time_in_the_middle_of_the_part_inside(start, stop)
         E, B = native.means(x, v, TIME, start, stop, by_eights)
         assert E[:, 2] == pytest.approx(strength, rel=1e-9, abs=1e-3)
         assert not B.any()
-    assert 3 <= np.count_nonzero((share > 0) & (share < 1))
+    assert np.count_nonzero((share > 0) & (share < 1)) >= 3
 
 
 def test_an_end_exactly_on_an_edge_counts_once():

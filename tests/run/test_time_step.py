@@ -171,7 +171,9 @@ def test_nothing_that_takes_time_is_one_sentence():
         begun(empty)
 
 
-@pytest.mark.parametrize("dt, text", [("soon", "unit"), (0, "greater than 0"), (-1e-9, "greater than 0"), (True, "time")])
+@pytest.mark.parametrize(
+    "dt, text", [("soon", "unit"), (0, "greater than 0"), (-1e-9, "greater than 0"), (True, "time")]
+)
 def test_other_steps_are_refused(dt, text):
     with pytest.raises(SceneError, match=f"motion.dt .*{text}"):
         scene(dt=dt)
@@ -220,6 +222,13 @@ def test_a_restart_that_asks_for_it_anew_chooses_a_step(tmp_path):
     amrpic.Simulation(MPI.COMM_SELF, ball(1.0, 1e-12)).checkpoint(tmp_path / "made")
     again = amrpic.Simulation.restart(MPI.COMM_SELF, tmp_path / "made", ball(1.0))
     assert again._plan.dt == pytest.approx(begun(ball(1.0)).dt)
+
+
+def test_a_restart_gets_a_remark_of_another_long_step_alone(tmp_path):
+    amrpic.Simulation(MPI.COMM_SELF, ball(1.0, 1e-8)).checkpoint(tmp_path / "made")
+    same, longer = (amrpic.Simulation.restart(MPI.COMM_SELF, tmp_path / "made", ball(1.0, dt)) for dt in (1e-8, 2e-8))
+    assert not same.remarks
+    assert any("motion.dt of 2e-08 s is long" in remark for remark in longer.remarks)
 
 
 # ---- both forms ----

@@ -49,8 +49,8 @@ class Fastest:
 
     along: np.ndarray  # (3,) |v| along the axes of the mesh, relative to it, m/s
     speed: float  # |v| in the laboratory, m/s
-    strength: float  # |q| / (γ m), C/kg
-    rigidity: float  # |q v| / (γ m), C m/(kg s)
+    charge_per_mass: float  # |q| / (γ m), C/kg
+    current_per_mass: float  # |q v| / (γ m), C m/(kg s)
 
 
 def settle_time_step(plan: Plan, particles: Particles, solution: Solution, course: Course) -> None:
@@ -106,7 +106,7 @@ def _processes_in(element: Element, name: str, fast: Fastest) -> Iterator[Proces
     for what, omega in (("betatron", betatron(of, fast)), ("cyclotron", cyclotron(of, fast))):
         period = _time(2 * math.pi, omega)
         yield Process("element", f"{what} period in {name}", period, PER_PERIOD, LEAST_PER_PERIOD)
-    yield Process("element", f"gain of m c in {name}", _time(1.0, acceleration(of, fast)), PER_PERIOD)
+    yield Process("element", f"gain of γ m c in {name}", _time(1.0, acceleration(of, fast)), PER_PERIOD)
     yield Process("rf", f"RF period of {name}", _time(1.0, of.frequency), PER_RF_PERIOD, LEAST_PER_PERIOD)
     yield Process("length", f"passage through {name} or its fringe", _time(of.length, fast.speed), PER_LENGTH)
     yield Process("length", f"passage between nodes of {name}", _time(of.node, fast.speed), PER_NODE)
@@ -121,17 +121,17 @@ def _time(amount: float, rate: float) -> float:
 
 def betatron(of: Strength, fast: Fastest) -> float:
     """Return the angular frequency in 1/s of oscillations in linear fields: ω² = |q| (v G + g) / (γ m), G of B and g of E."""
-    return math.sqrt(fast.rigidity * of.magnetic_gradient + fast.strength * of.electric_gradient)
+    return math.sqrt(fast.current_per_mass * of.magnetic_gradient + fast.charge_per_mass * of.electric_gradient)
 
 
 def cyclotron(of: Strength, fast: Fastest) -> float:
     """Return the angular frequency in 1/s of the turn in a magnetic field: ω = |q| B / (γ m)."""
-    return fast.strength * of.magnetic
+    return fast.charge_per_mass * of.magnetic
 
 
 def acceleration(of: Strength, fast: Fastest) -> float:
     """Return at which rate (1/s) an electric field changes momenta, relative to γ m c: |q| E / (γ m c)."""
-    return fast.strength * of.electric / SPEED_OF_LIGHT
+    return fast.charge_per_mass * of.electric / SPEED_OF_LIGHT
 
 
 def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, gamma: float) -> float:

@@ -85,7 +85,7 @@ ELEMENTS: dict[str, tuple[dict[str, Any], float]] = {  # and the step for the pr
         {"kind": "solenoid", "length": 5, "field": -3},
         2 * np.pi / (3 * PER_MASS) / time_step.PER_PERIOD,
     ),
-    "gain of m c": (
+    "gain of γ m c": (
         {"kind": "uniform", "electric_field": [3e9, 0, -4e9]},
         SPEED_OF_LIGHT / (5e9 * PER_MASS) / time_step.PER_PERIOD,
     ),

@@ -13,6 +13,7 @@ from ..errors import InputError
 from ..mesh.domain import AXES
 from ..mesh.hierarchy import Hierarchy
 from ..particles.clouds import Clouds
+from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
 from ..scene.elements import Element
 from ..scene.motion import Leapfrog
@@ -95,7 +96,7 @@ def processes(plan: Plan, particles: Particles, solution: Solution, course: Cour
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
         what = f"passage of a particle through a cell of the finest level along {axis}"
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
-    omega = plasma_frequency(particles, solution.rho.hierarchy, plan.clouds, solution.frame.gamma)
+    omega = plasma_frequency(particles, solution.rho.hierarchy, plan.clouds, solution.frames)
     yield Process("plasma", "plasma period", _time(2 * math.pi, omega), PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
     for number, element in enumerate(plan.external.elements):
         yield from _processes_in(element, element.name or f"elements.{number}", fast)
@@ -134,17 +135,18 @@ def acceleration(of: Strength, fast: Fastest) -> float:
     return fast.charge_per_mass * of.electric / SPEED_OF_LIGHT
 
 
-def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, gamma: float) -> float:
-    """Return the largest angular plasma frequency on the mesh in 1/s: ω² = Σ q² n / (ε0 m γ³), over species. Collective.
+def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, frames: Frames) -> float:
+    """Return the largest angular plasma frequency on the mesh in 1/s: ω² = Σ q² n / (ε0 m γ³), over species and energy bins.
 
-    γ is that of the frame in which the charge rests. Across the motion its magnetic field leaves 1/γ² of the force, for a mass
+    γ is that of the frame in which the charge of a bin rests. Collective. Across the motion its magnetic field leaves 1/γ² of the force, for a mass
     γ m; along it the mass is γ³ m.
     """
+    weight = sum(frames.part(particles, bin).weight / frame.gamma**3 for bin, frame in enumerate(frames.members))
     table = particles.species
     kinds = tuple(replace(kind, charge=kind.charge**2 / kind.mass) for kind in table.kinds)
-    weighed = replace(particles, species=replace(table, kinds=kinds))
+    weighed = replace(particles.with_weight(np.asarray(weight)), species=replace(table, kinds=kinds))
     density = deposit(weighed, hierarchy, clouds).max_abs()  # C²/(kg m³)
-    return math.sqrt(density / (VACUUM_PERMITTIVITY * gamma**3))
+    return math.sqrt(density / VACUUM_PERMITTIVITY)
 
 
 def fastest(comm: MPI.Comm, particles: Particles, course: Course) -> Fastest:

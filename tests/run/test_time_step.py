@@ -129,9 +129,12 @@ def test_cells_are_crossed_with_the_velocity_relative_to_the_window(window, per_
     assert f"cell of the finest level along {'z' if window == 'none' else 'x'}" in plan.notes[0]
 
 
-def ball(gamma: float, dt: Any = "auto", **more: Any) -> amrpic.Scene:
-    """A uniform ball of electrons and positrons, a quarter of them positrons, at rest in a frame of that γ."""
-    u = np.sqrt(gamma**2 - 1)
+def ball(gamma: float, dt: Any = "auto", of_other: float | None = None, **more: Any) -> amrpic.Scene:
+    """A uniform ball of electrons and positrons, a quarter of them positrons, at rest in a frame of that γ.
+
+    `of_other`: γ of the positrons, if it is another one, in an energy bin of their own.
+    """
+    u, other = (np.sqrt(g**2 - 1) for g in (gamma, of_other or gamma))
     sizes = (np.array([1e-3, 1e-3, 1e-3 / gamma]) / np.sqrt(5)).tolist()
     bunch = {
         "distribution": "hollow",
@@ -146,9 +149,19 @@ def ball(gamma: float, dt: Any = "auto", **more: Any) -> amrpic.Scene:
             "domain": {"lower": [-2e-3, -2e-3, -2e-3 / gamma], "upper": [2e-3, 2e-3, 2e-3 / gamma], "cells": [16] * 3},
             "bunches": [
                 {**bunch, "species": "electron", "charge": -3e-12},
-                {**bunch, "species": "positron", "charge": 1e-12},
+                {
+                    **bunch,
+                    "species": "positron",
+                    "charge": 1e-12,
+                    "momentum": [0, 0, other * ELECTRON_MASS * SPEED_OF_LIGHT],
+                },
             ],
-            "motion": {"kind": "leapfrog", "dt": dt, "window": "reference" if u else "none"},
+            "motion": {
+                "kind": "leapfrog",
+                "dt": dt,
+                "window": "reference" if u else "none",
+                "energy_bins": 2 if of_other else 1,
+            },
             "output": {"write": []},
             **more,
         }
@@ -165,9 +178,22 @@ def test_the_plasma_period_is_that_of_all_species_together(comm, gamma):
     assert "plasma period" in plan.notes[-1]
 
 
+def test_the_plasma_period_counts_energy_bins_with_their_own_mass():
+    """Three quarters of a ball at γ = 10, the rest at γ = 20: ω² is the sum of both."""
+    found = []
+    for other in (10.0, 20.0):
+        plan = Plan(MPI.COMM_SELF, ball(10.0, of_other=other))
+        state = begin(plan)
+        found.append(time_step.plasma_frequency(state.particles, state.hierarchy, plan.clouds, state.solution.frames))
+    assert len(state.solution.frames.members) == 2
+    assert (found[1] / found[0]) ** 2 == pytest.approx((3 + 1 / 8) / 4, rel=1e-3)
+
+
 def test_nothing_that_takes_time_is_one_sentence():
     empty = amrpic.Scene.from_dict({**described(), "bunches": []})
-    with pytest.raises(InputError, match='motion.dt is "auto", but no particle moves, has charge or feels an element'):
+    with pytest.raises(
+        InputError, match=r'motion\.dt is "auto", but no particle moves, has charge or feels an element'
+    ):
         begun(empty)
 
 
@@ -175,7 +201,7 @@ def test_nothing_that_takes_time_is_one_sentence():
     "dt, text", [("soon", "unit"), (0, "greater than 0"), (-1e-9, "greater than 0"), (True, "time")]
 )
 def test_other_steps_are_refused(dt, text):
-    with pytest.raises(SceneError, match=f"motion.dt .*{text}"):
+    with pytest.raises(SceneError, match=rf"motion\.dt .*{text}"):
         scene(dt=dt)
 
 

@@ -97,8 +97,15 @@ def _(element: MapElement) -> Strength:
     (electric, electric_gradient), (magnetic, magnetic_gradient) = (
         _largest(values, given.spacing) for values in (given.electric, given.magnetic)
     )
-    scaled = abs(element.scale) * np.array([electric, magnetic, electric_gradient, magnetic_gradient])
-    return Strength(*scaled.tolist(), frequency=element.frequency, node=min(given.spacing))
+    scale = abs(element.scale)
+    return Strength(
+        scale * electric,
+        scale * magnetic,
+        scale * electric_gradient,
+        scale * magnetic_gradient,
+        frequency=element.frequency,
+        node=min(given.spacing),
+    )
 
 
 def _shortest(element: QuadrupoleElement | DipoleElement) -> float:

@@ -138,8 +138,8 @@ def acceleration(of: Strength, fast: Fastest) -> float:
 def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, frames: Frames) -> float:
     """Return the largest angular plasma frequency on the mesh in 1/s: ω² = Σ q² n / (ε0 m γ³), over species and energy bins.
 
-    γ is that of the frame in which the charge of a bin rests. Collective. Across the motion its magnetic field leaves 1/γ² of the force, for a mass
-    γ m; along it the mass is γ³ m.
+    γ is that of the frame in which the charge of a bin rests. Across the motion its magnetic field leaves 1/γ² of the force,
+    for a mass γ m; along it the mass is γ³ m. Collective.
     """
     weight = sum(frames.part(particles, bin).weight / frame.gamma**3 for bin, frame in enumerate(frames.members))
     table = particles.species

@@ -46,7 +46,7 @@ EVERYWHERE = (-math.inf, math.inf)
 
 
 class ExternalFields:
-    """The fields of elements; where these overlap, fields add."""
+    """The fields of elements; where these overlap, fields add. `elements` has focusing by gradients, in the laboratory."""
 
     def __init__(
         self,
@@ -58,13 +58,13 @@ class ExternalFields:
 
         Maps are read from their files. Raises InputError if one cannot be used.
         """
-        focused = [
+        self.elements = [
             element.model_copy(update={"gradient": element.gradient_for(species, momentum), "wavenumber": None})
             if isinstance(element, ConstantFocusingElement) and element.wavenumber is not None and species is not None
             else element
             for element in elements
         ]
-        self.native = _native.ExternalFields([native_element(element) for element in focused])
+        self.native = _native.ExternalFields([native_element(element) for element in self.elements])
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Self:
@@ -79,6 +79,7 @@ class ExternalFields:
         if window == AT_REST:
             return self
         out = type(self)()
+        out.elements = self.elements
         out.native = self.native.seen_from(window.origin, window.axes)
         return out
 

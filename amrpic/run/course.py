@@ -16,6 +16,7 @@ from ..mesh.window import AT_REST, Vector, Window, vector
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.push import pusher_of
+from ..units import SPEED_OF_LIGHT
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,14 @@ class Reference:
     mass: float  # kg
     path: float = 0.0  # m, the length of its way so far
 
+    @property
+    def velocity(self) -> np.ndarray:
+        """(3,) m/s."""
+        momentum = np.array(self.momentum)
+        return momentum / math.hypot(self.mass, float(np.linalg.norm(momentum)) / SPEED_OF_LIGHT)
+
     def after(self, dt: float, time: float, external: ExternalFields, pusher: str) -> Reference:
-        """Return the particle `dt` s later than `time` s, moved as `push` moves those of a beam."""
+        """Return the particle `dt` s later than `time` s, moved as `push` moves those of a beam, by kick, drift and kick."""
         constants = self.charge, self.mass
         fields = external.native
         method = pusher_of(pusher)
@@ -51,6 +58,14 @@ class Course:
     def path(self) -> float:
         """Length s of the way of the reference particle so far, m; nan without one."""
         return math.nan if self.reference is None else self.reference.path
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocity (3,) of the window along its own axes, m/s."""
+        if self.reference is None or self.goes == "nowhere":
+            return np.zeros(3)
+        along = [self.goes in (axis, "turning") for axis in AXES]
+        return self.window.from_laboratory(np.where(along, self.reference.velocity, 0.0))
 
     @classmethod
     def of_scene(cls, scene: Scene) -> Course:

@@ -63,7 +63,7 @@ def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Par
         late = window.to_laboratory(moved.momentum[of.flight])
         # Those of the flight belong to its middle.
         momentum = late + (2 * of.share - 1)[:, None] * (late - before[np.searchsorted(met, of.flight)])
-        return _record(of, momentum, moved, state.time + of.share * plan.dt, names)
+        return _record(of, momentum, moved, state.time + of.share * state.flight, names)
 
     return particles, state.lost.joined(recorded(lost, causes(scene))), state.screens.joined(recorded(passed, screens))
 

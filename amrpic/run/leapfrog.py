@@ -1,6 +1,8 @@
-"""Leapfrog: momenta that are staggered in time against positions, in kick, drift, kick form.
+"""Leapfrog: momenta that are staggered in time against positions.
 
-The second half kick of a step and the first one of the next use the same field, so they are taken together.
+In the form kick, drift, kick the second half kick of a step and the first one of the next use the same field, so they are taken
+together. In the form drift, kick, drift two half drifts are: it is the same loop, after half a drift without a kick. Its states
+are those of the middle of a kick, where positions, field and momenta are of one time.
 """
 
 from __future__ import annotations
@@ -32,6 +34,7 @@ class Staggered:
     moved: Particles  # after the kick by `lag` + Δt/2 and a drift by Δt; not sorted; from the origin of the next window
     course: Course  # then
     lag: float  # s
+    flight: float  # s, of that drift: Δt, and Δt/2 without a kick at the start of drift, kick, drift
     between: np.ndarray | None = None  # (n, 3) kg m/s
 
     def synchronized(self, particles: Particles) -> Particles:
@@ -48,19 +51,21 @@ class Staggered:
 
 
 def kick_and_drift(
-    solution: Solution, particles: Particles, lag: float, time: float, course: Course, plan: Plan
+    solution: Solution, particles: Particles, lag: float, step: int, time: float, course: Course, plan: Plan
 ) -> Staggered:
-    """Return where particles go whose momenta lag positions by `lag` s, at `time` s. Collective."""
+    """Return where particles go whose momenta lag positions by `lag` s, at `time` s before `step` + 1. Collective."""
     by_e_alone = solution.frames.only == LABORATORY and not plan.scene.elements and not plan.fields
     between = None if by_e_alone else empty_columns(len(particles))
     motion = plan.scene.motion
     assert isinstance(motion, Leapfrog)
-    then = course.after(plan.dt, time, plan.external, motion.pusher)
+    drifts_first = motion.form == "drift-kick-drift" and step == 0
+    after, flight = (0.0, plan.dt / 2) if drifts_first else (plan.dt / 2, plan.dt)
+    then = course.after(flight, time, plan.external, motion.pusher)
     external = plan.external.seen_from(course.window).native if plan.scene.elements else None
     given = plan.fields.at(particles, time, course.window) if plan.fields else None
     shift = course.window.shift_to(then.window)
-    moved = _push(solution, particles, lag, plan.dt / 2, plan.dt, plan, between, external, given, time, shift)
-    return Staggered(moved, then, lag, between)
+    moved = _push(solution, particles, lag, after, flight, plan, between, external, given, time, shift)
+    return Staggered(moved, then, lag, flight, between)
 
 
 def kick(solution: Solution, particles: Particles, staggered: Staggered, plan: Plan) -> Particles:

@@ -87,7 +87,7 @@ class Recorder:
         self._warned: set[str] = set()
         self._since = time.perf_counter() - sum(state.seconds.values())
         prepare(comm, scene)
-        self._step, self._time = state.step, state.time
+        self._state_is(state)
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
@@ -114,7 +114,7 @@ class Recorder:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         if kind is not None and issubclass(kind, SolverError):  # on all ranks, and of interest most of all
-            self._write_history(self._step + 1, self._time + self._plan.dt)
+            self._write_history(self._step + 1, self._next)
         for series in (self._series, self._residuals):
             if series is not None:
                 series.close()
@@ -128,7 +128,7 @@ class Recorder:
             row = self._row(state)
             if self._series is not None:
                 self._series.append(row)
-            self._step, self._time = state.step, state.time
+            self._state_is(state)
             self._write_history(state.step, state.time)
             if self._beam is not None:
                 self._beam.record(state)
@@ -171,6 +171,9 @@ class Recorder:
         self._write_records(state)
         self._write_checkpoint(state)
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
+
+    def _state_is(self, state: State) -> None:
+        self._step, self._next = state.step, state.time + state.flight
 
     def _row(self, state: State) -> dict[str, float]:
         now = time.perf_counter()
@@ -257,5 +260,5 @@ class Recorder:
             self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._scene, self._plan.fields.names), output.writers)
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), output.writers)
         checkpoint_writer.prune(self._comm, directory, output.keep)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -32,7 +33,8 @@ class Plan:
     def __init__(self, comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> None:
         self.comm = own(comm)
         self.scene = scene
-        self.dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
+        dt = scene.motion.dt if isinstance(scene.motion, Leapfrog) else 0.0
+        self.dt: float = math.nan if dt == "auto" else dt  # s; `settle_time_step` chooses it for "auto"
         self.clock = Clock()
         self.remarks: list[str] = []
         self.notes: list[str] = []  # what the run settled by itself, for its log

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -38,6 +39,7 @@ from .records import Record
 from .solution import Solution
 from .state import State
 from .step import state_of
+from .time_step import settle_time_step
 
 COLUMNS = ("position", "momentum", "weight", "id")
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
@@ -50,9 +52,9 @@ def about(scene: Scene) -> Provenance:
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
 
 
-def snapshot(state: State, scene: Scene, functions: Sequence[str] = ()) -> Snapshot:
-    """Return the whole state as a checkpoint takes it: arrays shared, not copied; `functions` names fields from Python."""
-    hierarchy, particles, report = state.hierarchy, state.synchronized, state.report
+def snapshot(state: State, plan: Plan) -> Snapshot:
+    """Return the whole state as a checkpoint takes it: arrays shared, not copied; of fields from Python the names."""
+    hierarchy, particles, report, scene = state.hierarchy, state.synchronized, state.report, plan.scene
     columns = _columns(particles)
     if state.lag > 0:  # kept as they are, since what follows from those of the state's own time differs by rounding
         columns["lagging_momentum"] = state.particles.momentum
@@ -69,8 +71,9 @@ def snapshot(state: State, scene: Scene, functions: Sequence[str] = ()) -> Snaps
             "report": vars(report),
             "frames": asdict(state.solution.frames),
             "lag": state.lag,
+            "dt": plan.dt,
             "course": state.course.to_dict(),
-            "fields": list(functions),
+            "fields": list(plan.fields.names),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
     )
@@ -128,6 +131,12 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic)
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     lost, screens = _records(held, species, hierarchy.domain)
+    given = held.header.about.scene["motion"].get("dt")
+    before = extra.get("dt", given)
+    if math.isnan(plan.dt) and given == "auto":
+        plan.dt = before
+    if plan.dt != before:
+        settle_time_step(plan, particles, solution, course)
     return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
 
 

@@ -130,7 +130,7 @@ class Simulation:
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
-        content = snapshot(state, self.scene, self._plan.fields.names)
+        content = snapshot(state, self._plan)
         checkpoint_writer.write(self.comm, Path(path), content, self.scene.output.writers)
 
     def write_particles(self, path: str | Path) -> None:

@@ -78,6 +78,11 @@ class State:
         return self.staggered.lag if self.staggered is not None and self.staggered.between is not None else 0.0
 
     @property
+    def flight(self) -> float:
+        """How long the flight to the next state takes, s; 0 without leapfrog."""
+        return self.staggered.flight if self.staggered is not None else 0.0
+
+    @property
     def beam(self) -> Beam:
         """The particles with what gives their momenta at the time of the state."""
         staggered = self.staggered

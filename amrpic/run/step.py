@@ -23,11 +23,12 @@ from .plan import Plan
 from .records import Record
 from .solution import Solution
 from .state import State
+from .time_step import settle_time_step
 
 
 def advance(state: State, plan: Plan) -> State:
     """Return the state one step later. Collective; SolverError if the solve does not converge."""
-    step, now = state.step + 1, state.time + plan.dt
+    step, now = state.step + 1, state.time + state.flight
     course = state.course if state.staggered is None else state.staggered.course
     with plan.clock("push"):
         moved = _moved(state, plan)
@@ -51,6 +52,7 @@ def begin(plan: Plan) -> State:
         particles, lost, screens = place(made, base, course.window, plan)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
+    settle_time_step(plan, fields.particles, fields.solution, course)
     return state_of(plan, fields.particles, fields.solution, lost, screens, course, 0, 0.0)
 
 
@@ -73,7 +75,7 @@ def state_of(
     staggered = None
     if isinstance(plan.scene.motion, Leapfrog):
         with plan.clock("gather"):
-            staggered = kick_and_drift(solution, particles, lag, time, course, plan)
+            staggered = kick_and_drift(solution, particles, lag, step, time, course, plan)
     return State(particles, staggered, solution, lost, screens, course, step, time, regridded, plan.clock.take())
 
 

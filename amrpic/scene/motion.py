@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
+from .complaints import complaint
 from .real_particle import RealParticle
 from .section import Section
-from .units import Length, Length3, Time
+from .units import Length, Length3, Time, to_si
 
 
 class NoMotion(Section):
@@ -23,10 +24,25 @@ class Reference(RealParticle):
     position: Length3 = Field(default=(0.0, 0.0, 0.0), description="At the start, m.")
 
 
+def _step(value: Any) -> float | str:
+    """Return a time step in s, or "auto"; a complaint if it is neither."""
+    if value == "auto":
+        return "auto"
+    step = to_si(value, "time")
+    if step <= 0:
+        raise complaint("is not greater than 0", 'give a time, or "auto"')
+    return step
+
+
 class Leapfrog(Section):
     """Particles move in their own field, relativistically."""
 
     kind: Literal["leapfrog"]
+    form: Literal["kick-drift-kick", "drift-kick-drift"] = Field(
+        default="kick-drift-kick",
+        description="What a step is made of. drift-kick-drift: the run starts with half a drift, and what it writes of step "
+        "n ≥ 1 is of the middle between two drifts, at (n - 1/2) dt; a reference particle moves by kick-drift-kick.",
+    )
     pusher: Literal["higuera-cary", "boris"] = Field(
         default="higuera-cary",
         description="How magnetic fields turn momenta. Higuera and Cary's keeps particles at rest in their bunch where E and "
@@ -55,7 +71,13 @@ class Leapfrog(Section):
         description="The particle that the path length s belongs to. By default, with a window, it starts in the middle of the "
         "first bunch with its mean momentum.",
     )
-    dt: Time = Field(gt=0, description="Time step, s; well below the plasma period and the time to cross a cell.")
+    dt: Annotated[
+        float | Literal["auto"],
+        BeforeValidator(_step, json_schema_input_type=Annotated[Time, Field(gt=0)] | Literal["auto"]),
+    ] = Field(
+        description="Time step, s. auto: chosen once, at the start, from the time to cross a cell, the plasma period, and the "
+        "periods and lengths of elements; the log says which was the shortest. A restart goes on with the same step."
+    )
 
 
 class RandomWalk(Section):

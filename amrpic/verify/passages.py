@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from mpi4py import MPI
 from scipy.integrate import solve_ivp
 
 from ..external import ExternalFields
+from ..run.state import State
 from ..units import ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT
 from .chosen import scene_of
-from .runs import collected, end
-from .table import Goal, Table
+from .runs import collected, states
+from .table import Cell, Goal, Table
 
 MC = PROTON_MASS * SPEED_OF_LIGHT
 BETA_GAMMA = 0.2
@@ -25,7 +26,7 @@ STEPS = (200, 400, 800)
 QUADRUPOLE = {"kind": "quadrupole", "length": 0.1, "gradient": 3.0}
 DIPOLE = {"kind": "dipole", "length": 0.1, "field": 0.1}
 SOLENOID = {"kind": "solenoid", "length": 0.2, "field": 0.5}
-FOCUSING = {"kind": "constant-focusing", "gradient": [1e6, 1e6, 0]}
+FOCUSING = {"kind": "constant-focusing", "gradient": [1e9, 1e9, 0]}
 ENGE = {"fringe": "enge", "gap": "2 cm"}
 SMOOTH: Mapping[str, dict[str, Any]] = {
     "quadrupole": {**QUADRUPOLE, **ENGE},
@@ -46,20 +47,23 @@ HARD: Mapping[str, dict[str, Any]] = {
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of elements. Collective."""
-    errors = {
-        f"{name}, {ends}": [passage_error(comm, element, steps, exact) for steps in STEPS]
-        for ends, elements, exact in (("smooth", SMOOTH, through_smooth), ("hard", HARD, through_hard))
-        for name, element in elements.items()
-    }
+    found: dict[str, tuple[list[float], list[Cell]]] = {}
+    for ends, elements, exact in (("smooth", SMOOTH, through_smooth), ("hard", HARD, through_hard)):
+        for name, element in elements.items():
+            errors = [passage_error(comm, element, steps, exact) for steps in STEPS]
+            auto = flown(comm, element, "auto")
+            at_auto = Goal(error_of(comm, auto, element, exact), 1e-5)
+            found[f"{name}, {ends}"] = errors, [*errors, Goal(order(errors), 1.9, least=True), auto.step, at_auto]
     yield Table(
         "Passage through an element",
         f"40 protons with βγ = {BETA_GAMMA} fly {LENGTH} m through one element: errors of their places and momenta, over what "
         "the element changes of them (roots of mean squares, added), with these numbers of steps. Against SciPy's DOP853 in "
         "the same field; at hard edges it stops for what Maxwell's equations ask for there. Magnets with Enge's fringe, a "
-        "solenoid as a thin sheet, the gap and focusing without ends are smooth.",
-        ("element", *(f"{steps} steps" for steps in STEPS), "order"),
-        [[name, *found, Goal(order(found), 1.9, least=True)] for name, found in errors.items()],
-        {name: (list(map(float, STEPS)), found) for name, found in errors.items()},
+        'solenoid as a thin sheet, the gap and focusing without ends are smooth. Last, the steps that `dt = "auto"` takes, and '
+        "its error.",
+        ("element", *(f"{steps} steps" for steps in STEPS), "order", "steps of auto", "auto"),
+        [[name, *cells] for name, (_, cells) in found.items()],
+        {name: (list(map(float, STEPS)), errors) for name, (errors, _) in found.items()},
         across="steps",
         upwards="error",
         by_line=True,
@@ -71,24 +75,34 @@ def order(errors: list[float]) -> float:
     return float(-np.polyfit(np.log(2.0) * np.arange(len(errors)), np.log(errors), 1)[0])
 
 
-Exact = Callable[[dict[str, Any]], tuple[np.ndarray, np.ndarray]]
+Exact = Callable[[dict[str, Any], float], tuple[np.ndarray, np.ndarray]]
+Steps = int | Literal["auto"]  # those that TIME takes
 
 
-def passage_error(comm: MPI.Comm, element: dict[str, Any], steps: int, exact: Exact) -> float:
+def passage_error(comm: MPI.Comm, element: dict[str, Any], steps: Steps, exact: Exact) -> float:
+    """The error of protons that have flown through an element. Collective."""
+    return error_of(comm, flown(comm, element, steps), element, exact)
+
+
+def flown(comm: MPI.Comm, element: dict[str, Any], steps: Steps) -> State:
+    """The first state after TIME. Collective."""
+    return next(state for state in states(comm, passage([element], steps)) if state.time > TIME * (1 - 1e-9))
+
+
+def error_of(comm: MPI.Comm, state: State, element: dict[str, Any], exact: Exact) -> float:
     """The error of places over what the element changes of them, and the same of momenta, added: roots of mean squares.
 
     Collective.
     """
-    state = end(comm, passage([element], steps))
-    found, should, (x, p) = collected(comm, state.synchronized), exact(element), start()
-    without = x + TIME * SPEED_OF_LIGHT / MC * p / _gamma(p / MC), p
+    found, should, (x, p) = collected(comm, state.synchronized), exact(element, state.time), start()
+    without = x + state.time * SPEED_OF_LIGHT / MC * p / _gamma(p / MC), p
     off, changed = (
         np.array([np.linalg.norm(a - b) for a, b in zip(should, other, strict=True)]) for other in (found, without)
     )
     return float((off / changed).sum())
 
 
-def passage(elements: list[dict[str, Any]], steps: int) -> dict[str, Any]:
+def passage(elements: list[dict[str, Any]], steps: Steps) -> dict[str, Any]:
     """The scene of protons without weight to speak of, which fly along z from about -0.3 m to 0.3 m."""
     position, momentum = start()
     return {
@@ -107,8 +121,8 @@ def passage(elements: list[dict[str, Any]], steps: int) -> dict[str, Any]:
             }
         ],
         "elements": elements,
-        "motion": {"kind": "leapfrog", "dt": TIME / steps},
-        "schedule": {"steps": steps},
+        "motion": {"kind": "leapfrog", "dt": "auto" if steps == "auto" else TIME / steps},
+        "schedule": {"steps": 100_000 if steps == "auto" else steps},
         "output": {"write": []},
     }
 
@@ -124,22 +138,22 @@ def start() -> tuple[np.ndarray, np.ndarray]:
 # ---- by SciPy ----
 
 
-def through_smooth(element: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Places (n, 3) in m and momenta (n, 3) in kg m/s at the end, for a field that is smooth."""
+def through_smooth(element: dict[str, Any], time: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 3) in m and momenta (n, 3) in kg m/s after `time` s, for a field that is smooth."""
     fields = _fields(element)
 
-    def change(time: float, y: np.ndarray) -> np.ndarray:
+    def change(now: float, y: np.ndarray) -> np.ndarray:
         x, u = y.reshape(2, -1, 3)
         v = u / _gamma(u) * SPEED_OF_LIGHT
-        e, b = fields.fields(x, time)
+        e, b = fields.fields(x, now)
         return np.concatenate([v, ELEMENTARY_CHARGE / MC * (e + np.cross(v, b))]).ravel()
 
     x, p = start()
-    found = _integrated(change, 0.0, TIME, np.stack([x, p / MC]))
+    found = _integrated(change, 0.0, time, np.stack([x, p / MC]))
     return found[0], found[1] * MC
 
 
-def through_hard(element: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+def through_hard(element: dict[str, Any], time: float) -> tuple[np.ndarray, np.ndarray]:
     """The same for a field between two planes: straight to the first one, along z to the second one, straight to the end."""
     inside = _fields({**element, "length": 100 * LENGTH})
     half = element["length"] / 2
@@ -159,7 +173,7 @@ def through_hard(element: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     at_entry = np.concatenate([x[:, :2] + (-half - x[:, 2:]) / u[:, 2:] * u[:, :2], arrival], axis=1)
     at_exit, out = _integrated(change, -half, half, np.stack([at_entry, past_edge(element, at_entry, u, 1)]))
     out = past_edge(element, at_exit, out, -1)
-    left = SPEED_OF_LIGHT * TIME - at_exit[:, 2:]
+    left = SPEED_OF_LIGHT * time - at_exit[:, 2:]
     place = np.concatenate([at_exit[:, :2], np.full_like(left, half)], axis=1) + left * out / _gamma(out)
     return place, out * MC
 

@@ -11,8 +11,14 @@ namespace amrpic::external {
 struct Oscillation {
   Real omega;  ///< 1/s
   Real phase;  ///< rad
-  Real of_E(Real time) const { return omega == 0 ? 1 : std::cos(omega * time + phase); }
-  Real of_B(Real time) const { return omega == 0 ? 1 : -std::sin(omega * time + phase); }
+  template <class T>
+  T of_E(T const& time) const {
+    return omega == 0 ? T{} + 1 : cosine(omega * time + phase);
+  }
+  template <class T>
+  T of_B(T const& time) const {
+    return omega == 0 ? T{} + 1 : 0 - sine(omega * time + phase);
+  }
 };
 
 /// On the axis E_z = e(z) = V (315/128) / length (1 - u²)⁴, u = z / half, whose integral is the voltage; near it, with
@@ -35,11 +41,11 @@ Derivatives<V> bell(V const& u) {
   return {ww * ww, -8 * u * ww * w, 8 * ww * (7 * uu - 1), 48 * u * w * (3 - 7 * uu)};
 }
 
-template <class V>
-Fields<V> field(Gap const& of, Vector3<V> const& at, Real time) {
+template <class V, class T>
+Fields<V> field(Gap const& of, Vector3<V> const& at, T const& time) {
   auto const& [x, y, z] = at;
   Real const h = of.half, k = of.oscillation.omega / speed_of_light, peak = of.voltage * 315 / (256 * h);
-  Real const E = peak * of.oscillation.of_E(time), B = peak * k / speed_of_light * of.oscillation.of_B(time);
+  T const E = peak * of.oscillation.of_E(time), B = peak * k / speed_of_light * of.oscillation.of_B(time);
   auto const e = bell<V>(z / h);
   V const first = e.first / h, D = e.second / (h * h) + k * k * e.value,
           D_first = e.third / (h * h * h) + k * k * first;
@@ -68,11 +74,11 @@ constexpr std::array<Real, 14> bessel_series(int order) {
 
 constexpr auto J0 = bessel_series(0), two_J1 = bessel_series(1);
 
-template <class V>
-Fields<V> field(Pillbox const& of, Vector3<V> const& at, Real time) {
+template <class V, class T>
+Fields<V> field(Pillbox const& of, Vector3<V> const& at, T const& time) {
   auto const& [x, y, z] = at;
   Real const half_k = of.oscillation.omega / speed_of_light / 2;
-  Real const E = of.E0 * of.oscillation.of_E(time), B = of.E0 / speed_of_light * half_k * of.oscillation.of_B(time);
+  T const E = of.E0 * of.oscillation.of_E(time), B = of.E0 / speed_of_light * half_k * of.oscillation.of_B(time);
   V const ss = half_k * half_k * (x * x + y * y);
   constexpr Real last = first_zero_of_J0 * first_zero_of_J0 / 4;
   auto const inside = V{} + last >= ss;

@@ -112,9 +112,10 @@ void add_one(Of const& of, Slab const& extent, Flight<V> const& flight, Turn con
   Segment<V> const segment(flight);
   auto const meets = segment.meets(extent), inside = segment.lies_in(extent);
   if (!any(meets)) return;
-  if (all(inside)) return add(field(of, segment.point(V{} + 0.5), flight.time));
+  V const half = V{} + 0.5;
+  if (all(inside)) return add(field(of, segment.point(half), segment.time(half)));
   auto const part = part_inside(extent, segment);
-  auto const mean = field(of, part.middle, flight.time);
+  auto const mean = field(of, part.middle, part.time);
   add({scaled(part.share, mean.E), scaled(part.share, mean.B)});
   to.edges.ends = select(inside, to.edges.ends, select(meets, V{} + 1, to.edges.ends));
   if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, to_laboratory, to.edges);

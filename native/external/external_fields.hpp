@@ -81,8 +81,9 @@ class ExternalFields {
 /// Add the mean of all fields along a flight, in V/m and T, for a `Real`, or for eight flights as `Lanes`; and apart
 /// from it what is in planes alone.
 ///
-/// A field that ends at planes is taken in the middle of the part of the flight between these, times the share of that
-/// part. Other fields are those at x. All are those at `time`. A flight without length gives the field at a point.
+/// A field that ends at planes is taken in the middle of the part of the flight between these, and at the time of that
+/// middle, times the share of that part. Other fields are those at x, at the flight's time. A flight without length
+/// gives the field at a point.
 ///
 /// What is in planes turns a momentum at once, where other fields do so along the flight. So a step of second order
 /// turns by `first`, then by E and B, then by `last` times |v · normal| before over that now: a flight gets more of

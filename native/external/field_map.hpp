@@ -90,10 +90,11 @@ inline Fields<Real> field(FieldMap const& map, Vector3<Real> const& at, Real tim
 }
 
 /// Eight places one by one: what is read lies here and there.
-inline Fields<Lanes> field(FieldMap const& map, Vector3<Lanes> const& at, Real time) {
+template <class T>
+Fields<Lanes> field(FieldMap const& map, Vector3<Lanes> const& at, T const& time) {
   Real values[6][lane_count];
   for (int i = 0; i < lane_count; ++i) {
-    auto const one = field(map, Vector3<Real>{at[0][i], at[1][i], at[2][i]}, time);
+    auto const one = field(map, Vector3<Real>{at[0][i], at[1][i], at[2][i]}, lane(time, i));
     for (std::size_t d = 0; d < 3; ++d) values[d][i] = one.E[d], values[3 + d][i] = one.B[d];
   }
   return {{load<Lanes>(values[0]), load<Lanes>(values[1]), load<Lanes>(values[2])},

@@ -70,11 +70,14 @@ auto contains(Slab const& slab, Vector3<V> const& x) {
 template <class V>
 struct Segment {
   Vector3<V> start, end, way;
+  Real starts, lasts;  ///< s
 
-  explicit Segment(Flight<V> const& f) : start(at(f, f.from)), end(at(f, f.to)) {
+  explicit Segment(Flight<V> const& f)
+      : start(at(f, f.from)), end(at(f, f.to)), starts(f.time + f.from), lasts(f.to - f.from) {
     for (std::size_t d = 0; d < 3; ++d) way[d] = end[d] - start[d];
   }
   Vector3<V> point(V const& s) const { return sum(start, scaled(s, way)); }  ///< after the share `s` of its length
+  V time(V const& s) const { return starts + s * lasts; }                    ///< s, then
   auto meets(Slab const& slab) const {
     auto const &lower = slab.lower, &upper = slab.upper;
     return (greater(lower.height(start), lower.height(end)) >= V{} + lower.place) &
@@ -94,11 +97,12 @@ struct Segment {
   }
 };
 
-/// The part of a segment between two planes: its share of the whole, and its middle.
+/// The part of a segment between two planes: its share of the whole, and the place and the time (s) of its middle.
 template <class V>
 struct Part {
   V share;
   Vector3<V> middle;
+  V time;
 };
 
 template <class V>
@@ -107,7 +111,8 @@ Part<V> part_inside(Slab const& slab, Segment<V> const& segment) {
   auto const from_above = segment.rise(slab.lower) < V{}, to_below = segment.rise(slab.upper) < V{};
   V const first = clamped(greater(select(from_above, V{}, to_lower), select(to_below, to_upper, V{})), 0, 1);
   V const last = clamped(lesser(select(from_above, to_lower, V{} + 1), select(to_below, V{} + 1, to_upper)), 0, 1);
-  return {greater(last - first, V{}), segment.point(0.5 * (first + last))};
+  V const middle = 0.5 * (first + last);
+  return {greater(last - first, V{}), segment.point(middle), segment.time(middle)};
 }
 
 /// 1 if a segment crosses a plane upwards, -1 downwards, else 0: by the sides of its ends alone, so that of segments

@@ -18,8 +18,8 @@ struct Uniform {
   bool magnetic() const { return B != Real3{}; }
 };
 
-template <class V>
-Fields<V> field(Uniform const& of, Vector3<V> const&, Real) {
+template <class V, class T>
+Fields<V> field(Uniform const& of, Vector3<V> const&, T const&) {
   return {{V{} + of.E[0], V{} + of.E[1], V{} + of.E[2]}, {V{} + of.B[0], V{} + of.B[1], V{} + of.B[2]}};
 }
 
@@ -32,8 +32,8 @@ struct Focusing {
   static constexpr bool magnetic() { return false; }
 };
 
-template <class V>
-Fields<V> field(Focusing const& of, Vector3<V> const& x, Real) {
+template <class V, class T>
+Fields<V> field(Focusing const& of, Vector3<V> const& x, T const&) {
   return {{0 - of.gradient[0] * x[0], 0 - of.gradient[1] * x[1], 0 - of.gradient[2] * x[2]}, {}};
 }
 
@@ -49,8 +49,8 @@ struct Quadrupole {
   static constexpr bool magnetic() { return true; }
 };
 
-template <class V>
-Fields<V> field(Quadrupole const& of, Vector3<V> const& at, Real) {
+template <class V, class T>
+Fields<V> field(Quadrupole const& of, Vector3<V> const& at, T const&) {
   auto const& [x, y, z] = at;
   Real const G = of.gradient;
   if (of.is_hard()) return {{}, {G * y, G * x, V{}}};
@@ -95,8 +95,8 @@ Fields<V> between_turned_faces(Dipole const& of, Vector3<V> const& at) {
            By * (cosine[1] * by_out - cosine[0] * by_in)}};
 }
 
-template <class V>
-Fields<V> field(Dipole const& of, Vector3<V> const& at, Real) {
+template <class V, class T>
+Fields<V> field(Dipole const& of, Vector3<V> const& at, T const&) {
   if (of.is_hard()) return {{}, {V{}, V{} + of.B0, V{}}};
   V const y = at[1], yy = y * y;
   if (of.sine != std::array<Real, 2>{}) return between_turned_faces(of, at);
@@ -130,8 +130,8 @@ Derivatives<V> end_of_coil(Real R, V const& z) {
   return {z * root, first, 0 - 3 * first * u, 3 * first * (5 * u * u - q)};
 }
 
-template <class V>
-Fields<V> field(Solenoid const& of, Vector3<V> const& at, Real) {
+template <class V, class T>
+Fields<V> field(Solenoid const& of, Vector3<V> const& at, T const&) {
   if (of.is_hard()) return {{}, {V{}, V{}, V{} + of.B0}};
   auto const& [x, y, z] = at;
   Real const half_B = of.B0 / 2;

@@ -54,6 +54,25 @@ V polynomial(std::array<Real, n> const& c, V const& x) {
   return out;
 }
 
+/// One number of eight; of one number itself.
+inline Real lane(Real x, int) { return x; }
+inline Real lane(Lanes const& x, int i) { return x[i]; }
+
+inline Real cosine(Real x) { return std::cos(x); }
+inline Real sine(Real x) { return std::sin(x); }
+template <class F>
+Lanes of_each(Lanes const& x, F const& f) {
+  Real values[lane_count];
+  for (int i = 0; i < lane_count; ++i) values[i] = f(x[i]);
+  return load<Lanes>(values);
+}
+inline Lanes cosine(Lanes const& x) {
+  return of_each(x, [](Real one) { return std::cos(one); });
+}
+inline Lanes sine(Lanes const& x) {
+  return of_each(x, [](Real one) { return std::sin(one); });
+}
+
 /// 2^n for whole numbers n between -1022 and 1023.
 template <class V>
 V power_of_two(V const& n) {

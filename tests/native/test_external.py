@@ -332,7 +332,8 @@ def test_solenoid_edge_keeps_the_canonical_angular_momentum():
 
 @pytest.mark.parametrize("name", [*HARD, "cavity"])
 def test_flights_that_follow_each_other_add_up(name):
-    fields = ExternalFields([HARD.get(name, CAVITY)])
+    slow = moved(CAVITY, frequency=1.0, phase=0.3)  # a faster field changes on the way
+    fields = ExternalFields([HARD.get(name, slow)])
     position, velocity, start, stop = flights(7)
     stop, start = 1e-10, 0.0
     whole = np.hstack(fields.means(position, velocity, TIME, start, stop))
@@ -345,6 +346,25 @@ def test_flights_that_follow_each_other_add_up(name):
         for a, b in zip([start, *cuts], [*cuts, stop], strict=True)
     ]
     assert np.allclose(sum(parts) / (stop - start), whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("start, stop", [(-3e-10, 0.0), (0.0, 4e-10)])
+def test_a_cavity_acts_at_the_time_in_the_middle_of_the_part_inside(start, stop):
+    """Along its axis, in to both sides and across; by eights and one by one."""
+    x = np.zeros((9, 3))
+    x[:, 2] = -0.115, -0.11, -0.09, -0.085, 0, 0.09, 0.095, 0.105, -0.15
+    v = np.array([0.0, 0.0, 1e8]) * np.array([1, -1, 1, -1, 1, -1, 1, -1, 1])[:, None]
+    v[-1, 2] = 7.5e8  # across, if forwards
+    ends = np.sort((np.array([[-0.1], [0.1]]) - x[:, 2]) / v[:, 2], axis=0)
+    enters, leaves = np.clip(ends, start, stop)
+    middle, share = (enters + leaves) / 2, (leaves - enters) / (stop - start)
+    strength = CAVITY.field * share * np.cos(2 * np.pi * CAVITY.frequency * (TIME + middle) + CAVITY.phase)
+    native = ExternalFields([CAVITY]).native
+    for by_eights in (True, False):
+        E, B = native.means(x, v, TIME, start, stop, by_eights)
+        assert E[:, 2] == pytest.approx(strength, rel=1e-9, abs=1e-3)
+        assert not B.any()
+    assert np.count_nonzero((share > 0) & (share < 1)) >= 3
 
 
 def test_an_end_exactly_on_an_edge_counts_once():

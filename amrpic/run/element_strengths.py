@@ -1,0 +1,125 @@
+"""How strong the fields of elements are, how fast they change in time, and over what lengths."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import singledispatch
+
+import numpy as np
+
+from ..io import field_maps
+from ..scene.elements import (
+    CavityElement,
+    ConstantFocusingElement,
+    DipoleElement,
+    Element,
+    FringedElement,
+    GapElement,
+    MapElement,
+    QuadrupoleElement,
+    SolenoidElement,
+    UniformElement,
+)
+from ..units import SPEED_OF_LIGHT
+
+FRINGE = 4.0  # gaps, in which Enge's profile of the usual magnets falls from 1 to 0
+COIL = 2.0  # radii of a thin coil, in which its field falls by most
+
+
+@dataclass(frozen=True)
+class Strength:
+    """Largest values of an element's field; what it lacks is 0, and infinity among lengths."""
+
+    electric: float = 0.0  # V/m
+    magnetic: float = 0.0  # T
+    electric_gradient: float = 0.0  # V/m²
+    magnetic_gradient: float = 0.0  # T/m
+    frequency: float = 0.0  # Hz
+    length: float = math.inf  # m, over which the field comes and goes, at the least
+    node: float = math.inf  # m, between nodes of a map
+
+
+@singledispatch
+def strength(element: Element) -> Strength:
+    """Return how strong an element is; wave numbers of focusing must have become gradients. Reads the files of maps."""
+    raise TypeError(f"no strength of {element}")
+
+
+@strength.register
+def _(element: UniformElement) -> Strength:
+    return Strength(
+        math.hypot(*element.electric_field), math.hypot(*element.magnetic_field), length=element.length or math.inf
+    )
+
+
+@strength.register
+def _(element: ConstantFocusingElement) -> Strength:
+    assert element.gradient is not None, "the wave numbers of an element need a species and a momentum"
+    return Strength(electric_gradient=max(map(abs, element.gradient)), length=element.length or math.inf)
+
+
+@strength.register
+def _(element: QuadrupoleElement) -> Strength:
+    return Strength(magnetic_gradient=abs(element.gradient), length=_shortest(element))
+
+
+@strength.register
+def _(element: DipoleElement) -> Strength:
+    return Strength(magnetic=abs(element.field), length=_shortest(element))
+
+
+@strength.register
+def _(element: SolenoidElement) -> Strength:
+    coil = math.inf if element.radius is None else COIL * element.radius
+    return Strength(magnetic=abs(element.field), length=min(element.length, coil))
+
+
+@strength.register
+def _(element: GapElement) -> Strength:
+    """On the axis e = peak (1 - u²)⁴, whose largest slope is peak (8/√7) (6/7)³ per half of the length; E_r = -r e'/2."""
+    peak = abs(element.voltage) * 315 / 128 / element.length
+    slope = 8 / math.sqrt(7) * (6 / 7) ** 3 * peak / (element.length / 2)
+    return Strength(electric=peak, electric_gradient=slope, frequency=element.frequency, length=element.length)
+
+
+@strength.register
+def _(element: CavityElement) -> Strength:
+    """Near the axis B_φ = E0 k r / (2 c)."""
+    k = 2 * math.pi * element.frequency / SPEED_OF_LIGHT
+    gradient = abs(element.field) * k / (2 * SPEED_OF_LIGHT)
+    return Strength(abs(element.field), magnetic_gradient=gradient, frequency=element.frequency, length=element.length)
+
+
+@strength.register
+def _(element: MapElement) -> Strength:
+    given = field_maps.read(element.file, element.iteration)
+    (electric, electric_gradient), (magnetic, magnetic_gradient) = (
+        _largest(values, given.spacing) for values in (given.electric, given.magnetic)
+    )
+    scale = abs(element.scale)
+    return Strength(
+        scale * electric,
+        scale * magnetic,
+        scale * electric_gradient,
+        scale * magnetic_gradient,
+        frequency=element.frequency,
+        node=min(given.spacing),
+    )
+
+
+def _shortest(element: QuadrupoleElement | DipoleElement) -> float:
+    """Return the length of a magnet or that of its fringe, m."""
+    assert isinstance(element, FringedElement)
+    return element.length if element.gap is None else min(element.length, FRINGE * element.gap)
+
+
+def _largest(values: np.ndarray | None, spacing: tuple[float, ...]) -> tuple[float, float]:
+    """Return the largest magnitude of a field at nodes, and its largest change between neighbours per m."""
+    if values is None:
+        return 0.0, 0.0
+    slopes = [
+        float(np.linalg.norm(np.diff(values, axis=axis), axis=-1).max(initial=0.0)) / width
+        for axis, width in enumerate(spacing)
+    ]
+    return float(np.linalg.norm(values, axis=-1).max()), max(slopes)

@@ -1,0 +1,167 @@
+"""How long a time step may be: what goes on in a run, the time that it takes, and how many steps that wants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import InputError
+from ..mesh.domain import AXES
+from ..mesh.hierarchy import Hierarchy
+from ..particles.clouds import Clouds
+from ..particles.energy_bins import Frames
+from ..particles.particles import Particles
+from ..scene.elements import Element
+from ..scene.motion import Leapfrog
+from ..stages.deposit import deposit
+from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
+from .course import Course
+from .element_strengths import Strength, strength
+from .plan import Plan
+from .solution import Solution
+
+# Steps per time: what "auto" takes, and what a step that is given should not fall below.
+PER_CELL, LEAST_PER_CELL = 2.0, 1.0
+PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD = 60.0, 2 * math.pi / 0.5
+# So many that passages through elements are exact to 1e-5: `amrpic verify dynamics`.
+PER_PERIOD, LEAST_PER_PERIOD = 1000.0, 20.0
+PER_RF_PERIOD = 640.0
+PER_LENGTH, PER_NODE = 80.0, 1.0
+
+
+@dataclass(frozen=True)
+class Process:
+    """Something that steps have to resolve."""
+
+    kind: str  # of those of one kind, a remark is on the fastest
+    what: str
+    time: float  # s, that it takes
+    steps: float  # in this time, with "auto"
+    least: float = 0.0  # fewer get a remark
+
+
+@dataclass(frozen=True)
+class Fastest:
+    """The largest values over all particles, of a charge q and mass m with velocity v."""
+
+    along: np.ndarray  # (3,) |v| along the axes of the mesh, relative to it, m/s
+    speed: float  # |v| in the laboratory, m/s
+    charge_per_mass: float  # |q| / (γ m), C/kg
+    current_per_mass: float  # |q v| / (γ m), C m/(kg s)
+
+
+def settle_time_step(plan: Plan, particles: Particles, solution: Solution, course: Course) -> None:
+    """Choose the plan's time step where the scene leaves that to the run and it is not known yet, and note which rule it is.
+
+    A remark says of a step that the scene gives if it is long. The particles are sorted on the mesh of the solution.
+    Collective; InputError on all ranks if nothing in the run has a time of its own.
+    """
+    motion = plan.scene.motion
+    if not isinstance(motion, Leapfrog):
+        return
+    found = [process for process in processes(plan, particles, solution, course) if process.time < math.inf]
+    if motion.dt != "auto":
+        _remark(plan, found)
+    elif math.isnan(plan.dt):
+        if not found:
+            raise InputError(
+                f'{plan.scene.name}: motion.dt is "auto", but no particle moves, has charge or feels an element; give a time'
+            )
+        first = min(found, key=lambda process: process.time / process.steps)
+        plan.dt = first.time / first.steps
+        plan.notes.append(f"motion.dt: {plan.dt:.4g} s, {first.steps:g} steps per {first.what}")
+
+
+def _remark(plan: Plan, found: list[Process]) -> None:
+    for kind in dict.fromkeys(process.kind for process in found):
+        worst = max((process for process in found if process.kind == kind), key=lambda one: one.least / one.time)
+        if worst.least * plan.dt > worst.time:
+            plan.remark(
+                f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "
+                f'{worst.least:.3g} are advisable; shorten it, or set it to "auto"'
+            )
+
+
+def processes(plan: Plan, particles: Particles, solution: Solution, course: Course) -> Iterator[Process]:
+    """Return what goes on in a run at its start. Collective.
+
+    Fields from Python are not looked at.
+    """
+    fast = fastest(plan.comm, particles, course)
+    widths = plan.scene.domain.value.spacing / 2**plan.scene.refinement.levels
+    for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
+        what = f"passage of a particle through a cell of the finest level along {axis}"
+        yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
+    omega = plasma_frequency(particles, solution.rho.hierarchy, plan.clouds, solution.frames)
+    yield Process("plasma", "plasma period", _time(2 * math.pi, omega), PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
+    for number, element in enumerate(plan.external.elements):
+        yield from _processes_in(element, element.name or f"elements.{number}", fast)
+
+
+def _processes_in(element: Element, name: str, fast: Fastest) -> Iterator[Process]:
+    of = strength(element)
+    for what, omega in (("betatron", betatron(of, fast)), ("cyclotron", cyclotron(of, fast))):
+        period = _time(2 * math.pi, omega)
+        yield Process("element", f"{what} period in {name}", period, PER_PERIOD, LEAST_PER_PERIOD)
+    yield Process("element", f"gain of γ m c in {name}", _time(1.0, acceleration(of, fast)), PER_PERIOD)
+    yield Process("rf", f"RF period of {name}", _time(1.0, of.frequency), PER_RF_PERIOD, LEAST_PER_PERIOD)
+    yield Process("length", f"passage through {name} or its fringe", _time(of.length, fast.speed), PER_LENGTH)
+    yield Process("length", f"passage between nodes of {name}", _time(of.node, fast.speed), PER_NODE)
+
+
+def _time(amount: float, rate: float) -> float:
+    return amount / rate if rate > 0 else math.inf
+
+
+# ---- formulas ----
+
+
+def betatron(of: Strength, fast: Fastest) -> float:
+    """Return the angular frequency in 1/s of oscillations in linear fields: ω² = |q| (v G + g) / (γ m), G of B and g of E."""
+    return math.sqrt(fast.current_per_mass * of.magnetic_gradient + fast.charge_per_mass * of.electric_gradient)
+
+
+def cyclotron(of: Strength, fast: Fastest) -> float:
+    """Return the angular frequency in 1/s of the turn in a magnetic field: ω = |q| B / (γ m)."""
+    return fast.charge_per_mass * of.magnetic
+
+
+def acceleration(of: Strength, fast: Fastest) -> float:
+    """Return at which rate (1/s) an electric field changes momenta, relative to γ m c: |q| E / (γ m c)."""
+    return fast.charge_per_mass * of.electric / SPEED_OF_LIGHT
+
+
+def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds, frames: Frames) -> float:
+    """Return the largest angular plasma frequency on the mesh in 1/s: ω² = Σ q² n / (ε0 m γ³), over species and energy bins.
+
+    γ is that of the frame in which the charge of a bin rests. Across the motion its magnetic field leaves 1/γ² of the force,
+    for a mass γ m; along it the mass is γ³ m. Collective.
+    """
+    weight = sum(frames.part(particles, bin).weight / frame.gamma**3 for bin, frame in enumerate(frames.members))
+    table = particles.species
+    kinds = tuple(replace(kind, charge=kind.charge**2 / kind.mass) for kind in table.kinds)
+    weighed = replace(particles.with_weight(np.asarray(weight)), species=replace(table, kinds=kinds))
+    density = deposit(weighed, hierarchy, clouds).max_abs()  # C²/(kg m³)
+    return math.sqrt(density / VACUUM_PERMITTIVITY)
+
+
+def fastest(comm: MPI.Comm, particles: Particles, course: Course) -> Fastest:
+    """Return the largest velocities, and what makes a particle turn most. Collective."""
+    per_mc = 1 / (particles.mass * SPEED_OF_LIGHT)
+    u_square = sum(np.square(particles.momentum[:, axis] * per_mc) for axis in range(3))
+    per_gamma = 1 / np.sqrt(1 + u_square)
+    speed = SPEED_OF_LIGHT * np.sqrt(u_square) * per_gamma
+    turns = np.abs(particles.charge) / particles.mass * per_gamma
+    per_mass = per_gamma / particles.mass
+    along = [
+        np.abs(particles.momentum[:, axis] * per_mass - velocity).max(initial=0.0)
+        for axis, velocity in enumerate(course.velocity)
+    ]
+    own = np.array([*along, *(values.max(initial=0.0) for values in (speed, turns, turns * speed))])
+    most = np.empty_like(own)
+    comm.Allreduce(own, most, MPI.MAX)
+    return Fastest(most[:3], *most[3:].tolist())

@@ -84,7 +84,7 @@ class MomentumRule(Threshold):
 
     kind: Literal["momentum"] = "momentum"
     absolute: Momentum | None = Field(ge=0, default=None, description="Threshold, kg m/s, of one real particle.")
-    relative_to: Literal["whole", "level", "rms"] = Field(
+    relative_to: Literal["whole", "level", "rms"] = Field(  # type: ignore[assignment]
         default="whole",
         description="What relative is a part of: the largest |p| of all particles, or of those inside the level of the cell. "
         "With rms it is the number of rms spreads from the mean: of p - ⟨p⟩, each component over its own rms.",

@@ -18,7 +18,7 @@ from ..run.plan import Plan
 from ..run.state import State
 from ..run.step import advance, begin
 from ..stages.beam_diagnostics import FRACTIONS, group_moments, group_quantiles
-from .channel import DEPRESSION, FOCUSING, GRADIENT, OMEGA, PERIOD, RADIUS, constant, matched, slab
+from .channel import DEPRESSION, FOCUSING, GRADIENT, PERIOD, RADIUS, constant, matched, slab
 from .chosen import in_full, scene_of
 from .draw import picture
 from .halo import particle_core
@@ -47,7 +47,7 @@ class Form:
         return f"{100 * self.fraction:g} %"
 
 
-SHORT = Form(64, 100_000, 60, 0.999)
+SHORT = Form(96, 100_000, 60, 0.999)
 FULL = Form(256, 1_000_000, 100, 0.9999)
 
 
@@ -97,10 +97,24 @@ def table(comm: MPI.Comm) -> Table:
         f"are refined where there are particles, on a base of {form.base} cells across the pipe; beside a mesh as fine "
         f"everywhere. Radii within which 99.9 % and 99.99 % of the particles lie, in matched radii, averaged over the last "
         f"{LAST} breathings; that of {form.name} over the largest radius by the particle-core equation for the same breathing, "
-        f"{exact / RADIUS:.3f} matched radii, twice against its bounds, and its difference from that on the fine mesh; "
-        "processor time of a step, and over that on the fine mesh."
-        + ("" if in_full() else " `--long` follows 10⁶ particles over 100 periods on meshes four times as fine."),
-        ("mesh", "cells", "99.9 %", "99.99 %", "over the equation's", "", "difference", "s a step", "part of the time"),
+        f"{exact / RADIUS:.3f} matched radii, against both of its bounds, and its difference from that on the fine mesh; "
+        "processor time of a step of a rank, and over that on the fine mesh."
+        + (
+            ""
+            if in_full()
+            else f" `--long` follows {FULL.particles} over {FULL.periods} periods, on a base of {FULL.base}."
+        ),
+        (
+            "mesh",
+            "cells",
+            "99.9 %",
+            "99.99 %",
+            "of the equation's",
+            "same",
+            "difference",
+            "s a step",
+            "part of the time",
+        ),
         rows,
         upwards="radius over matched radius",
         picture=partial(_draw, {"follows the halo": follows, "fine everywhere": uniform}, exact, form),

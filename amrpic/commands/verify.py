@@ -27,6 +27,9 @@ def add(commands: Commands) -> None:
     )
     verify.add_argument("--quick", action="store_true", help="try fewer settings of each scene")
     verify.add_argument(
+        "--long", action="store_true", help="make comparisons in full that are shortened otherwise; hours, not minutes"
+    )
+    verify.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="override a value of these scenes"
     )
     verify.add_argument("--backend", metavar="NAME", help="of the solver; default that of the package")
@@ -43,7 +46,8 @@ def _verify(chosen: argparse.Namespace) -> int:
     comm, found = MPI.COMM_WORLD, []
     with together(comm, InputError):
         scenes = [Scene.from_toml(path, chosen.set) for path in chosen.pareto]
-    for topic, table in verify(comm, chosen.topics, scenes, quick=chosen.quick, backend=chosen.backend):
+    tables = verify(comm, chosen.topics, scenes, quick=chosen.quick, backend=chosen.backend, long=chosen.long)
+    for topic, table in tables:
         found.append((topic, table))
         if comm.rank == 0:
             print(f"{table.title} ({topic})\n{table.markdown()}\n", flush=True)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..mesh.domain import Domain
+from ..mesh.domain import AXES, Domain
 from ..scene.refinement import (
     AllRule,
     AnyRule,
@@ -17,11 +17,13 @@ from ..scene.refinement import (
     MomentumRule,
     ParticlesRule,
     PotentialRule,
+    RadiusRule,
     RuleKind,
     StaticRule,
     Threshold,
 )
 from ..stages import tag
+from ..stages.diagnostics import moments
 from ..stages.tag import Tags
 from .particle_fields import ParticleFields
 
@@ -43,15 +45,19 @@ def _tags(rule: RuleKind, fields: ParticleFields, part: float) -> Tags:
             return tag.both(*(tags_of(one, fields, part) for one in rule.of))
         case ParticlesRule():
             at_least = part * (rule.at_least or 0)
-            return tag.between(fields.particles_per_cell, at_least, (rule.at_most or math.inf) / part)
+            return tag.between(fields.particles_per_cell, at_least, _over(rule.at_most, part))
         case CallableRule():
             given = {name: getattr(fields, name) for name in _MADE if name in rule.arguments}
             return tag.by_function(
                 fields.hierarchy, rule.function, rule.name, rule.arguments, {**given, "hysteresis": part}
             )
         case MomentumRule():
-            most = tag.fastest(fields.particles, fields.hierarchy)
-            return tag.by_momentum(fields.particles, fields.hierarchy, part * _thresholds(rule, most))
+            return _by_momentum(rule, fields, part)
+        case RadiusRule():
+            beam = moments(fields.hierarchy.comm, fields.particles)
+            at_least, at_most = part * (rule.at_least or 0.0), _over(rule.at_most, part)
+            axes = [AXES.index(axis) for axis in rule.axes]
+            return tag.within(fields.hierarchy, beam.mean, beam.rms, axes, at_least, at_most)
         case ChargeDensityRule():
             values = tag.magnitude(fields.rho, "charge density")
         case PotentialRule():
@@ -59,6 +65,21 @@ def _tags(rule: RuleKind, fields: ParticleFields, part: float) -> Tags:
         case FieldStrengthRule():
             values = tag.magnitude(fields.efield, "field")
     return tag.exceeding(values, part * _thresholds(rule, tag.largest(fields.hierarchy.comm, values)))
+
+
+def _over(at_most: float | None, part: float) -> float:
+    return math.inf if at_most is None else at_most / part
+
+
+def _by_momentum(rule: MomentumRule, fields: ParticleFields, part: float) -> Tags:
+    particles, hierarchy = fields.particles, fields.hierarchy
+    if rule.relative_to == "rms":
+        beam = moments(hierarchy.comm, particles.replace(position=particles.momentum))  # momenta in place of positions
+        spreads = tag.in_spreads(particles.momentum, beam.mean, beam.rms)
+        return tag.holding(spreads, particles, hierarchy, np.full(hierarchy.levels, part * (rule.relative or 0.0)))
+    size = np.linalg.norm(particles.momentum, axis=1)
+    most = tag.largest_inside(size, particles, hierarchy)
+    return tag.holding(size, particles, hierarchy, part * _thresholds(rule, most))
 
 
 _MADE = ("rho", "phi", "efield", "particles_per_cell")

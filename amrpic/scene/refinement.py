@@ -84,9 +84,29 @@ class MomentumRule(Threshold):
 
     kind: Literal["momentum"] = "momentum"
     absolute: Momentum | None = Field(ge=0, default=None, description="Threshold, kg m/s, of one real particle.")
+    relative_to: Literal["whole", "level", "rms"] = Field(  # type: ignore[assignment]
+        default="whole",
+        description="What relative is a part of: the largest |p| of all particles, or of those inside the level of the cell. "
+        "With rms it is the number of rms spreads from the mean: of p - ⟨p⟩, each component over its own rms.",
+    )
 
 
-class ParticlesRule(Rule):
+class Bounds(Rule):
+    """Tag where a quantity lies within bounds."""
+
+    @model_validator(mode="after")
+    def _some_bound(self) -> Self:
+        at_least, at_most = getattr(self, "at_least", None), getattr(self, "at_most", None)
+        if at_least is None and at_most is None:
+            raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
+        if at_least is not None and at_most is not None and at_least > at_most:
+            raise complaint(
+                f"lies above at_most = {at_most}, so that no cell fits", "swap them", path="at_least", found=at_least
+            )
+        return self
+
+
+class ParticlesRule(Bounds):
     """Refine the cells with at least, or at most, so many macroparticles; empty cells never.
 
     A cell that is refined already counts the particles of its children.
@@ -94,20 +114,23 @@ class ParticlesRule(Rule):
 
     kind: Literal["particles-per-cell"] = "particles-per-cell"
     at_least: int | None = Field(default=None, ge=1, description="Fewest particles of a cell that is refined.")
-    at_most: int | None = Field(default=None, ge=1, description="Most particles of a cell that is refined.")
+    at_most: int | None = Field(
+        default=None, ge=1, description="Most particles of a cell that is refined: with few, the edge of a beam."
+    )
 
-    @model_validator(mode="after")
-    def _some_bound(self) -> Self:
-        if self.at_least is None and self.at_most is None:
-            raise complaint("must be given, or at_most, or both", "add one", path="at_least", found="")
-        if self.at_least is not None and self.at_most is not None and self.at_least > self.at_most:
-            raise complaint(
-                f"lies above at_most = {self.at_most}, so that no cell fits",
-                "swap them",
-                path="at_least",
-                found=self.at_least,
-            )
-        return self
+
+class RadiusRule(Bounds):
+    """Refine the cells that reach between two distances from the centre of all particles, in units of their rms size.
+
+    The distance is that of ((x - ⟨x⟩)/σ_x, (y - ⟨y⟩)/σ_y, …): the bounds are ellipses that breathe with the beam.
+    """
+
+    kind: Literal["radius"] = "radius"
+    axes: Literal["xy", "xz", "yz", "xyz"] = Field(
+        default="xy", description="Along which it is measured; the default is across a beam along z."
+    )
+    at_least: float | None = Field(default=None, ge=0, description="Least distance, rms sizes.")
+    at_most: float | None = Field(default=None, ge=0, description="Largest distance, rms sizes.")
 
 
 class CallableRule(Rule):
@@ -232,6 +255,7 @@ RuleKind = Annotated[
     | FieldStrengthRule
     | MomentumRule
     | ParticlesRule
+    | RadiusRule
     | CallableRule
     | StaticRule
     | AnyRule

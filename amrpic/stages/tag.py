@@ -93,18 +93,27 @@ def between(numbers: Field, at_least: float, at_most: float) -> Tags:
     return [(n > 0) & (n >= at_least) & (n <= at_most) for n in levels]
 
 
-def fastest(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:
-    """Return the largest |p| in kg m/s of the particles inside each level, over all ranks. Collective."""
-    size = np.linalg.norm(particles.momentum, axis=1)
+def largest_inside(size: np.ndarray, particles: Particles, hierarchy: Hierarchy) -> np.ndarray:
+    """Return the largest of a value per particle, (n,), inside each level, over all ranks. Collective."""
     on_level = largest(hierarchy.comm, [size[mine] for mine, _ in cells_of_particles(particles, hierarchy)])
     return np.maximum.accumulate(on_level[::-1])[::-1]  # what lies on a level lies inside all coarser ones
 
 
-def by_momentum(particles: Particles, hierarchy: Hierarchy, above: Sequence[float] | np.ndarray) -> Tags:
-    """Return the cells that hold a particle whose |p| exceeds the threshold of their level, kg m/s. Collective."""
-    size = np.linalg.norm(particles.momentum, axis=1)
+def holding(size: np.ndarray, particles: Particles, hierarchy: Hierarchy, above: Sequence[float] | np.ndarray) -> Tags:
+    """Return the cells that hold a particle whose value, of (n,), exceeds the threshold of their level. Collective."""
     beyond = {threshold: count(particles, hierarchy, size > threshold) for threshold in np.unique(above)}
     return [beyond[threshold].array(level) > 0 for level, threshold in enumerate(above)]
+
+
+def in_spreads(values: np.ndarray, mean: np.ndarray, rms: np.ndarray) -> np.ndarray:
+    """Return how many rms spreads values (n, 3) lie from their mean, (n,); components that spread by rounding do not count."""
+    spread = rms > 1e-9 * np.linalg.norm(mean)
+    return distance([values[:, d] - mean[d] for d in np.flatnonzero(spread)], rms[spread]) + np.zeros(len(values))
+
+
+def distance(offsets: Sequence[np.ndarray], units: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return the length of a vector whose components, arrays that broadcast, are each measured in a unit of its own."""
+    return np.sqrt(sum(((offset / unit) ** 2 for offset, unit in zip(offsets, units, strict=True)), np.zeros(())))
 
 
 # ---- by a function ----
@@ -176,6 +185,25 @@ def tagged(comm: MPI.Comm, tags: Tags) -> list[int]:
 
 
 # ---- by place ----
+def within(
+    hierarchy: Hierarchy, centre: np.ndarray, size: np.ndarray, axes: Sequence[int], at_least: float, at_most: float
+) -> Tags:
+    """Return the cells that reach between two distances from a centre (3,) m, in units of a size (3,) m along each axis.
+
+    Distances are measured along `axes` alone. Without a centre, nan, there is no such cell. Where a size is zero, only what
+    lies at the centre is near.
+    """
+    tags = Field(hierarchy)
+    for patch in tags.patches:
+        half = hierarchy.spacing(patch.level) / 2
+        units = [max(size[axis], 1e-9 * half[axis]) for axis in axes]
+        offsets = [np.abs(patch.centres()[axis] - centre[axis]) for axis in axes]
+        nearest = distance([np.maximum(o - half[axis], 0) for o, axis in zip(offsets, axes, strict=True)], units)
+        furthest = distance([o + half[axis] for o, axis in zip(offsets, axes, strict=True)], units)
+        patch.data[...] = (nearest <= at_most) & (furthest >= at_least)
+    return [tags.array(level) > 0 for level in range(hierarchy.levels)]
+
+
 def inside(hierarchy: Hierarchy, boxes: Sequence[np.ndarray]) -> Tags:
     """Return the cells that touch index boxes of finer levels: `boxes[k]` (n, 6) are of level k + 1, in its indices."""
     tags = Field(hierarchy)

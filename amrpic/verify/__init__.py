@@ -15,6 +15,7 @@ from ..scene import solver_options
 from ..scene.scene import Scene
 from . import backends, conservation, convergence, dynamics, hard, openboundary, pareto, peers, selfforce, stopping
 from .chosen import backend as chosen_backend
+from .chosen import full_length
 from .draw import draw_curves
 from .table import Table
 
@@ -38,18 +39,20 @@ def verify(
     *,
     quick: bool = False,
     backend: str | None = None,
+    long: bool = False,
 ) -> Iterator[tuple[str, Table]]:
     """Each table as it is measured, with its topic; the same on all ranks. Collective.
 
     Of the topics named and of speed against error of the scenes, there with fewer settings if `quick`; of all topics if
-    neither is named. `backend` is that of the solver, if not the default. Raises InputError for a topic or a backend that
+    neither is named. `backend` is that of the solver, if not the default; with `long` comparisons that take longer are made
+    in full. Raises InputError for a topic or a backend that
     does not exist, and for a scene whose charge has no formula.
     """
     for topic in topics:
         if topic not in TOPICS:
             raise InputError(f'verify knows no topic "{topic}"; use {", ".join(TOPICS)}')
     require_backend(backend)
-    with chosen_backend(backend):
+    with chosen_backend(backend), full_length(long):
         for topic in topics or (() if scenes else TOPICS):
             for table in TOPICS[topic](comm):
                 yield topic, table

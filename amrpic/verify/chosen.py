@@ -1,4 +1,4 @@
-"""Solvers and scenes with the backend that the verification is to use."""
+"""What a verification is asked for: the backend of its solvers and scenes, and how long it may take."""
 
 from __future__ import annotations
 
@@ -12,6 +12,22 @@ from ..scene.scene import Scene
 from ..stages.poisson import PoissonSolver
 
 _backend: ContextVar[str | None] = ContextVar("backend", default=None)  # None: the package's default
+_long: ContextVar[bool] = ContextVar("long", default=False)
+
+
+@contextmanager
+def full_length(chosen: bool) -> Iterator[None]:
+    """Let topics within measure their longer comparisons in full, if `chosen`."""
+    before = _long.set(chosen)
+    try:
+        yield
+    finally:
+        _long.reset(before)
+
+
+def in_full() -> bool:
+    """Whether longer comparisons are measured in full."""
+    return _long.get()
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from ..particles.equivalent_beam import ellipsoid_gradient
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from . import beam_line, envelopes, halo, orbits, passages, plasma, thermal, two_frames
+from . import beam_line, envelopes, halo, mismatch, orbits, passages, plasma, thermal, two_frames
 from .runs import collected, end
 from .sources import EPS0, Gaussian
 from .table import Cell, Goal, Table
@@ -50,6 +50,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     yield envelopes.table(comm)
     yield thermal.table(comm)
     yield halo.table(comm)
+    yield mismatch.table(comm)
 
 
 # ---- explosion ----

@@ -75,14 +75,33 @@ class World:
             self.e = [np.linalg.norm(parts, axis=0) for parts in components]
         all_ = everywhere(seen.plan.comm, seen.particles)
         speed = np.linalg.norm(all_["momentum"], axis=1)
-        self.fastest, self.number, self.momentum = float(speed.max()), [], []
+        self.centre, self.size = (f(all_["position"], axis=0) for f in (np.mean, np.std))
+        about = all_["momentum"] - all_["momentum"].mean(axis=0)
+        deviation = np.linalg.norm(about / about.std(axis=0), axis=1)
+        self.fastest, self.number, self.momentum, self.deviation = float(speed.max()), [], [], []
         for level in levels:
             cell = tuple(np.floor((all_["position"] + 0.1) / (0.2 / CELLS / 2**level)).astype(int).T)
-            number, momentum = np.zeros(self.exists[level].shape), np.zeros(self.exists[level].shape)
+            number, momentum, most = (np.zeros(self.exists[level].shape) for _ in range(3))
             np.add.at(number, cell, 1)
             np.maximum.at(momentum, cell, speed)
+            np.maximum.at(most, cell, deviation)
             self.number.append(np.where(self.exists[level], number, 0))
             self.momentum.append(np.where(self.exists[level], momentum, 0))
+            self.deviation.append(np.where(self.exists[level], most, 0))
+
+    def radius(self, level: int, axes: str) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest distance of the cells from the centre of the particles, in rms sizes, at their corners."""
+        n = CELLS * 2**level
+        edge = np.linspace(-0.1, 0.1, n + 1)
+        ends = []
+        for d in ("xyz".index(axis) for axis in axes):
+            corners = np.abs(edge - self.centre[d]) / self.size[d]
+            inside = (edge[:-1] < self.centre[d]) & (self.centre[d] < edge[1:])
+            shape = [n if d == e else 1 for e in range(3)]
+            near = np.where(inside, 0, np.minimum(corners[:-1], corners[1:]))
+            ends.append((near.reshape(shape), np.maximum(corners[:-1], corners[1:]).reshape(shape)))
+        near, far = (np.sqrt(sum(part**2 for part in parts)) for parts in zip(*ends, strict=True))
+        return np.broadcast_to(near, (n,) * 3), np.broadcast_to(far, (n,) * 3)
 
     def x(self, level: int) -> np.ndarray:
         n = CELLS * 2**level
@@ -111,6 +130,12 @@ def by_hand(x, level, rho, efield, particles_per_cell):
     return (x < 0.01 * level) & (np.abs(rho) > 1e-7) | (particles_per_cell > 8) | (np.abs(efield[0]) > 1e9)
 
 
+def in_shell(w: World, level: int, axes: str, at_least: float, at_most: float) -> np.ndarray:
+    near, far = w.radius(level, axes)
+    return (near <= at_most) & (far >= at_least)
+
+
+SHELL = {"kind": "radius", "at_least": 1.2, "at_most": 1.6}
 Oracle = Callable[[World, int], np.ndarray]
 CASES: dict[str, tuple[dict[str, Any], Oracle]] = {
     "charge": (CHARGE, lambda w, l: w.rho[l] > 0.1 * whole(w.rho)),
@@ -130,6 +155,16 @@ CASES: dict[str, tuple[dict[str, Any], Oracle]] = {
         lambda w, l: w.momentum[l] > 0.9 * w.momentum[l].max(),
     ),
     "momentum absolute": (FAST, lambda w, l: w.momentum[l] > 0.9 * KEV_C),
+    "momentum in rms spreads": (
+        {"kind": "momentum", "relative": 2.5, "relative_to": "rms"},
+        lambda w, l: w.deviation[l] > 2.5,
+    ),
+    "radius": ({"kind": "radius", "at_most": 0.8}, lambda w, l: in_shell(w, l, "xy", 0, 0.8)),
+    "shell": ({**SHELL, "axes": "xyz"}, lambda w, l: in_shell(w, l, "xyz", 1.2, 1.6)),
+    "halo": (
+        {"kind": "all", "of": [{"kind": "radius", "at_least": 1.5}, {"kind": "particles-per-cell", "at_least": 1}]},
+        lambda w, l: in_shell(w, l, "xy", 1.5, np.inf) & (w.number[l] > 0),
+    ),
     "at most": (
         {"kind": "particles-per-cell", "at_most": 1, "levels": [0]},
         lambda w, l: (w.number[l] == 1) & (l == 0),
@@ -207,6 +242,32 @@ def test_boxes_are_those_of_one_rank_and_as_full_as_asked(comm, name):
         assert part.mean() >= settings.efficiency or part.size == 1
 
 
+DEGENERATE = {
+    "one particle": (np.full((1, 3), 0.03), np.full((1, 3), 1e-22)),
+    "a sheet": (
+        np.stack([np.full(50, 0.03), *np.random.default_rng(3).normal(0, 0.01, (2, 50))], axis=1),
+        np.zeros((50, 3)),
+    ),
+    "a beam of one momentum": (np.random.default_rng(4).normal(0, 0.01, (50, 3)), np.full((50, 3), 1.1e-22)),
+}
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_beams_without_a_size_or_a_spread_have_a_centre_and_no_outliers(comm, name):
+    position, momenta = DEGENERATE[name]
+    bunch = {"distribution": "arrays", "position": position, "momenta": momenta, "charge": 1e-11}
+    data = {"domain": DOMAIN, "bunches": [bunch], "refinement": {"levels": 2, "blocking_factor": 4}}
+    seen = on_base(comm, Scene.from_dict(data))
+    near, outliers = (
+        on_cells(seen.hierarchy, tags_of(scene(rule).refinement.rule, seen))[0]
+        for rule in ({"kind": "radius", "at_most": 1}, {"kind": "momentum", "relative": 0.5, "relative_to": "rms"})
+    )
+    middle = np.floor((position.mean(axis=0) + 0.1) / (0.2 / CELLS)).astype(int)
+    assert near[tuple(middle)] and near.sum() < 0.1 * near.size
+    assert not outliers.any()
+
+
 def on_cells(hierarchy: Hierarchy, tags: Tags) -> list[np.ndarray]:
     """Tags over all cells of each level, on every rank."""
     field = Field(hierarchy)
@@ -227,6 +288,11 @@ LOOSENED = {
     "between": (
         {"kind": "particles-per-cell", "at_least": 6, "at_most": 6},
         lambda w, l, p: (w.number[l] >= p * 6) & (w.number[l] <= 6 / p),
+    ),
+    "shell": (SHELL, lambda w, l, p: in_shell(w, l, "xy", p * 1.2, 1.6 / p)),
+    "momentum in rms spreads": (
+        {"kind": "momentum", "relative": 3.5, "relative_to": "rms"},
+        lambda w, l, p: w.deviation[l] > p * 3.5,
     ),
     "function": (
         {"kind": "callable", "function": lambda rho, hysteresis: np.abs(rho) > 1e-6 * hysteresis},
@@ -374,6 +440,9 @@ REFUSED: dict[str, tuple[dict[str, Any], list[str]]] = {
     "wrong unit": ({"rule": {"kind": "momentum", "absolute": "1 V"}}, ["rule.absolute ('1 V')", "momentum", "eV/c"]),
     "no count": ({"rule": {"kind": "particles-per-cell"}}, ["rule.at_least", "at_most"]),
     "no cell fits": ({"rule": {"kind": "particles-per-cell", "at_least": 5, "at_most": 4}}, ["at_least (5)", "swap"]),
+    "no shell": ({"rule": {"kind": "radius", "at_least": 5, "at_most": 4.5}}, ["rule.at_least (5", "4.5", "swap"]),
+    "no radius": ({"rule": {"kind": "radius", "axes": "xz"}}, ["rule.at_least must be given", "at_most"]),
+    "unknown axes": ({"rule": {"kind": "radius", "at_most": 1, "axes": "r"}}, ["rule.axes ('r')", "use one of xy, "]),
     "any of nothing": ({"rule": {"kind": "any", "of": []}}, ["rule.of ([])", "names no rule"]),
     "mistake inside": ({"rule": {"kind": "all", "of": [CHARGE, {"kind": "potential"}]}}, ["rule.of.1.relative must"]),
     "unknown inside": (
@@ -485,7 +554,7 @@ def test_examples_of_the_page_on_refinement_are_scenes():
         exec(text, names)
         rule = names["scene"].refinement.rule
         assert (rule.name, rule.arguments) == ("near_the_axis", ["x", "y", "rho", "hysteresis"])
-    assert len(blocks("toml")) == 3 and len(blocks("python")) == 1
+    assert len(blocks("toml")) == 4 and len(blocks("python")) == 1
 
 
 @pytest.mark.parametrize("name", [name for name in CASES if name != "function"])

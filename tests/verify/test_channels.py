@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from amrpic.particles.equivalent_beam import line_gradient, tune_depression
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from amrpic.verify import envelopes, halo
+from amrpic.verify import envelopes, halo, mismatch
 from amrpic.verify.channel import LENGTH, OMEGA, PERIOD, RADIUS, constant, matched
 
 
@@ -86,3 +86,30 @@ def test_test_particles_on_the_mesh_follow_the_particle_core_equation(monkeypatc
     start = np.linspace(0.4, 1.2, 30) * RADIUS
     exact = halo.particle_core(start, radius, PERIOD / halo.STEPS)
     assert np.abs(halo._reached(MPI.COMM_SELF, core, start, radius) / exact - 1).max() < 0.02
+
+
+def test_wide_beam_drives_particles_as_far_as_the_narrow_one_of_the_same_breathing():
+    """A beam of 1.5 matched radii has shrunk to 0.62 of one half a breathing later."""
+    beam = replace(matched(), start=(halo.MISMATCH * RADIUS / 2,) * 2)
+    times = np.arange(40 * 200 + 1) * PERIOD / 200
+    driven = halo.particle_core(np.linspace(0.01, 1.5, 300) * RADIUS, 2 * beam.at(times, constant)[0], times[1])
+    assert mismatch.largest_radius() == pytest.approx(driven.max(), rel=2e-3)
+
+
+def test_mesh_that_follows_the_halo_finds_its_radius(monkeypatch, tmp_path):
+    """A short, coarse run: cells of a matched rms size, a quarter of one where particles are."""
+    monkeypatch.setattr(mismatch, "SHORT", mismatch.Form(32, 10_000, 10, 0.999))
+    table = mismatch.table(MPI.COMM_SELF)
+    least, most, difference, *_ = table.goals()  # costs are for long runs
+    assert least.met and most.met and difference.met, table.rows
+    assert table.picture is not None
+    table.picture(tmp_path / "halo.png")
+    assert (tmp_path / "halo.png").stat().st_size > 1000
+
+
+@pytest.mark.mpi(ranks=2)
+def test_radii_of_a_halo_are_those_of_one_rank(comm):
+    form = mismatch.Form(32, 5_000, 1, 0.999)
+    alone, together = (mismatch.run(c, form, mismatch.scene(form, 32, 2)) for c in (MPI.COMM_SELF, comm))
+    assert together.radii == pytest.approx(alone.radii, rel=1e-4)
+    assert together.cells == alone.cells

@@ -22,6 +22,7 @@ from amrpic.scene.scene import Scene
 from amrpic.stages.poisson import PoissonSolver
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
 from amrpic.verify import TOPICS, backends, conservation, convergence, pareto, verify, write
+from amrpic.verify.chosen import in_full
 from amrpic.verify.described import Cylinder, Lattice, density_of, exact_field
 from amrpic.verify.hard import CASES
 from amrpic.verify.meshes import MESHES
@@ -97,6 +98,18 @@ def test_a_missed_goal_is_marked_and_fails_the_command(monkeypatch, capsys, tmp_
     assert "| there | nan (≤ 1.0e-03) MISSED |" in capsys.readouterr().out
     assert "MISSED" in (tmp_path / "verification.md").read_text()
     assert (tmp_path / "pictures" / "verify_odd.png").stat().st_size > 1000
+
+
+def test_long_reaches_the_topics(monkeypatch, capsys):
+    def odd(comm):
+        yield Table("Odd", "Nothing.", ("in full",), [[float(in_full())]])
+
+    monkeypatch.setitem(TOPICS, "odd", odd)
+    for arguments, found in ((["--long"], "| 1 "), ([], "| 0 ")):
+        with pytest.raises(SystemExit):
+            main(["verify", "odd", *arguments])
+        assert found in capsys.readouterr().out
+    assert not in_full()
 
 
 def test_an_unknown_topic_is_reported():

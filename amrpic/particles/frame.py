@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..mesh.domain import AXES, Domain
 from ..units import SPEED_OF_LIGHT
 from .particles import Particles
+from .species import LARGEST_MOMENTUM
 
 STATIC = 1e-4  # β² below which "auto" leaves the magnetic self-field out
 SLOW = 0.01  # β² above which it must not be left out
@@ -69,7 +70,14 @@ def frame_of(
     those that move along no mesh axis. `before`, the frame of the step before, is kept while it fits.
     """
     u = mean_momentum(comm, particles)
-    beta_square = float(u @ u / (1 + u @ u))
+    size = math.hypot(*u)
+    if not size <= LARGEST_MOMENTUM:
+        raise InputError(
+            f"the mean momentum is {size:.3g} m c, more than {LARGEST_MOMENTUM:g}; correct momenta (kg m/s) or fields, or "
+            "shorten the time step"
+        )
+    gamma = math.hypot(1.0, size)
+    beta_square = (size / gamma) ** 2
     if choice == "lab" and beta_square > SLOW:
         raise InputError(
             f'motion.frame is "lab", but the particles move with {math.sqrt(beta_square):.3g} c, where their magnetic field '
@@ -79,7 +87,7 @@ def frame_of(
         return LABORATORY
     axis = int(np.argmax(np.abs(u)))
     across = float(np.linalg.norm(np.delete(u, axis)) / abs(u[axis]))
-    limit = OFF_AXIS / math.sqrt(1 + u @ u)
+    limit = OFF_AXIS / gamma
     if across > limit and choice == "auto" and beta_square <= SLOW:
         return LABORATORY
     if across > limit:

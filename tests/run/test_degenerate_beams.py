@@ -1,4 +1,4 @@
-"""Beams of nothing, of one particle, without size, without motion, or lost on the way: each runs to its end and goes on again."""
+"""Beams of nothing, of one particle, without size, without motion, or lost on the way: each runs to its end and restarts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 import amrpic
 from amrpic.errors import InputError
 from amrpic.io import time_series
-from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
+from amrpic.units import ELECTRON_MASS, SPEED_OF_LIGHT
 
 MC = ELECTRON_MASS * SPEED_OF_LIGHT
 STEPS, HALF = 4, 2
@@ -153,7 +153,7 @@ def _tables_hold(folder: Path, left: int, lost: int) -> None:
     """Series are finite but for s and what is of no particle; the beam's are nan there, and the restart's rows are the same."""
     series = time_series.read(folder / "whole/series.csv")
     some = series["particles"] > 0
-    for name in series.dtype.names:
+    for name in series.dtype.names or ():
         of_particles = name.startswith(("mean_", "rms_", "emittance_"))
         assert name == "s" or np.isfinite(series[name][some] if of_particles else series[name]).all(), name
         assert not of_particles or np.isnan(series[name][~some]).all(), name
@@ -164,7 +164,7 @@ def _tables_hold(folder: Path, left: int, lost: int) -> None:
     beam = time_series.read(path)
     last = beam[(beam["step"] == STEPS) & (beam["group"] == "all")]
     assert last["particles"] == left and last["lost_particles"] == lost
-    for name in beam.dtype.names:
+    for name in beam.dtype.names or ():
         if name not in ("group", "s"):
             assert not np.isinf(beam[name]).any(), name
     if left == 0:
@@ -201,7 +201,7 @@ def test_the_last_few_particles_go_on_in_the_frame_of_the_beam(comm, tmp_path):
         0.3, rel=1e-3
     )
     assert first.momentum == pytest.approx(0.3, rel=1e-3)
-    assert comm.rank > 0 or said.count("fits no frame") == 2 == len(said.splitlines())  # once, and how often it was
+    assert comm.rank > 0 or said.count("fits no frame") == 1 == len(said.splitlines())
     again = amrpic.Simulation.restart(
         comm, tmp_path / "whole/checkpoint_00000002", scraped(tmp_path / "again", 2, 0.15)
     )

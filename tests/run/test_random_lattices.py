@@ -21,7 +21,7 @@ HALF = 0.03  # m, of the domain across
 def element(rng: np.random.Generator, electric: bool) -> dict[str, Any]:
     """An element of a random kind, place, direction and strength."""
     length = float(rng.uniform(0.005, 0.08))
-    tilt = rng.normal(0, 0.15, 3) + [0, 0, rng.choice([1, 1, -1])]
+    tilt = np.add(rng.normal(0, 0.15, 3), (0, 0, rng.choice([1, 1, -1])))
     placed = {
         "centre": [*rng.normal(0, 2e-3, 2).tolist(), float(rng.uniform(-0.05, 0.15))],
         "direction": tilt.tolist(),
@@ -57,7 +57,7 @@ def case(number: int) -> tuple[dict[str, Any], bool]:
     bunch = {
         "distribution": "arrays",
         "position": (rng.normal(0, 1, (count, 3)) * [3e-3, 3e-3, 6e-3]).tolist(),
-        "momenta": ((rng.normal(0, 0.02, (count, 3)) + [0, 0, 1]) * beta_gamma * MC).tolist(),
+        "momenta": (np.add(rng.normal(0, 0.02, (count, 3)), (0, 0, 1)) * beta_gamma * MC).tolist(),
         "charge": float(rng.choice([1e-12, 1e-10])) if electric else 1e-30,
     }
     window = {"window": "reference", "reference": {"momentum": [0, 0, beta_gamma * MC]}} if rng.random() < 0.6 else {}

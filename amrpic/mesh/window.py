@@ -27,11 +27,15 @@ class Window:
         return Window(vector(origin), self.axes)
 
     def turned(self, before: np.ndarray, after: np.ndarray) -> Window:
-        """Return the window turned by the smallest turn that takes the direction `before` (3,) into `after`, not its opposite.
+        """Return the window turned by the smallest turn that takes the line along `before` (3,) into that along `after` (3,).
 
-        A vector a becomes a cos + w × a + w (w · a) / (1 + cos), w = before × after (O. Rodrigues, 1840).
+        So it backs up where a direction is reversed, and stays as it is where one vanishes. A vector a becomes
+        a cos + w × a + w (w · a) / (1 + cos), w = before × after (O. Rodrigues, 1840).
         """
+        if not (before.any() and after.any()):
+            return self
         before, after = before / np.linalg.norm(before), after / np.linalg.norm(after)
+        after = after if before @ after >= 0 else -after
         cosine, w = float(before @ after), np.cross(before, after)
         if not w.any():
             return self

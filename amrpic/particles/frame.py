@@ -12,10 +12,12 @@ from ..errors import InputError
 from ..mesh.domain import AXES, Domain
 from ..units import SPEED_OF_LIGHT
 from .particles import Particles
+from .species import LARGEST_MOMENTUM
 
 STATIC = 1e-4  # β² below which "auto" leaves the magnetic self-field out
 SLOW = 0.01  # β² above which it must not be left out
 OFF_AXIS = 0.1  # rad / γ between the mean momentum and a mesh axis
+FEW = 0.1  # share of the charge of a run that has no say in the frame any more where the frame of the rest does not fit it
 SAME = 1e-6  # relative change of β γ below which a frame is kept, and the solver with it
 
 
@@ -64,11 +66,18 @@ def frame_of(
 ) -> Frame:
     """Return the frame in which to solve for the field of the particles. Collective; InputError on all ranks.
 
-    `choice`: "lab"; "rest", that of their mean momentum; or "auto", the laboratory for slow particles. `before`, the frame of
-    the step before, is kept while it fits.
+    `choice`: "lab"; "rest", that of their mean momentum; or "auto", the laboratory for slow particles, and below β² = 0.01 for
+    those that move along no mesh axis. `before`, the frame of the step before, is kept while it fits.
     """
     u = mean_momentum(comm, particles)
-    beta_square = float(u @ u / (1 + u @ u))
+    size = math.hypot(*u)
+    if not size <= LARGEST_MOMENTUM:
+        raise InputError(
+            f"the mean momentum is {size:.3g} m c, more than {LARGEST_MOMENTUM:g}; correct momenta (kg m/s) or fields, or "
+            "shorten the time step"
+        )
+    gamma = math.hypot(1.0, size)
+    beta_square = (size / gamma) ** 2
     if choice == "lab" and beta_square > SLOW:
         raise InputError(
             f'motion.frame is "lab", but the particles move with {math.sqrt(beta_square):.3g} c, where their magnetic field '
@@ -78,7 +87,9 @@ def frame_of(
         return LABORATORY
     axis = int(np.argmax(np.abs(u)))
     across = float(np.linalg.norm(np.delete(u, axis)) / abs(u[axis]))
-    limit = OFF_AXIS / math.sqrt(1 + u @ u)
+    limit = OFF_AXIS / gamma
+    if across > limit and choice == "auto" and beta_square <= SLOW:
+        return LABORATORY
     if across > limit:
         raise InputError(
             f"the mean momentum lies {across:.3g} rad off the {AXES[axis]} axis, more than {limit:.3g} = 0.1/γ; the self-field "

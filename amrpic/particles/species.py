@@ -35,6 +35,8 @@ class Species:
         return charge / (count * self.charge) if count else 0.0
 
 
+LARGEST_MOMENTUM = 1e9  # over m c: beyond it the units of a momentum are wrong, and 1/γ² is below rounding
+
 SPECIES = {
     name: Species(name=name, charge=charge, mass=mass)
     for name, charge, mass in (

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import SolverError
+from ..errors import InputError, SolverError
 from ..external import ExternalFields
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import own
 from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of, spread
-from ..particles.frame import LABORATORY, Frame
+from ..particles.frame import FEW, LABORATORY, Frame
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
@@ -50,22 +50,44 @@ class Plan:
         self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
 
-    def frames(self, particles: Particles, before: Frames | None = None) -> Frames:
+    def frames(
+        self,
+        particles: Particles,
+        before: Frames | None = None,
+        last: Frames = ONE_FRAME,
+        lost: Particles | None = None,
+    ) -> Frames:
         """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
 
-        Energy bins stay those of `before`, if it is given.
+        Energy bins stay those of `before`, if it is given. Where no frame fits them, a single particle and the last few of
+        which the others are `lost` keep the frames of the step before, `last`.
         """
         motion = self.scene.motion
         if not isinstance(motion, Leapfrog):
             return ONE_FRAME
         bins = None if motion.energy_bins == "auto" else motion.energy_bins
-        found = frames_of(self.comm, particles, self.scene.domain.value, motion.frame, bins, before)
+        try:
+            found = frames_of(self.comm, particles, self.scene.domain.value, motion.frame, bins, before)
+        except InputError:
+            if particles.global_count(self.comm) > 1 and self._share_left(particles, lost) > FEW:
+                raise
+            self.remark(
+                f"the particles that are left, one or at most {FEW:g} of the charge, have a mean momentum that fits no frame "
+                "of their self-field, which is solved for as if they moved on as before"
+            )
+            return last
         if before is None and found.only is None:
             self.note(
                 f"motion.energy_bins: {len(found.members)}; the rms of γ about its mean in them is "
                 f"{spread(self.comm, particles, found):.1%}, about half the error of the beam's force on itself"
             )
         return found
+
+    def _share_left(self, particles: Particles, lost: Particles | None) -> float:
+        """Return the charge of particles over that of theirs and the lost ones together, without its sign. Collective."""
+        charges = [0.0 if some is None else some.weight @ np.abs(some.charge) for some in (particles, lost)]
+        left, gone = self.comm.allreduce(np.array(charges))
+        return float(left / (left + gone)) if gone > 0 else 1.0
 
     def poisson(self, hierarchy: Hierarchy, frame: Frame = LABORATORY) -> PoissonSolver:
         """Return the solver of a hierarchy in a frame, set up at the first call. Collective."""
@@ -164,7 +186,9 @@ class Plan:
 
     def _is_small(self, bunch: Particles, widths: np.ndarray) -> bool:
         """Whether a bunch is better off with matched clouds where cells have these widths (m). Collective."""
-        total, square = self.comm.allreduce(np.array([bunch.weight.sum(), bunch.weight @ bunch.weight]))
+        largest = self.comm.allreduce(bunch.weight.max(initial=0.0), MPI.MAX) or 1.0
+        weight = bunch.weight / largest  # so that no square underflows
+        total, square = self.comm.allreduce(np.array([weight.sum(), weight @ weight]))
         return bool(total > 0) and matched_pays(total**2 / square, moments(self.comm, bunch).rms / widths)
 
     def regrids_at(self, step: int) -> bool:

@@ -12,9 +12,10 @@ from typing import Any
 from mpi4py import MPI
 
 SIGNALS = (
-    signal.SIGUSR1,
-    signal.SIGTERM,
-)  # USR1: a batch system's warning ahead of time; TERM: seconds before it kills
+    signal.SIGUSR1,  # a batch system's warning ahead of time
+    signal.SIGTERM,  # seconds before it kills; also what mpiexec makes of Ctrl-C
+    signal.SIGINT,  # Ctrl-C without mpiexec; the second one interrupts at once
+)
 MARGIN = 1.5  # a step may take so much longer than the longest one so far
 
 
@@ -60,6 +61,8 @@ class Stop:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._signal = number
+        if number == signal.SIGINT:
+            signal.signal(number, signal.default_int_handler)
 
 
 def _process_start() -> float:

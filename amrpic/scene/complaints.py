@@ -79,7 +79,7 @@ def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str
 def _pydantic(error: ErrorDetails, path: str, found: Any) -> tuple[str, str, Any]:
     """Return what is wrong, the remedy and the value to show for an error of pydantic's own."""
     kind, context = error["type"], error.get("ctx") or {}
-    key = path.rpartition(".")[2]
+    key = next((part for part in reversed(path.split(".")) if not part.isdigit()), path)  # rather than an index
     if kind == "missing":
         return "is missing", f"add {key} = …", ""
     if kind == "union_tag_not_found":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Literal, Self
@@ -85,3 +86,16 @@ def repeated_names(names: Iterable[str], taken: Iterable[str] = ()) -> Iterator[
         if name in known:
             yield number, name
         known.add(name)
+
+
+def out_of_reach(apertures: Sequence[Aperture], screens: Sequence[Screen], lower: float, upper: float) -> list[str]:
+    """Return a sentence for each aperture and screen that no particle meets while z stays from `lower` to `upper`, m."""
+    spans = [(f"screens.{number}", screen.z, screen.z) for number, screen in enumerate(screens)]
+    for number, aperture in enumerate(apertures):
+        half = math.inf if aperture.length is None else aperture.length / 2
+        spans.append((f"apertures.{number}", aperture.centre[2] - half, aperture.centre[2] + half))
+    return [
+        f"{what} lies outside the domain, which reaches from {lower:g} to {upper:g} m along z: no particle meets it"
+        for what, first, last in spans
+        if last < lower or first > upper
+    ]

@@ -7,7 +7,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from ..particles.species import SPECIES
+from ..particles.species import LARGEST_MOMENTUM, SPECIES
 from ..units import SPEED_OF_LIGHT
 from .complaints import complaint
 from .section import Section
@@ -52,6 +52,14 @@ class RealParticle(Section):
                 "stay below c, or give a momentum",
                 path="velocity",
                 found=self.velocity,
+            )
+        over_mc = math.hypot(*self.mean_momentum) / (self.species.mass * SPEED_OF_LIGHT)
+        if over_mc > LARGEST_MOMENTUM:
+            raise complaint(
+                f"is {over_mc:.3g} m c of its species, more than {LARGEST_MOMENTUM:g}",
+                'plain numbers are SI; give a unit, such as "100 MeV/c" or "100 MeV"',
+                path=given[0],
+                found=getattr(self, given[0]),
             )
         return self
 

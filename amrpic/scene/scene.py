@@ -23,7 +23,7 @@ from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
 from .elements import AnyElement, ConstantFocusingElement
 from .motion import Leapfrog, NoMotion, RandomWalk, Reference
-from .obstacles import AnyAperture, Screen, aperture_names, repeated_names
+from .obstacles import AnyAperture, Screen, aperture_names, out_of_reach, repeated_names
 from .output import Output
 from .particles import ParticlesSection
 from .refinement import Refinement, StaticBox, StaticRule, every_rule
@@ -32,6 +32,7 @@ from .section import Section
 from .solver_options import SolverSection
 from .thermal_bunch import ThermalBunch
 
+MOST_BINS = 1_000_000  # of a map of losses
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
 
 
@@ -96,6 +97,7 @@ class Scene(Section):
         self._check_elements()
         self._check_window()
         self._check_names()
+        self._check_bins()
         return self
 
     def _check_cells(self) -> None:
@@ -246,6 +248,16 @@ class Scene(Section):
                     found=name,
                 )
 
+    def _check_bins(self) -> None:
+        length, width = self.domain.upper[2] - self.domain.lower[2], self.diagnostics.loss_bin
+        if width is not None and length > MOST_BINS * width:
+            raise complaint(
+                f"makes more than {MOST_BINS} bins of a domain {length:g} m long",
+                "give a longer one",
+                path="diagnostics.loss_bin",
+                found=width,
+            )
+
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
         """Return the scene of a TOML file, with `key.path=value` overrides.
@@ -320,6 +332,8 @@ class Scene(Section):
                 )
         if self.screens and isinstance(self.motion, NoMotion):
             out.append('nothing passes screens, since motion.kind is "none"; set it to "leapfrog"')
+        if not isinstance(self.motion, Leapfrog) or self.motion.window == "none":
+            out += out_of_reach(self.apertures, self.screens, self.domain.lower[2], self.domain.upper[2])
         flat = [str(number) for number, bunch in enumerate(self.bunches) if bunch.zero_size()]
         if flat:
             out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")

@@ -97,8 +97,8 @@ def from_arrays(
     own = slice(*share(comm, count))
     if momenta.ndim == 2:
         momenta = momenta[own]
-    equal = species.weight(bunch_charge or 0.0, count)
-    return _joined(comm, count, position[own], momenta, equal if weight is None else weight[own], species, first_id)
+    weights = species.weight(bunch_charge or 0.0, count) if weight is None else weight[own]
+    return _joined(comm, count, position[own], momenta, weights, species, first_id)
 
 
 def _joined(

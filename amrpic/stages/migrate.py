@@ -64,6 +64,6 @@ def _refuse_not_finite(particles: Particles, comm: MPI.Comm) -> None:
 def _complaint(particles: Particles, first: int, count: int) -> str:
     return (
         f"{count} particles have a position or momentum that is not finite, among them id {particles.id[first]} at "
-        f"{particles.position[first].tolist()} m with {particles.momentum[first].tolist()} kg m/s; correct the input, or "
-        "shorten the time step"
+        f"{particles.position[first].tolist()} m with {particles.momentum[first].tolist()} kg m/s; correct the input or "
+        "the fields of elements, or shorten the time step"
     )

@@ -54,6 +54,8 @@ def plot(
     part = moments[groups.members[0]]
     if not part.weight > 0:
         raise InputError(f"{group} of {dump.path} has no particles left to draw; choose another group or dump")
+    if not dump.particles.charge.any():
+        raise InputError(f"particles of {dump.path} have no charge, which pictures show; choose another dump")
     folder = dump.path.parent if directory is None else Path(directory)
     of = "" if group == "all" else f"_{group}"
     out = []

@@ -303,17 +303,18 @@ def test_expanding_bunch_turns_field_energy_into_motion(comm):
 
 
 @pytest.mark.mpi(ranks=2)
-def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGUSR1, signal.SIGINT])
+def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_path, number):
     output = {"directory": str(tmp_path / "out"), "write": ["checkpoint", "series"], "checkpoint_every": 0}
     given = scene(schedule={"steps": 4}, output=output)
     simulation = Simulation(comm, given)
 
     def warn_one_rank(now: Simulation) -> None:
         if now.step == 2 and comm.rank == 1:
-            os.kill(os.getpid(), signal.SIGUSR1)
+            os.kill(os.getpid(), number)
 
     simulation.on_step(warn_one_rank)
-    assert simulation.run() == "signal SIGUSR1"
+    assert simulation.run() == f"signal {signal.Signals(number).name}"
     assert simulation.step == 2
     again = Simulation.restart(comm, tmp_path / "out" / "checkpoint_00000002")
     assert again.run() is None

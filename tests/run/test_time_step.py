@@ -14,7 +14,7 @@ import amrpic
 from amrpic.errors import InputError, SceneError
 from amrpic.run import time_step
 from amrpic.run.plan import Plan
-from amrpic.run.step import begin
+from amrpic.run.step import advance, begin
 from amrpic.units import ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS, SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from amrpic.verify.passages import HARD, SMOOTH, TIME, error_of, flown, order, passage, through_hard, through_smooth
 from amrpic.verify.runs import collected, states
@@ -274,6 +274,26 @@ def test_drift_kick_drift_is_of_second_order(name, ends):
         errors.append(error_of(MPI.COMM_SELF, state, elements[name], exact))
     assert order(errors) > 1.8, errors
     assert errors[-1] < 1e-4, errors
+
+
+def test_both_forms_are_of_second_order_in_the_field_of_a_bunch():
+    """Positions and momenta of electrons and positrons that expand, against those with many more steps."""
+    time = 3e-10
+
+    def ended(form: str, steps: int) -> np.ndarray:
+        dt = time / (steps - 0.5 * (form == "drift-kick-drift"))
+        given = ball(1.0, dt, schedule={"steps": steps}, solver={"tolerance": 1e-10})
+        plan = Plan(MPI.COMM_SELF, given.model_copy(update={"motion": given.motion.model_copy(update={"form": form})}))
+        state = begin(plan)
+        while state.step < steps:
+            state = advance(state, plan)
+        assert state.time == pytest.approx(time, rel=1e-12)
+        return np.stack(collected(MPI.COMM_SELF, state.synchronized))
+
+    exact = ended("kick-drift-kick", 80)
+    for form in ("kick-drift-kick", "drift-kick-drift"):
+        errors = np.array([np.linalg.norm(ended(form, steps) - exact, axis=(1, 2)) for steps in (5, 10, 20)])
+        assert all(order(list(column)) > 1.9 for column in errors.T), (form, errors)
 
 
 def test_drift_kick_drift_kicks_in_the_middle_of_its_drifts():

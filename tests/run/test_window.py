@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import SceneError
+from amrpic.mesh.window import AT_REST
 from amrpic.units import PROTON_MASS, SPEED_OF_LIGHT
 
 MC = PROTON_MASS * SPEED_OF_LIGHT
@@ -173,7 +174,7 @@ def test_outputs_are_in_the_laboratory(tmp_path: Path) -> None:
 
 def test_a_window_backs_up_where_its_particle_turns_round() -> None:
     """It does not turn over: particles off the reference stay on the mesh."""
-    window = amrpic.mesh.window.AT_REST.turned(np.array([0, 0, 2.0]), np.array([0, 1e-3, -1.0]))
+    window = AT_REST.turned(np.array([0, 0, 2.0]), np.array([0, 1e-3, -1.0]))
     np.testing.assert_allclose(window.axes[2], [0, -1e-3, 1], atol=1e-6)
     np.testing.assert_allclose(window.axes[1], [0, 1, 1e-3], atol=1e-6)
     assert window.turned(np.array([0, 0, 1.0]), np.zeros(3)) == window

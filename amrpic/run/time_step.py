@@ -73,12 +73,18 @@ def settle_time_step(plan: Plan, particles: Particles, solution: Solution, cours
             )
         first = min(found, key=lambda process: process.time / process.steps)
         plan.dt = first.time / first.steps
+        if not plan.dt > 0:
+            raise InputError(
+                f'{plan.scene.name}: motion.dt is "auto", and the {first.what} is {first.time:g} s; correct the strength of '
+                "that, or give a time"
+            )
         plan.notes.append(f"motion.dt: {plan.dt:.4g} s, {first.steps:g} steps per {first.what}")
 
 
 def _remark(plan: Plan, found: list[Process]) -> None:
     for kind in dict.fromkeys(process.kind for process in found):
-        worst = max((process for process in found if process.kind == kind), key=lambda one: one.least / one.time)
+        alike = (process for process in found if process.kind == kind)
+        worst = max(alike, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
         if worst.least * plan.dt > worst.time:
             plan.remark(
                 f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "

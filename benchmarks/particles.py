@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 ELECTRON = SpeciesTable((SPECIES["electron"],))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
-OWN_B, SOLENOID = "gather+push, own B", "gather+push, solenoid"
+OWN_B, SOLENOID = "gather+push with own B", "gather+push in a solenoid"
 STAGES = ("deposit", "field", "gather", "gather+push", OWN_B, SOLENOID, "migrate", "moments")
 
 

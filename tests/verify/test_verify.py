@@ -223,7 +223,11 @@ def test_density_of_an_example_is_that_of_its_particles(path):
     scene = Scene.from_toml(path)
     edges = [np.linspace(a, b, 65) for a, b in zip(scene.domain.lower, scene.domain.upper, strict=True)]
     volume = np.prod([np.diff(e)[0] for e in edges])
-    charge = density_of(scene).mean(*edges) * volume
+    try:
+        charge = density_of(scene).mean(*edges) * volume
+    except InputError as refused:
+        assert "no formula here" in str(refused) and path.stem in ("fodo", "halo")
+        pytest.skip(str(refused))
     particles = make_particles(MPI.COMM_SELF, scene)
     weight = particles.weight * particles.charge
     assert charge.sum() == pytest.approx(weight.sum(), rel=1e-4)

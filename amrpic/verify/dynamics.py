@@ -42,7 +42,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         "Two such bunches, one within the other, with half of the charge each: in two energy bins, against the sum of the "
         "exact fields of both. A minus is for one that moves downwards.",
         ("γ", "E_x", "E_y", "E_z", "B_x", "B_y", "cycles"),
-        [_fast_bunches(comm, gammas) for gammas in ((4.0, 20.0), (5.0, -3.0))],
+        [_fast_bunches(comm, gammas) for gammas in ((4.0, 20.0), (8.0, -1.2))],
     )
     yield two_frames.table(comm)
     yield beam_line.table(comm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,7 @@ EVERY = 16  # steps from one choice to the next
 
 @dataclass(frozen=True)
 class Frames:
-    """The frames of the bins of a beam, in ascending order of ±ln γ of the motion along an axis: see `Bins`."""
+    """The frames of the bins of a beam, in ascending order of ±ln γ of the motion along an axis."""
 
     members: tuple[Frame, ...] = (LABORATORY,)
     axis: int = 2
@@ -32,12 +33,14 @@ class Frames:
         """The frame, if there is one bin."""
         return self.members[0] if len(self.members) == 1 else None
 
-    def part(self, particles: Particles, number: int) -> Particles:
-        """Return the particles where those of other bins have no weight."""
+    def parts(self, particles: Particles) -> Iterator[Particles]:
+        """Yield for each bin the particles, where those of other bins have no weight."""
         if self.only is not None:
-            return particles
-        inside = np.searchsorted(self.edges, signed_energy(particles, self.axis), side="right") == number
-        return particles.with_weight(particles.weight * inside)
+            yield particles
+            return
+        number = np.searchsorted(self.edges, signed_energy(particles, self.axis), side="right")
+        for bin in range(len(self.members)):
+            yield particles.with_weight(particles.weight * (number == bin))
 
 
 ONE_FRAME = Frames()  # of one bin, that of the laboratory
@@ -45,7 +48,10 @@ ONE_FRAME = Frames()  # of one bin, that of the laboratory
 
 def signed_energy(particles: Particles, axis: int) -> np.ndarray:
     """Return ln γ (n,) of the motion along an axis, negative for those that move downwards; γ² = 1 + (p/mc)²."""
-    u = particles.momentum[:, axis] / (particles.mass * SPEED_OF_LIGHT)
+    return _signed(particles.momentum[:, axis] / (particles.mass * SPEED_OF_LIGHT))
+
+
+def _signed(u: np.ndarray) -> np.ndarray:
     return np.copysign(0.5 * np.log1p(u * u), u)
 
 
@@ -55,20 +61,20 @@ def frames_of(
     domain: Domain,
     choice: str = "auto",
     bins: int | None = 1,
-    before: Frames | None = None,
+    last: Frames = ONE_FRAME,
+    anew: bool = True,
 ) -> Frames:
     """Return the frames in which to solve for the field of the particles. Collective; InputError as `frame_of`.
 
-    `choice` as there; `bins`: so many at most, None: as many as let γ differ by a tenth within one. Bins of `before` are kept,
-    and its frames while they fit.
+    `choice` as there; `bins`: so many at most, None: as many as let γ differ by a tenth within one. Bins are chosen `anew`, or
+    stay those of `last`, the frames of the step before; these are kept while they fit.
     """
-    if before is not None:
-        axis, edges, old = before.axis, before.edges, before.members
-    else:
+    axis, edges = last.axis, last.edges
+    if anew:
         axis, edges = _edges(comm, particles, bins) if choice != "lab" and bins != 1 else (2, ())
-        old = (LABORATORY,) * (len(edges) + 1)
-    plan = Frames(old, axis, edges)
-    members = (frame_of(comm, plan.part(particles, n), domain, choice, frame) for n, frame in enumerate(old))
+    old = last.members if len(edges) == len(last.edges) else (LABORATORY,) * (len(edges) + 1)
+    parts = Frames(old, axis, edges).parts(particles)
+    members = (frame_of(comm, part, domain, choice, frame) for part, frame in zip(parts, old, strict=True))
     return Frames(tuple(members), axis, edges)
 
 
@@ -79,8 +85,8 @@ def spread(comm: MPI.Comm, particles: Particles, frames: Frames) -> float:
     """
     square = charge = 0.0
     values = signed_energy(particles, frames.axis)
-    for number in range(len(frames.members)):
-        weight = frames.part(particles, number).weight * np.abs(particles.charge)
+    for part in frames.parts(particles):
+        weight = part.weight * np.abs(particles.charge)
         total, first, second = comm.allreduce(np.array([weight.sum(), weight @ values, weight @ values**2]))
         if total > 0:
             square, charge = square + max(second - first**2 / total, 0.0), charge + total
@@ -92,17 +98,12 @@ def _edges(comm: MPI.Comm, particles: Particles, bins: int | None) -> tuple[int,
     moving = comm.allreduce(np.abs(particles.momentum).sum(axis=0))
     axis = int(np.argmax(moving))
     mc = particles.species.masses * SPEED_OF_LIGHT
-    along = particles.momentum[:, axis]
-    bounds = np.array([-along.min(initial=np.inf), along.max(initial=-np.inf)])
-    comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MAX)
-    extremes = bounds * (-1.0, 1.0) / mc.min()  # of the lightest species, so that there are no larger ones
-    low, high = np.copysign(0.5 * np.log1p(extremes**2), extremes)
+    extremes = _range(comm, particles.momentum[:, axis]) / mc.min()  # of the lightest species: there are no larger ones
+    low, high = _signed(extremes)
     if not high - low > (WIDTH if bins is None else 0.0):
         return axis, ()
     values = signed_energy(particles, axis)
-    ends = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
-    comm.Allreduce(MPI.IN_PLACE, ends, MPI.MAX)
-    low, high = -ends[0], ends[1]
+    low, high = _range(comm, values)
     count = bins if bins is not None else min(math.ceil((high - low) / WIDTH), MOST)
     inner = np.linspace(low, high, count + 1)[1:-1]
     number = np.searchsorted(inner, values, side="right")
@@ -114,3 +115,10 @@ def _edges(comm: MPI.Comm, particles: Particles, bins: int | None) -> tuple[int,
             kept.append(float(edge))
             held = 0.0
     return axis, tuple(kept)
+
+
+def _range(comm: MPI.Comm, values: np.ndarray) -> np.ndarray:
+    """Return the least and the largest value (2,) on all ranks. Collective."""
+    bounds = np.array([-values.min(initial=np.inf), values.max(initial=-np.inf)])
+    comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MAX)
+    return bounds * (-1.0, 1.0)

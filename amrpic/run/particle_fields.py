@@ -60,9 +60,9 @@ class ParticleFields:
         known = self.known.parts if self.known is not None else ()
         guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
         parts = []
-        for number, frame in enumerate(frames.members):
+        for number, (frame, part) in enumerate(zip(frames.members, frames.parts(self.particles), strict=True)):
             with plan.clock("deposit"):
-                rho = deposit(frames.part(self.particles, number), self.hierarchy, plan.clouds)
+                rho = deposit(part, self.hierarchy, plan.clouds)
             with plan.clock("solve"):
                 phi, report = plan.solve(rho, guesses[number] if guesses else None, frame, walls=False)
                 efield = plan.poisson(self.hierarchy, frame).deferred_field(phi, covered=plan.clouds.covered)

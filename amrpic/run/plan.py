@@ -53,21 +53,21 @@ class Plan:
     def frames(
         self,
         particles: Particles,
-        before: Frames | None = None,
         last: Frames = ONE_FRAME,
         lost: Particles | None = None,
+        anew: bool = True,
     ) -> Frames:
         """Return the frames in which to solve for the field of particles that move. Collective; InputError on all ranks.
 
-        Energy bins stay those of `before`, if it is given. Where no frame fits them, a single particle and the last few of
-        which the others are `lost` keep the frames of the step before, `last`.
+        `last` are those of the step before, whose energy bins stay unless they are chosen `anew`. Where no frame fits them, a
+        single particle and the last few of which the others are `lost` keep them.
         """
         motion = self.scene.motion
         if not isinstance(motion, Leapfrog):
             return ONE_FRAME
         bins = None if motion.energy_bins == "auto" else motion.energy_bins
         try:
-            found = frames_of(self.comm, particles, self.scene.domain.value, motion.frame, bins, before)
+            found = frames_of(self.comm, particles, self.scene.domain.value, motion.frame, bins, last, anew)
         except InputError:
             if particles.global_count(self.comm) > 1 and self._share_left(particles, lost) > FEW:
                 raise
@@ -76,7 +76,7 @@ class Plan:
                 "of their self-field, which is solved for as if they moved on as before"
             )
             return last
-        if before is None and found.only is None:
+        if anew and found.only is None:
             self.note(
                 f"motion.energy_bins: {len(found.members)}; the rms of γ about its mean in them is "
                 f"{spread(self.comm, particles, found):.1%}, about half the error of the beam's force on itself"

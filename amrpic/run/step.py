@@ -34,8 +34,7 @@ def advance(state: State, plan: Plan) -> State:
         moved = _moved(state, plan)
     with plan.clock("migrate"):
         particles, lost, screens = fly(state, moved, course.window, plan)
-    last = state.solution.frames
-    frames = plan.frames(particles, last if step % EVERY else None, last, lost.particles)
+    frames = plan.frames(particles, state.solution.frames, lost.particles, anew=step % EVERY == 0)
     fields = ParticleFields(particles, state.hierarchy, plan, state.solution, frames)
     if plan.regrids_at(step) or outrun(fields):
         fields = follow(fields, plan.scene.refinement.hysteresis)

@@ -83,8 +83,8 @@ def settle_time_step(plan: Plan, particles: Particles, solution: Solution, cours
 
 def _remark(plan: Plan, found: list[Process]) -> None:
     for kind in dict.fromkeys(process.kind for process in found):
-        alike = (process for process in found if process.kind == kind)
-        worst = max(alike, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
+        same = (process for process in found if process.kind == kind)
+        worst = max(same, key=lambda one: one.least / one.time if one.time > 0 else math.inf)
         if worst.least * plan.dt > worst.time:
             plan.remark(
                 f"motion.dt of {plan.dt:.4g} s is long: {worst.time / plan.dt:.3g} steps per {worst.what}, where at least "
@@ -147,7 +147,8 @@ def plasma_frequency(particles: Particles, hierarchy: Hierarchy, clouds: Clouds,
     γ is that of the frame in which the charge of a bin rests. Across the motion its magnetic field leaves 1/γ² of the force,
     for a mass γ m; along it the mass is γ³ m. Collective.
     """
-    weight = sum(frames.part(particles, bin).weight / frame.gamma**3 for bin, frame in enumerate(frames.members))
+    parts = zip(frames.members, frames.parts(particles), strict=True)
+    weight = sum(part.weight / frame.gamma**3 for frame, part in parts)
     table = particles.species
     kinds = tuple(replace(kind, charge=kind.charge**2 / kind.mass) for kind in table.kinds)
     weighed = replace(particles.with_weight(np.asarray(weight)), species=replace(table, kinds=kinds))

@@ -85,6 +85,21 @@ def matched(depression: float = DEPRESSION) -> Envelope:
     )
 
 
+def thermal(particles: int, length: float = LENGTH, mismatch: float = 1.0) -> dict[str, Any]:
+    """The thermal beam of the same charge per length in constant focusing, as a section of a scene."""
+    return {
+        "distribution": "thermal",
+        "species": "electron",
+        "charge": matched().charge * length,
+        "gradient": GRADIENT,
+        "length": length,
+        "tune_depression": DEPRESSION,
+        "mismatch": mismatch,
+        "particles": particles,
+        "sampling": "sobol",
+    }
+
+
 def slab(
     bunches: list[dict[str, Any]],
     elements: Sequence[Mapping[str, Any]],

@@ -18,7 +18,7 @@ from ..run.plan import Plan
 from ..run.state import State
 from ..run.step import advance, begin
 from ..stages.beam_diagnostics import FRACTIONS, group_moments, group_quantiles
-from .channel import DEPRESSION, FOCUSING, GRADIENT, PERIOD, RADIUS, constant, matched, slab
+from .channel import DEPRESSION, FOCUSING, PERIOD, RADIUS, constant, matched, slab, thermal
 from .chosen import in_full, scene_of
 from .draw import picture
 from .halo import particle_core
@@ -111,17 +111,7 @@ def largest_radius() -> float:
 def scene(form: Form, cells: int, levels: int, deep: int = 1, rule: Mapping[str, Any] = FOLLOWS) -> dict[str, Any]:
     """A scene of the beam on so many base cells across the pipe, and two times `deep` along it; all are cubes."""
     length = 4 * deep * PIPE / cells
-    bunch = {
-        "distribution": "thermal",
-        "species": "electron",
-        "charge": matched().charge * length,
-        "gradient": GRADIENT,
-        "length": length,
-        "tune_depression": DEPRESSION,
-        "mismatch": MISMATCH,
-        "particles": form.particles,
-        "sampling": "sobol",
-    }
+    bunch = thermal(form.particles, length, MISMATCH)
     reach = (PIPE, PIPE, length / 2)
     made = slab([bunch], [FOCUSING], PERIOD / STEPS, STEPS * form.periods, levels)
     made["domain"] |= {"lower": [-a for a in reach], "upper": list(reach), "cells": [cells, cells, 2 * deep]}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from .channel import CELLS, DEPRESSION, FOCUSING, GRADIENT, LENGTH, PERIOD, PIPE, RADIUS, matched, slab
+from .channel import CELLS, DEPRESSION, FOCUSING, PERIOD, PIPE, RADIUS, slab, thermal
 from .draw import picture
 from .runs import states
 from .table import Cell, Goal, Table
@@ -45,17 +45,7 @@ def table(comm: MPI.Comm) -> Table:
 
 def _emittances(comm: MPI.Comm, levels: int) -> np.ndarray:
     """Mean of the emittances along x and y over that at the start, after each period, (n,)."""
-    bunch = {
-        "distribution": "thermal",
-        "species": "electron",
-        "charge": matched().charge * LENGTH,
-        "gradient": GRADIENT,
-        "length": LENGTH,
-        "tune_depression": DEPRESSION,
-        "particles": PARTICLES,
-        "sampling": "sobol",
-    }
-    scene = slab([bunch], [FOCUSING], PERIOD / STEPS, STEPS * PERIODS, levels)
+    scene = slab([thermal(PARTICLES)], [FOCUSING], PERIOD / STEPS, STEPS * PERIODS, levels)
     found = [state.moments().emittance[:2].mean() for state in states(comm, scene) if state.step % STEPS == 0]
     return np.array(found) / found[0]
 

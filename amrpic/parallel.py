@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
@@ -56,6 +57,18 @@ def own(comm: MPI.Comm) -> Communicator:
         if mine.size > 1:
             end_scripts_together(Meeting(mine))
     return mine
+
+
+def world_by_default(method: Callable[..., T]) -> Callable[..., T]:
+    """Let a method's communicator, its first argument, be left out for that of all ranks."""
+
+    @functools.wraps(method)
+    def call(self: Any, *given: Any, **named: Any) -> T:
+        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm)):
+            given = (MPI.COMM_WORLD, *given)
+        return method(self, *given, **named)
+
+    return call
 
 
 @dataclass(frozen=True)

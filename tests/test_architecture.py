@@ -56,6 +56,7 @@ ORDER = (
     "io",
     "external",
     "view",
+    "results",
     "run",
     "__init__",
     "verify",

@@ -41,7 +41,7 @@ def _run(chosen: argparse.Namespace) -> int:
     prepare(comm, scene)
     path = _checkpoint(comm, scene, chosen.restart)
     simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)
-    return 0 if simulation.run(walltime) is None else STOPPED
+    return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 
 def _checkpoint(comm: MPI.Comm, scene: Scene, restart: str | None) -> Path | None:

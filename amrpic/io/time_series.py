@@ -7,6 +7,7 @@ Numbers are written so that they read back bit for bit.
 from __future__ import annotations
 
 import errno
+import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -106,6 +107,25 @@ def write(
 def read(path: Path) -> NDArray[Any]:
     """Return the complete rows of a series as a structured array, a field per column. Raises InputError."""
     return _parsed(Path(path))[1]
+
+
+def scene_of(path: Path) -> dict[str, Any]:
+    """Return the resolved scene of the run that wrote a series. Raises InputError."""
+    return json.loads(_comment(path, "scene"))
+
+
+def units_of(path: Path) -> dict[str, str]:
+    """Return the unit of each column of a series. Raises InputError."""
+    return dict(zip(read(path).dtype.names or (), _comment(path, "units").split(","), strict=True))
+
+
+def _comment(path: Path, key: str) -> str:
+    """Return what the head of a series says after a key."""
+    try:
+        with open(path, encoding="utf-8") as lines:
+            return next(line for line in lines if line.startswith(f"# {key}: ")).partition(": ")[2].rstrip("\n")
+    except (OSError, UnicodeDecodeError, StopIteration) as error:
+        raise InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote") from None
 
 
 def _type(column: Quantity) -> str:

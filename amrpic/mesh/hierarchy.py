@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from .. import _native
 from ..errors import HierarchyError
-from ..parallel import own
+from ..parallel import own, world_by_default
 from .domain import BOUNDARIES, Domain
 
 
@@ -40,9 +40,11 @@ class Hierarchy:
 
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
 
-    Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not aligned so, or do not nest.
+    `comm` may be left out: all ranks. Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not
+    aligned so, or do not nest.
     """
 
+    @world_by_default
     def __init__(
         self,
         comm: MPI.Comm,

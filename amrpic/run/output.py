@@ -23,7 +23,7 @@ from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
 from .beam_tables import BeamTables, Diagnostic
 from .flight import kicked
-from .log import RunLog
+from .log import Log, RunLog
 from .loss_files import remove_losses, write_losses, write_screens
 from .plan import Plan
 from .restart import about, snapshot
@@ -76,7 +76,13 @@ class Recorder:
     """
 
     def __init__(
-        self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool, own: Mapping[str, Diagnostic] | None = None
+        self,
+        comm: MPI.Comm,
+        state: State,
+        plan: Plan,
+        resumed: bool,
+        own: Mapping[str, Diagnostic] | None = None,
+        log: Log = "print",
     ) -> None:
         scene = plan.scene
         self._comm, self._scene, self._plan, self._clock = comm, scene, plan, plan.clock
@@ -92,7 +98,7 @@ class Recorder:
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
-        self._log = RunLog(comm, scene.schedule.last_step)
+        self._log = RunLog(comm, scene.schedule.last_step, how=log)
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
             self._log.note(note)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -18,7 +18,7 @@ from . import toml
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import DescribedBunch, LatticeBunch
-from .complaints import complaint, sentences
+from .complaints import complaint, refusal
 from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
 from .elements import AnyElement, ConstantFocusingElement
@@ -34,14 +34,6 @@ from .thermal_bunch import ThermalBunch
 
 MOST_BINS = 1_000_000  # of a map of losses
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
-
-
-class RefusedScene(SceneError):
-    """A scene with mistakes: the message names the first, `problems` has a sentence for each."""
-
-    def __init__(self, message: str, problems: Sequence[str] = ()) -> None:
-        super().__init__(message)
-        self.problems = list(problems) or [message]
 
 
 class Scene(Section):
@@ -282,9 +274,7 @@ class Scene(Section):
         try:
             return cls.model_validate(data)
         except ValidationError as refused:
-            problems = sentences(refused, source, cls)
-            more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
-            raise RefusedScene(problems[0] + more, problems) from None
+            raise refusal(refused, source, cls) from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the resolved scene, all defaults filled in, as plain values; `from_dict` gives the scene back."""

@@ -268,7 +268,7 @@ class Field:
 
 def _fits(other: object) -> bool:
     """Whether a field can be added to it, or multiplied by it."""
-    return isinstance(other, Field) or (np.ndim(other) == 0 and np.isreal(other))  # type: ignore[call-overload]
+    return isinstance(other, Field | int | float | np.integer | np.floating)
 
 
 class VectorField:

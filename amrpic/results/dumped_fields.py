@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from mpi4py import MPI
@@ -57,13 +58,20 @@ class DumpedFields(Mapping[str, Field | VectorField]):
                     patch.data[...] = component
         return parts[0] if len(parts) == 1 else VectorField(*parts)
 
-    def __getattr__(self, name: str) -> Field | VectorField:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        try:
-            return self[name]
-        except InputError as missing:
-            raise AttributeError(str(missing)) from None
+    @property
+    def rho(self) -> Field:
+        """Charge density, C/m³. Collective at the first access, as all of these."""
+        return cast(Field, self["rho"])
+
+    @property
+    def phi(self) -> Field:
+        """Potential, V."""
+        return cast(Field, self["phi"])
+
+    @property
+    def E(self) -> VectorField:
+        """Electric field, V/m."""
+        return cast(VectorField, self["E"])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.units)

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema
 
 from .complaints import close_match, complaint, refusal
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
 
 
 def _number(value: Any) -> Any:
@@ -31,14 +36,14 @@ def _without_coercion(schema: Any) -> Any:
     return {key: _without_coercion(member) for key, member in schema.items()}
 
 
-class _Sentences(type(BaseModel)):  # type: ignore[misc]
+class _Sentences(ModelMetaclass):
     """What Python gives a section is refused by the same sentences as what a file has."""
 
     def __call__(cls, *given: Any, **named: Any) -> Any:
         try:
             return super().__call__(*given, **named)
         except ValidationError as refused:
-            raise refusal(refused, cls.__name__, cls) from None
+            raise refusal(refused, cls.__name__, cast(type[BaseModel], cls)) from None
 
 
 class Section(BaseModel, metaclass=_Sentences):

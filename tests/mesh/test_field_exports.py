@@ -55,4 +55,5 @@ def test_a_vector_field_has_a_magnitude_and_goes_along(comm):
     assert vector.magnitude().max() == pytest.approx(np.sqrt(6) * one.max(), rel=1e-14)
     assert vector.magnitude().unit == "V"
     pytest.importorskip("pyvista")
-    assert set(vector.to_pyvista()[0].cell_data.keys()) == {"E_x", "E_y", "E_z", "vtkGhostType"}
+    first = vector.to_pyvista()[0]
+    assert first is not None and set(first.cell_data.keys()) == {"E_x", "E_y", "E_z", "vtkGhostType"}

@@ -42,7 +42,7 @@ def test_fields_particles_and_tables_are_those_of_the_run(comm, tmp_path):
         last = found.fields[3]
         assert (last.step, last.time, set(last)) == (3, simulation.time, {"rho", "phi", "E"})
         np.testing.assert_array_equal(levels_of(last.phi), levels_of(simulation.phi))
-        np.testing.assert_array_equal(levels_of(last["E"].y), levels_of(simulation.efield.y))
+        np.testing.assert_array_equal(levels_of(last.E.y), levels_of(simulation.efield.y))
         assert last.phi.unit == "V" and last.hierarchy.same_mesh(simulation.hierarchy)
         held, read = simulation.particles, found.particles()
         assert comm.allreduce(len(read)) == comm.allreduce(len(held))

@@ -42,7 +42,7 @@ def scene(**changes: Any) -> model.Scene:
 
 def run(comm: Any, given: model.Scene) -> Simulation:
     simulation = Simulation(comm, given)
-    assert simulation.run() is None
+    assert simulation.run().stopped is None
     return simulation
 
 
@@ -314,10 +314,10 @@ def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_pa
             os.kill(os.getpid(), number)
 
     simulation.on_step(warn_one_rank)
-    assert simulation.run() == f"signal {signal.Signals(number).name}"
+    assert simulation.run().stopped == f"signal {signal.Signals(number).name}"
     assert simulation.step == 2
     again = Simulation.restart(comm, tmp_path / "out" / "checkpoint_00000002")
-    assert again.run() is None
+    assert again.run().stopped is None
     undisturbed = run(comm, scene(schedule={"steps": 4}))
     for name, values in everything(undisturbed).items():
         assert np.array_equal(values, everything(again)[name]), name
@@ -335,7 +335,7 @@ def test_signal_stops_with_a_checkpoint_and_the_run_goes_on_from_it(comm, tmp_pa
 def test_run_stops_before_its_time_is_over(comm, tmp_path):
     output = {"directory": str(tmp_path / "out"), "write": ["checkpoint"]}
     simulation = Simulation(comm, scene(schedule={"steps": 1000}, output=output))
-    assert simulation.run(walltime=0.0) == "the time given is nearly over"
+    assert simulation.run(walltime=0.0).stopped == "the time given is nearly over"
     assert (tmp_path / "out" / "checkpoint_00000000").is_dir()
 
 

@@ -19,10 +19,10 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import together
 from ..particles.particles import Particles, concatenate
 from ..run.adapt import follow, make_base
+from ..run.folder import prepare
 from ..run.initial_particles import make_bunches
 from ..run.limits import machine_memory
 from ..run.memory import MIB, run_memory
-from ..run.output import prepare
 from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..run.restart import about

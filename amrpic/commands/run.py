@@ -10,8 +10,8 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..io.checkpoint_reader import find_latest_valid
 from ..parallel import together
+from ..run.folder import prepare
 from ..run.log import RunLog
-from ..run.output import prepare
 from ..run.simulation import Simulation
 from ..scene.scene import Scene
 from ..scene.units import to_seconds
@@ -38,6 +38,8 @@ def _run(chosen: argparse.Namespace) -> int:
     with together(comm, InputError):
         scene = scene_of(chosen)
         walltime = None if chosen.walltime is None else to_seconds(chosen.walltime)
+        if walltime is not None and walltime <= 0:
+            raise InputError(f"--walltime {chosen.walltime} leaves no time; give more than 0 s")
     prepare(comm, scene)
     path = _checkpoint(comm, scene, chosen.restart)
     simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)

@@ -7,11 +7,8 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import OutputError
 from ..io import openpmd_writer, time_series
-from ..io.atomic_files import remove
 from ..io.provenance import Provenance
-from ..parallel import together
 from ..scene.scene import Scene
 from ..stages.loss_map import COLUMNS, loss_map
 from .state import State
@@ -49,10 +46,3 @@ def write_screens(comm: MPI.Comm, state: State, scene: Scene, about: Provenance)
 def screen_path(directory: Path, name: str) -> Path:
     """Return where the record of a screen lies in a run's directory."""
     return Path(directory) / f"screen_{name}.h5"
-
-
-def remove_losses(comm: MPI.Comm, directory: Path) -> None:
-    """Delete the losses that an earlier run left. Collective; OutputError on all ranks."""
-    with together(comm, OutputError):
-        for name in (LOSSES, LOSS_MAP) if comm.rank == 0 else ():
-            remove(Path(directory) / name)

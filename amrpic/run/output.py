@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import re
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import TracebackType
 
 from mpi4py import MPI
@@ -18,20 +15,19 @@ from ..io.time_series import Series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..parallel import together
-from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
 from .beam_tables import BeamTables, Diagnostic
 from .flight import kicked
+from .folder import set_aside
 from .log import Log, RunLog
-from .loss_files import remove_losses, write_losses, write_screens
+from .loss_files import write_losses, write_screens
 from .plan import Plan
 from .restart import about, snapshot
 from .state import State
 
 SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
-NUMBERED = re.compile(r"(?:checkpoint|fields|particles)_(\d+)")  # what the files of a step begin with
 HISTORY = (  # of the solves: a row for each guess and each cycle
     Quantity("step", counts=True),
     Quantity("time", "s"),
@@ -39,34 +35,6 @@ HISTORY = (  # of the solves: a row for each guess and each cycle
     Quantity("cycle", counts=True),
     Quantity("residual"),  # in the solver's norm, relative to that of a zero potential
 )
-
-
-def prepare(comm: MPI.Comm, scene: Scene) -> None:
-    """Make the folder that a scene writes into. Collective; OutputError on all ranks if that is not possible."""
-    directory = scene.directory
-    problem = None
-    if comm.rank == 0:
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            trial = directory / f".trial_{os.getpid()}"
-            trial.touch()
-            trial.unlink()
-        except OSError as reason:
-            problem = reason.strerror
-    problem = comm.bcast(problem)
-    if problem is not None:
-        raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
-
-
-def left_behind(directory: Path, last_step: int) -> str | None:
-    """Return a sentence on what an earlier run left of steps that a run up to `last_step` does not come to, if anything."""
-    steps = [int(found[1]) for path in directory.iterdir() if (found := NUMBERED.match(path.name))]
-    if max(steps, default=0) <= last_step:
-        return None
-    return (
-        f"{directory} holds files of an earlier run, up to step {max(steps)}; those beyond step {last_step} stay as they are: "
-        "remove them, or choose another folder by --output"
-    )
 
 
 class Recorder:
@@ -92,7 +60,7 @@ class Recorder:
         self._written: dict[str, int] = {}  # the latest step of each kind of output
         self._warned: set[str] = set()
         self._since = time.perf_counter() - sum(state.seconds.values())
-        prepare(comm, scene)
+        earlier = None if resumed or not self._wanted else set_aside(comm, scene.directory)
         self._state_is(state)
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
@@ -102,10 +70,8 @@ class Recorder:
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
             self._log.note(note)
-        if "losses" in self._wanted and not resumed:
-            remove_losses(comm, scene.directory)
-        if comm.rank == 0 and not resumed and (sentence := left_behind(scene.directory, scene.schedule.last_step)):
-            self._log.warn(sentence)
+        if earlier is not None:
+            self._log.note(earlier)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Self
 
@@ -26,6 +27,7 @@ from .beam_tables import Diagnostic
 from .course import Reference
 from .field_functions import FieldFunction
 from .flight import kicked
+from .folder import STOP, Claim, prepare
 from .log import Log
 from .output import Recorder
 from .plan import Plan
@@ -134,7 +136,8 @@ class Simulation:
     def _run(self, walltime: float | None, log: Log) -> str | None:
         begun, self._begun = self._begun, True
         with (
-            Stop(self.comm, walltime) as stop,
+            self._claim(),
+            Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
             Recorder(self.comm, self.state, self._plan, begun, self._diagnostics, log) as record,
         ):
             if not self._recorded:
@@ -149,6 +152,13 @@ class Simulation:
             self.state = kicked(self.state, self._plan)
             record.end(self.state)
         return None
+
+    def _claim(self) -> AbstractContextManager[object]:
+        """Hold the folder, if anything is written into it. Collective."""
+        if not self.scene.output.write:
+            return nullcontext()
+        prepare(self.comm, self.scene)
+        return Claim(self.comm, self.scene.directory)
 
     def _record(self, record: Recorder) -> None:
         record.state(self.state, self.remarks)

@@ -25,6 +25,7 @@ export OMPI_MCA_rmaps_base_oversubscribe := 1
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
 
+run: export OMPI_MCA_odls_base_sigkill_timeout := 60  # time for a checkpoint after Ctrl-C or TERM
 run: setup  ## the main job: SCENE on RANKS ranks
 	mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
 

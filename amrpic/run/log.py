@@ -54,7 +54,7 @@ class RunLog:
         self._catching.__exit__(kind, value, trace)
         for text, times in self._warned.items():
             if times > 1:
-                self._say(f"{times} times in all: {text}", logging.WARNING)
+                self._say(f"warning, {times} times in all: {text}", logging.WARNING)
 
     def step(self, row: Mapping[str, float]) -> None:
         """Print the line of a step, from its row of the time series."""
@@ -74,13 +74,13 @@ class RunLog:
         """Print a warning when it comes up first; the end reports how often it did."""
         self._warned[text] += 1
         if self._warned[text] == 1:
-            self._say(text, logging.WARNING)
+            self._say(f"warning: {text}", logging.WARNING)
 
     def _say(self, line: str, level: int = logging.INFO) -> None:
         if self._speaks and self._logs:
-            LOGGER.log(level, line)
+            LOGGER.log(level, line.removeprefix("warning: "))
         elif self._speaks and level == logging.WARNING:
-            print(f"warning: {line}", file=self._err or sys.stderr, flush=True)
+            print(line, file=self._err or sys.stderr, flush=True)
         elif self._speaks:
             print(line, file=self._out or sys.stdout, flush=True)
 

@@ -183,7 +183,7 @@ def rows(folder: Path) -> dict[str, np.ndarray]:
 
 
 def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+    return {path.name for path in folder.iterdir() if not path.name.startswith((".", "earlier_"))}
 
 
 def assert_same(folder: Path, reference: Path) -> None:

@@ -68,5 +68,5 @@ def test_each_warning_is_reported_once_and_counted_at_the_end(comm):
             warnings.warn("nothing is tagged", stacklevel=1)
         log.warn("no particles")
         assert err.getvalue().splitlines() == ["warning: nothing is tagged", "warning: no particles"]
-    assert err.getvalue().splitlines()[2:] == ["warning: 3 times in all: nothing is tagged"]
+    assert err.getvalue().splitlines()[2:] == ["warning, 3 times in all: nothing is tagged"]
     assert warnings.showwarning is shown_before

@@ -26,35 +26,3 @@ def scaled_cells(cells: tuple[int, int, int], factor: float, block: int) -> tupl
     """Return so many times the cells along each axis; along axes with a multiple of the block they stay one."""
     steps = [block if n % block == 0 else 1 for n in cells]
     return tuple(max(step * round(n * factor / step), step, 2) for n, step in zip(cells, steps, strict=True))  # type: ignore[return-value]
-
-
-def outer_faces(boxes: Array, block: int) -> int:
-    """Return the number of cell faces on the surface of the union of disjoint boxes.
-
-    They are aligned to blocks of so many cells, except that those at the domain's upper faces may end with shorter ones.
-    """
-    if len(boxes) == 0:
-        return 0
-    corners = boxes.astype(np.int64) // block
-    corners = corners - np.tile(corners[:, :3].min(axis=0), 2) + 1
-    # to the next block along x, y and z, none beyond an edge
-    strides = np.cumprod([1, *(corners.max(axis=0)[3:5] + 2)])
-    blocks = np.concatenate([_numbers(box, strides) for box in corners])
-    sizes = np.concatenate([_sizes(box, block) for box in boxes.astype(np.int64)])
-    total = 0
-    for axis, stride in enumerate(strides):
-        faces = sizes[:, axis - 1] * sizes[:, axis - 2]  # a block has as many there as its neighbour
-        total += 2 * int(faces.sum() - faces[np.isin(blocks + stride, blocks, assume_unique=True)].sum())
-    return total
-
-
-def _numbers(box: Array, strides: Array) -> Array:
-    x, y, z = (np.arange(box[d], box[3 + d] + 1) * strides[d] for d in range(3))
-    return (x[:, None, None] + y[:, None] + z).ravel()
-
-
-def _sizes(box: Array, block: int) -> Array:
-    """Return the cells of the blocks of a box along each axis, (blocks, 3)."""
-    starts = [np.arange(box[d], box[3 + d] + 1, block) for d in range(3)]
-    sizes = [np.minimum(block, box[3 + d] + 1 - starts[d]) for d in range(3)]
-    return np.stack(np.meshgrid(*sizes, indexing="ij"), axis=-1).reshape(-1, 3)

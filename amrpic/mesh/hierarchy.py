@@ -38,7 +38,8 @@ class Hierarchy:
     an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
     if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
 
-    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
+    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face. Levels with
+    the boxes of an `earlier` hierarchy share what is known of them, and are not checked again.
 
     `comm` may be left out: all ranks. Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not
     aligned so, or do not nest.
@@ -53,6 +54,7 @@ class Hierarchy:
         max_grid_size: int = 24,
         blocking_factor: int = 8,
         weights: Sequence[np.ndarray] | None = None,
+        earlier: Hierarchy | None = None,
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
@@ -69,6 +71,7 @@ class Hierarchy:
                 max_grid_size,
                 blocking_factor,
                 loads,
+                earlier.native if earlier is not None else None,
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
@@ -113,7 +116,7 @@ class Hierarchy:
         return (
             self.domain == other.domain
             and self.levels == other.levels
-            and all(np.array_equal(self.boxes(l), other.boxes(l)) for l in range(self.levels))
+            and all(self.native.same_boxes(other.native, l) for l in range(self.levels))
         )
 
     def _checked(self, level: int) -> int:

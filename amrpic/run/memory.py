@@ -10,7 +10,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..mesh.boxes import Array, cells_of, outer_faces
+from .. import _native
+from ..mesh.boxes import Array, cells_of
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.motion import Leapfrog
 from ..scene.refinement import CallableRule, FieldStrengthRule, every_rule
@@ -80,7 +81,7 @@ def _matrix_free(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
 
 def _faces(scene: Scene, boxes: Sequence[Array]) -> int:
     """Return the number of faces at the edges of refinement levels."""
-    return sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
+    return sum(_native.outer_faces(_rows(level)) for level in boxes[1:])
 
 
 def _all_copies(scene: Scene, boxes: Sequence[Array]) -> tuple[int, int, int]:
@@ -186,12 +187,14 @@ def _boundary_cells(scene: Scene, boxes: Sequence[Array]) -> int:
         parts = -(-sizes // scene.refinement.max_grid_size)
         inside = np.prod(np.maximum(sizes / parts - 2, 0) * parts, axis=1)
         if finer is not None:
-            parents = finer // 2
-            inside *= [
-                not np.any(np.all((box[:3] <= parents[:, 3:]) & (parents[:, :3] <= box[3:]), axis=1)) for box in level
-            ]
+            inside[_native.boxes_that_meet(_rows(level), _rows(finer // 2)) != 0] = 0
         total += int((cells_of(level) - inside).sum())
     return total
+
+
+def _rows(boxes: Array) -> Array:
+    """Return boxes as native functions take them."""
+    return np.ascontiguousarray(boxes, dtype=np.int32)
 
 
 def _particle(scene: Scene) -> int:

@@ -45,5 +45,19 @@ void bind_cluster(nb::module_& m) {
       },
       "hierarchy"_a, "tags"_a, "fixed"_a, "max_levels"_a, "buffer"_a, "nesting"_a, "efficiency"_a);
 
+  m.def(
+      "outer_faces", [](bind::IntRows boxes) { return outer_faces(BoxTable(bind::to_boxes(boxes))); }, "boxes"_a,
+      "The number of cell faces on the surface of the union of disjoint boxes.");
+
+  m.def(
+      "boxes_that_meet",
+      [](bind::IntRows boxes, bind::IntRows others) {
+        BoxTable const table(bind::to_boxes(others));
+        std::vector<std::uint8_t> out;
+        for (Box const& box : bind::to_boxes(boxes)) out.push_back(table.meets(box));
+        return bind::to_array(std::move(out));
+      },
+      "boxes"_a, "others"_a, "Whether each box has a cell that one of the others has as well, a byte per box.");
+
   m.def("carry_over", &carry_over, nb::call_guard<nb::gil_scoped_release>(), "from_"_a, "to"_a);
 }

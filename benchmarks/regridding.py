@@ -1,8 +1,8 @@
 """Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks/regridding.py`.
 
-A base of n³ boxes of 24³ cells with two refined levels around ten bunches, as the reference benchmark has them for n = 24; every
-bunch then moves by one block of the finest level. No field is held and no message sent, so that one process can stand for each
-of many: all ranks do the same with all boxes. Tags are given as boxes; what scans cells grows with a rank's own cells instead.
+A base of n³ boxes of 24³ cells with two refined levels around ten bunches, as the reference benchmark has them for n = 24;
+then all that is refined moves by one block. No field is held and no message sent: all ranks do the same with all boxes, so one
+process can stand for each of many. Tags are given as boxes; what scans cells grows with a rank's own cells instead.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from mpi4py import MPI
 import amrpic
 from amrpic.commands.text_table import columns
 from amrpic.run.memory import run_memory
-from amrpic.stages.regrid import Regridding, balance, regrid
+from amrpic.stages.regrid import Regridding, regrid
 
 BOX, BLOCK, LEVELS = 24, 8, 3
 BASES = (8, 12, 16, 24, 32, 48, 64, 96)  # boxes per axis
@@ -30,12 +30,12 @@ BUNCHES = np.stack(np.meshgrid([0.3, 0.7], [0.35, 0.65], [0.1, 0.5, 0.9], indexi
 REACH = {1: 0.047, 2: 0.039}  # of a bunch on each level, over the domain's length
 MOST_EXPONENT, MOST_REGRID, MOST_BYTES = 1.1, 50e-3, 200  # s; bytes per box
 AT = 16_000  # boxes for which the time of a regrid has a bound
-STAGES = ("refine", "memory estimate", "balance", "regrid", "set-up")
+STAGES = ("refine", "memory estimate", "regrid", "set-up")
 
 
 @dataclass
 class Timed:
-    """Seconds of processor time of each stage, the least of some runs, for so many boxes."""
+    """Seconds of processor time of each stage, the least of some runs, for so many boxes; a regrid is the first two of them."""
 
     boxes: int
     refined: int
@@ -73,12 +73,8 @@ def measure(base: int, runs: int) -> Timed:
         assert made is not before
         new = [made.boxes(level) for level in range(made.levels)]
         _clocked(out, "memory estimate", lambda new=new: run_memory(scene, new, 0, 1))
-        particles = [np.ones(len(level)) for level in new]
-        _clocked(out, "balance", lambda made=made, particles=particles: balance(made, particles))
-        _clocked(
-            out, "set-up", lambda: amrpic.Hierarchy(MPI.COMM_SELF, scene.domain.value, boxes[1:], BOX, BLOCK)
-        )
-    out.seconds["regrid"] = sum(out.seconds[stage] for stage in STAGES[:3])
+        _clocked(out, "set-up", lambda: amrpic.Hierarchy(MPI.COMM_SELF, scene.domain.value, boxes[1:], BOX, BLOCK))
+    out.seconds["regrid"] = sum(out.seconds[stage] for stage in STAGES[:2])
     return out
 
 
@@ -113,7 +109,7 @@ def rows(found: list[Timed]) -> list[tuple[str, ...]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--boxes", type=float, default=1e6, help="most boxes (default: 1e6, which takes 5 GiB)")
+    parser.add_argument("--boxes", type=float, default=1e6, help="most boxes of the base (default: 1e6)")
     parser.add_argument("--runs", type=int, default=3, help="runs of each, of which the least counts")
     given = parser.parse_args()
     found = [measure(base, given.runs) for base in itertools.takewhile(lambda n: n**3 <= given.boxes, BASES)]

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _native
+
 Array = NDArray[Any]
 
 
@@ -26,3 +28,13 @@ def scaled_cells(cells: tuple[int, int, int], factor: float, block: int) -> tupl
     """Return so many times the cells along each axis; along axes with a multiple of the block they stay one."""
     steps = [block if n % block == 0 else 1 for n in cells]
     return tuple(max(step * round(n * factor / step), step, 2) for n, step in zip(cells, steps, strict=True))  # type: ignore[return-value]
+
+
+def rows_of(boxes: Array) -> Array:
+    """Return boxes, or cells, as native functions take them."""
+    return np.ascontiguousarray(boxes, dtype=np.int32)
+
+
+def table_of(boxes: Array) -> _native.BoxTable:
+    """Return a look-up of disjoint boxes by their cells, for questions to all of them that do not compare all with all."""
+    return _native.BoxTable(rows_of(boxes))

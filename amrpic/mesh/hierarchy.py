@@ -11,6 +11,7 @@ from mpi4py import MPI
 from .. import _native
 from ..errors import HierarchyError
 from ..parallel import own, world_by_default
+from .boxes import cells_of
 from .domain import BOUNDARIES, Domain
 
 
@@ -110,6 +111,12 @@ class Hierarchy:
         """Numbers of this rank's boxes of a level."""
         first, last = self.native.local_boxes(self._checked(level))
         return range(first, last)
+
+    @property
+    def own_cells(self) -> int:
+        """Number of this rank's cells of all levels."""
+        own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))
+        return sum(int(cells_of(boxes[local.start : local.stop]).sum()) for boxes, local in own)
 
     def same_mesh(self, other: Hierarchy) -> bool:
         """Whether both have the same domain and boxes; owners may differ."""

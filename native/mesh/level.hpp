@@ -88,8 +88,7 @@ class Level {
   template <class F>
   void for_each_overlap(Box const& region, F&& f) const {
     for (auto const& shift : images(region)) {
-      Index3 const back{-shift[0], -shift[1], -shift[2]};
-      for (int b : table_->meeting(region.shift(back).intersect(domain_)))
+      for (int b : table_->meeting(region.shift_back(shift).intersect(domain_)))
         f(b, region.intersect(box(b).shift(shift)), shift);
     }
   }

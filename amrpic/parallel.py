@@ -20,14 +20,20 @@ class Communicator(MPI.Intracomm):
     """A communicator of the library's own: no message of the user's can be taken for one of ours, and calls are counted."""
 
     def allreduce(self, sendobj: Any, op: MPI.Op = MPI.SUM) -> Any:
-        """Return a number or an array of numbers reduced over all ranks, of the kind that was given. Collective.
+        """Return a number or an array of numbers reduced over all ranks. Collective.
 
-        It passes as numbers, in one reduction; mpi4py's own method would pickle it, and reduce and broadcast it by messages.
+        They pass as double precision, in one reduction; mpi4py's own method would pickle them, and reduce and broadcast them by
+        messages. Whole numbers stay so, to 2^53. Ranks may mix them with others, as an empty sum is one.
         """
         given = np.asarray(sendobj)
-        counts_truths = given.dtype == bool and op == MPI.SUM
-        values = np.array(given, dtype=np.int64 if counts_truths else given.dtype, order="C")
+        logical = op in (MPI.LAND, MPI.LOR)
+        kind = np.intc if logical else np.complex128 if given.dtype.kind == "c" else np.float64
+        values = np.array(given, dtype=kind, order="C")
         self.Allreduce(MPI.IN_PLACE, values, op)
+        if logical:
+            values = values.astype(bool)
+        elif given.dtype.kind in "biu" and np.array_equal(values, np.rint(values)):
+            values = values.astype(np.int64)
         return values if isinstance(sendobj, np.ndarray) else values.item()
 
 

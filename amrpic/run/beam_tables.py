@@ -27,7 +27,6 @@ from ..stages.beam_diagnostics import (
     slice_values,
 )
 from ..units import Quantity
-from .records import Record
 from .state import State
 
 BEAM = "beam.csv"
@@ -66,7 +65,6 @@ class BeamTables:
         self._period = scene.domain.value.period(2)
         self._groups = groups_of(state, scene)
         self._own = own
-        self._losses: tuple[Record | None, dict[frozenset[int], tuple[int, float]]] = None, {}
         self._series: dict[str, Series] = {}
         self._last = keep_to_step if keep_to_step is not None and self._is_due(keep_to_step) else None
         if self._every and scene.bunches:
@@ -106,9 +104,7 @@ class BeamTables:
         comm, groups, beam = self._comm, self._groups, state.beam
         moments = group_moments(comm, beam, groups)
         quantiles = group_quantiles(comm, beam, groups, moments)
-        if self._losses[0] is not state.lost:  # the same on all ranks, as long as none loses more
-            self._losses = state.lost, group_losses(comm, state.lost.particles, groups)
-        lost = self._losses[1]
+        lost = group_losses(comm, state.lost.particles, groups)
         at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}
         named = list(zip(groups.names, groups.members, strict=True))
         self._series[BEAM].add(

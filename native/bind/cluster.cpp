@@ -1,5 +1,6 @@
 #include "mesh/cluster.hpp"
 
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/vector.h>
 
 #include "bind/bind.hpp"

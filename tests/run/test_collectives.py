@@ -64,9 +64,7 @@ if gathered:
 @pytest.fixture(scope="module")
 def counter(tmp_path_factory) -> Path:
     library = tmp_path_factory.mktemp("counter") / "collectives.so"
-    subprocess.run(
-        ["mpicc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SUPPORT / "collectives.c")], check=True
-    )
+    subprocess.run(["mpicc", "-shared", "-fPIC", "-O1", "-o", str(library), str(SUPPORT / "collectives.c")], check=True)
     return library
 
 

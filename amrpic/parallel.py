@@ -19,7 +19,7 @@ from .failure import BAD_INPUT, GRACE, Meeting, end_alone, end_scripts_together,
 class Communicator(MPI.Intracomm):
     """A communicator of the library's own: no message of the user's can be taken for one of ours, and calls are counted."""
 
-    def allreduce(self, sendobj: Any, op: MPI.Op = MPI.SUM) -> Any:
+    def allreduce(self, sendobj: Any, op: Any = MPI.SUM) -> Any:
         """Return a number or an array of numbers reduced over all ranks. Collective.
 
         They pass as double precision, in one reduction; mpi4py's own method would pickle them, and reduce and broadcast them by
@@ -95,7 +95,7 @@ def node_of(comm: MPI.Comm) -> MPI.Intracomm:
     """Return the ranks that share this one's memory, made at the first call and freed with the communicator. Collective."""
     node = cast(MPI.Intracomm | None, comm.Get_attr(_NODE))
     if node is None:
-        node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+        node = cast(MPI.Intracomm, comm.Split_type(MPI.COMM_TYPE_SHARED))
         comm.Set_attr(_NODE, node)
     return node
 

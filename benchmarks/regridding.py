@@ -12,6 +12,7 @@ import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def measure(base: int, runs: int) -> Timed:
         made = _clocked(out, "refine", lambda: regrid(before, [], settings, moved))
         assert made is not before
         new = [made.boxes(level) for level in range(made.levels)]
-        _clocked(out, "memory estimate", lambda new=new: run_memory(scene, new, 0, 1))
+        _clocked(out, "memory estimate", partial(run_memory, scene, new, 0, 1))
         _clocked(out, "set-up", lambda: amrpic.Hierarchy(MPI.COMM_SELF, scene.domain.value, boxes[1:], BOX, BLOCK))
     out.seconds["regrid"] = sum(out.seconds[stage] for stage in STAGES[:2])
     return out

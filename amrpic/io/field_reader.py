@@ -149,8 +149,8 @@ class Dump:
         if level + 1 == len(self.levels):
             return out
         finer = self.levels[level + 1]
-        for box in finer.boxes[finer.table.meeting((2 * lower).tolist(), (2 * upper + 1).tolist())]:
-            first, last = np.maximum(box[:3] // 2, lower) - lower, np.minimum(box[3:] // 2, upper) - lower
+        for corners in finer.boxes[finer.table.meeting((2 * lower).tolist(), (2 * upper + 1).tolist())]:
+            first, last = np.maximum(corners[:3] // 2, lower) - lower, np.minimum(corners[3:] // 2, upper) - lower
             x, y, z = (slice(i, j + 1) for i, j in zip(first, last, strict=True))
             out[x, y, z] = True
         return out

@@ -61,8 +61,9 @@ class Hierarchy:
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
         loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
         self.comm = own(comm)
+        shared = None if earlier is None else earlier.native
         try:
-            self.native = _native.Hierarchy(
+            self.native: _native.Hierarchy = _native.Hierarchy(
                 self.comm.py2f(),
                 domain.lower,
                 domain.upper,
@@ -72,7 +73,7 @@ class Hierarchy:
                 max_grid_size,
                 blocking_factor,
                 loads,
-                earlier.native if earlier is not None else None,
+                shared,
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None

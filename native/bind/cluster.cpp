@@ -57,7 +57,9 @@ void bind_cluster(nb::module_& m) {
           "boxes"_a)
       .def(
           "meeting",
-          [](BoxTable const& table, Index3 lower, Index3 upper) { return bind::to_array(table.meeting({lower, upper})); },
+          [](BoxTable const& table, Index3 lower, Index3 upper) {
+            return bind::to_array(table.meeting({lower, upper}));
+          },
           "lower"_a, "upper"_a, "Ascending numbers of the boxes that have cells of a region.")
       .def(
           "meets",
@@ -71,7 +73,8 @@ void bind_cluster(nb::module_& m) {
           "find",
           [](BoxTable const& table, bind::IntRows cells) {
             std::vector<int> out;
-            for (std::size_t n = 0; n < cells.shape(0); ++n) out.push_back(table.find({cells(n, 0), cells(n, 1), cells(n, 2)}));
+            for (std::size_t n = 0; n < cells.shape(0); ++n)
+              out.push_back(table.find({cells(n, 0), cells(n, 1), cells(n, 2)}));
             return bind::to_array(std::move(out));
           },
           "cells"_a, "The box that holds each cell, -1 if none does.")

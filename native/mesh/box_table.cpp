@@ -78,7 +78,8 @@ GlobalIndex BoxTable::cells_in(Box const& region) const {
 }
 
 std::size_t BoxTable::bytes() const {
-  return boxes_.capacity() * sizeof(Box) + offset_.capacity() * sizeof(GlobalIndex) + entries_.capacity() * sizeof(Entry);
+  return boxes_.capacity() * sizeof(Box) + offset_.capacity() * sizeof(GlobalIndex) +
+         entries_.capacity() * sizeof(Entry);
 }
 
 std::int64_t outer_faces(BoxTable const& boxes) {

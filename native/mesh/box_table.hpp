@@ -29,7 +29,7 @@ class BoxTable {
   int find(Index3 const& cell) const;
   /// Ascending numbers of the boxes that have cells of a region.
   std::vector<int> meeting(Box const& region) const;
-  bool meets(Box const& region) const;         ///< whether a box has a cell of it
+  bool meets(Box const& region) const;            ///< whether a box has a cell of it
   GlobalIndex cells_in(Box const& region) const;  ///< of all boxes
 
   std::size_t bytes() const;  ///< that it takes
@@ -46,8 +46,8 @@ class BoxTable {
   void visit(Box const& region, F&& f) const;
 
   std::vector<Box> boxes_;
-  std::vector<GlobalIndex> offset_;   ///< boxes + 1 values
-  Index3 bin_{1, 1, 1};               ///< extent of a bin, cells
+  std::vector<GlobalIndex> offset_;  ///< boxes + 1 values
+  Index3 bin_{1, 1, 1};              ///< extent of a bin, cells
   std::vector<Entry> entries_;
 };
 

@@ -192,7 +192,8 @@ Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector
     bool const was_known = std::exchange(is_known, table != nullptr);
     if (!table) table = std::make_shared<BoxTable const>(std::move(boxes));
     std::vector<Real> load(std::size_t(table->count()));
-    std::transform(table->boxes().begin(), table->boxes().end(), load.begin(), [](Box const& b) { return Real(b.cells()); });
+    std::transform(table->boxes().begin(), table->boxes().end(), load.begin(),
+                   [](Box const& b) { return Real(b.cells()); });
     if (l < weights.size() && !weights[l].empty()) {
       if (weights[l].size() != load.size())
         throw HierarchyError("level " + std::to_string(l) + " has " + std::to_string(load.size()) + " boxes but " +

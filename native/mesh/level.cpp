@@ -6,7 +6,8 @@ namespace amrpic {
 
 Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::vector<Box> boxes,
              std::vector<int> first_box, int rank)
-    : Level(domain, periodic, spacing, std::make_shared<BoxTable const>(std::move(boxes)), std::move(first_box), rank) {}
+    : Level(domain, periodic, spacing, std::make_shared<BoxTable const>(std::move(boxes)), std::move(first_box), rank) {
+}
 
 Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::shared_ptr<BoxTable const> table,
              std::vector<int> first_box, int rank)

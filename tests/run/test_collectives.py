@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,8 @@ import mpi_batch
 
 SUPPORT = Path(__file__).parents[1] / "support"
 KILOBYTE = 1024
-SCENE = {
+STEPS = 4
+SCENE: dict[str, Any] = {
     "domain": {"lower": -0.02, "upper": 0.02, "cells": 24, "boundary": "dirichlet"},
     "bunches": [
         {
@@ -23,7 +25,7 @@ SCENE = {
     ],
     "refinement": {"levels": 2, "regrid_every": 0},
     "motion": {"kind": "leapfrog", "dt": "20 ps"},
-    "schedule": {"steps": 4},
+    "schedule": {"steps": STEPS},
     "diagnostics": {"every": 1},
     "output": {"write": ["series"]},
 }  # fmt: skip
@@ -83,7 +85,7 @@ def counted(counter: Path, folder: Path, ranks: int, **changes: object) -> list[
 @pytest.mark.parametrize("ranks", [2, 3])
 def test_a_step_with_diagnostics_has_few_and_small_collectives(counter, tmp_path, ranks):
     for steps in counted(counter, tmp_path, ranks):
-        assert len(steps) == SCENE["schedule"]["steps"]
+        assert len(steps) == STEPS
         for step in steps:
             print(step)
             assert step["calls"] <= 20 + 2 * step["cycles"], step

@@ -197,17 +197,9 @@ def global_max(comm: MPI.Comm, value: float) -> float:
     return float("nan") if values[1] else float(values[0])
 
 
-def global_sums(comm: MPI.Comm, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the sum over all ranks of each of some numbers, in one reduction. Collective."""
-    return _reduced(comm, values, MPI.SUM)
-
-
-def global_largest(comm: MPI.Comm, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the largest of all ranks of each of some finite numbers, in one reduction. Collective."""
-    return _reduced(comm, values, MPI.MAX)
-
-
-def _reduced(comm: MPI.Comm, values: Mapping[str, float], op: MPI.Op) -> dict[str, float]:
-    numbers = np.array(list(values.values()), dtype=np.float64)
-    comm.Allreduce(MPI.IN_PLACE, numbers, op)
-    return dict(zip(values, numbers.tolist(), strict=True))
+def global_sums_and_largest(
+    comm: MPI.Comm, summed: Mapping[str, float], compared: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the sum over all ranks of each of some numbers, and the largest of others, in one reduction. Collective."""
+    found = _native.sums_and_largest(comm.py2f(), list(summed.values()), list(compared.values()))
+    return dict(zip([*summed, *compared], found, strict=True))

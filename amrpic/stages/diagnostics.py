@@ -13,7 +13,7 @@ from .. import _native
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import global_largest, global_sums
+from ..parallel import global_sums_and_largest
 from ..particles.particles import Particles
 from ..units import VACUUM_PERMITTIVITY, Quantity
 
@@ -64,7 +64,7 @@ def measure(
     have no entry.
     """
     hierarchy = rho.hierarchy
-    sums = global_sums(
+    of_all = global_sums_and_largest(
         hierarchy.comm,
         {
             "particles": len(particles),
@@ -74,18 +74,17 @@ def measure(
             "field_energy": _energy_of_square(efield.own_integral_of_square()),
             "potential_energy": _energy_of_product(rho.own_integral(phi)),
         },
+        {**{f"seconds_{stage}": seconds.get(stage, 0.0) for stage in STAGES}, "memory": peak_memory()},
     )
-    mine = {**{f"seconds_{stage}": seconds.get(stage, 0.0) for stage in STAGES}, "memory": peak_memory()}
     return {
         **{f"cells_{level}": hierarchy.cells(level) for level in range(hierarchy.levels)},
         "boxes": box_count(hierarchy),
-        **sums,
+        **of_all,
         "kinetic_energy": beam.kinetic_energy,
         **{f"momentum_{axis}": beam.momentum[i] for i, axis in enumerate(AXES)},
         **{f"mean_{axis}": beam.mean[i] for i, axis in enumerate(AXES)},
         **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
         **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
-        **global_largest(hierarchy.comm, mine),
     }
 
 

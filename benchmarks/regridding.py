@@ -1,8 +1,9 @@
 """Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks/regridding.py`.
 
-A base of n³ boxes of 24³ cells with two refined levels around ten bunches, as the reference benchmark has them for n = 24;
-then all that is refined moves by one block. No field is held and no message sent: all ranks do the same with all boxes, so one
-process can stand for each of many. Tags are given as boxes; what scans cells grows with a rank's own cells instead.
+A base of n³ boxes with two refined levels around ten bunches, as the reference benchmark has them for n = 24; then all that is
+refined moves by one block. Boxes are of 3³ blocks as there, but these of 2³ cells, not 8³, so that one rank can number all cells.
+No field is held and no message sent: all ranks do the same with all boxes, so one process can stand for each of many. Tags are
+given as boxes; what scans cells grows with a rank's own cells instead.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from amrpic.commands.text_table import columns
 from amrpic.run.memory import run_memory
 from amrpic.stages.regrid import Regridding, regrid
 
-BOX, BLOCK, LEVELS = 24, 8, 3
+BOX, BLOCK, LEVELS = 6, 2, 3
 BASES = (8, 12, 16, 24, 32, 48, 64, 96)  # boxes per axis
 BUNCHES = np.stack(np.meshgrid([0.3, 0.7], [0.35, 0.65], [0.1, 0.5, 0.9], indexing="ij"), axis=-1).reshape(-1, 3)[:10]
 REACH = {1: 0.047, 2: 0.039}  # of a bunch on each level, over the domain's length
@@ -60,7 +61,8 @@ def blocks(base: int, level: int) -> np.ndarray:
 def measure(base: int, runs: int) -> Timed:
     """Return what set-up and a regrid take for a base of so many boxes per axis."""
     cells = base * BOX
-    scene = amrpic.Scene.from_dict({"domain": {"lower": 0, "upper": 1, "cells": cells}, "refinement": {"levels": 2}})
+    refinement = {"levels": 2, "max_grid_size": BOX, "blocking_factor": BLOCK}
+    scene = amrpic.Scene.from_dict({"domain": {"lower": 0, "upper": 1, "cells": cells}, "refinement": refinement})
     settings = Regridding(LEVELS, efficiency=0.7)
     coarse = amrpic.Hierarchy(MPI.COMM_SELF, scene.domain.value, (), BOX, BLOCK)
     before = regrid(coarse, [], settings, [blocks(base, level) for level in (1, 2)])

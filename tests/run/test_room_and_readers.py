@@ -16,7 +16,9 @@ from amrpic.run.plan import Plan
 
 PIC = {
     "domain": {"lower": -1, "upper": 1, "cells": 32},
-    "bunches": [{"distribution": "gaussian", "species": "electron", "sigma": 0.1, "charge": "-1 pC", "particles": 1000}],
+    "bunches": [
+        {"distribution": "gaussian", "species": "electron", "sigma": 0.1, "charge": "-1 pC", "particles": 1000}
+    ],
     "motion": {"kind": "leapfrog", "dt": "1 ps"},
     "schedule": {"steps": 1},
 }
@@ -30,7 +32,9 @@ def test_the_rank_that_needs_most_is_named(comm):
     limits.require_room(comm, scene, boxes, 1000, "here")
     full = comm.size - 1
     held = Share(comm.rank, cells // comm.size, LARGE if comm.rank == full else 0)
-    with pytest.raises(SceneError, match=f"here: rank {full} takes about .* and {LARGE} particles.* are free; use more mach"):
+    with pytest.raises(
+        SceneError, match=f"here: rank {full} takes about .* and {LARGE} particles.* are free; use more mach"
+    ):
         limits.require_room(comm, scene, boxes, LARGE, "here", held)
 
 

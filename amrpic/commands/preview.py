@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import InputError, OutputError
+from ..errors import OutputError
 from ..io import vtkhdf_writer
 from ..mesh.domain import AXES
 from ..mesh.field import Field
@@ -34,7 +34,7 @@ from ..stages.migrate import migrate
 from ..stages.push import random_walk
 from ..stages.tag import cells_of_particles
 from ..units import quantity
-from .arguments import Commands, command, count, scene_arguments, scene_of
+from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks
 from .text_table import columns
 
 FILE = "preview.vtkhdf"
@@ -254,8 +254,7 @@ def add(commands: Commands) -> None:
 
 def _preview(chosen: argparse.Namespace) -> int:
     comm = MPI.COMM_WORLD
-    with together(comm, InputError):
-        scene = scene_of(chosen)
+    scene = scene_on_all_ranks(comm, chosen)
     text = preview(comm, scene, chosen.ranks or comm.size)
     if comm.rank == 0:
         print(text)

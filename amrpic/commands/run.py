@@ -15,7 +15,7 @@ from ..run.log import RunLog
 from ..run.simulation import Simulation
 from ..scene.scene import Scene
 from ..scene.units import to_seconds
-from .arguments import Commands, command, scene_arguments, scene_of
+from .arguments import Commands, command, scene_arguments, scene_on_all_ranks
 
 STOPPED = 75  # "try again later": stopped by a signal or the clock after a checkpoint, to be resubmitted
 
@@ -35,8 +35,8 @@ def add(commands: Commands) -> None:
 
 def _run(chosen: argparse.Namespace) -> int:
     comm = MPI.COMM_WORLD
+    scene = scene_on_all_ranks(comm, chosen)
     with together(comm, InputError):
-        scene = scene_of(chosen)
         walltime = None if chosen.walltime is None else to_seconds(chosen.walltime)
         if walltime is not None and walltime <= 0:
             raise InputError(f"--walltime {chosen.walltime} leaves no time; give more than 0 s")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _native
 from ..errors import InputError
-from ..mesh.boxes import cells_of
+from ..mesh.boxes import cells_of, table_of
 from ..mesh.domain import AXES
 from .checkpoint_manifest import MANIFEST, decode
 from .writer_ranks import one_line
@@ -26,6 +28,11 @@ class Level:
     spacing: Array  # (3,) m
     boxes: Array  # (n, 6): lower x, y, z, upper x, y, z, inclusive
     starts: Array  # (n,): row of the first cell of each box
+
+    @cached_property
+    def table(self) -> _native.BoxTable:
+        """A look-up of the boxes by their cells."""
+        return table_of(self.boxes)
 
 
 class Dump:
@@ -141,10 +148,10 @@ class Dump:
         out = np.zeros(upper - lower + 1, dtype=bool)
         if level + 1 == len(self.levels):
             return out
-        finer = self.levels[level + 1].boxes
-        low, high = np.maximum(finer[:, :3] // 2, lower), np.minimum(finer[:, 3:] // 2, upper)
-        for b in np.flatnonzero(np.all(low <= high, axis=1)):
-            x, y, z = (slice(i, j + 1) for i, j in zip(low[b] - lower, high[b] - lower, strict=True))
+        finer = self.levels[level + 1]
+        for corners in finer.boxes[finer.table.meeting((2 * lower).tolist(), (2 * upper + 1).tolist())]:
+            first, last = np.maximum(corners[:3] // 2, lower) - lower, np.minimum(corners[3:] // 2, upper) - lower
+            x, y, z = (slice(i, j + 1) for i, j in zip(first, last, strict=True))
             out[x, y, z] = True
         return out
 

@@ -87,7 +87,9 @@ def _by_id(comm: MPI.Comm, particles: Particles, columns: Mapping[str, Array]) -
     order = np.argsort(id, kind="stable")
     more = [column.view(np.float64) for column in columns.values()]
     rows = np.column_stack([position, momentum, weight, id.view(np.float64), *more])[order]
-    end = comm.allreduce(int(id.max(initial=-1)), MPI.MAX) + 1
+    last = np.array(id.max(initial=-1), dtype=np.int64)
+    comm.Allreduce(MPI.IN_PLACE, last, MPI.MAX)
+    end = int(last) + 1
     edges = np.searchsorted(id[order], [end * rank // comm.size for rank in range(comm.size + 1)])
     sent, received = np.diff(edges), np.empty(comm.size, dtype=edges.dtype)
     comm.Alltoall(sent, received)

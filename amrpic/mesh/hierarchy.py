@@ -11,6 +11,7 @@ from mpi4py import MPI
 from .. import _native
 from ..errors import HierarchyError
 from ..parallel import own, world_by_default
+from .boxes import cells_of
 from .domain import BOUNDARIES, Domain
 
 
@@ -38,7 +39,8 @@ class Hierarchy:
     an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
     if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
 
-    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
+    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face. Levels with
+    the boxes of an `earlier` hierarchy share what is known of them, and are not checked again.
 
     `comm` may be left out: all ranks. Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not
     aligned so, or do not nest.
@@ -53,13 +55,15 @@ class Hierarchy:
         max_grid_size: int = 24,
         blocking_factor: int = 8,
         weights: Sequence[np.ndarray] | None = None,
+        earlier: Hierarchy | None = None,
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
         loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
         self.comm = own(comm)
+        shared = None if earlier is None else earlier.native
         try:
-            self.native = _native.Hierarchy(
+            self.native: _native.Hierarchy = _native.Hierarchy(
                 self.comm.py2f(),
                 domain.lower,
                 domain.upper,
@@ -69,6 +73,7 @@ class Hierarchy:
                 max_grid_size,
                 blocking_factor,
                 loads,
+                shared,
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
@@ -108,12 +113,18 @@ class Hierarchy:
         first, last = self.native.local_boxes(self._checked(level))
         return range(first, last)
 
+    @property
+    def own_cells(self) -> int:
+        """Number of this rank's cells of all levels."""
+        own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))
+        return sum(int(cells_of(boxes[local.start : local.stop]).sum()) for boxes, local in own)
+
     def same_mesh(self, other: Hierarchy) -> bool:
         """Whether both have the same domain and boxes; owners may differ."""
         return (
             self.domain == other.domain
             and self.levels == other.levels
-            and all(np.array_equal(self.boxes(l), other.boxes(l)) for l in range(self.levels))
+            and all(self.native.same_boxes(other.native, l) for l in range(self.levels))
         )
 
     def _checked(self, level: int) -> int:

@@ -190,7 +190,12 @@ class Particles:
 
     def total_charge(self, comm: MPI.Comm) -> float:
         """Charge on all ranks in C. Collective."""
-        return global_sum(comm, float((self.weight * self.charge).sum()))
+        return global_sum(comm, self.own_charge)
+
+    @property
+    def own_charge(self) -> float:
+        """Charge of this rank's particles in C."""
+        return float((self.weight * self.charge).sum())
 
 
 def concatenate(parts: Sequence[Particles]) -> Particles:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from .. import isa
 from ..errors import OutputError, SolverError
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
-from ..io.time_series import Series
+from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..parallel import together
@@ -87,6 +87,7 @@ class Recorder:
     ) -> None:
         if kind is not None and issubclass(kind, SolverError):  # on all ranks, and of interest most of all
             self._write_history(self._step + 1, self._next)
+            settle(self._comm, self._all_series())
         for series in (self._series, self._residuals):
             if series is not None:
                 series.close()
@@ -99,11 +100,13 @@ class Recorder:
         with self._clock("output"):
             row = self._row(state)
             if self._series is not None:
-                self._series.append(row)
+                self._series.add(row)
             self._state_is(state)
             self._write_history(state.step, state.time)
             if self._beam is not None:
                 self._beam.record(state)
+            if series := self._all_series():
+                settle(self._comm, series)
             self._log.step(row)
             if row["particles"] == 0 and row["lost_particles"] > 0:
                 self._log.warn(
@@ -130,6 +133,7 @@ class Recorder:
         """Write what the end of a run leaves; the momenta are to be of its time."""
         if self._beam is not None:
             self._beam.record_now(state)
+            settle(self._comm, self._beam.series)
         if self._wanted & {"fields", "pictures"}:
             self._write_fields(state)
         self._write_particles(state)
@@ -143,6 +147,10 @@ class Recorder:
         self._write_records(state)
         self._write_checkpoint(state)
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
+
+    def _all_series(self) -> list[Series]:
+        own = [series for series in (self._series, self._residuals) if series is not None]
+        return [*own, *(self._beam.series if self._beam is not None else [])]
 
     def _state_is(self, state: State) -> None:
         self._step, self._next = state.step, state.time + state.flight
@@ -170,7 +178,7 @@ class Recorder:
     def _write_history(self, step: int, now: float) -> None:
         solves = enumerate(self._plan.take_solves())
         if self._residuals is not None:
-            self._residuals.append(
+            self._residuals.add(
                 *(
                     {"step": step, "time": now, "solve": solve, "cycle": cycle, "residual": residual}
                     for solve, report in solves

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..io.field_reader import Dump
+from ..mesh.boxes import rows_of
 
 Array = NDArray[Any]
 
@@ -143,13 +144,11 @@ def line_values(dump: Dump, name: str, line: Line, level: int | None = None) -> 
         description = dump.levels[number]
         shape = np.rint((dump.upper - dump.lower) / description.spacing).astype(np.int64)
         index = np.clip(np.floor((points - dump.lower) / description.spacing).astype(np.int64), 0, shape - 1)
-        first, last = index.min(axis=0), index.max(axis=0)
-        near = np.all((description.boxes[:, :3] <= last) & (first <= description.boxes[:, 3:]), axis=1)
-        for box in np.flatnonzero(near):
-            lower, upper = description.boxes[box, :3], description.boxes[box, 3:]
-            inside = np.all((index >= lower) & (index <= upper), axis=1)
-            if inside.any():
-                out[inside] = dump.values(name, number, box)[tuple((index[inside] - lower).T)]
+        holding = description.table.find(rows_of(index))
+        for box in np.unique(holding[holding >= 0]):
+            inside = np.flatnonzero(holding == box)
+            lower = description.boxes[box, :3]
+            out[inside] = dump.values(name, number, box)[tuple((index[inside] - lower).T)]
     return out
 
 

@@ -77,6 +77,23 @@ class Communicator {
   void largest_each(List& values) const {
     reduce(values.data(), values.size(), MPI_MAX);
   }
+  /// Each place of a list joined with those of the other ranks by `add`, in the order of ranks; the same on all ranks.
+  template <class T>
+  void add_each(std::vector<T>& values) const {
+    static MPI_Op const adding = [] {
+      MPI_Op made;
+      auto const add = [](void* of_lower, void* of_higher, int* count, MPI_Datatype*) {
+        for (int i = 0; i < *count; ++i) {
+          T sum = static_cast<T*>(of_lower)[i];
+          sum.add(static_cast<T*>(of_higher)[i]);
+          static_cast<T*>(of_higher)[i] = sum;
+        }
+      };
+      MPI_Op_create(add, false, &made);
+      return made;
+    }();
+    reduce(values.data(), values.size(), adding);
+  }
   /// The largest value and the lowest rank that holds it.
   std::pair<Real, int> largest_and_rank(Real value) const;
 

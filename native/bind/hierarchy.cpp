@@ -22,7 +22,7 @@ void bind_hierarchy(nb::module_& m) {
           "__init__",
           [](Hierarchy* self, int comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
              std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor,
-             std::vector<bind::Reals> weights) {
+             std::vector<bind::Reals> weights, Hierarchy const* earlier) {
             Domain domain{lower, upper, cells, {}};
             for (int face = 0; face < 6; ++face) domain.boundary[face / 2][face % 2] = Boundary(boundary[face]);
             std::vector<std::vector<Box>> boxes;
@@ -30,11 +30,11 @@ void bind_hierarchy(nb::module_& m) {
             std::vector<std::vector<Real>> loads;
             for (auto const& w : weights) loads.emplace_back(w.data(), w.data() + w.size());
             nb::gil_scoped_release release;
-            new (self)
-                Hierarchy(Communicator(MPI_Comm_f2c(comm)), domain, boxes, max_grid_size, blocking_factor, loads);
+            new (self) Hierarchy(Communicator(MPI_Comm_f2c(comm)), domain, boxes, max_grid_size, blocking_factor, loads,
+                                 earlier);
           },
           "comm"_a, "lower"_a, "upper"_a, "cells"_a, "boundary"_a, "levels"_a, "max_grid_size"_a, "blocking_factor"_a,
-          "weights"_a)
+          "weights"_a, "earlier"_a.none())
       .def_prop_ro("levels", &Hierarchy::level_count)
       .def(
           "boxes", [](Hierarchy const& h, int level) { return bind::from_boxes(h.level(level).boxes()); }, "level"_a)
@@ -46,6 +46,16 @@ void bind_hierarchy(nb::module_& m) {
             return bind::to_array(std::move(out));
           },
           "level"_a)
+      .def(
+          "metadata_bytes", [](Hierarchy const& h, int level) { return h.level(level).share_table()->bytes(); },
+          "level"_a, "What the boxes of a level take on each rank, which levels with the same boxes share.")
+      .def(
+          "same_boxes",
+          [](Hierarchy const& h, Hierarchy const& other, int level) {
+            Level const &a = h.level(level), &b = other.level(level);
+            return a.share_table() == b.share_table() || a.boxes() == b.boxes();
+          },
+          "other"_a, "level"_a)
       .def(
           "local_boxes",
           [](Hierarchy const& h, int level) {

@@ -263,7 +263,7 @@ void bind_particle(nb::module_& m) {
   m.def(
       "amplitude_quantiles",
       [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts,
+         OnePerParticle mass, ConstColumns later, Real share, std::vector<BeamParts> const& layers,
          std::vector<std::array<Real, 6>> const& centres, std::vector<std::array<Real3, 3>> const& forms,
          std::vector<std::array<Real, amplitude_kinds>> const& typical, std::vector<Real> const& fractions) {
         nb::gil_scoped_release release;
@@ -272,9 +272,9 @@ void bind_particle(nb::module_& m) {
         std::vector<AmplitudeFrame> frames;
         for (std::size_t part = 0; part < centres.size(); ++part)
           frames.push_back({centres[part], forms[part], typical[part]});
-        return amplitude_quantiles(Communicator(MPI_Comm_f2c(comm)), beam, parts, frames, fractions);
+        return amplitude_quantiles(Communicator(MPI_Comm_f2c(comm)), beam, layers, frames, fractions);
       },
-      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a, "centres"_a,
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "layers"_a, "centres"_a,
       "forms"_a, "typical"_a, "fractions"_a);
 
   m.def(

@@ -4,6 +4,7 @@
 #include <limits>
 #include <numeric>
 #include <string>
+#include <utility>
 
 #include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
@@ -83,8 +84,7 @@ void check_disjoint(int number, Level const& level) {
 void check_nesting(int number, Level const& level, Level const& coarser) {
   for (int b = 0; b < level.box_count(); ++b) {
     Box const region = coarser.cut_at_walls(level.box(b).coarsen(refinement_ratio).grow(1));
-    GlobalIndex inside = 0;
-    coarser.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { inside += part.cells(); });
+    GlobalIndex const inside = coarser.cells_in(region);
     if (inside != region.cells())
       throw HierarchyError(where(number, level.box(b)) + " does not nest: level " + std::to_string(number - 1) +
                            " must surround it by at least one cell, corners included, but lacks " +
@@ -128,6 +128,15 @@ void check_domain(Domain const& domain, int max_grid_size, int blocking_factor) 
   }
 }
 
+/// The boxes of a level of an earlier hierarchy, if there is such a level and they are the given ones.
+std::shared_ptr<BoxTable const> same_boxes(Hierarchy const* earlier, std::size_t l, Box const& domain,
+                                           std::array<bool, 3> const& periodic, std::vector<Box> const& boxes) {
+  if (!earlier || l >= std::size_t(earlier->level_count())) return nullptr;
+  Level const& level = earlier->level(int(l));
+  bool const same = level.domain() == domain && level.periodic() == periodic && level.boxes() == boxes;
+  return same ? level.share_table() : nullptr;
+}
+
 }  // namespace
 
 void sort_along_curve(std::vector<Box>& boxes) {
@@ -150,13 +159,15 @@ std::vector<int> distribute(std::vector<Real> const& weights, int ranks) {
 }
 
 Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
-                     int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights)
+                     int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights,
+                     Hierarchy const* earlier)
     : comm_(comm), domain_(domain), max_grid_size_(max_grid_size), blocking_factor_(blocking_factor) {
   check_domain(domain, max_grid_size, blocking_factor);
   int const rank = comm.rank(), ranks = comm.ranks();
   std::array<bool, 3> const periodic{domain.periodic(0), domain.periodic(1), domain.periodic(2)};
   Box region{{0, 0, 0}, {domain.cells[0] - 1, domain.cells[1] - 1, domain.cells[2] - 1}};
   Real3 spacing{domain.spacing(0), domain.spacing(1), domain.spacing(2)};
+  bool is_known = true;  // the level before, and with it that this one nests if it is known too
 
   for (std::size_t l = 0; l <= refined.size(); ++l) {
     if (l > 0) {
@@ -177,25 +188,27 @@ Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector
       boxes.insert(boxes.end(), pieces.begin(), pieces.end());
     }
     sort_along_curve(boxes);
-    std::vector<Real> load(boxes.size());
-    std::transform(boxes.begin(), boxes.end(), load.begin(), [](Box const& b) { return Real(b.cells()); });
+    auto table = same_boxes(earlier, l, region, periodic, boxes);
+    bool const was_known = std::exchange(is_known, table != nullptr);
+    if (!table) table = std::make_shared<BoxTable const>(std::move(boxes));
+    std::vector<Real> load(std::size_t(table->count()));
+    std::transform(table->boxes().begin(), table->boxes().end(), load.begin(),
+                   [](Box const& b) { return Real(b.cells()); });
     if (l < weights.size() && !weights[l].empty()) {
-      if (weights[l].size() != boxes.size())
-        throw HierarchyError("level " + std::to_string(l) + " has " + std::to_string(boxes.size()) + " boxes but " +
+      if (weights[l].size() != load.size())
+        throw HierarchyError("level " + std::to_string(l) + " has " + std::to_string(load.size()) + " boxes but " +
                              std::to_string(weights[l].size()) + " weights were given; give one per box");
       load = weights[l];
     }
     auto level =
-        std::make_shared<Level const>(region, periodic, spacing, std::move(boxes), distribute(load, ranks), rank);
+        std::make_shared<Level const>(region, periodic, spacing, std::move(table), distribute(load, ranks), rank);
     for (int r = 0; r < ranks; ++r)
       if (level->first_cell(r + 1) - level->first_cell(r) > std::numeric_limits<LocalIndex>::max())
         throw HierarchyError("level " + std::to_string(l) + " puts " +
                              std::to_string(level->first_cell(r + 1) - level->first_cell(r)) + " cells on rank " +
                              std::to_string(r) + ", more than 32-bit numbers count; use more ranks");
-    if (l > 0) {
-      check_disjoint(int(l), *level);
-      check_nesting(int(l), *level, *levels_.back());
-    }
+    if (l > 0 && !is_known) check_disjoint(int(l), *level);
+    if (l > 0 && !(is_known && was_known)) check_nesting(int(l), *level, *levels_.back());
     levels_.push_back(std::move(level));
   }
 }

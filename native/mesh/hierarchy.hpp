@@ -17,10 +17,12 @@ class Hierarchy {
   /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself); `weights[l]`, if
   /// given, holds one positive number per box of level l as it comes out of the cutting. Boxes start on multiples of
   /// the blocking factor and have a multiple of it, except that those at the domain's upper faces may be shorter.
+  /// Levels with the boxes of an `earlier` hierarchy on the same domain share them, and are not checked again.
   /// Throws HierarchyError, the same on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do
   /// not nest.
   Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
-            int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
+            int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights = {},
+            Hierarchy const* earlier = nullptr);
 
   Communicator const& comm() const { return comm_; }
   Domain const& domain() const { return domain_; }

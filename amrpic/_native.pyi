@@ -319,10 +319,29 @@ class ParticleMesh:
     @property
     def slots(self) -> int: ...
 
+class RemoteBricks:
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        """None."""
+
+    @property
+    def levels(self) -> NDArray[numpy.int32]:
+        """The level of each."""
+
+    @property
+    def cells(self) -> NDArray[numpy.int32]:
+        """Those of each, in the indices of its level."""
+
+    def __len__(self) -> int: ...
+
+END_OF_CURVE: int = 9223372036854775807
+
+PLACES_PER_BRICK: int = 2097152
+
 class Migration:
     def __init__(
         self,
         mesh: ParticleMesh,
+        servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
@@ -339,8 +358,10 @@ class Migration:
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
-        starts: NDArray[numpy.int64],
     ) -> bool: ...
+    @property
+    def starts(self) -> NDArray[numpy.int64]: ...
+    def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
 
 class Hole(enum.Enum):
     ellipse = 0
@@ -366,7 +387,8 @@ def crossings(
     start_offset: Sequence[float],
     end_offset: Sequence[float],
 ) -> tuple: ...
-def count_per_box(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> list: ...
+def count_per_brick(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> tuple:
+    """Places on the curve, ascending, and numbers of particles."""
 
 class Shape(enum.Enum):
     nearest_grid_point = 0
@@ -377,6 +399,7 @@ class Shape(enum.Enum):
 
 def deposit(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     position: NDArray[numpy.float64],
@@ -389,6 +412,7 @@ def deposit(
 ) -> None: ...
 def gather(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,
@@ -407,6 +431,7 @@ class Pusher(enum.Enum):
 
 def push(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,

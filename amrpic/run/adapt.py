@@ -1,13 +1,12 @@
-"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes distributed by work."""
+"""The mesh follows the particles: the base level at first, refined as the scene's rule asks."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..mesh.hierarchy import Hierarchy
-from ..stages.migrate import particles_per_box
-from ..stages.regrid import Regridding, balance, regrid
-from ..stages.tag import Tags, cells_of_particles, tagged
+from ..stages.regrid import Regridding, regrid
+from ..stages.tag import Tags, tagged, tagged_particles
 from .limits import require_room
 from .memory import base_boxes
 from .particle_fields import ParticleFields
@@ -45,14 +44,13 @@ def outrun(fields: ParticleFields) -> bool:
         return False
     with plan.clock("regrid"):
         tags = tags_of(refinement.rule, fields)
-        where = cells_of_particles(fields.particles, fields.hierarchy)[: refinement.levels]
-        slow = sum(int(np.count_nonzero(tags[level][cells])) for level, (_, cells) in enumerate(where))
+        slow = tagged_particles(tags[: refinement.levels], fields.particles_per_cell)
         behind, all_ = plan.comm.allreduce(np.array([slow, len(fields.particles)]))
     return bool(behind > refinement.regrid_outrun * all_)
 
 
 def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
-    """Return the hierarchy that the rule asks for, its boxes shared out by cells and particles. Collective."""
+    """Return the hierarchy that the rule asks for. Collective."""
     plan, hierarchy, refinement = fields.plan, fields.hierarchy, fields.plan.scene.refinement
     rule, static = apart(refinement.rule)
     tags = [] if rule is None else tags_of(rule, fields)
@@ -65,7 +63,7 @@ def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
         return hierarchy
     boxes = [made.boxes(level) for level in range(made.levels)]
     require_room(plan.comm, plan.scene, boxes, fields.particles.global_count(plan.comm), "the refined hierarchy")
-    return balance(made, particles_per_box(fields.particles, made))
+    return made
 
 
 def _remark_on_tags(tags: Tags, fields: ParticleFields) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..particles.particles import Particles, Sorting
+from ..particles.particles import Particles
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.encounters import Encounters, Flights
-from ..stages.migrate import migrate_without
+from ..stages.migrate import migrate_without, shared_out_by_work
 from .leapfrog import kick
 from .plan import Plan
 from .records import Record
@@ -48,7 +48,9 @@ def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Par
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
-    particles, outside = migrate_without(moved, hierarchy, stopped.flight)
+    sorting = state.particles.sorted_on(hierarchy)
+    servers = sorting.servers if sorting.even else shared_out_by_work(moved, hierarchy)
+    particles, outside = migrate_without(moved, hierarchy, stopped.flight, servers)
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:
         lost = lost.joined(flights.exits(outside))
@@ -83,8 +85,8 @@ def _momenta(state: State, plan: Plan, chosen: np.ndarray) -> np.ndarray:
         return few.momentum
     if staggered.between is not None:
         return staggered.between[chosen]
-    starts = np.searchsorted(chosen, state.particles.sorted_on(state.hierarchy).starts)
-    few = Particles(*few.arrays, few.species, Sorting(state.hierarchy, starts))
+    sorting = state.particles.sorted_on(state.hierarchy)
+    few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen, sorting.starts)))
     return kick(state.solution, few, staggered, plan).momentum
 
 

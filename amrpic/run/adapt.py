@@ -6,7 +6,7 @@ import numpy as np
 
 from ..mesh.hierarchy import Hierarchy
 from ..stages.regrid import Regridding, regrid
-from ..stages.tag import Tags, tagged, tagged_particles
+from ..stages.tag import Tags, living, tagged
 from .limits import require_room
 from .memory import base_boxes
 from .particle_fields import ParticleFields
@@ -44,7 +44,8 @@ def outrun(fields: ParticleFields) -> bool:
         return False
     with plan.clock("regrid"):
         tags = tags_of(refinement.rule, fields)
-        slow = tagged_particles(tags[: refinement.levels], fields.particles_per_cell)
+        numbers = living(fields.particles_per_cell)[: refinement.levels]
+        slow = int(sum(held[tags[level]].sum() for level, held in enumerate(numbers)))
         behind, all_ = plan.comm.allreduce(np.array([slow, len(fields.particles)]))
     return bool(behind > refinement.regrid_outrun * all_)
 

@@ -25,10 +25,10 @@ def migrate(
 ) -> tuple[Particles, Particles]:
     """Return this rank's particles, and those that it lost because they lie outside the domain. Collective.
 
-    Positions are wrapped along periodic axes. Each particle goes to its server, and is sorted there by slot and brick of 8³ cells
-    (`Sorting`). Those of a brick keep their order: by the rank and the place where they were, and behind them those that came
-    through a periodic face. Lost particles stay as they are, on the rank that held them. `servers` as in `Sorting`; by default
-    equal parts of these particles. Raises ParticleError on all ranks if a position or momentum is not finite.
+    Positions are wrapped along periodic axes. Each particle goes to its server, and is sorted there by slot and brick of 8³
+    cells (`Sorting`). Those of a brick keep their order: by the rank and the place where they were, and behind them those that
+    came through a periodic face. Lost particles stay as they are, on the rank that held them. `servers` as in `Sorting`; by
+    default equal parts of these particles. Raises ParticleError on all ranks if a position or momentum is not finite.
     """
     arrived, lost = migrate_without(particles, hierarchy, NONE, servers)
     return arrived, particles.select(lost)
@@ -66,8 +66,8 @@ def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray
 def weights(particles: Particles, hierarchy: Hierarchy, brick_cost: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return the places on the curve of the bricks that hold particles of this rank, int64 (n,), and their work, int64 (n,).
 
-    The particles may be sorted on another hierarchy, or not at all; those outside the domain do not count. A brick costs as much
-    as `brick_cost` particles, on each rank that has any.
+    The particles may be sorted on another hierarchy, or not at all; those outside the domain do not count. A brick costs as
+    much as `brick_cost` particles, on each rank that has any.
     """
     if hierarchy.comm.size == 1:
         return NONE, NONE

@@ -67,14 +67,14 @@ def count(particles: Particles, hierarchy: Hierarchy, chosen: np.ndarray | None 
     return numbers
 
 
-def tagged_particles(tags: Tags, numbers: Field) -> int:
-    """Return how many macroparticles lie in tagged cells of this rank on the level on which they live; `numbers` by `count`."""
-    out = 0.0
-    for level, of_level in enumerate(tags):
+def living(numbers: Field) -> list[np.ndarray]:
+    """Return how many macroparticles live in each cell of this rank, per level, in covered ones none; `numbers` by `count`."""
+    out = []
+    for level in range(numbers.hierarchy.levels):
         patches = [patch for patch in numbers.patches if patch.level == level]
-        living = [np.where(patch.covered, 0, patch.data).ravel(order="F") for patch in patches]
-        out += np.concatenate(living)[of_level].sum() if living else 0
-    return int(out)
+        cells = [np.where(patch.covered, 0, patch.data).ravel(order="F") for patch in patches]
+        out.append(np.concatenate([np.zeros(0), *cells]))
+    return out
 
 
 def between(numbers: Field, at_least: float, at_most: float) -> Tags:

@@ -47,11 +47,12 @@ def place(bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan)
         left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
         momentum = window.to_laboratory(made.momentum[outside])
         lost = lost.joined(_record(left, momentum, made, np.zeros(len(left)), causes(scene)))
+        del made, here  # else they live beside what follows
     particles = portions[0]
     if len(portions) > 1:
-        together = concatenate(portions)
+        particles = concatenate(portions)
         portions.clear()
-        particles, _ = migrate(together, base, servers)
+        particles, _ = migrate(particles, base, servers)
     return particles, lost, Record.empty(species, [screen.name for screen in scene.screens])
 
 

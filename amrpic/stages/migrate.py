@@ -16,8 +16,8 @@ from ..parallel import raise_together
 from ..particles.particles import Particles, Sorting
 
 NONE = np.zeros(0, dtype=np.int64)
-BRICK_COST = 64  # particles that take as long as a brick for itself, about: its part of the field is brought to it
-UNEVEN, FEW = 1.1, 4096  # the most particles over their mean, and how many more than that are worth no work
+BRICK_COST = 64  # particles that take as long as a brick by itself, about: its part of the field is brought to it
+UNEVEN, FEW = 1.1, 4096  # the most work over its mean, and how many particles more than that do not matter
 
 
 def migrate(
@@ -49,11 +49,12 @@ def migrate_without(
     plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
     here = Particles.allocate(plan.arriving, particles.species, weight)
     finite = plan.finish(*here.arrays)
-    bad_and_most = np.array([not finite, len(here)], dtype=np.int64)
+    work = len(here) + BRICK_COST * plan.bricks
+    bad_and_most = np.array([not finite, work], dtype=np.int64)
     comm.Allreduce(MPI.IN_PLACE, bad_and_most, MPI.MAX)
     if bad_and_most[0]:
         _refuse_not_finite(particles, comm)
-    even = bad_and_most[1] <= UNEVEN * comm.allreduce(len(here)) / comm.size + FEW
+    even = bad_and_most[1] <= UNEVEN * comm.allreduce(work) / comm.size + FEW
     sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers, bool(even))
     return Particles(*here.arrays, here.species, sorting), plan.lost
 

@@ -130,6 +130,7 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro(
           "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
       .def_prop_ro("arriving", &Migration::arriving)
+      .def_prop_ro("bricks", &Migration::bricks)
       .def(
           "finish",
           [](Migration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {

@@ -28,6 +28,7 @@ class Migration {
 
   // after that:
   std::vector<std::int64_t> const& starts() const { return places_.slots; }  ///< of each slot, and of one more
+  std::int64_t bricks() const { return places_.bricks; }                     ///< how many hold particles
   std::vector<Home> const& remote() const { return places_.remote; }        ///< bricks of the last slots
 
  private:

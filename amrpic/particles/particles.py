@@ -30,7 +30,6 @@ class Sorting:
     starts: np.ndarray  # where the particles of each slot start; one value more
     remote: _native.RemoteBricks  # of the last slots
     servers: np.ndarray  # where each rank's part of the curve of bricks starts, int64 (ranks + 1,)
-    even: bool = True  # whether all ranks have about equally much to do with them
 
     @property
     def levels(self) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..particles.particles import Particles, concatenate
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.encounters import Encounters, Flights
-from ..stages.migrate import migrate, migrate_without, share_out, shared_out_by_work, weights
+from ..stages.migrate import migrate, migrate_without, share_out, weights
 from .leapfrog import kick
 from .plan import Plan
 from .records import Record
@@ -80,9 +80,8 @@ def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Par
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
-    sorting = state.particles.sorted_on(hierarchy)
-    servers = sorting.servers if sorting.even else shared_out_by_work(moved, hierarchy)
-    particles, outside = migrate_without(moved, hierarchy, stopped.flight, servers)
+    servers = state.particles.sorted_on(hierarchy).servers
+    particles, outside = migrate_without(moved, hierarchy, stopped.flight, servers, evenly=True)
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:
         lost = lost.joined(flights.exits(outside))

@@ -17,6 +17,7 @@ from ..particles.particles import Particles, Sorting
 
 NONE = np.zeros(0, dtype=np.int64)
 BRICK_COST = 64  # particles that take as long as a brick by itself, about: its part of the field is brought to it
+MOST_SUMMED = 2**13  # numbers in a sum over ranks
 UNEVEN, FEW = 1.1, 4096  # the most work over its mean, and how many particles more than that do not matter
 
 
@@ -35,11 +36,15 @@ def migrate(
 
 
 def migrate_without(
-    particles: Particles, hierarchy: Hierarchy, gone: np.ndarray, servers: np.ndarray | None = None
+    particles: Particles,
+    hierarchy: Hierarchy,
+    gone: np.ndarray,
+    servers: np.ndarray | None = None,
+    evenly: bool = False,
 ) -> tuple[Particles, np.ndarray]:
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices.
 
-    Collective.
+    `evenly`: servers of unequal work are replaced. Collective.
     """
     comm = hierarchy.comm
     if servers is None:
@@ -47,16 +52,20 @@ def migrate_without(
     weight = particles.one_weight(comm)
     given = particles if weight is not None else particles.with_own_weights()
     plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
+    if evenly and _is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
+        servers = shared_out_by_work(particles, hierarchy)
+        plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
     here = Particles.allocate(plan.arriving, particles.species, weight)
     finite = plan.finish(*here.arrays)
-    work = len(here) + BRICK_COST * plan.bricks
-    bad_and_most = np.array([not finite, work], dtype=np.int64)
-    comm.Allreduce(MPI.IN_PLACE, bad_and_most, MPI.MAX)
-    if bad_and_most[0]:
+    if not comm.allreduce(finite, MPI.LAND):
         _refuse_not_finite(particles, comm)
-    even = bad_and_most[1] <= UNEVEN * comm.allreduce(work) / comm.size + FEW
-    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers, bool(even))
+    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
     return Particles(*here.arrays, here.species, sorting), plan.lost
+
+
+def _is_uneven(comm: MPI.Comm, work: int) -> bool:
+    """Return whether a rank has too much of the work of all, in particles. Collective."""
+    return bool(comm.allreduce(work, MPI.MAX) > UNEVEN * comm.allreduce(work) / comm.size + FEW)
 
 
 def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:
@@ -87,9 +96,10 @@ def share_out(comm: MPI.Comm, places: np.ndarray, weights: np.ndarray) -> np.nda
     before = np.concatenate([[0], np.cumsum(heavy)])
     wanted = comm.allreduce(int(before[-1])) * np.arange(1, comm.size) // comm.size
     starts = np.zeros(comm.size - 1, dtype=np.int64)
-    # Three binary digits at a time: the last place before which there is not more than wanted.
-    for shift in range(60, -1, -3) if comm.size > 1 else ():
-        tried = starts[:, None] + (np.arange(1, 8) << shift)
+    # So many binary digits at a time, the last place before which there is not more than wanted: few sums of few numbers.
+    digits = next(d for d in (9, 7, 3, 1) if d == 1 or (2**d - 1) * comm.size <= MOST_SUMMED)
+    for shift in range(63 - digits, -1, -digits) if comm.size > 1 else ():
+        tried = starts[:, None] + (np.arange(1, 2**digits) << shift)
         brick = np.maximum(np.searchsorted(bricks, tried, side="right") - 1, 0)
         below = np.zeros_like(tried)
         if len(bricks) > 0:

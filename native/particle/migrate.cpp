@@ -31,6 +31,11 @@ Migration::Migration(ParticleMesh& mesh, Servers servers, ParticleView const& pa
   require_few(arriving(), comm);
 }
 
+std::int64_t Migration::bricks() const {
+  auto const& staying = destinations_.per_brick;
+  return std::count_if(staying.begin(), staying.end(), [](std::int64_t count) { return count > 0; });
+}
+
 bool Migration::finish(ParticleView const& out) {
   exchange(mesh_.hierarchy().comm(), leaving_, arrivals_);
   places_ = sort(mesh_, destinations_, arrivals_);

@@ -20,6 +20,7 @@ class Migration {
 
   std::vector<std::int64_t> const& lost() const { return destinations_.lost; }  ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + arrivals_.count(); }        ///< how many live here afterwards
+  std::int64_t bricks() const;  ///< how many hold particles that were on this rank
 
   /// Write the particles of this rank into `out`, which has room for `arriving()`, in the order of `Places`. False if a
   /// position or momentum of those that were on this rank is not finite; then `out` means nothing. Equal weights are not
@@ -28,7 +29,6 @@ class Migration {
 
   // after that:
   std::vector<std::int64_t> const& starts() const { return places_.slots; }  ///< of each slot, and of one more
-  std::int64_t bricks() const { return places_.bricks; }                     ///< how many hold particles
   std::vector<Home> const& remote() const { return places_.remote; }        ///< bricks of the last slots
 
  private:

@@ -33,7 +33,6 @@ Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticle
   for (LocalIndex brick : brick_of) ++next[std::size_t(brick)];
 
   Places out;
-  out.bricks = std::count_if(next.begin(), next.end(), [](std::int64_t count) { return count > 0; });
   std::int64_t all = 0;
   for (LocalIndex brick = 0; brick < own; ++brick) all += std::exchange(next[std::size_t(brick)], all);
   for (std::size_t s = 0; s < mesh.boxes().size(); ++s)

@@ -18,7 +18,6 @@ struct Places {
   std::vector<Move> movers, wrapped;  ///< in order of where they were
   std::vector<LocalIndex> arrivals;   ///< of each particle
   std::vector<Home> remote;           ///< remote bricks with particles, ascending: the slots behind those of own boxes
-  std::int64_t bricks = 0;            ///< how many hold particles
   std::vector<std::int64_t> slots;    ///< where each slot starts, and where the last one ends
 };
 

@@ -7,6 +7,7 @@ An ordinary run of the tests takes fewer particles and steps; with AMRPIC_TEST_L
 from __future__ import annotations
 
 import os
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ MANY = 2_000_000
 PARTICLES = MANY if LONG else 200_000
 BYTES = 8 * 7  # of a particle: position, momentum, id
 POINTS = np.random.default_rng(3).uniform(-0.02, 0.02, (500, 3))
-DRIFT = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
+TEN_BUNCHES = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
 
 
 def one_box(levels: int, particles: int = PARTICLES) -> Scene:
@@ -121,3 +122,28 @@ def test_no_rank_holds_more_than_twice_its_share_while_particles_are_placed(comm
     assert comm.allreduce(len(particles), MPI.MAX) <= 1.05 * MANY / comm.size
     held = comm.allreduce((share + resident("VmHWM") - before) / share, MPI.MAX)
     assert held <= 2.0
+
+
+@pytest.mark.mpi(ranks=(4,), timeout=3000 if LONG else 240)
+def test_drifting_bunches_stay_shared_out_in_the_same_memory(comm):
+    """Ten bunches cross the domain, the mesh follows, and particles change their servers as often as it takes."""
+    steps, settled = (200, 50) if LONG else (16, 8)
+    given = tomllib.loads(TEN_BUNCHES.read_text())
+    given["domain"] |= {"cells": 64, "lower": [-0.15, -0.15, -0.05], "upper": [0.15, 0.15, 0.25]}
+    given["bunches"][0] |= {"particles": 20_000, "species": "electron", "charge": "-1 pC", "momentum": [0, 0, 3e-22]}
+    given["refinement"] |= {"levels": 2, "regrid_every": 4}
+    given["motion"] = {"kind": "leapfrog", "dt": 0.6e-9 / steps}  # 0.13 m along z
+    given["schedule"] = {"steps": steps}
+    scene = Scene.from_dict(given)
+    plan = Plan(comm, scene)
+    state = begin(plan)
+    work, servers, meshes, held = [], set(), set(), {}
+    for step in range(1, steps + 1):
+        state = advance(state, plan)
+        work.append(imbalance(state, BRICK_COST))
+        servers.add(state.particles.sorted_on(state.hierarchy).servers.tobytes())
+        meshes.add(state.hierarchy)
+        held[step] = resident("VmRSS")
+    assert max(work) < 1.3, work
+    assert len(servers) > 1 and len(meshes) > 1
+    assert comm.allreduce(held[steps] / held[settled], MPI.MAX) < 1.1

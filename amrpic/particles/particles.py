@@ -35,7 +35,7 @@ class Sorting:
     def levels(self) -> np.ndarray:
         """Level of each slot."""
         own = [np.full(len(self.hierarchy.local_boxes(level)), level) for level in range(self.hierarchy.levels)]
-        return np.concatenate([*own, self.remote.levels])
+        return np.concatenate([*own, self.remote.bricks[:, 0]])
 
 
 @dataclass(frozen=True, eq=False)

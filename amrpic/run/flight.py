@@ -21,7 +21,7 @@ from .plan import Plan
 from .records import Record
 from .state import State
 
-PORTION = 2**17  # particles of a rank that it sends to their servers at a time
+PORTION = 2**15  # particles of a rank that it sends to their servers at a time
 NONE = np.zeros(0, dtype=np.int64)
 NOTHING = Encounters(NONE, NONE, np.zeros(0), np.zeros((0, 3)), NONE)
 

@@ -92,13 +92,13 @@ void bind_particle(nb::module_& m) {
           },
           "hierarchy"_a, "None.")
       .def_prop_ro(
-          "levels",
+          "bricks",
           [](RemoteBricks const& self) {
             std::vector<int> out;
-            for (Home const& brick : self.bricks()) out.push_back(brick.level);
-            return bind::to_array(std::move(out));
+            for (Home const& brick : self.bricks()) out.insert(out.end(), {brick.level, brick.box, brick.brick});
+            return bind::to_array(std::move(out), {self.bricks().size(), 3});
           },
-          nb::rv_policy::automatic, "The level of each.")
+          nb::rv_policy::automatic, "Level, box, and number in the box, of each; int (n, 3).")
       .def_prop_ro(
           "cells",
           [](RemoteBricks const& self) {
@@ -106,9 +106,29 @@ void bind_particle(nb::module_& m) {
             for (Home const& brick : self.bricks()) out.push_back(cells_of(self.hierarchy(), brick));
             return bind::from_boxes(out);
           },
-          nb::rv_policy::automatic, "Those of each, in the indices of its level.")
+          nb::rv_policy::automatic, "Those of each, in the indices of its level; int (n, 6).")
       .def(
           "__len__", [](RemoteBricks const& self) { return self.bricks().size(); });
+
+  m.def(
+      "brick_windows",
+      [](std::shared_ptr<Hierarchy const> hierarchy, bind::IntRows bricks, bool matched) {
+        BrickCurve const curve(hierarchy->domain());
+        std::vector<std::int64_t> places, parts;
+        for (std::size_t n = 0; n < bricks.shape(0); ++n) {
+          BrickWindows const of = windows_of(*hierarchy, {bricks(n, 0), bricks(n, 1), bricks(n, 2)}, matched);
+          places.push_back(curve.place(of.home.level, of.cells.lower));
+          for (Window const& window : of.windows)
+            for (Window::Part const& part : window.parts)
+              parts.insert(parts.end(), {std::int64_t(n), window.level, part.box, part.cells.cells()});
+        }
+        std::size_t const rows = parts.size() / 4;
+        return nb::make_tuple(bind::to_array(std::move(places)), bind::to_array(std::move(parts), {rows, 4}));
+      },
+      "hierarchy"_a, "bricks"_a, "matched"_a,
+      "What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the "
+      "cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner "
+      "and the server exchange a component each way. From the boxes alone, whoever owns them.");
 
   m.attr("END_OF_CURVE") = nb::int_(BrickCurve::end);
   m.attr("PLACES_PER_BRICK") = nb::int_(BrickCurve::per_brick);

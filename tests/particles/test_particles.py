@@ -60,7 +60,7 @@ def slots_of(particles: Particles, hierarchy: amrpic.Hierarchy) -> Iterator[tupl
         for box in hierarchy.local_boxes(level):
             yield level, hierarchy.boxes(level)[box], False
     remote = particles.sorted_on(hierarchy).remote
-    yield from zip(remote.levels.tolist(), remote.cells, [True] * len(remote), strict=True)
+    yield from zip(remote.bricks[:, 0].tolist(), remote.cells, [True] * len(remote), strict=True)
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3), timeout=120)

@@ -9,7 +9,10 @@ from mpi4py import MPI
 import amrpic
 import hierarchies
 from amrpic import _native
+from amrpic.parallel import traffic
+from amrpic.particles.clouds import Clouds
 from amrpic.particles.particles import Particles
+from amrpic.stages.deposit import deposit
 from amrpic.stages.migrate import migrate, share_out, weights
 from amrpic.stages.push import random_walk
 from particle_cases import ONE_KIND, everywhere, hierarchy_of, scattered
@@ -132,3 +135,27 @@ def test_counts_per_brick_are_those_of_numpy_and_need_no_migration(comm):
         assert np.array_equal(np.unique(places), expected[0])
         assert np.array_equal(np.bincount(np.searchsorted(expected[0], places), counts), expected[1])
     assert len(_native.count_per_brick(hierarchy.native, np.full((3, 3), np.nan, order="F"))[0]) == 0
+
+
+@pytest.mark.mpi(ranks=(2, 3, 4), timeout=120)
+@pytest.mark.parametrize("matched", [False, True])
+def test_messages_of_a_deposit_are_those_that_follow_from_boxes_and_servers(comm, matched):
+    """Beside those of a deposit of particles that all live where their cells do."""
+    hierarchy, particles = one_cell(comm)
+    here, _ = migrate(particles, hierarchy)
+    none, _ = migrate(Particles.empty(ONE_KIND), hierarchy)
+    clouds = Clouds(matched=matched)
+    sent = []
+    for some in (none, here):
+        deposit(some, hierarchy, clouds)  # owners get to know
+        before = traffic()
+        deposit(some, hierarchy, clouds)
+        sent.append(traffic() - before)
+    bricks = here.sorting.remote.bricks
+    _, parts = _native.brick_windows(hierarchy.native, bricks, matched)
+    owner = np.array([hierarchy.owners(level)[box] for _, level, box, _ in parts], dtype=int)
+    others = owner != comm.rank
+    assert comm.allreduce(int(others.sum())) > 0
+    assert sent[1].bytes - sent[0].bytes == 8 * parts[others, 3].sum()
+    assert sent[1].messages - sent[0].messages == len(np.unique(owner[others]))
+    assert sent[1].collectives == sent[0].collectives

@@ -107,8 +107,7 @@ void bind_particle(nb::module_& m) {
             return bind::from_boxes(out);
           },
           nb::rv_policy::automatic, "Those of each, in the indices of its level; int (n, 6).")
-      .def(
-          "__len__", [](RemoteBricks const& self) { return self.bricks().size(); });
+      .def("__len__", [](RemoteBricks const& self) { return self.bricks().size(); });
 
   m.def(
       "brick_windows",
@@ -126,8 +125,10 @@ void bind_particle(nb::module_& m) {
         return nb::make_tuple(bind::to_array(std::move(places)), bind::to_array(std::move(parts), {rows, 4}));
       },
       "hierarchy"_a, "bricks"_a, "matched"_a,
-      "What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the "
-      "cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner "
+      "What passes because of bricks, given by rows of level, box and number in it, where others serve them than own "
+      "the "
+      "cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's "
+      "owner "
       "and the server exchange a component each way. From the boxes alone, whoever owns them.");
 
   m.attr("END_OF_CURVE") = nb::int_(BrickCurve::end);
@@ -213,34 +214,37 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "deposit",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ConstColumns position, ConstColumns momentum,
-         OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
-         Field& density) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ConstColumns position,
+         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
+         Real charge, Field& density) {
         nb::gil_scoped_release release;
         deposit(mesh, remote, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
       },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "charge"_a,
-      "density"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
+      "charge"_a, "density"_a);
 
   m.def(
       "gather",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
-         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         Columns out) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field,
+         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
-        gather(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), columns(out));
+        gather(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(),
+               columns(out));
       },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "out"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
+      "starts"_a, "out"_a);
 
   nb::enum_<Pusher>(m, "Pusher").value("boris", Pusher::boris).value("higuera_cary", Pusher::higuera_cary);
 
   m.def(
       "push",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
-         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after, Real flight, Pusher pusher,
-         Real3 beta, std::optional<ConstColumns> electric, std::optional<ConstColumns> magnetic, Columns momentum_out,
-         Columns position_out, std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field,
+         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         Row<std::int64_t const> starts, OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after,
+         Real flight, Pusher pusher, Real3 beta, std::optional<ConstColumns> electric,
+         std::optional<ConstColumns> magnetic, Columns momentum_out, Columns position_out,
+         std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
         nb::gil_scoped_release release;
         auto const if_given = [](auto const& array) { return array ? columns(*array) : std::array<Real*, 3>{}; };
         Motion const motion{charge.data(),
@@ -258,10 +262,10 @@ void bind_particle(nb::module_& m) {
         push(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
              {columns(momentum_out), columns(position_out), if_given(between)});
       },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a, "electric"_a.none(),
-      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(), "external"_a.none(), "time"_a,
-      "shift"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
+      "starts"_a, "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a,
+      "electric"_a.none(), "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(),
+      "external"_a.none(), "time"_a, "shift"_a);
   m.def(
       "push_one",
       [](Real3 position, Real3 momentum, Real charge, Real mass, Real before, Real after, Real flight, Pusher pusher,

@@ -49,7 +49,6 @@ class BoundaryCells {
   }
 
  private:
-
   std::vector<Index3> extent_;          ///< of each box
   std::vector<char> whole_;             ///< each box
   std::vector<LocalIndex> first_;       ///< boxes + 1 values

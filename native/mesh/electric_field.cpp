@@ -111,7 +111,8 @@ void ElectricField::write_part(int level, int b, Box const& cells, Real* out) co
   Box const& box = this->box(level, b);
   std::ptrdiff_t const step[3] = {box.stride(0), box.stride(1), box.stride(2)};
   auto const copy_boundary = [&](LocalIndex number, int count) {
-    out = std::copy_n(at_boundary(level) + components_per_cell * std::ptrdiff_t(number), components_per_cell * count, out);
+    out = std::copy_n(at_boundary(level) + components_per_cell * std::ptrdiff_t(number), components_per_cell * count,
+                      out);
   };
   for (int k = cells.lower[2]; k <= cells.upper[2]; ++k)
     for (int j = cells.lower[1]; j <= cells.upper[1]; ++j)

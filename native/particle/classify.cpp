@@ -26,7 +26,7 @@ class Classifier {
     out_.leavers.resize(std::size_t(mesh.hierarchy().comm().ranks()));
     out_.per_brick.assign(std::size_t(mesh.bricks()), 0);
     neighbours_.fill(-1);
-    find_parts();
+    if (servers.ranks() > 1) parts_.assign(std::size_t(mesh.bricks()), not_found);
   }
 
   Destinations classify() &&;
@@ -41,7 +41,6 @@ class Classifier {
   LaneGroup remaining(LaneGroup const& group);
   void compare(LaneGroup const& group);
   unsigned outside(HomeBrick const& brick, LocalBrick const& at, LaneGroup const& group) const;
-  void find_parts();
   void find_leavers();
   unsigned begin_run(LaneGroup const& group, unsigned out);
   void end_run(LocalIndex last);
@@ -59,7 +58,12 @@ class Classifier {
     return at.slot < own_slots() ? mesh_.first_brick(at.slot) + at.brick : mesh_.bricks() + at.slot - own_slots();
   }
   /// Which of its particles this rank serves.
-  Part part(LocalBrick const& at) const { return parts_.empty() ? Part::all : parts_[std::size_t(number(at))]; }
+  Part part(LocalBrick const& at) const {
+    if (servers_.ranks() == 1) return Part::all;
+    signed char& found = parts_[std::size_t(number(at))];
+    if (found == not_found) found = static_cast<signed char>(servers_.part(place(home(at))));
+    return Part(found);
+  }
   std::int64_t place(Home const& home) const {
     Box const& box = mesh_.hierarchy().level(home.level).box(home.box);
     return servers_.curve().place(home.level, Bricks(box)[home.brick].lower);
@@ -80,8 +84,9 @@ class Classifier {
   ParticleView const& particles_;
   std::int64_t const *next_gone_, *end_of_gone_;
   Destinations out_;
-  std::vector<Part> parts_;     ///< of each brick, by number; empty on one rank, which serves all
-  std::deque<HomeBox> remote_;  ///< remote bricks, in the order of their numbers
+  static constexpr signed char not_found = -1;
+  mutable std::vector<signed char> parts_;  ///< of each brick, by number
+  std::deque<HomeBox> remote_;              ///< remote bricks, in the order of their numbers
   LocalBrick current_;
   HomeBrick current_brick_{};       ///< at first one that contains nothing
   Destinations::Run run_{};         ///< of the current brick
@@ -141,17 +146,6 @@ inline unsigned Classifier::outside(HomeBrick const& brick, LocalBrick const& at
     for (int i = 0; i < lane_count; ++i)
       if ((inside >> i & 1) && !serves(at, LocalIndex(group.first + i))) out |= 1u << i;
   return out;
-}
-
-/// Find which parts of the bricks of its own boxes this rank serves.
-void Classifier::find_parts() {
-  if (servers_.ranks() == 1) return;
-  parts_.reserve(std::size_t(mesh_.bricks()));
-  for (BoxGhosts const& at : mesh_.boxes()) {
-    Bricks const bricks(mesh_.hierarchy().level(at.level).box(at.box));
-    for (int b = 0; b < bricks.count(); ++b)
-      parts_.push_back(servers_.part(servers_.curve().place(at.level, bricks[b].lower)));
-  }
 }
 
 /// Find where the particles are that left the current brick: mostly in its box, else mostly in one next to it.
@@ -216,7 +210,7 @@ Classifier::LocalBrick Classifier::local(Home const& home) {
   int const slot = own_slots() + out_.bricks.number(home) - mesh_.bricks();
   if (slot == own_slots() + int(remote_.size())) {
     remote_.emplace_back(mesh_.locator(), home);
-    parts_.push_back(of_brick);
+    parts_.push_back(static_cast<signed char>(of_brick));
     out_.per_brick.push_back(0);
   }
   return {slot, 0};
@@ -243,8 +237,7 @@ void Classifier::look_up(LocalIndex n) {
     return;
   }
   latest_ = mesh_.locator().find(x, latest_);
-  int const server =
-      servers_.ranks() == 1 ? 0 : servers_.server(place(latest_) + BrickCurve::hash(particles_.id[n]));
+  int const server = servers_.ranks() == 1 ? 0 : servers_.server(place(latest_) + BrickCurve::hash(particles_.id[n]));
   if (server != mesh_.hierarchy().comm().rank()) {
     out_.leavers[std::size_t(server)].push_back({n, latest_});
     return;
@@ -263,7 +256,8 @@ void Classifier::move_to(LocalIndex brick, LocalIndex n, std::vector<Destination
 
 LocalIndex BrickNumbers::number(Home const& brick) {
   if (is_own(brick)) return mesh_->first_brick(mesh_->slot(brick.level, brick.box)) + brick.brick;
-  std::uint64_t const key = (std::uint64_t(brick.level) << 32 | std::uint64_t(brick.box)) << 24 | std::uint64_t(brick.brick);
+  std::uint64_t const key =
+      (std::uint64_t(brick.level) << 32 | std::uint64_t(brick.box)) << 24 | std::uint64_t(brick.brick);
   auto const [at, is_new] = place_.try_emplace(key, LocalIndex(remote_.size()));
   if (is_new) remote_.push_back(brick);
   return mesh_->bricks() + at->second;

@@ -59,7 +59,8 @@ std::vector<BrickCount> count_per_brick(Locator& locator, std::array<Real*, 3> c
     auto const [level, number] = where;
     Bricks const bricks(locator.hierarchy().level(level).box(number));
     for (int b = 0; b < bricks.count(); ++b)
-      if (std::int64_t const n = box.counts[std::size_t(b)]; n > 0) out.push_back({curve.place(level, bricks[b].lower), n});
+      if (std::int64_t const n = box.counts[std::size_t(b)]; n > 0)
+        out.push_back({curve.place(level, bricks[b].lower), n});
   }
   std::sort(out.begin(), out.end(), [](BrickCount const& a, BrickCount const& b) { return a.place < b.place; });
   return out;

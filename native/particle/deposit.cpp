@@ -286,15 +286,18 @@ void deposit(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cloud
     for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
     box_sums.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), ghosts);
     ghosts += at.ghosts.cells();
-    for_each_slab(mesh, at.level, box, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
-      slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-      for_each_coarsening_depth(
-          mesh, at.level, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-            with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]); });
-          });
-      bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
-      box_sums.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
-    });
+    for_each_slab(
+        mesh, at.level, box, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
+          slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
+          for_each_coarsening_depth(mesh, at.level, slab, buffer, particles, from, to,
+                                    [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+                                      with_shape(clouds.shape, [&](auto s) {
+                                        add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]);
+                                      });
+                                    });
+          bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
+          box_sums.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
+        });
     for (std::size_t r = 1; r <= depths; ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());

@@ -18,7 +18,7 @@ namespace amrpic {
 /// take what the field holds in the covered ones. Ghost cells outside a level are interpolated trilinearly from
 /// the coarser level; behind a wall stands the wall cell. Throws std::out_of_range, on all ranks, if a particle lies
 /// outside the box it is sorted into.
-void gather(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
-            std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
+void gather(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+            ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles);
 
 }  // namespace amrpic

@@ -65,11 +65,11 @@ std::vector<char> Locator::refined_bricks(int level, int box) {
 bool Locator::is_refined(Home const& brick) {
   int const size = 1 << block_shift_;
   bool out = false;
-  for_each_cell(Bricks(hierarchy_->level(brick.level).box(brick.box))[brick.brick].coarsen({size, size, size}),
-                [&](Index3 const& block) {
-                  out = out || child_box(brick.level, brick.box,
-                                         {size * block[0], size * block[1], size * block[2]}) >= 0;
-                });
+  for_each_cell(
+      Bricks(hierarchy_->level(brick.level).box(brick.box))[brick.brick].coarsen({size, size, size}),
+      [&](Index3 const& block) {
+        out = out || child_box(brick.level, brick.box, {size * block[0], size * block[1], size * block[2]}) >= 0;
+      });
   return out;
 }
 

@@ -23,13 +23,13 @@ class Migration {
   std::int64_t bricks() const;  ///< how many hold particles that were on this rank
 
   /// Write the particles of this rank into `out`, which has room for `arriving()`, in the order of `Places`. False if a
-  /// position or momentum of those that were on this rank is not finite; then `out` means nothing. Equal weights are not
-  /// written; if those of `out` are not equal, those of more than one particle here must not be. Collective.
+  /// position or momentum of those that were on this rank is not finite; then `out` means nothing. Equal weights are
+  /// not written; if those of `out` are not equal, those of more than one particle here must not be. Collective.
   bool finish(ParticleView const& out);
 
   // after that:
   std::vector<std::int64_t> const& starts() const { return places_.slots; }  ///< of each slot, and of one more
-  std::vector<Home> const& remote() const { return places_.remote; }        ///< bricks of the last slots
+  std::vector<Home> const& remote() const { return places_.remote; }         ///< bricks of the last slots
 
  private:
   ParticleMesh& mesh_;

@@ -205,8 +205,8 @@ struct Mover {
 
 }  // namespace
 
-void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
-          std::int64_t const* starts, Motion const& motion, Moved const& out) {
+void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out) {
   auto const p = out.momentum, x = out.position, between = out.between;
   bool const far = are_far(particles.count, p[0], p[1], p[2], x[0], x[1], x[2], between[0], between[1], between[2]);
   Mover const mover{particles, motion, out, far};

@@ -354,8 +354,7 @@ class RemoteField {
     if (Box const inside = level.cut_at_walls(window.cells); !(inside == window.cells))
       for_each_cell(window.cells, [&](Index3 const& cell) {
         Index3 const from = level.fold_at_walls(cell);
-        if (from != cell)
-          store(tile.row(cell[0], cell[1], cell[2]), load<Cell>(tile.row(from[0], from[1], from[2])));
+        if (from != cell) store(tile.row(cell[0], cell[1], cell[2]), load<Cell>(tile.row(from[0], from[1], from[2])));
       });
   }
 

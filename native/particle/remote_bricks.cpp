@@ -43,7 +43,8 @@ std::vector<std::pair<int, std::vector<Home>>> exchanged(Communicator const& com
   std::vector<std::pair<int, std::int64_t>> counts;
   for (auto const& [rank, list] : to) counts.emplace_back(rank, std::int64_t(list.size()));
   std::vector<std::pair<int, std::vector<Home>>> from;
-  for (auto const& [rank, count] : comm.announced(counts)) from.emplace_back(rank, std::vector<Home>(std::size_t(count)));
+  for (auto const& [rank, count] : comm.announced(counts))
+    from.emplace_back(rank, std::vector<Home>(std::size_t(count)));
   Messages messages;
   for (auto& [rank, list] : from) messages.receive(comm, list.data(), list.size(), rank);
   for (auto const& [rank, list] : to) messages.send(comm, list.data(), list.size(), rank);
@@ -51,7 +52,8 @@ std::vector<std::pair<int, std::vector<Home>>> exchanged(Communicator const& com
   return from;
 }
 
-/// Call f(place, count, row) for the rows of cells along x of a part of a box, places counted from the box's first cell.
+/// Call f(place, count, row) for the rows of cells along x of a part of a box, places counted from the box's first
+/// cell.
 template <class F>
 void for_each_row_of(Box const& box, Box const& part, F&& f) {
   for (int k = part.lower[2]; k <= part.upper[2]; ++k)
@@ -105,11 +107,12 @@ RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine
     }
   for (auto const& [rank, list] : of_others) {
     auto const bricks = windows_of(hierarchy, list, matched);
-    for_each_part(hierarchy, bricks, [&, reader = rank](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
-      if (owner != me) return;
-      asked.push_back({reader, part.cells.cells()});
-      asked_.push_back(own_part(bricks[b].windows[w].level, part));
-    });
+    for_each_part(hierarchy, bricks,
+                  [&, reader = rank](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
+                    if (owner != me) return;
+                    asked.push_back({reader, part.cells.cells()});
+                    asked_.push_back(own_part(bricks[b].windows[w].level, part));
+                  });
   }
   exchange_ = Exchange<Real>(hierarchy.comm(), asked, wanted);
 }

@@ -66,7 +66,7 @@ class RemotePlan {
              std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched);
 
   std::vector<BrickWindows> const& bricks() const { return bricks_; }
-  std::size_t cells() const { return cells_; }                                         ///< of all windows
+  std::size_t cells() const { return cells_; }  ///< of all windows
   std::size_t first(std::size_t brick, std::size_t window) const { return first_[brick][window]; }
 
   /// The electric field in the cells of all windows, three components for each. Collective.

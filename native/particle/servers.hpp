@@ -15,13 +15,14 @@ namespace amrpic {
 /// Where bricks, and the particles of each, lie on one curve through the domain: Morton order of the lower corners in
 /// space, whatever the levels, so that the order hardly changes where the mesh does. Equal on all ranks.
 ///
-/// A place is key · 2^hash_bits + hash: the key is that of the brick, the hash that of a particle's id. So the particles
-/// of a brick follow each other, in an order that has nothing to do with where they are, and any part of them is cut
-/// off by a number. Where bricks are finer than 2^-14 of the domain, several share a key.
+/// A place is key · 2^hash_bits + hash: the key is that of the brick, the hash that of a particle's id. So the
+/// particles of a brick follow each other, in an order that has nothing to do with where they are, and any part of them
+/// is cut off by a number. Where bricks are finer than 2^-14 of the domain, several share a key.
 class BrickCurve {
  public:
   static constexpr int axis_bits = 14, hash_bits = 21, bits = 3 * axis_bits + hash_bits;
-  static constexpr std::int64_t per_brick = std::int64_t(1) << hash_bits, end = std::numeric_limits<std::int64_t>::max();
+  static constexpr std::int64_t per_brick = std::int64_t(1) << hash_bits,
+                                end = std::numeric_limits<std::int64_t>::max();
   static_assert(bits == 63);
 
   explicit BrickCurve(Domain const& domain) {
@@ -59,8 +60,9 @@ class BrickCurve {
   int finest_ = 0;  ///< level whose cells are an eighth of the curve's unit
 };
 
-/// The servers of particles: rank r serves those whose places on the curve are at least first[r] and below first[r + 1].
-/// So who serves a particle follows from its brick and its id, without a message; several ranks may share a brick.
+/// The servers of particles: rank r serves those whose places on the curve are at least first[r] and below first[r +
+/// 1], the last rank all behind. So who serves a particle follows from its brick and its id, without a message; several
+/// ranks may share a brick.
 class Servers {
  public:
   /// `first` has ranks + 1 values, ascending from 0 to `BrickCurve::end`.
@@ -72,19 +74,21 @@ class Servers {
   int server(std::int64_t place) const {
     return int(std::upper_bound(first_.begin() + 1, first_.end() - 1, place) - first_.begin()) - 1;
   }
-  bool serves(std::int64_t place) const { return place >= first_[std::size_t(rank_)] && place < end_of_own(); }
+  bool serves(std::int64_t place) const { return place >= first_[std::size_t(rank_)] && place <= last_of_own(); }
 
-  enum class Part : char { none, some, all };
+  enum class Part : signed char { none, some, all };
   /// Which particles of a brick, whose first place is given, this rank serves.
   Part part(std::int64_t brick) const {
     std::int64_t const begin = std::max(brick, first_[std::size_t(rank_)]);
-    std::int64_t const stop = std::min(brick + (BrickCurve::per_brick - 1), end_of_own() - 1);
+    std::int64_t const stop = std::min(brick + (BrickCurve::per_brick - 1), last_of_own());
     if (begin > stop) return Part::none;
     return stop - begin + 1 == BrickCurve::per_brick ? Part::all : Part::some;
   }
 
  private:
-  std::int64_t end_of_own() const { return first_[std::size_t(rank_) + 1]; }
+  std::int64_t last_of_own() const {
+    return rank_ + 1 == ranks() ? BrickCurve::end : first_[std::size_t(rank_) + 1] - 1;
+  }
 
   BrickCurve curve_;
   std::vector<std::int64_t> first_;

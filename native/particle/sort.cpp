@@ -14,9 +14,8 @@ std::vector<LocalIndex> in_order(BrickNumbers const& bricks, LocalIndex own) {
   std::vector<Home> const& remote = bricks.remote();
   std::vector<LocalIndex> out(remote.size());
   std::iota(out.begin(), out.end(), own);
-  std::sort(out.begin(), out.end(), [&](LocalIndex a, LocalIndex b) {
-    return remote[std::size_t(a - own)] < remote[std::size_t(b - own)];
-  });
+  std::sort(out.begin(), out.end(),
+            [&](LocalIndex a, LocalIndex b) { return remote[std::size_t(a - own)] < remote[std::size_t(b - own)]; });
   return out;
 }
 

@@ -21,8 +21,8 @@ struct Places {
   std::vector<std::int64_t> slots;    ///< where each slot starts, and where the last one ends
 };
 
-/// Find the places on this rank of the particles that stay on it, and of those that arrive, some in remote bricks of which none is on it yet: a
-/// counting sort. Local.
+/// Find the places on this rank of the particles that stay on it, and of those that arrive, some in remote bricks of
+/// which none is on it yet: a counting sort. Local.
 Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticles const& arrivals);
 
 }  // namespace amrpic

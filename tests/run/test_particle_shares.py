@@ -141,8 +141,8 @@ def test_drifting_bunches_stay_shared_out_in_the_same_memory(comm):
     for step in range(1, steps + 1):
         state = advance(state, plan)
         work.append(imbalance(state, BRICK_COST))
-        servers.add(state.particles.sorted_on(state.hierarchy).servers.tobytes())
-        meshes.add(state.hierarchy)
+        servers.add(bytes(state.particles.sorted_on(state.hierarchy).servers))
+        meshes.add(tuple(state.hierarchy.boxes(level).tobytes() for level in range(state.hierarchy.levels)))
         held[step] = resident("VmRSS")
     assert max(work) < 1.3, work
     assert len(servers) > 1 and len(meshes) > 1

@@ -324,14 +324,19 @@ class RemoteBricks:
         """None."""
 
     @property
-    def levels(self) -> NDArray[numpy.int32]:
-        """The level of each."""
+    def bricks(self) -> NDArray[numpy.int32]:
+        """Level, box, and number in the box, of each; int (n, 3)."""
 
     @property
     def cells(self) -> NDArray[numpy.int32]:
-        """Those of each, in the indices of its level."""
+        """Those of each, in the indices of its level; int (n, 6)."""
 
     def __len__(self) -> int: ...
+
+def brick_windows(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: bool) -> tuple:
+    """
+    What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner and the server exchange a component each way. From the boxes alone, whoever owns them.
+    """
 
 END_OF_CURVE: int = 9223372036854775807
 
@@ -352,6 +357,8 @@ class Migration:
     def lost(self) -> NDArray[numpy.int64]: ...
     @property
     def arriving(self) -> int: ...
+    @property
+    def bricks(self) -> int: ...
     def finish(
         self,
         position: NDArray[numpy.float64],

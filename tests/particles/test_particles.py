@@ -76,7 +76,7 @@ def test_each_particle_lies_in_the_finest_box(comm):
                 assert (corners[:3] <= cell).all() and (cell <= corners[3:]).all(), case.name
                 assert mesh.finest(x) == level, case.name
         assert starts[0] == 0 and starts[-1] == len(particles) and len(starts) == len(slots) + 1
-        assert particles.sorting.levels.tolist() == [level for level, _, _ in slots]
+        assert particles.sorted_on(hierarchy).levels.tolist() == [level for level, _, _ in slots]
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))

@@ -91,11 +91,11 @@ def test_parts_are_equal_although_one_brick_holds_most_particles(comm):
 def test_particles_stay_with_given_servers_until_they_are_shared_out_anew(comm):
     hierarchy, particles = one_cell(comm)
     here, _ = migrate(particles, hierarchy)
-    servers = here.sorting.servers
+    servers = here.sorted_on(hierarchy).servers
     for step in range(3):
         moved = random_walk(here, 0.05, seed=4, step=step)
         here, _ = migrate(moved, hierarchy, servers)
-        assert here.sorting.servers is servers
+        assert here.sorted_on(hierarchy).servers is servers
         place = brick_places(hierarchy, here.position) + hashes(here.id)
         assert (np.searchsorted(servers[1:-1], place, side="right") == comm.rank).all()
     everyone = everywhere(comm, here)
@@ -151,7 +151,7 @@ def test_messages_of_a_deposit_are_those_that_follow_from_boxes_and_servers(comm
         before = traffic()
         deposit(some, hierarchy, clouds)
         sent.append(traffic() - before)
-    bricks = here.sorting.remote.bricks
+    bricks = here.sorted_on(hierarchy).remote.bricks
     _, parts = _native.brick_windows(hierarchy.native, bricks, matched)
     owner = np.array([hierarchy.owners(level)[box] for _, level, box, _ in parts], dtype=int)
     others = owner != comm.rank

@@ -344,10 +344,34 @@ class ParticleMesh:
     @property
     def slots(self) -> int: ...
 
+class RemoteBricks:
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        """None."""
+
+    @property
+    def bricks(self) -> NDArray[numpy.int32]:
+        """Level, box, and number in the box, of each; int (n, 3)."""
+
+    @property
+    def cells(self) -> NDArray[numpy.int32]:
+        """Those of each, in the indices of its level; int (n, 6)."""
+
+    def __len__(self) -> int: ...
+
+def brick_windows(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: bool) -> tuple:
+    """
+    What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner and the server exchange a component each way. From the boxes alone, whoever owns them.
+    """
+
+END_OF_CURVE: int = 9223372036854775807
+
+PLACES_PER_BRICK: int = 2097152
+
 class Migration:
     def __init__(
         self,
         mesh: ParticleMesh,
+        servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
@@ -358,14 +382,18 @@ class Migration:
     def lost(self) -> NDArray[numpy.int64]: ...
     @property
     def arriving(self) -> int: ...
+    @property
+    def bricks(self) -> int: ...
     def finish(
         self,
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
-        starts: NDArray[numpy.int64],
     ) -> bool: ...
+    @property
+    def starts(self) -> NDArray[numpy.int64]: ...
+    def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
 
 class Hole(enum.Enum):
     ellipse = 0
@@ -391,7 +419,8 @@ def crossings(
     start_offset: Sequence[float],
     end_offset: Sequence[float],
 ) -> tuple: ...
-def count_per_box(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> list: ...
+def count_per_brick(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> tuple:
+    """Places on the curve, ascending, and numbers of particles."""
 
 class Shape(enum.Enum):
     nearest_grid_point = 0
@@ -402,6 +431,7 @@ class Shape(enum.Enum):
 
 def deposit(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     position: NDArray[numpy.float64],
@@ -414,6 +444,7 @@ def deposit(
 ) -> None: ...
 def gather(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,
@@ -432,6 +463,7 @@ class Pusher(enum.Enum):
 
 def push(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,

@@ -32,7 +32,7 @@ from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
-from ..stages.tag import cells_of_particles
+from ..stages.tag import living
 from ..units import quantity
 from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks
 from .text_table import columns
@@ -60,7 +60,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
     paragraphs = [
         [scene.summary()],
-        _levels(fields.particles, fields.hierarchy),
+        _levels(fields.particles_per_cell),
         _bunches(comm, scene, bunches[1:], fields.hierarchy),
         _memory(fields, made, ranks),
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
@@ -103,11 +103,12 @@ def _without_field(rule: RuleKind, asked: list[str]) -> RuleKind:
 LEVELS = ("level", "boxes", "cells", "cell width", "particles", "mean in a cell", "median", "most")
 
 
-def _levels(particles: Particles, hierarchy: Hierarchy) -> list[str]:
+def _levels(particles_per_cell: Field) -> list[str]:
     """Return the table of levels; mean, median and most are over the cells that hold particles. Collective."""
+    hierarchy = particles_per_cell.hierarchy
     rows: list[Sequence[object]] = [LEVELS]
-    for level, (_, cells) in enumerate(cells_of_particles(particles, hierarchy)):
-        held = Histogram.of(hierarchy.comm, np.unique(cells, return_counts=True)[1])
+    for level, numbers in enumerate(living(particles_per_cell)):
+        held = Histogram.of(hierarchy.comm, numbers[numbers > 0].astype(np.int64))
         rows.append(
             [
                 level,

@@ -1,13 +1,12 @@
-"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes distributed by work."""
+"""The mesh follows the particles: the base level at first, refined as the scene's rule asks."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..mesh.hierarchy import Hierarchy
-from ..stages.migrate import particles_per_box
-from ..stages.regrid import Regridding, balance, regrid
-from ..stages.tag import Tags, cells_of_particles, tagged
+from ..stages.regrid import Regridding, regrid
+from ..stages.tag import Tags, living, tagged
 from .limits import require_room
 from .memory import Share, base_boxes
 from .particle_fields import ParticleFields
@@ -45,14 +44,14 @@ def outrun(fields: ParticleFields) -> bool:
         return False
     with plan.clock("regrid"):
         tags = tags_of(refinement.rule, fields)
-        where = cells_of_particles(fields.particles, fields.hierarchy)[: refinement.levels]
-        slow = sum(int(np.count_nonzero(tags[level][cells])) for level, (_, cells) in enumerate(where))
+        numbers = living(fields.particles_per_cell)[: refinement.levels]
+        slow = int(sum(held[tags[level]].sum() for level, held in enumerate(numbers)))
         behind, all_ = plan.comm.allreduce(np.array([slow, len(fields.particles)]))
     return bool(behind > refinement.regrid_outrun * all_)
 
 
 def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
-    """Return the hierarchy that the rule asks for, its boxes shared out by cells and particles. Collective."""
+    """Return the hierarchy that the rule asks for. Collective."""
     hierarchy, refinement = fields.hierarchy, fields.plan.scene.refinement
     rule, static = apart(refinement.rule)
     tags = [] if rule is None else tags_of(rule, fields)
@@ -64,7 +63,7 @@ def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
     if made is hierarchy:
         return hierarchy
     _require_room(made, fields)
-    return balance(made, particles_per_box(fields.particles, made))
+    return made
 
 
 def _require_room(made: Hierarchy, fields: ParticleFields) -> None:

@@ -74,6 +74,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "dt": plan.dt,
             "course": state.course.to_dict(),
             "fields": list(plan.fields.names),
+            "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
     )
@@ -114,7 +115,9 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
         lag = 0.0
-    particles, _ = migrate(_particles(columns, species), hierarchy)
+    servers = np.array(extra.get("servers", ()), dtype=np.int64)  # of the ranks that wrote the checkpoint
+    same_ranks = len(servers) == plan.comm.size + 1
+    particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks else None)
     units = {"rho": "C/m^3", "phi": "V"}
     fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():

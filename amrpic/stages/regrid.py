@@ -1,4 +1,4 @@
-"""Regrid: a new hierarchy from tags, fields carried over to it, and its boxes balanced over the ranks."""
+"""Regrid: a new hierarchy from tags, and fields carried over to it."""
 
 from __future__ import annotations
 
@@ -109,21 +109,7 @@ def carry_over(field: Field, hierarchy: Hierarchy) -> Field:
     return out
 
 
-def balance(hierarchy: Hierarchy, particles_per_box: Sequence[np.ndarray], cost_per_particle: float = 1.0) -> Hierarchy:
-    """Return the same boxes on the owners that share out cells and particles; itself if no owner changes. Collective.
-
-    `particles_per_box[l]` counts the particles of all ranks in each box of level l; the cost of one is in units of that
-    of a cell. Each level is shared out by itself.
-    """
-    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    weights = [cells_of(b) + cost_per_particle * np.asarray(p) for b, p in zip(boxes, particles_per_box, strict=True)]
-    made = _like(hierarchy, boxes[1:], weights)
-    same = all(np.array_equal(made.owners(level), hierarchy.owners(level)) for level in range(hierarchy.levels))
-    return hierarchy if same else made
-
-
-def _like(earlier: Hierarchy, levels: Sequence[np.ndarray], weights: Sequence[np.ndarray] | None = None) -> Hierarchy:
+def _like(earlier: Hierarchy, levels: Sequence[np.ndarray]) -> Hierarchy:
     """Return a hierarchy of other refined levels on the same domain, which shares the boxes that stay."""
-    return Hierarchy(
-        earlier.comm, earlier.domain, levels, earlier.max_grid_size, earlier.blocking_factor, weights, earlier
-    )
+    sizes = earlier.max_grid_size, earlier.blocking_factor
+    return Hierarchy(earlier.comm, earlier.domain, levels, *sizes, earlier=earlier)

@@ -11,6 +11,7 @@
 #include "freespace/density.hpp"
 #include "freespace/free_space.hpp"
 #include "freespace/lattice_green.hpp"
+#include "freespace/wall_counts.hpp"
 #include "operators/walls.hpp"
 
 namespace nb = nanobind;
@@ -55,6 +56,43 @@ struct OpenWalls {
     return space.walls(*plan, charges_of(density, density.hierarchy(), 1.0));
   }
 };
+
+/// The levels of a mesh as they would be on so many ranks; `first_boxes`: where the runs of each begin, or none.
+WallMesh shared_out(Hierarchy const& mesh, std::vector<std::vector<int>> const& first_boxes) {
+  WallMesh out = wall_mesh(mesh);
+  for (std::size_t l = 0; l < first_boxes.size(); ++l) {
+    Level const& level = out.level(int(l));
+    out.levels[l] = std::make_shared<Level const>(level.domain(), level.periodic(), level.spacing(), level.boxes(),
+                                                  first_boxes[l], 0);
+  }
+  return out;
+}
+
+nb::dict to_dict(WallCounts const& counts) {
+  nb::dict out;
+  out["patches"] = counts.patches;
+  out["far"] = counts.far;
+  out["near"] = counts.near;
+  out["nodes_received"] = counts.nodes_received;
+  out["leaves_received"] = counts.leaves_received;
+  std::int64_t messages = 0, bytes = 0;
+  auto const add = [&](char const* name, WallCounts::Sent const& sent) {
+    out[name] = std::array<std::int64_t, 2>{sent.messages, sent.bytes};
+    messages += sent.messages;
+    bytes += sent.bytes;
+  };
+  add("parts", counts.parts);
+  add("joins", counts.joins);
+  add("families", counts.families);
+  add("leaves", counts.leaves);
+  add("down", counts.down);
+  add("walls", counts.walls);
+  out["messages"] = messages;
+  out["bytes"] = bytes;
+  out["received_messages"] = counts.received_messages;
+  out["collectives"] = counts.collectives;
+  return out;
+}
 
 }  // namespace
 
@@ -126,4 +164,36 @@ void bind_freespace(nb::module_& m) {
           "density"_a,
           "Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + "
           "side; cells (n, 3); and values (n,), all of free space. Collective.");
+
+  nb::class_<WallGeometry>(m, "OpenWallPlans")
+      .def(
+          "__init__",
+          [](WallGeometry* self, std::shared_ptr<Hierarchy const> const& mesh,
+             std::vector<std::vector<int>> const& first_boxes) {
+            new (self) WallGeometry(shared_out(*mesh, first_boxes), Options{});
+          },
+          "hierarchy"_a, "first_boxes"_a = std::vector<std::vector<int>>{}, nb::call_guard<nb::gil_scoped_release>(),
+          "What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank "
+          "begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. Local.")
+      .def(
+          "counts",
+          [](WallGeometry const& self, int rank, std::vector<std::array<Point, 2>> const& charged) {
+            if (rank < 0 || rank >= self.mesh.ranks())
+              throw std::invalid_argument("rank is " + std::to_string(rank) + "; it must be one of 0 to " +
+                                          std::to_string(self.mesh.ranks() - 1));
+            WallCounts found;
+            {
+              nb::gil_scoped_release release;
+              std::vector<ChargedRegion> regions;
+              for (auto const& [lower, upper] : charged) regions.push_back({lower, upper});
+              std::shared_ptr<WallGeometry const> const shared(&self, [](WallGeometry const*) {});
+              found = count(WallPlan(shared, rank), Options{}, regions);
+            }
+            return to_dict(found);
+          },
+          "rank"_a, "charged"_a = std::vector<std::array<Point, 2>>{},
+          "Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions `far` "
+          "and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; "
+          "bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, "
+          "upper) in cells of the base, or everywhere. Local.");
 }

@@ -9,8 +9,6 @@ namespace amrpic::freespace {
 
 namespace {
 
-constexpr int lowest_octave = -1100, octaves = 2200;  ///< of doubles
-constexpr int most_levels = 64;
 
 /// Call f(found, gift) for blocks found on this rank that are among some gifts; both are ascending.
 template <class F>

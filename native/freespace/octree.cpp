@@ -145,7 +145,12 @@ OctreeBuilder::OctreeBuilder(BlockGrids const& grids, std::size_t own_leaves)
 }
 
 int OctreeBuilder::keep(NodeRecord const& record) {
-  return keep(unpacked(record.content, record.content.is_leaf ? next_leaf_++ : -1));
+  auto const& [block, node] = record;
+  if (!node.is_leaf) return keep(unpacked(node, -1));
+  Cell place;
+  for (int d = 0; d < 3; ++d) place[d] = node.first[d] / block_edge;
+  Found const* const own = find({grids_.leaves(node.level), place});  // it may come back as all of a wider block
+  return keep(unpacked(node, own ? member(*own).node.leaf : next_leaf_++));
 }
 
 void OctreeBuilder::join_sorted(int grid) {
@@ -193,13 +198,12 @@ void OctreeBuilder::append_children(int grid, Found const& block, std::vector<No
   }
 }
 
-/// The block of a child, should this rank have found it.
-OctreeBuilder::Found const* OctreeBuilder::own(Child const& child) const {
-  auto const& found = found_[std::size_t(child.block.grid)];
-  if (child.found >= 0) return &found[std::size_t(child.found)];
-  auto const place = std::lower_bound(found.begin(), found.end(), child.block.place,
+/// A block, should this rank have found it.
+OctreeBuilder::Found const* OctreeBuilder::find(Block const& block) const {
+  auto const& found = found_[std::size_t(block.grid)];
+  auto const place = std::lower_bound(found.begin(), found.end(), block.place,
                                       [](Found const& a, Cell const& b) { return by_place(a.place, b); });
-  return place != found.end() && place->place == child.block.place ? &*place : nullptr;
+  return place != found.end() && place->place == block.place ? &*place : nullptr;
 }
 
 Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
@@ -222,7 +226,8 @@ Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
   for (Family const& family : others) others_in_order.push_back(family.child);
 
   auto const children_of = [&](Child const& parent) -> std::pair<Child const*, Child const*> {
-    Found const* const here = own(parent);
+    Found const* const here =
+        parent.found >= 0 ? &found_[std::size_t(parent.block.grid)][std::size_t(parent.found)] : find(parent.block);
     if (here && here->first < here->last) {
       Child const* const all = children_[std::size_t(parent.block.grid)].data();
       return {all + here->first, all + here->last};

@@ -114,7 +114,7 @@ class OctreeBuilder {
   int keep(NodeRecord const& record);
   void join_sorted(int grid);
   Member parent_of(Child const* first, Child const* last);
-  Found const* own(Child const& child) const;
+  Found const* find(Block const& block) const;
 
   BlockGrids const& grids_;
   std::vector<Member> members_, together_;

@@ -202,27 +202,36 @@ void WallPlan::plan_patches() {
   plan_sources();
 }
 
-/// Of whom this rank's patches may need nodes and charges: from the widest blocks down.
-void WallPlan::plan_sources() {
+/// From the widest blocks down.
+void WallPlan::for_each_seen(std::function<bool(Block const&)> const& f) const {
   BlockGrids const& grids = geometry_->grids;
-  std::set<int> nodes, charges;
-  auto const others = std::size_t(geometry_->mesh.ranks() - 1);
   std::vector<Block> stack;
   for (std::size_t n = 0; n < patches.size(); ++n) {
-    if (nodes.size() == others && charges.size() == others) break;
     if (!is_own[n]) continue;
-    int const p = numbers_[n];
     for (stack.assign(1, {grids.count() - 1, {0, 0, 0}}); !stack.empty();) {
       Block const block = stack.back();
       stack.pop_back();
-      bool const is_leaf = grids[block.grid].is_leaf();
-      if (!(is_leaf ? geometry_->sight.sums(p, block) : geometry_->sight.opens(p, block))) continue;
-      int const home = is_leaf || block.grid <= geometry_->top ? geometry_->home(block) : rank_;
-      if (home < 0) continue;
-      if (home != rank_) (is_leaf ? charges : nodes).insert(home);
+      Sight const& sight = geometry_->sight;
+      bool const is_seen =
+          grids[block.grid].is_leaf() ? sight.sums(numbers_[n], block) : sight.opens(numbers_[n], block);
+      if (!is_seen || geometry_->home(block) < 0) continue;
+      if (f(block)) return;
       grids.for_each_child(block, [&](Block const& child) { stack.push_back(child); });
     }
   }
+}
+
+/// Of whom this rank's patches may need nodes and charges.
+void WallPlan::plan_sources() {
+  auto const others = std::size_t(geometry_->mesh.ranks() - 1);
+  if (others == 0) return;
+  std::set<int> nodes, charges;
+  for_each_seen([&](Block const& block) {
+    bool const is_leaf = geometry_->grids[block.grid].is_leaf();
+    int const home = is_leaf || block.grid <= geometry_->top ? geometry_->home(block) : rank_;
+    if (home != rank_) (is_leaf ? charges : nodes).insert(home);
+    return nodes.size() == others && charges.size() == others;
+  });
   family_ranks.from.assign(nodes.begin(), nodes.end());
   leaf_ranks.from.assign(charges.begin(), charges.end());
 }

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -55,6 +56,9 @@ struct WallGeometry {
   int home(Block const& block) const;
 };
 
+constexpr int lowest_octave = -1100, octaves = 2200;  ///< of doubles
+constexpr int most_levels = 64;
+
 class WallPlan {
  public:
   /// Of one rank, any.
@@ -77,6 +81,10 @@ class WallPlan {
   Transfer blocks;                  ///< values of blocks of ghosts to the owners of the cells before them
   std::vector<int> wall_blocks;     ///< this rank's, by number in the geometry, ascending
   std::vector<std::array<int, 2>> kept_blocks;  ///< patch and wall block of those that it evaluates itself
+
+  /// Call f(block) for the blocks that patches of this rank may open, and for the leaves that they may sum, several
+  /// times for some; until f returns true.
+  void for_each_seen(std::function<bool(Block const&)> const& f) const;
 
   /// Place of a ghost's value among those of the blocks at this rank's walls.
   std::size_t place(int face, int level, Index3 const& cell) const;

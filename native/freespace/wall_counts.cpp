@@ -20,15 +20,18 @@ class FullBlocks {
     if (geometry_.home(block) < 0) return false;
     int const level = geometry_.grids[block.grid].level;
     Box const cells = geometry_.grids.cells(block);
-    if (geometry_.grids[block.grid].is_leaf() && is_covered(level, cells)) return false;
-    if (charged_.empty()) return true;
-    return std::any_of(charged_.begin(), charged_.end(), [&](ChargedRegion const& region) {
+    bool const is_near = charged_.empty() || std::any_of(charged_.begin(), charged_.end(), [&](auto const& region) {
       bool meets = true;
       for (int d = 0; d < 3; ++d)
         meets = meets && std::ldexp(cells.lower[d], -level) < region.upper[d] &&
                 std::ldexp(cells.upper[d] + 1, -level) > region.lower[d];
       return meets;
     });
+    if (!is_near) return false;
+    if (geometry_.grids[block.grid].is_leaf()) return !is_covered(level, cells);
+    bool any = false;
+    geometry_.grids.for_each_child(block, [&](Block const& child) { any = any || has_charge(child); });
+    return any;
   }
   std::vector<NodeRecord> children(Block const& block) const {
     std::vector<NodeRecord> out;

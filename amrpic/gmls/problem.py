@@ -21,7 +21,7 @@ from .weights import Weight
 
 RESIDUAL_BOUND = 1e-9  # of reproduction, above which a stencil is not used
 SUM_BOUND = 1e6  # of Σ|α λ| over the largest |τ|, the same
-NONE = np.empty((0, 0))
+UNDETERMINED, DEPENDENT, ONE_SIGN, NO_SIGN = 3, 4, 5, 6  # places in PATHS of stencils.py
 
 
 @dataclass
@@ -35,23 +35,32 @@ class Solution:
     path: np.ndarray
     judgements: np.ndarray  # (3, n): pivot, residual, sum
 
-    def replaced(self, which: np.ndarray, by: Solution) -> Solution:
-        """Return the stencils with those of some targets replaced."""
-        lengths = np.diff(self.start)
-        lengths[which] = np.diff(by.start)
-        start = np.concatenate([[0], lengths.cumsum()])
-        index = np.empty(start[-1], self.index.dtype)
-        weights = np.empty((start[-1], self.weights.shape[1]))
-        keeps = np.ones(len(lengths), dtype=bool)
-        keeps[which] = False
-        new = np.repeat(keeps, lengths)
-        old = np.repeat(keeps, np.diff(self.start))
-        index[new], weights[new] = self.index[old], self.weights[old]
-        place = np.repeat(start[which] - by.start[:-1], np.diff(by.start)) + np.arange(by.start[-1])
-        index[place], weights[place] = by.index, by.weights
-        exact_weights, path, judgements = self.exact_weights.copy(), self.path.copy(), self.judgements.copy()
-        exact_weights[which], path[which], judgements[:, which] = by.exact_weights, by.path, by.judgements
-        return Solution(start, index, weights, exact_weights, path, judgements)
+
+def merged(parts: Sequence[tuple[np.ndarray, Solution]]) -> Solution:
+    """Return one solution of several: of the targets of each part, ascending; later parts replace earlier ones."""
+    whole = parts[0][1]
+    if len(parts) == 1:
+        return whole
+    source, place = np.zeros(len(whole.path), dtype=int), np.arange(len(whole.path))
+    for number, (which, _) in enumerate(parts):
+        source[which], place[which] = number, np.arange(len(which))
+    lengths = np.empty(len(source), dtype=np.int64)
+    exact, path, judgements = whole.exact_weights.copy(), whole.path.copy(), whole.judgements.copy()
+    for number, (_, part) in enumerate(parts):
+        mine = source == number
+        at = place[mine]
+        lengths[mine] = np.diff(part.start)[at]
+        exact[mine], path[mine], judgements[:, mine] = part.exact_weights[at], part.path[at], part.judgements[:, at]
+    start = np.concatenate([[0], lengths.cumsum()])
+    index = np.empty(start[-1], whole.index.dtype)
+    weights = np.empty((start[-1], whole.weights.shape[1]))
+    runs = np.flatnonzero(np.diff(source, prepend=-1, append=-1))
+    for first, last in zip(runs[:-1], runs[1:], strict=True):  # targets of one part side by side
+        part, at = parts[source[first]][1], place[first]
+        taken = slice(part.start[at], part.start[at + last - first])
+        index[start[first] : start[last]] = part.index[taken]
+        weights[start[first] : start[last]] = part.weights[taken]
+    return Solution(start, index, weights, exact, path, judgements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,14 +183,14 @@ class Problem:
     def require_one_sign(self, found: Solution, near_reach: np.ndarray) -> None:
         """Replace weights by some of one sign off the centre; targets that have none are marked, and their weights NaN."""
         native = self._native(found.start, found.index, near_reach)
-        for t in np.flatnonzero(found.path < 2):
+        for t in np.flatnonzero(found.path < UNDETERMINED):
             entries = slice(found.start[t], found.start[t + 1])
             off = (self.sites[found.index[entries]] != self.targets[t]).any(axis=1)
             alpha = found.weights[entries, 0]
             if (alpha[off] >= 0).all() or (alpha[off] <= 0).all():
                 continue
             rows, root, tau = native.equations(int(t))
-            found.path[t] = 5
+            found.path[t] = NO_SIGN
             for sign in (1.0, -1.0):
                 columns = np.hstack([rows.T, -rows[~off].T])
                 z, _ = nnls(columns, sign * tau[:, 0], maxiter=20 * columns.shape[1])
@@ -191,7 +200,7 @@ class Problem:
                     total[~off] -= z[len(rows) :]
                     found.weights[entries, 0] = sign * total * root
                     found.judgements[1, t] = missing / np.abs(tau).max()
-                    found.path[t] = 4
+                    found.path[t] = ONE_SIGN
                     break
             else:
                 found.weights[entries] = np.nan
@@ -202,9 +211,9 @@ class Problem:
         sites = np.unique(sites, axis=0)
         count, dimension = len(sites), self.targets.shape[1]
         unknowns = self.space.unknowns(dimension) // (self.per_site if self.split else 1)
-        if found.path[target] == 5:
+        if found.path[target] == NO_SIGN:
             return "it has no weights of one sign off the centre; take a longer reach, a lower order, or any signs"
-        if found.path[target] == 3:
+        if found.path[target] == DEPENDENT:
             return "its exact rows depend on each other, so that their data contradict each other; leave one out"
         spread = np.linalg.svd(sites - sites.mean(axis=0), compute_uv=False) if count else np.zeros(1)
         rank = int((spread > 1e-9 * max(spread[0], 1e-300)).sum()) if count else 0

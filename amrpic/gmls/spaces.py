@@ -27,15 +27,15 @@ class Space:
             raise InputError(f"the order of a space is {self.order}; use 1, 2, 3 or 4")
 
     def components(self, dimension: int) -> int:
-        """Number of components of its polynomials."""
+        """Number of components of its polynomials. InputError for vectors in one dimension."""
+        if self.vector and dimension == 1:
+            raise InputError(f"{self} has no meaning in one dimension; use Scalar, or sites in two or three")
         return dimension if self.vector else 1
 
     def basis(self, dimension: int) -> np.ndarray:
         """Coefficients of the monomials of all components, (components * monomials, unknowns); (0, 0) for all of them."""
         if self.operator is None:
             return np.empty((0, 0))
-        if self.vector and dimension == 1:
-            raise InputError(f"{self} has no meaning in one dimension; use Vector, or sites in two or three")
         return _null_space(self.operator, dimension, self.order)
 
     def unknowns(self, dimension: int) -> int:

@@ -13,14 +13,22 @@ from scipy.sparse import csr_array
 from ..errors import InputError, SolverError
 from .checks import points
 from .neighbours import Neighbours
-from .problem import assembled
+from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, assembled, merged
 from .samples import Samples
 from .spaces import Space
 from .targets import Exact, Wanted
 from .weights import Power, Weight
 
 GROWTH, GROWTHS = 1.15, 5  # how much longer a reach becomes, and how often
-PATHS = ("normal equations", "orthogonal", "undetermined", "dependent exact rows", "one sign", "no weights of one sign")
+PATHS = (
+    "normal equations",
+    "normal equations of less rank",
+    "orthogonal factors",
+    "undetermined",
+    "dependent exact rows",
+    "one sign",
+    "no weights of one sign",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +45,7 @@ class Quality:
     @property
     def failed(self) -> np.ndarray:
         """Targets without usable weights."""
-        return np.flatnonzero((self.path == 2) | (self.path == 3) | (self.path == 5))
+        return np.flatnonzero(np.isin(self.path, [UNDETERMINED, DEPENDENT, NO_SIGN]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,15 +145,17 @@ def stencils(
     """
     places = points(targets, "the targets")
     problem = assembled(places, near, space, samples, wanted, weight, exact, aspect, portable)
-    solution = problem.solve(near)
+    parts = [(np.arange(len(places)), problem.solve(near))]
     growth = np.zeros(len(places), dtype=np.int8)
     for times in range(1, GROWTHS + 1):
-        again = np.flatnonzero(solution.path == 2)
+        which, latest = parts[-1]
+        again = which[latest.path == UNDETERMINED]
         larger = near.grown(again, GROWTH**times) if again.size else None
         if larger is None:
             break
-        solution = solution.replaced(again, problem.of(again).solve(larger))
+        parts.append((again, problem.of(again).solve(larger)))
         growth[again] = times
+    solution = merged(parts)
     if one_sign:
         problem.require_one_sign(solution, near.reach * GROWTH**growth)
     quality = Quality(np.diff(solution.start) // problem.per_site, solution.path, growth, *solution.judgements)

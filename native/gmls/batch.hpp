@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <type_traits>
 #include <vector>
 
 #include "gmls/pivoted_qr.hpp"
@@ -17,18 +18,34 @@ constexpr int lanes_of_processor = 4;
 #endif
 typedef Real ProcessorLanes __attribute__((vector_size(8 * lanes_of_processor)));
 
-constexpr Real pivot_tolerance = 1e-8;  ///< a pivot over its diagonal entry, below which the equations are not trusted
+typedef Real OneLane __attribute__((may_alias));
 
-/// c(a, b) += sum over k < count of x(k, a) y(k, b), for two a and two b; steps from k to k and from a to a, b to b.
-template <class V>
-inline void add_products(int count, V const* x, std::ptrdiff_t x_next, std::ptrdiff_t x_beside, V const* y,
-                         std::ptrdiff_t y_next, std::ptrdiff_t y_beside, V* c, std::ptrdiff_t c_step) {
-  V c00 = c[0], c01 = c[1], c10 = c[c_step], c11 = c[c_step + 1];
-  for (int k = 0; k < count; ++k, x += x_next, y += y_next) {
-    V const x0 = x[0], x1 = x[x_beside], y0 = y[0], y1 = y[y_beside];
-    c00 += x0 * y0, c01 += x0 * y1, c10 += x1 * y0, c11 += x1 * y1;
+// A pivot over its diagonal entry: above the first number the equations are trusted, below the second one the column
+// depends on those before it, as it often does on lattices. Between them only orthogonal factors tell.
+constexpr Real pivot_tolerance = 1e-8, pivot_of_rounding = 1e-13;
+
+/// Call f(first, number of columns as a constant) for columns in groups of six, four or two, an even number in all: as
+/// many sums as registers hold, so that none waits for another.
+template <class F>
+inline void in_columns(int columns, F&& f) {
+  int at = 0;
+  for (; columns - at >= 6; at += 6) f(at, std::integral_constant<int, 6>());
+  if (columns - at >= 4) f(at, std::integral_constant<int, 4>()), at += 4;
+  if (columns - at >= 2) f(at, std::integral_constant<int, 2>());
+}
+
+/// c(a, b) += sum over k < count of x(k, a) y(k, b), for two a and some b side by side; steps are from k to k, and from
+/// the first a to the second.
+template <int columns, class V>
+inline void add_products(int count, V const* x, std::ptrdiff_t x_step, std::ptrdiff_t x_beside, V const* y,
+                         std::ptrdiff_t y_step, V* c, std::ptrdiff_t c_beside) {
+  V first[columns], second[columns];
+  for (int b = 0; b < columns; ++b) first[b] = c[b], second[b] = c[c_beside + b];
+  for (int k = 0; k < count; ++k, x += x_step, y += y_step) {
+    V const x0 = x[0], x1 = x[x_beside];
+    for (int b = 0; b < columns; ++b) first[b] += x0 * y[b], second[b] += x1 * y[b];
   }
-  c[0] = c00, c[1] = c01, c[c_step] = c10, c[c_step + 1] = c11;
+  for (int b = 0; b < columns; ++b) c[b] = first[b], c[c_beside + b] = second[b];
 }
 
 /// Weighted least squares with the targets first. With Q = √W P, of rows √w λ(p), the weights are α = √W z, where
@@ -94,6 +111,8 @@ class Batch {
     return std::size_t(row) * std::size_t(columns) + std::size_t(column);
   }
 
+  static Real number(V const& of, std::size_t lane) { return reinterpret_cast<OneLane const*>(&of)[lane]; }
+
   // ---- the problems of the lanes ----
 
   /// Rows of samples, weights, right-hand sides.
@@ -113,20 +132,35 @@ class Batch {
     m_ = even(longest);
     resize(unknowns);
 
-    std::array<V, 3> const zero{};
     row_.resize(std::size_t(std::max({p.wanted.rows, fixed_, 1}) * p.full()));
     reduced_.resize(std::size_t(unknowns));
     if (fixed_ > 0) {
-      p.exact.evaluate(p.monomials, p.components, of, zero, inverse, row_.data());
+      p.exact.evaluate(p.monomials, p.components, of, {}, inverse, row_.data());
       for (int c = 0; c < fixed_; ++c) add_reflector(row_.data() + c * p.full(), c);
     }
-    p.wanted.evaluate(p.monomials, p.components, of, zero, inverse, row_.data());
+    evaluate_wanted(of, inverse);
     for (int t = 0; t < targets_; ++t) {
       reduce(row_.data() + t * p.full());
       for (int i = 0; i < fixed_; ++i) fixed_tau_[at(i, wide_, t)] = reduced_[std::size_t(i)];
       for (int i = 0; i < free_; ++i) tau_[at(i, wide_, t)] = reduced_[std::size_t(fixed_ + i)];
     }
     for (int j = 0; j < longest; ++j) fill_row(j, of, origin, inverse);
+  }
+
+  /// Rows of what is wanted, where all targets want the same from a table: of u = x / s the monomial u^e is x^e / s^e.
+  void evaluate_wanted(Each<V> const& of, std::array<V, 3> const& inverse) {
+    Problem const& p = problem_;
+    if (p.wanted.count > 1) return p.wanted.evaluate(p.monomials, p.components, of, {}, inverse, row_.data());
+    V const one = V{} + 1;
+    if (table_.empty()) {
+      table_.resize(std::size_t(targets_ * p.full()));
+      p.wanted.evaluate(p.monomials, p.components, of, {}, {one, one, one}, table_.data());
+    }
+    powers_.resize(std::size_t(p.monomials.count()));
+    p.monomials.evaluate(inverse, one, powers_.data());
+    std::size_t at = 0;
+    for (int row = 0; row < targets_ * p.components; ++row)
+      for (V const& power : powers_) row_[at] = table_[at] * power, ++at;
   }
 
   void resize(int unknowns) {
@@ -161,8 +195,9 @@ class Batch {
     V const weight = root_of_weight(p.weight, square) * load<V>(there.data());
     root_weight_[std::size_t(j)] = weight;
     V* const out = &q_[at(j, n_, 0)];
-    if (p.samples_are_points() && fixed_ == 0) {
+    if (p.samples_are_points() && fixed_ == 0 && p.basis.empty()) {
       p.monomials.evaluate(u, weight, out);
+      largest_[std::size_t(j)] = weight;  // of the constant; |u| < 1
     } else {
       if (p.samples_are_points())
         p.monomials.evaluate(u, V{} + 1, row_.data());
@@ -171,10 +206,10 @@ class Batch {
       reduce(row_.data());
       for (int i = 0; i < fixed_; ++i) fixed_q_[at(j, fixed_, i)] = weight * reduced_[std::size_t(i)];
       for (int i = 0; i < free_; ++i) out[i] = weight * reduced_[std::size_t(fixed_ + i)];
+      V largest{};
+      for (int i = 0; i < free_; ++i) largest = at_least(largest, magnitude(out[i]));
+      largest_[std::size_t(j)] = largest;
     }
-    V largest{};
-    for (int i = 0; i < free_; ++i) largest = at_least(largest, magnitude(out[i]));
-    largest_[std::size_t(j)] = largest;
   }
 
   /// A row for the basis of the space, exact rows reflected away: the first `fixed_` numbers are what they see.
@@ -229,54 +264,59 @@ class Batch {
     constexpr int rows = 8;
     for (int first = 0; first < m_; first += rows)
       for (int i = 0; i < n_; i += 2)
-        for (int k = 0; k <= i; k += 2) {
+        in_columns(i + 2, [&](int k, auto columns) {
           V const* const q = &q_[at(first, n_, 0)];
-          add_products(std::min(rows, m_ - first), q + i, n_, 1, q + k, n_, 1, &matrix_[at(i, n_, k)], n_);
-        }
+          add_products<columns>(std::min(rows, m_ - first), q + i, n_, 1, q + k, n_, &matrix_[at(i, n_, k)], n_);
+        });
   }
 
-  /// Cholesky's factor, in place; pivots over their diagonal entries say how well the equations determine the result.
+  /// Cholesky's factor, in place. A column that depends on those before it is left out: its y is zero, and z = Q y, in
+  /// the range of Q, still is the solution of least norm if there is one, which its residual shows.
   void factor() {
     V const zero{}, one = V{} + 1;
-    least_pivot_ = one;
+    least_pivot_ = one, unclear_ = zero;
     for (int k = 0; k < free_; ++k) {
       V const diagonal = matrix_[at(k, n_, k)];
       for (int i = k; i < free_; ++i) {
         V sum = matrix_[at(i, n_, k)];
         for (int j = 0; j < k; ++j) sum = sum - matrix_[at(i, n_, j)] * matrix_[at(k, n_, j)];
-        matrix_[at(i, n_, k)] = i == k ? sum : sum * inverse_root_[std::size_t(k)];
         if (i == k) {
           V const ratio = diagonal > zero ? sum / (diagonal > zero ? diagonal : one) : zero;
-          least_pivot_ = ratio < least_pivot_ ? ratio : least_pivot_;
-          inverse_root_[std::size_t(k)] = inverse_root(ratio > pivot_tolerance ? sum : one);
+          least_pivot_ = ratio < least_pivot_ ? at_least(ratio, zero) : least_pivot_;
+          V const inverse = inverse_root(ratio > pivot_tolerance ? sum : one);
+          inverse_root_[std::size_t(k)] = ratio > pivot_tolerance ? inverse : zero;
+          V const unclear = ratio > pivot_of_rounding ? one : zero;
+          unclear_ = ratio > pivot_tolerance ? unclear_ : at_least(unclear_, unclear);
         }
+        matrix_[at(i, n_, k)] = sum * inverse_root_[std::size_t(k)];
       }
     }
   }
 
   /// y += (QᵀQ)⁻¹ residual.
   void add_solution_of_residual() {
-    for (int i = 0; i < free_; ++i)
-      for (int t = 0; t < targets_; ++t) {
-        V sum = residual_[at(i, wide_, t)];
-        for (int j = 0; j < i; ++j) sum = sum - matrix_[at(i, n_, j)] * residual_[at(j, wide_, t)];
-        residual_[at(i, wide_, t)] = sum * inverse_root_[std::size_t(i)];
-      }
-    for (int i = free_ - 1; i >= 0; --i)
-      for (int t = 0; t < targets_; ++t) {
-        V sum = residual_[at(i, wide_, t)];
-        for (int j = i + 1; j < free_; ++j) sum = sum - matrix_[at(j, n_, i)] * residual_[at(j, wide_, t)];
-        residual_[at(i, wide_, t)] = sum * inverse_root_[std::size_t(i)];
-        y_[at(i, wide_, t)] += residual_[at(i, wide_, t)];
-      }
+    in_columns(wide_, [&](int t, auto columns) {
+      V* const r = &residual_[std::size_t(t)];
+      auto const substitute = [&](int i, int first, int last, V const* entry, std::ptrdiff_t step) {
+        V sum[columns];
+        for (int b = 0; b < columns; ++b) sum[b] = r[i * wide_ + b];
+        for (int j = first; j < last; ++j, entry += step)
+          for (int b = 0; b < columns; ++b) sum[b] = sum[b] - *entry * r[j * wide_ + b];
+        for (int b = 0; b < columns; ++b) r[i * wide_ + b] = sum[b] * inverse_root_[std::size_t(i)];
+      };
+      for (int i = 0; i < free_; ++i) substitute(i, 0, i, &matrix_[at(i, n_, 0)], 1);
+      for (int i = free_ - 1; i >= 0; --i) substitute(i, i + 1, free_, &matrix_[at(i, n_, i)] + n_, n_);
+    });
+    for (std::size_t i = 0; i < y_.size(); ++i) y_[i] += residual_[i];
   }
 
   /// z = Q y, and what is missing to the reproduction of the space.
   void reproduce() {
     std::fill(z_.begin(), z_.end(), V{});
     for (int j = 0; j < m_; j += 2)
-      for (int t = 0; t < wide_; t += 2)
-        add_products(n_, &q_[at(j, n_, 0)], 1, n_, &y_[std::size_t(t)], wide_, 1, &z_[at(j, wide_, t)], wide_);
+      in_columns(wide_, [&](int t, auto columns) {
+        add_products<columns>(n_, &q_[at(j, n_, 0)], 1, n_, &y_[std::size_t(t)], wide_, &z_[at(j, wide_, t)], wide_);
+      });
     find_residual();
   }
 
@@ -284,8 +324,10 @@ class Batch {
   void find_residual() {
     std::fill(residual_.begin(), residual_.end(), V{});
     for (int i = 0; i < n_; i += 2)
-      for (int t = 0; t < wide_; t += 2)
-        add_products(m_, &q_[std::size_t(i)], n_, 1, &z_[std::size_t(t)], wide_, 1, &residual_[at(i, wide_, t)], wide_);
+      in_columns(wide_, [&](int t, auto columns) {
+        V* const to = &residual_[at(i, wide_, t)];
+        add_products<columns>(m_, &q_[std::size_t(i)], n_, 1, &z_[std::size_t(t)], wide_, to, wide_);
+      });
     for (std::size_t i = 0; i < residual_.size(); ++i) residual_[i] = tau_[i] - residual_[i];
   }
 
@@ -294,31 +336,36 @@ class Batch {
   /// Judge the weights, and write them where all targets' are.
   void write(Each<V> const& of, Stencils const& to, Path path) {
     V worst{}, sum_of_sizes{};
-    for (int t = 0; t < targets_; ++t) {
-      V missing{}, size{}, sum{};
-      for (int i = 0; i < free_; ++i) {
-        missing = at_least(magnitude(residual_[at(i, wide_, t)]), missing);
-        size = at_least(size, magnitude(tau_[at(i, wide_, t)]));
+    V const tiny = V{} + std::numeric_limits<Real>::min();
+    in_columns(wide_, [&](int t, auto columns) {
+      V missing[columns] = {}, size[columns] = {}, sum[columns] = {};
+      for (int i = 0; i < free_; ++i)
+        for (int b = 0; b < columns; ++b) {
+          missing[b] = at_least(magnitude(residual_[at(i, wide_, t + b)]), missing[b]);
+          size[b] = at_least(magnitude(tau_[at(i, wide_, t + b)]), size[b]);
+        }
+      for (int j = 0; j < m_; ++j)
+        for (int b = 0; b < columns; ++b) sum[b] += magnitude(z_[at(j, wide_, t + b)]) * largest_[std::size_t(j)];
+      for (int b = 0; b < columns; ++b) {
+        // a product with zero, so that no maximum drops what is no number
+        worst = at_least(missing[b] / at_least(at_least(size[b], sum[b]), tiny), worst) + 0 * sum[b];
+        sum_of_sizes = at_least(sum[b] / at_least(size[b], tiny), sum_of_sizes);
       }
-      for (int j = 0; j < m_; ++j) sum += magnitude(z_[at(j, wide_, t)]) * largest_[std::size_t(j)];
-      V const tiny = V{} + std::numeric_limits<Real>::min();
-      // a product with zero, so that no maximum drops what is no number
-      worst = at_least(missing / at_least(at_least(size, sum), tiny), worst) + 0 * sum;
-      sum_of_sizes = at_least(sum_of_sizes, sum / at_least(size, tiny));
-    }
+    });
     weigh_exact_data();
     for (int j = 0; j < m_; ++j)
       for (int t = 0; t < targets_; ++t) z_[at(j, wide_, t)] = z_[at(j, wide_, t)] * root_weight_[std::size_t(j)];
+    for (std::size_t l = 0; l < of.size(); ++l) {
+      Real* out = to.weight + problem_.start[of[l]] * targets_;
+      int const count = problem_.neighbours(of[l]);
+      for (int j = 0; j < count; ++j) {
+        auto const* const from = reinterpret_cast<OneLane const*>(&z_[at(j, wide_, 0)]) + l;
+        for (int t = 0; t < targets_; ++t) *out++ = from[t * width<V>];
+      }
+    }
     auto const each = [&](V const& value, auto&& f) {
-      std::array<Real, std::size_t(width<V>)> numbers;
-      store(numbers.data(), value);
-      for (std::size_t l = 0; l < of.size(); ++l) f(of[l], numbers[l]);
+      for (std::size_t l = 0; l < of.size(); ++l) f(of[l], number(value, l));
     };
-    for (int j = 0; j < m_; ++j)
-      for (int t = 0; t < targets_; ++t)
-        each(z_[at(j, wide_, t)], [&](std::size_t target, Real value) {
-          if (j < problem_.neighbours(target)) to.weight[(problem_.start[target] + j) * targets_ + t] = value;
-        });
     for (int c = 0; c < fixed_; ++c)
       for (int t = 0; t < targets_; ++t)
         each(fixed_tau_[at(c, wide_, t)], [&](std::size_t target, Real value) {
@@ -328,7 +375,13 @@ class Batch {
     if (path == Path::normal_equations) each(least_pivot_, [&](std::size_t target, Real v) { to.pivot[target] = v; });
     each(worst, [&](std::size_t target, Real v) { to.residual[target] = v; });
     each(sum_of_sizes, [&](std::size_t target, Real v) { to.sum[target] = v; });
-    each(independent_, [&](std::size_t target, Real v) { to.path[target] = v > 0 ? path : Path::dependent; });
+    for (std::size_t l = 0; l < of.size(); ++l) {
+      bool const by_equations = path == Path::normal_equations;
+      to.path[of[l]] = number(independent_, l) == 0                                 ? Path::dependent
+                       : by_equations && number(unclear_, l) > 0                    ? Path::undetermined
+                       : by_equations && number(least_pivot_, l) <= pivot_tolerance ? Path::less_rank
+                                                                                    : path;
+    }
   }
 
   /// R β = H (τ - Pᵀα) in the first columns, by back substitution in place.
@@ -346,10 +399,10 @@ class Batch {
 
   Problem const& problem_;
   int targets_, wide_, fixed_, free_, n_, m_ = 0, reflectors_ = 0;
-  std::vector<V> row_, reduced_, reflector_, upper_;
+  std::vector<V> row_, table_, powers_, reduced_, reflector_, upper_;
   std::vector<V> q_, fixed_q_, root_weight_, largest_, z_;
   std::vector<V> tau_, fixed_tau_, y_, residual_, matrix_, inverse_root_;
-  V least_pivot_{}, independent_{};
+  V least_pivot_{}, unclear_{}, independent_{};
 };
 
 }  // namespace amrpic::gmls

@@ -35,7 +35,9 @@ struct Problem {
   int neighbours(std::size_t target) const { return int(start[target + 1] - start[target]); }
 };
 
-enum class Path : std::int8_t { normal_equations, orthogonal, undetermined, dependent };
+/// How weights were found: less_rank, by normal equations without columns that depend on others; orthogonal, by QR of
+/// least norm. Or why not: undetermined; dependent, exact rows that depend on each other.
+enum class Path : std::int8_t { normal_equations, less_rank, orthogonal, undetermined, dependent };
 
 /// What is found, in arrays of the caller.
 struct Stencils {

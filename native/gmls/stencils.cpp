@@ -11,6 +11,9 @@ namespace {
 
 constexpr std::size_t sorted_together = 4096;  ///< targets, so that lanes of about equal numbers of neighbours meet
 
+/// A residual that no rounding explains: the samples do not determine what is wanted.
+constexpr Real far_from_reproduced = 1e-4;
+
 /// Whether the normal equations gave a stencil that can be used.
 class Judge {
  public:
@@ -24,7 +27,10 @@ class Judge {
   void repair(std::size_t target, Batch<Real>& single) const {
     if (to_.path[target] == Path::dependent) return drop(target, Path::dependent);
     if (problem_.neighbours(target) > 0) {
-      if (to_.pivot[target] > pivot_tolerance && is_good(target)) return;
+      Path const path = to_.path[target];
+      if (path != Path::undetermined && is_good(target)) return;
+      if (path == Path::less_rank && to_.residual[target] > far_from_reproduced)
+        return drop(target, Path::undetermined);
       single.solve_by_factors({target}, to_);
       if (is_good(target)) return;
     } else {

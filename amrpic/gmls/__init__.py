@@ -17,6 +17,7 @@ from .samples import (
 from .shapes import Shapes, box_faces, boxes, edges, polygons, tetrahedra, triangles
 from .spaces import CurlFree, DivergenceFree, Harmonic, Scalar, Space, Vector
 from .stencils import Quality, Stencils, stencils
+from .surface import Surface, surface
 from .targets import (
     COEFFICIENTS,
     CURL,

@@ -67,7 +67,9 @@ class Basis:
         """
         powers = tuple(derivative) if derivative is not None else (0,) * self.dimension
         if len(powers) != self.dimension or min(powers) < 0:
-            raise InputError(f"the derivative {powers} does not fit {self.dimension} dimensions; give a number per axis")
+            raise InputError(
+                f"the derivative {powers} does not fit {self.dimension} dimensions; give a number per axis"
+            )
         if not 0 <= component < self.components:
             raise InputError(f"component {component} does not exist in a space of {self.components}; use 0 and up")
         return Functional((Part(place, half, powers, component, np.ones(1)),))

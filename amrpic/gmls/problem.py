@@ -77,7 +77,9 @@ class Problem:
     wanted: Native
     exact: tuple[Native, ...]
     present: np.ndarray  # (n, exact rows) bool
-    split: tuple[tuple[int, int, int], ...]  # (row of a vector, component, row of a scalar), where components fall apart
+    split: tuple[
+        tuple[int, int, int], ...
+    ]  # (row of a vector, component, row of a scalar), where components fall apart
     rows: dict[str, tuple[slice, tuple[int, ...]]]
     weight: Weight
     aspect: tuple[float, float, float]
@@ -109,7 +111,12 @@ class Problem:
         return self._expanded(found) if self.split else found
 
     def _joined(
-        self, found: Solution | None, which: np.ndarray, start: np.ndarray, index: np.ndarray, reach: np.ndarray,
+        self,
+        found: Solution | None,
+        which: np.ndarray,
+        start: np.ndarray,
+        index: np.ndarray,
+        reach: np.ndarray,
         has: np.ndarray,
     ) -> Solution:
         """Add the stencils of some targets, which have some of the exact rows, to those found so far."""
@@ -133,9 +140,7 @@ class Problem:
         found.path[which], found.judgements[:, which] = new.path, new.judgements
         return found
 
-    def _solve(
-        self, start: np.ndarray, index: np.ndarray, reach: np.ndarray, exact: tuple[Native, ...]
-    ) -> Solution:
+    def _solve(self, start: np.ndarray, index: np.ndarray, reach: np.ndarray, exact: tuple[Native, ...]) -> Solution:
         count, rows = len(self.targets), self.wanted[0]
         out = Solution(
             start,
@@ -264,12 +269,16 @@ def assembled(
         else:
             sites = np.repeat(sites, dimension, axis=0)
             directions = np.tile(np.eye(dimension), (len(samples), 1))
-            functional = lambda b: sum((b(sites, component=c) * directions[:, c] for c in range(dimension)), Functional())  # noqa: E731
+            functional = lambda b: sum(
+                (b(sites, component=c) * directions[:, c] for c in range(dimension)), Functional()
+            )  # noqa: E731
     given = None
     if functional is not None and len(sites):
         given = stacked([functional(basis)], dimension)
         if len(given[2]) != len(sites):
-            raise InputError(f"the samples have {len(given[2])} rows for {len(sites)} sites; give a place for each site")
+            raise InputError(
+                f"the samples have {len(given[2])} rows for {len(sites)} sites; give a place for each site"
+            )
     scale = np.ones(dimension) if aspect is None else finite(aspect, "the aspect", 1)
     if scale.shape != (dimension,) or not (scale > 0).all():
         raise InputError(f"the aspect is {aspect}; give {dimension} positive numbers")
@@ -298,9 +307,7 @@ def assembled(
     )
 
 
-def _require_fit(
-    targets: np.ndarray, near: Neighbours, space: Space, samples: Samples, exact: Sequence[Exact]
-) -> None:
+def _require_fit(targets: np.ndarray, near: Neighbours, space: Space, samples: Samples, exact: Sequence[Exact]) -> None:
     kind = "vector" if space.vector else "scalar"
     if samples.of != kind:
         raise InputError(f"the samples are of a {samples.of}, but {space} holds {kind}s; take another space or samples")
@@ -334,7 +341,8 @@ def _of_components(rows: Sequence[Functional], components: int) -> tuple[list[Fu
             if not of_one.parts:
                 continue
             key = tuple(
-                (p.derivative, p.place.shape, p.place.tobytes(), id(p.half), p.coefficient.tobytes()) for p in of_one.parts
+                (p.derivative, p.place.shape, p.place.tobytes(), id(p.half), p.coefficient.tobytes())
+                for p in of_one.parts
             )
             if key not in found:
                 found[key] = len(scalars)

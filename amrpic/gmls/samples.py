@@ -43,7 +43,9 @@ def Components(sites: ArrayLike, directions: ArrayLike) -> Samples:  # noqa: N80
     if along.shape != places.shape:
         raise InputError(f"there are {places.shape} sites and {along.shape} directions; give one for each site")
     if not along.any(axis=1).all():
-        raise InputError(f"direction {int(np.argmin(along.any(axis=1)))} is zero; give a direction or leave out its site")
+        raise InputError(
+            f"direction {int(np.argmin(along.any(axis=1)))} is zero; give a direction or leave out its site"
+        )
     return Samples(
         places,
         lambda basis: sum(

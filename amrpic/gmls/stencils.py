@@ -39,7 +39,9 @@ class Quality:
     path: np.ndarray  # numbers of PATHS
     growth: np.ndarray  # how often the reach was made 15 % longer
     pivot: np.ndarray  # least pivot of the normal equations over its diagonal entry
-    residual: np.ndarray  # largest error of reproduction, over the larger of |τ| and Σ|α λ|, in coordinates over the reach
+    residual: (
+        np.ndarray
+    )  # largest error of reproduction, over the larger of |τ| and Σ|α λ|, in coordinates over the reach
     sum: np.ndarray  # Σ|α λ| over the largest |τ|, of the worst row wanted: of values at points Σ|α|
 
     @property
@@ -73,12 +75,16 @@ class Stencils:
         count = rows.stop - rows.start
         if count == 1:
             return csr_array((self.weights[:, rows.start], self.index, self.start), (len(self), self.samples))
-        of_target = [csr_array((self.weights[:, r], self.index, self.start), (len(self), self.samples))
-                     for r in range(rows.start, rows.stop)]
+        of_target = [
+            csr_array((self.weights[:, r], self.index, self.start), (len(self), self.samples))
+            for r in range(rows.start, rows.stop)
+        ]
         lengths = np.repeat(np.diff(self.start)[:, None], count, axis=1).ravel()
         start = np.concatenate([[0], lengths.cumsum()])
-        order = np.argsort(np.concatenate([np.repeat(np.arange(len(self)) * count + r, np.diff(self.start))
-                                           for r in range(count)]), kind="stable")
+        order = np.argsort(
+            np.concatenate([np.repeat(np.arange(len(self)) * count + r, np.diff(self.start)) for r in range(count)]),
+            kind="stable",
+        )
         data = np.concatenate([part.data for part in of_target])[order]
         index = np.concatenate([part.indices for part in of_target])[order]
         return csr_array((data, index, start), (len(self) * count, self.samples))

@@ -16,7 +16,9 @@ from .functionals import Basis, Functional
 from .shapes import Shapes
 from .spaces import exponents
 
-Rows = Callable[[Basis, np.ndarray, np.ndarray, int], Any]  # (basis, place, targets, order) -> nested lists of functionals
+Rows = Callable[
+    [Basis, np.ndarray, np.ndarray, int], Any
+]  # (basis, place, targets, order) -> nested lists of functionals
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +81,7 @@ def _curl(basis: Basis, place: np.ndarray, *_: Any) -> Any:
 
 def _curl_curl(basis: Basis, place: np.ndarray, *_: Any) -> Any:
     axes = range(basis.dimension)
-    return [
-        sum((basis.second(place, a, b, b) for b in axes), Functional()) - basis.laplacian(place, a) for a in axes
-    ]
+    return [sum((basis.second(place, a, b, b) for b in axes), Functional()) - basis.laplacian(place, a) for a in axes]
 
 
 def _divergence(basis: Basis, place: np.ndarray, *_: Any) -> Functional:
@@ -96,9 +96,7 @@ def _coefficients(basis: Basis, place: np.ndarray, targets: np.ndarray, order: i
 
 
 VALUE = Wanted("value", lambda basis, x, *_: _each(basis, lambda c: basis(x, component=c)))
-GRADIENT = Wanted(
-    "gradient", lambda basis, x, *_: [basis.slope(x, a) for a in range(basis.dimension)], "scalar"
-)
+GRADIENT = Wanted("gradient", lambda basis, x, *_: [basis.slope(x, a) for a in range(basis.dimension)], "scalar")
 JACOBIAN = Wanted(
     "jacobian",
     lambda basis, x, *_: _each(basis, lambda c: [basis.slope(x, a, c) for a in range(basis.dimension)]),

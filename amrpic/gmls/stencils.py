@@ -151,6 +151,10 @@ def stencils(
     """
     places = points(targets, "the targets")
     problem = assembled(places, near, space, samples, wanted, weight, exact, aspect, portable)
+    if one_sign and (problem.wanted[0] != 1 or exact or space.vector):
+        raise InputError(
+            f"weights of one sign are wanted of {problem.wanted[0]} numbers; ask for one of a scalar, without exact rows"
+        )
     parts = [(np.arange(len(places)), problem.solve(near))]
     growth = np.zeros(len(places), dtype=np.int8)
     for times in range(1, GROWTHS + 1):

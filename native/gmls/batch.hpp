@@ -140,7 +140,9 @@ class Batch {
     }
     evaluate_wanted(of, inverse);
     for (int t = 0; t < targets_; ++t) {
-      reduce(row_.data() + t * p.full());
+      V const* const full = row_.data() + t * p.full();
+      for (int i = 0; i < p.full(); ++i) size_[std::size_t(t)] = at_least(magnitude(full[i]), size_[std::size_t(t)]);
+      reduce(full);
       for (int i = 0; i < fixed_; ++i) fixed_tau_[at(i, wide_, t)] = reduced_[std::size_t(i)];
       for (int i = 0; i < free_; ++i) tau_[at(i, wide_, t)] = reduced_[std::size_t(fixed_ + i)];
     }
@@ -169,7 +171,8 @@ class Batch {
     for (int j = 0; j < m_; ++j) q_[at(j, n_, n_ - 1)] = V{};
     if (m_ > 0) std::fill(&q_[at(m_ - 1, n_, 0)], &q_[at(m_ - 1, n_, 0)] + n_, V{});
     zeros(root_weight_, m_), zeros(largest_, m_), zeros(fixed_q_, m_ * fixed_);
-    zeros(tau_, n_ * wide_), zeros(y_, n_ * wide_), zeros(residual_, n_ * wide_), zeros(fixed_tau_, fixed_ * wide_);
+    zeros(size_, wide_), zeros(tau_, n_ * wide_), zeros(y_, n_ * wide_), zeros(residual_, n_ * wide_),
+        zeros(fixed_tau_, fixed_ * wide_);
     zeros(matrix_, n_ * n_), zeros(inverse_root_, n_);
     zeros(reflector_, fixed_ * unknowns), zeros(upper_, fixed_ * fixed_);
     independent_ = V{} + 1;
@@ -338,18 +341,16 @@ class Batch {
     V worst{}, sum_of_sizes{};
     V const tiny = V{} + std::numeric_limits<Real>::min();
     in_columns(wide_, [&](int t, auto columns) {
-      V missing[columns] = {}, size[columns] = {}, sum[columns] = {};
+      V missing[columns] = {}, sum[columns] = {};
       for (int i = 0; i < free_; ++i)
-        for (int b = 0; b < columns; ++b) {
-          missing[b] = at_least(magnitude(residual_[at(i, wide_, t + b)]), missing[b]);
-          size[b] = at_least(magnitude(tau_[at(i, wide_, t + b)]), size[b]);
-        }
+        for (int b = 0; b < columns; ++b) missing[b] = at_least(magnitude(residual_[at(i, wide_, t + b)]), missing[b]);
       for (int j = 0; j < m_; ++j)
         for (int b = 0; b < columns; ++b) sum[b] += magnitude(z_[at(j, wide_, t + b)]) * largest_[std::size_t(j)];
       for (int b = 0; b < columns; ++b) {
+        V const size = at_least(size_[std::size_t(t + b)], tiny);  // of all monomials: the space may see none of it
         // a product with zero, so that no maximum drops what is no number
-        worst = at_least(missing[b] / at_least(at_least(size[b], sum[b]), tiny), worst) + 0 * sum[b];
-        sum_of_sizes = at_least(sum[b] / at_least(size[b], tiny), sum_of_sizes);
+        worst = at_least(missing[b] / at_least(size, sum[b]), worst) + 0 * sum[b];
+        sum_of_sizes = at_least(sum[b] / size, sum_of_sizes);
       }
     });
     weigh_exact_data();
@@ -401,7 +402,7 @@ class Batch {
   int targets_, wide_, fixed_, free_, n_, m_ = 0, reflectors_ = 0;
   std::vector<V> row_, table_, powers_, reduced_, reflector_, upper_;
   std::vector<V> q_, fixed_q_, root_weight_, largest_, z_;
-  std::vector<V> tau_, fixed_tau_, y_, residual_, matrix_, inverse_root_;
+  std::vector<V> size_, tau_, fixed_tau_, y_, residual_, matrix_, inverse_root_;
   V least_pivot_{}, unclear_{}, independent_{};
 };
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from ..errors import InputError
+from ..mesh.hierarchy import Hierarchy
 from .checks import finite, points
 from .spaces import Scalar
 
@@ -33,6 +34,78 @@ class Neighbours:
     def grown(self, which: np.ndarray, factor: float) -> Neighbours | None:
         """Return neighbours of some of the targets within a longer reach; none if they were given and cannot grow."""
         return None if self.search is None else self.search(which, self.reach[which] * factor)
+
+    def of(self, which: np.ndarray) -> Neighbours:
+        """Return the neighbours of some targets, which do not grow."""
+        lengths = np.diff(self.start)[which]
+        start = np.concatenate([[0], lengths.cumsum()])
+        place = np.repeat(self.start[which] - start[:-1], lengths) + np.arange(start[-1])
+        return Neighbours(start, self.index[place], self.reach[which])
+
+    def alike(
+        self, targets: np.ndarray, sites: np.ndarray, unit: np.ndarray
+    ) -> tuple[Neighbours, np.ndarray, np.ndarray]:
+        """Return these neighbours in an order of their offsets, a target for each kind of surroundings, and kinds (n,).
+
+        Offsets are whole multiples of `unit` (dimension,). InputError for those that are not.
+        """
+        lengths = np.diff(self.start)
+        of = np.repeat(np.arange(len(self)), lengths)
+        steps = (sites[self.index] - targets[of]) / unit
+        whole = np.rint(steps).astype(np.int64)
+        off = np.abs(steps - whole).max(axis=1, initial=0) > 1e-3
+        if off.any():
+            raise InputError(f"target {of[int(np.argmax(off))]} has a site that is not on the lattice; leave it out")
+        key = np.zeros(len(of), dtype=np.uint64)
+        for d in range(whole.shape[1]):  # 21 bits each
+            key = (key << np.uint64(21)) | (whole[:, d] + (1 << 20)).astype(np.uint64)
+        order = np.lexsort((key, of))
+        key = key[order]
+        mixed = (key ^ (key >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
+        mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+        total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(mixed ^ (mixed >> np.uint64(32)))])
+        sums = np.stack([total[self.start[1:]] - total[self.start[:-1]], lengths.astype(np.uint64)], axis=1)
+        sums = np.column_stack([sums, np.rint(self.reach / unit.min() * 1e6).astype(np.uint64)])
+        _, representative, kind = np.unique(sums, axis=0, return_index=True, return_inverse=True)
+        kind = kind.ravel()
+        twin = np.repeat(self.start[:-1][representative[kind]] - self.start[:-1], lengths) + np.arange(len(of))
+        assert np.array_equal(key, key[twin])  # sums of 64 bits that agree by chance
+        return Neighbours(self.start, self.index[order], self.reach), representative, kind
+
+
+def cells(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and widths, (m, 3) each in m, of the cells of all levels, box by box, x fastest; covered ones too.
+
+    They are numbered as `cells_around` numbers them, and as a field on one rank holds them, level after level.
+    """
+    centres, widths = [], []
+    for level in range(hierarchy.levels):
+        h = hierarchy.spacing(level)
+        for box in hierarchy.boxes(level):
+            k, j, i = np.meshgrid(*[np.arange(box[d], box[d + 3] + 1) for d in (2, 1, 0)], indexing="ij")
+            centres.append(hierarchy.domain.lower + (np.stack([i, j, k], axis=-1).reshape(-1, 3) + 0.5) * h)
+        widths.append(np.broadcast_to(h, (hierarchy.cells(level), 3)))
+    return np.concatenate(centres), np.concatenate(widths)
+
+
+def cells_around(hierarchy: Hierarchy, points: ArrayLike, radius: ArrayLike) -> Neighbours:
+    """Return the uncovered cells of all levels whose centres lie within a radius of points (n, 3), by index; in m.
+
+    Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Not collective: boxes are
+    known on all ranks.
+    """
+    places = finite(points, "the points", 2)
+    if places.shape[1] != 3:
+        raise InputError(f"the points have {places.shape[1]} coordinates; give 3")
+    distances = np.broadcast_to(finite(radius, "the radius"), len(places)).copy()
+    if not (distances > 0).all():
+        raise InputError(f"point {int(np.argmin(distances))} has radius {distances.min()}; give a positive one")
+
+    def search(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        start, index = hierarchy.native.cells_around(np.ascontiguousarray(places[which]), lengths)
+        return Neighbours(start, index, lengths)
+
+    return replace(search(np.arange(len(places)), distances), search=search)
 
 
 def nearby(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,7 @@ from ..errors import InputError
 from .checks import finite
 from .functionals import Basis, Functional, Native, stacked
 from .neighbours import Neighbours
-from .samples import Samples
+from .samples import Components, Samples
 from .spaces import Space
 from .targets import Exact, Wanted, names
 from .weights import Weight
@@ -36,30 +37,28 @@ class Solution:
     judgements: np.ndarray  # (3, n): pivot, residual, sum
 
 
-def merged(parts: Sequence[tuple[np.ndarray, Solution]]) -> Solution:
-    """Return one solution of several: of the targets of each part, ascending; later parts replace earlier ones."""
-    whole = parts[0][1]
+def merged(parts: Sequence[tuple[np.ndarray, Solution]], count: int) -> Solution:
+    """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones."""
     if len(parts) == 1:
-        return whole
-    source, place = np.zeros(len(whole.path), dtype=int), np.arange(len(whole.path))
+        return parts[0][1]
+    source, place = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
     for number, (which, _) in enumerate(parts):
         source[which], place[which] = number, np.arange(len(which))
-    lengths = np.empty(len(source), dtype=np.int64)
-    exact, path, judgements = whole.exact_weights.copy(), whole.path.copy(), whole.judgements.copy()
+    rows, exact_rows = parts[0][1].weights.shape[1], parts[0][1].exact_weights.shape[1]
+    lengths = np.empty(count, dtype=np.int64)
+    exact, path, judgements = np.empty((count, exact_rows, rows)), np.empty(count, np.int8), np.empty((3, count))
     for number, (_, part) in enumerate(parts):
         mine = source == number
         at = place[mine]
         lengths[mine] = np.diff(part.start)[at]
         exact[mine], path[mine], judgements[:, mine] = part.exact_weights[at], part.path[at], part.judgements[:, at]
     start = np.concatenate([[0], lengths.cumsum()])
-    index = np.empty(start[-1], whole.index.dtype)
-    weights = np.empty((start[-1], whole.weights.shape[1]))
-    runs = np.flatnonzero(np.diff(source, prepend=-1, append=-1))
-    for first, last in zip(runs[:-1], runs[1:], strict=True):  # targets of one part side by side
-        part, at = parts[source[first]][1], place[first]
-        taken = slice(part.start[at], part.start[at + last - first])
-        index[start[first] : start[last]] = part.index[taken]
-        weights[start[first] : start[last]] = part.weights[taken]
+    index, weights = np.empty(start[-1], np.int32), np.empty((start[-1], rows))
+    for first, last in pairwise(np.flatnonzero(np.diff(source, prepend=-1, append=-1))):  # of one part side by side
+        of, at = parts[source[first]][1], place[first]
+        taken = slice(of.start[at], of.start[at + last - first])
+        index[start[first] : start[last]] = of.index[taken]
+        weights[start[first] : start[last]] = of.weights[taken]
     return Solution(start, index, weights, exact, path, judgements)
 
 
@@ -97,62 +96,34 @@ class Problem:
 
     def solve(self, near: Neighbours) -> Solution:
         """Return the stencils, those that cannot be determined with weights that are NaN."""
-        coupled = self.per_site > 1 and not self.split
-        start, index = _per_component(near, self.per_site) if coupled else (near.start, near.index)
-        if self.present.all():
-            found = self._solve(start, index, near.reach, self.exact)
+        if self.per_site > 1 and not self.split:
+            near = Neighbours(*_per_component(near, self.per_site), near.reach)
+        kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
+        if len(kinds) <= 1:
+            found = self._solve(near, np.ones(len(self.exact), bool) if len(kinds) == 0 else kinds[0])
         else:  # targets with the same exact rows together
-            found = None
-            kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
-            for number, has in enumerate(kinds):
-                which = np.flatnonzero(kind.ravel() == number)
-                found = self._joined(found, which, start, index, near.reach, has)
-            assert found is not None
+            groups = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
+            parts = [(g, self.of(g)._solve(near.of(g), has)) for g, has in zip(groups, kinds, strict=True)]
+            found = merged(parts, len(near))
         return self._expanded(found) if self.split else found
 
-    def _joined(
-        self,
-        found: Solution | None,
-        which: np.ndarray,
-        start: np.ndarray,
-        index: np.ndarray,
-        reach: np.ndarray,
-        has: np.ndarray,
-    ) -> Solution:
-        """Add the stencils of some targets, which have some of the exact rows, to those found so far."""
-        lengths = np.diff(start)
-        if found is None:
-            found = Solution(
-                start,
-                index,
-                np.empty((len(index), self.wanted[0])),
-                np.zeros((len(reach), len(self.exact), self.wanted[0])),
-                np.empty(len(reach), np.int8),
-                np.empty((3, len(reach))),
-            )
-        entries = np.flatnonzero(np.isin(np.repeat(np.arange(len(reach)), lengths), which))
-        some_start = np.concatenate([[0], lengths[which].cumsum()])
-        part = self.of(which)
-        exact = tuple(e for e, there in zip(part.exact, has, strict=True) if there)
-        new = part._solve(some_start, index[entries], reach[which], exact)
-        found.weights[entries] = new.weights
-        found.exact_weights[np.ix_(which, np.flatnonzero(has))] = new.exact_weights
-        found.path[which], found.judgements[:, which] = new.path, new.judgements
-        return found
-
-    def _solve(self, start: np.ndarray, index: np.ndarray, reach: np.ndarray, exact: tuple[Native, ...]) -> Solution:
+    def _solve(self, near: Neighbours, has: np.ndarray) -> Solution:
+        """Solve with some of the exact rows; weights of the others' data are zero."""
         count, rows = len(self.targets), self.wanted[0]
         out = Solution(
-            start,
-            index,
-            np.empty((len(index), rows)),
-            np.empty((count, len(exact), rows)),
+            near.start,
+            near.index,
+            np.empty((len(near.index), rows)),
+            np.zeros((count, len(self.exact), rows)),
             np.empty(count, np.int8),
             np.empty((3, count)),
         )
-        self._native(start, index, reach, exact).solve(
-            RESIDUAL_BOUND, SUM_BOUND, self.portable, out.weights, out.exact_weights, out.path, out.judgements
+        exact = tuple(e for e, there in zip(self.exact, has, strict=True) if there)
+        exact_weights = np.empty((count, len(exact), rows))
+        self._native(near.start, near.index, near.reach, exact).solve(
+            RESIDUAL_BOUND, SUM_BOUND, self.portable, out.weights, exact_weights, out.path, out.judgements
         )
+        out.exact_weights[:, has] = exact_weights
         return out
 
     def _native(
@@ -268,10 +239,7 @@ def assembled(
             functionals, split = _of_components(functionals, dimension)
         else:
             sites = np.repeat(sites, dimension, axis=0)
-            directions = np.tile(np.eye(dimension), (len(samples), 1))
-            functional = lambda b: sum(
-                (b(sites, component=c) * directions[:, c] for c in range(dimension)), Functional()
-            )  # noqa: E731
+            functional = Components(sites, np.tile(np.eye(dimension), (len(samples), 1))).functional
     given = None
     if functional is not None and len(sites):
         given = stacked([functional(basis)], dimension)
@@ -281,7 +249,7 @@ def assembled(
             )
     scale = np.ones(dimension) if aspect is None else finite(aspect, "the aspect", 1)
     if scale.shape != (dimension,) or not (scale > 0).all():
-        raise InputError(f"the aspect is {aspect}; give {dimension} positive numbers")
+        raise InputError(f"the aspect is {scale}; give {dimension} positive numbers")
     if coefficients.size and (scale != scale[0]).any():
         raise InputError(f"{space} has no meaning in coordinates of different scales; leave the aspect out")
     present = [np.ones(len(targets), bool) if e.present is None else e.present for e in exact]
@@ -298,7 +266,7 @@ def assembled(
         given,
         stacked(functionals, dimension, targets),
         tuple(stacked([e.row(basis, targets)], dimension, targets) for e in exact),
-        np.array(present).reshape(len(exact), len(targets)).T,
+        np.array(present, dtype=bool).reshape(len(exact), len(targets)).T,
         tuple(split),
         rows,
         weight,
@@ -334,7 +302,8 @@ def _require_fit(targets: np.ndarray, near: Neighbours, space: Space, samples: S
 def _of_components(rows: Sequence[Functional], components: int) -> tuple[list[Functional], list[tuple[int, int, int]]]:
     """Rows for vectors as rows for scalars, equal ones once: (row, component, row for scalars)."""
     found: dict[tuple, int] = {}
-    scalars, split = [], []
+    scalars: list[Functional] = []
+    split: list[tuple[int, int, int]] = []
     for row, functional in enumerate(rows):
         for component in range(components):
             of_one = functional.of_component(component)

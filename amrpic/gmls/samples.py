@@ -27,17 +27,17 @@ class Samples:
         return len(self.sites)
 
 
-def Points(sites: ArrayLike) -> Samples:  # noqa: N802  (a kind of samples, as the others are)
+def Points(sites: ArrayLike) -> Samples:
     """Return values of a scalar at sites (m, dimension)."""
     return Samples(points(sites, "the sites"))
 
 
-def Vectors(sites: ArrayLike) -> Samples:  # noqa: N802
+def Vectors(sites: ArrayLike) -> Samples:
     """Return vectors at sites (m, dimension): of `dimension` numbers each."""
     return Samples(points(sites, "the sites"), None, "vector", True)
 
 
-def Components(sites: ArrayLike, directions: ArrayLike) -> Samples:  # noqa: N802
+def Components(sites: ArrayLike, directions: ArrayLike) -> Samples:
     """Return the components of a vector along directions (m, dimension), of any length but zero, at sites."""
     places, along = points(sites, "the sites"), finite(directions, "the directions", 2)
     if along.shape != places.shape:
@@ -56,7 +56,7 @@ def Components(sites: ArrayLike, directions: ArrayLike) -> Samples:  # noqa: N80
     )
 
 
-def WithLaplacian(sites: ArrayLike, widths: ArrayLike, kappa: float) -> Samples:  # noqa: N802
+def WithLaplacian(sites: ArrayLike, widths: ArrayLike, kappa: float) -> Samples:
     """Return values plus kappa times the sum of widths² times second derivatives along the axes: p + κ h² Δp in cubes.
 
     So a solution of the mesh stands for a potential: 1/30 for charge deposited by cloud-in-cell, -1/120 for cell means.
@@ -73,11 +73,11 @@ def WithLaplacian(sites: ArrayLike, widths: ArrayLike, kappa: float) -> Samples:
     )
 
 
-def Differences(first: ArrayLike, second: ArrayLike) -> Samples:  # noqa: N802
+def Differences(first: ArrayLike, second: ArrayLike) -> Samples:
     """Return differences of a scalar, second minus first, between points (m, dimension); they lie half-way.
 
-    Such differences do not see constants: only derivatives, or what exact rows determine, can be wanted of them. The staggered Laplacian
-    is the divergence of a vector fitted to the same numbers: samples `Integrals(edges(first, second))`.
+    They do not see constants: only derivatives can be wanted of them. The staggered Laplacian is the divergence of a
+    vector fitted to the same numbers: samples `Integrals(edges(first, second))`.
     """
     a, b = points(first, "the first points"), points(second, "the second points")
     if a.shape != b.shape:
@@ -85,25 +85,25 @@ def Differences(first: ArrayLike, second: ArrayLike) -> Samples:  # noqa: N802
     return Samples((a + b) / 2, lambda basis: basis(b) - basis(a))
 
 
-def Means(shapes: Shapes) -> Samples:  # noqa: N802
+def Means(shapes: Shapes) -> Samples:
     """Return means of a scalar over shapes."""
     return Samples(shapes.centre, lambda basis: shapes.mean(basis))
 
 
-def Integrals(shapes: Shapes) -> Samples:  # noqa: N802
+def Integrals(shapes: Shapes) -> Samples:
     """Return integrals over shapes: of a scalar, or of a vector along them where they are faces or edges."""
     if shapes.direction is None:
         return Samples(shapes.centre, lambda basis: shapes.mean(basis) * shapes.measure)
     return Samples(shapes.centre, lambda basis: shapes.along(basis) * shapes.measure, "vector")
 
 
-def Along(shapes: Shapes) -> Samples:  # noqa: N802
+def Along(shapes: Shapes) -> Samples:
     """Return means of a vector over faces along their normals, or over edges along their tangents."""
     shapes.directions()
     return Samples(shapes.centre, lambda basis: shapes.along(basis), "vector")
 
 
-def Custom(sites: ArrayLike, functional: Callable[[Basis], Functional], of: str = "scalar") -> Samples:  # noqa: N802
+def Custom(sites: ArrayLike, functional: Callable[[Basis], Functional], of: str = "scalar") -> Samples:
     """Return samples of one's own: `functional(basis)` is a sum of values `basis(place, derivative, component, half)`.
 
     Places are (m, dimension), as the sites. `of`: "scalar" or "vector".

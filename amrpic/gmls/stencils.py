@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 
 from ..errors import InputError, SolverError
-from .checks import points
+from .checks import finite, points
 from .neighbours import Neighbours
 from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, assembled, merged
 from .samples import Samples
 from .spaces import Space
 from .targets import Exact, Wanted
-from .weights import Power, Weight
+from .weights import QUADRATIC, Weight
 
 GROWTH, GROWTHS = 1.15, 5  # how much longer a reach becomes, and how often
 PATHS = (
@@ -130,9 +130,10 @@ def stencils(
     space: Space,
     samples: Samples,
     wanted: Sequence[Wanted],
-    weight: Weight = Power(2),
+    weight: Weight = QUADRATIC,
     exact: Sequence[Exact] = (),
     aspect: ArrayLike | None = None,
+    lattice: ArrayLike | None = None,
     one_sign: bool = False,
     failed: Literal["raise", "mark"] = "raise",
     portable: bool = False,
@@ -142,14 +143,32 @@ def stencils(
     Moving least squares (Wendland, Scattered Data Approximation, chapter 4): of all weights that reproduce the space,
     and the exact rows, those of least Σ α²/w. A reach that does not determine a target grows by 15 %, at most five times.
 
-    aspect: the reach along each axis over the reach, (dimension,); default 1. one_sign: weights off the centre, the sample
-    at the target, of one sign for a single scalar quantity, by one non-negative least-squares problem for each target (some
-    tenths of a millisecond). portable: target by target on Kokkos' host execution space, slower.
+    aspect: the reach along each axis over the reach, (dimension,); default 1. lattice: (dimension,) in m, where sites lie
+    whole multiples of it from targets, and samples that lie alike are alike, such as the cells of a mesh and half of the
+    finest width: targets with equal surroundings then share one solution, whose reach does not grow.
+    one_sign: weights off the centre, the sample at the target, of one sign for a single scalar quantity, by a non-negative
+    least-squares problem for each target (some tenths of a millisecond). portable: target by target on Kokkos' host
+    execution space, slower.
 
     Raises InputError for what does not fit together, and SolverError with index and cause for a target that cannot be
     determined, unless failed is "mark": then its weights are NaN and `quality.failed` lists it. Not collective.
     """
     places = points(targets, "the targets")
+    if lattice is not None:
+        return _shared(
+            places,
+            near,
+            samples,
+            finite(lattice, "the lattice", 1),
+            wanted,
+            exact,
+            space=space,
+            weight=weight,
+            aspect=aspect,
+            one_sign=one_sign,
+            failed=failed,
+            portable=portable,
+        )
     problem = assembled(places, near, space, samples, wanted, weight, exact, aspect, portable)
     if one_sign and (problem.wanted[0] != 1 or exact or space.vector):
         raise InputError(
@@ -165,7 +184,7 @@ def stencils(
             break
         parts.append((again, problem.of(again).solve(larger)))
         growth[again] = times
-    solution = merged(parts)
+    solution = merged(parts, len(places))
     if one_sign:
         problem.require_one_sign(solution, near.reach * GROWTH**growth)
     quality = Quality(np.diff(solution.start) // problem.per_site, solution.path, growth, *solution.judgements)
@@ -181,4 +200,35 @@ def stencils(
         len(samples) * problem.per_site,
         problem.rows,
         tuple(e.name for e in exact),
+    )
+
+
+def _shared(
+    targets: np.ndarray,
+    near: Neighbours,
+    samples: Samples,
+    unit: np.ndarray,
+    wanted: Sequence[Wanted],
+    exact: Sequence[Exact],
+    **options: Any,
+) -> Stencils:
+    """Return stencils of which those with equal surroundings were solved once."""
+    if exact or samples.whole or any(w.varies for w in wanted):
+        raise InputError(
+            "with a lattice all targets want the same; leave out the lattice, or exact rows, vectors and places"
+        )
+    ordered, representative, kind = near.alike(targets, samples.sites, unit)
+    few = ordered.of(representative)  # without growth, which would change surroundings
+    solved = stencils(targets[representative], few, samples=samples, wanted=wanted, **options)
+    place = np.repeat(solved.start[:-1][kind] - ordered.start[:-1], np.diff(ordered.start)) + np.arange(
+        ordered.start[-1]
+    )
+    quality = Quality(*(getattr(solved.quality, f.name)[kind] for f in fields(Quality)))
+    return replace(
+        solved,
+        start=ordered.start,
+        index=ordered.index,
+        weights=solved.weights[place],
+        exact_weights=np.empty((len(targets), 0, solved.weights.shape[1])),
+        quality=quality,
     )

@@ -20,7 +20,7 @@ from .samples import Points
 from .spaces import Scalar
 from .stencils import Stencils, stencils
 from .targets import GRADIENT, HESSIAN, VALUE
-from .weights import Power, Weight
+from .weights import QUADRATIC, Weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def surface(
     *,
     order: int = 2,
     normals: ArrayLike | None = None,
-    weight: Weight = Power(2),
+    weight: Weight = QUADRATIC,
 ) -> Surface:
     """Return operators on the surface at targets (n, 3) on it, from the sites (m, 3) on it that `near` lists; in m.
 

@@ -30,6 +30,7 @@ class Wanted:
     of: str = "any"  # or "scalar", "vector": spaces that have it
     dimensions: tuple[int, ...] = (1, 2, 3)
     further: np.ndarray | None = None  # (n, k, dimension)
+    shapes: Shapes | None = None  # one for each target
 
     def at(self, places: ArrayLike, name: str | None = None) -> Wanted:
         """Return the same at places (n, k, dimension), k for each target."""
@@ -39,6 +40,11 @@ class Wanted:
     def called(self, name: str) -> Wanted:
         """Return the same under another name."""
         return replace(self, name=name)
+
+    @property
+    def varies(self) -> bool:
+        """Whether it is another functional for each target."""
+        return self.further is not None or self.shapes is not None
 
     def functionals(self, basis: Basis, targets: np.ndarray, order: int) -> tuple[list[Functional], tuple[int, ...]]:
         """Return its rows, with places relative to the targets, and the shape of its value at one target."""
@@ -114,35 +120,37 @@ CURL_CURL = Wanted("curl_curl", _curl_curl, "vector", (2, 3))
 COEFFICIENTS = Wanted("coefficients", _coefficients)
 
 
-def Derivative(*powers: int) -> Wanted:  # noqa: N802
+def Derivative(*powers: int) -> Wanted:
     """Return the derivative of a scalar, so many times along each axis: Derivative(1, 0, 1) is ∂²/∂x∂z."""
     name = "derivative_" + "".join(str(n) for n in powers)
     return Wanted(name, lambda basis, x, *_: basis(x, powers), "scalar", (len(powers),))
 
 
-def Mean(shapes: Shapes) -> Wanted:  # noqa: N802
+def Mean(shapes: Shapes) -> Wanted:
     """Return the mean over a shape for each target: of a scalar, or of each component of a vector."""
-    return Wanted("mean", lambda basis, x, t, _: _each(basis, lambda c: (shapes - t).mean(basis, c)))
+    return Wanted("mean", lambda basis, x, t, _: _each(basis, lambda c: (shapes - t).mean(basis, c)), shapes=shapes)
 
 
-def Integral(shapes: Shapes) -> Wanted:  # noqa: N802
+def Integral(shapes: Shapes) -> Wanted:
     """Return the integral over a shape for each target."""
     return Wanted(
-        "integral", lambda basis, x, t, _: _each(basis, lambda c: (shapes - t).mean(basis, c) * shapes.measure)
+        "integral",
+        lambda basis, x, t, _: _each(basis, lambda c: (shapes - t).mean(basis, c) * shapes.measure),
+        shapes=shapes,
     )
 
 
-def MeanAlong(shapes: Shapes) -> Wanted:  # noqa: N802
+def MeanAlong(shapes: Shapes) -> Wanted:
     """Return the mean of a vector over a face along its normal, or over an edge along its tangent, for each target."""
-    return Wanted("mean_along", lambda basis, x, t, _: (shapes - t).along(basis), "vector")
+    return Wanted("mean_along", lambda basis, x, t, _: (shapes - t).along(basis), "vector", shapes=shapes)
 
 
-def MeanSlope(shapes: Shapes) -> Wanted:  # noqa: N802
+def MeanSlope(shapes: Shapes) -> Wanted:
     """Return the mean of a scalar's gradient over a face along its normal, or an edge's tangent, for each target."""
-    return Wanted("mean_slope", lambda basis, x, t, _: (shapes - t).slope(basis), "scalar")
+    return Wanted("mean_slope", lambda basis, x, t, _: (shapes - t).slope(basis), "scalar", shapes=shapes)
 
 
-def Function(name: str, functional: Callable[[Basis, np.ndarray], Functional]) -> Wanted:  # noqa: N802
+def Function(name: str, functional: Callable[[Basis, np.ndarray], Functional]) -> Wanted:
     """Return a target of one's own: `functional(basis, place)`, a sum of values `basis(place, derivative, component)`.
 
     `place` is relative to the target: (1, dimension) of zeros, or (n, dimension) with `at`.
@@ -162,19 +170,19 @@ class Exact:
     present: np.ndarray | None = None  # (n,) bool; none: everywhere
 
 
-def ExactMean(shapes: Shapes) -> Exact:  # noqa: N802
+def ExactMean(shapes: Shapes) -> Exact:
     """Return that the mean over each target's shape, such as its own cell, is the datum."""
     return Exact("mean", lambda basis, t: (shapes - t).mean(basis))
 
 
-def Dirichlet(places: ArrayLike) -> Exact:  # noqa: N802
+def Dirichlet(places: ArrayLike) -> Exact:
     """Return that the value at a place for each target, (n, dimension), is the datum; rows of NaN: not there."""
     given = np.asarray(places, dtype=float)
     present = np.isfinite(given).all(axis=1)
     return Exact("dirichlet", lambda basis, t: basis(np.where(present[:, None], given, t) - t), present)
 
 
-def Neumann(normals: ArrayLike, places: ArrayLike | None = None) -> Exact:  # noqa: N802
+def Neumann(normals: ArrayLike, places: ArrayLike | None = None) -> Exact:
     """Return that the slope along normals (n, dimension) is the datum, at the targets or places; rows of NaN: not there."""
     given = np.asarray(normals, dtype=float)
     present = np.isfinite(given).all(axis=1)

@@ -35,6 +35,9 @@ class Power(Weight):
         return (self.exponent, self.inner)
 
 
+QUADRATIC = Power(2)
+
+
 @dataclass(frozen=True)
 class Gaussian(Weight):
     """exp(-r²/(2 width²)); at the default width what is cut off at the reach is 1 % of the target's weight."""

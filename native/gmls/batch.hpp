@@ -278,13 +278,16 @@ class Batch {
   void factor() {
     V const zero{}, one = V{} + 1;
     least_pivot_ = one, unclear_ = zero;
+    V largest = zero;
+    for (int k = 0; k < free_; ++k) largest = at_least(largest, matrix_[at(k, n_, k)]);
+    V const rounding = largest * (zero_column * zero_column);
     for (int k = 0; k < free_; ++k) {
       V const diagonal = matrix_[at(k, n_, k)];
       for (int i = k; i < free_; ++i) {
         V sum = matrix_[at(i, n_, k)];
         for (int j = 0; j < k; ++j) sum = sum - matrix_[at(i, n_, j)] * matrix_[at(k, n_, j)];
         if (i == k) {
-          V const ratio = diagonal > zero ? sum / (diagonal > zero ? diagonal : one) : zero;
+          V const ratio = diagonal > rounding ? sum / (diagonal > rounding ? diagonal : one) : zero;
           least_pivot_ = ratio < least_pivot_ ? at_least(ratio, zero) : least_pivot_;
           V const inverse = inverse_root(ratio > pivot_tolerance ? sum : one);
           inverse_root_[std::size_t(k)] = ratio > pivot_tolerance ? inverse : zero;

@@ -10,6 +10,7 @@
 namespace amrpic::gmls {
 
 constexpr Real rank_tolerance = 1e-10;  ///< what is left of a column of unit length that depends on those before
+constexpr Real zero_column = 1e-13;     ///< length over that of the longest column, of one that is rounding alone
 
 /// The z of least norm with Qᵀ z = τ, for each of `targets` columns of τ: Q is (samples, unknowns) by rows, τ is
 /// (unknowns, targets), z (samples, targets). With Q = U R by modified Gram-Schmidt with pivots, columns scaled to unit
@@ -27,7 +28,11 @@ inline int least_norm(int samples, int unknowns, int targets, Real const* q, Rea
   for (std::size_t k = 0; k < n; ++k) {
     for (std::size_t j = 0; j < m; ++j) column[k * m + j] = q[j * n + k];
     length[k] = norm(k);
-    for (std::size_t j = 0; j < m && length[k] > 0; ++j) column[k * m + j] /= length[k];
+  }
+  Real const longest = *std::max_element(length.begin(), length.end());
+  for (std::size_t k = 0; k < n; ++k) {
+    Real const scale = length[k] > zero_column * longest ? 1 / length[k] : 0;
+    for (std::size_t j = 0; j < m; ++j) column[k * m + j] *= scale;
   }
   std::fill(z, z + m * count, 0.0);
   std::size_t rank = 0;

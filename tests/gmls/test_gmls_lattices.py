@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -68,9 +70,9 @@ def test_every_target_of_a_lattice_is_determined_within_five_growths(levels, ord
 )
 def test_sites_that_determine_nothing_are_reported_with_their_cause(sites, where):
     x = sites(np.random.default_rng(1))
-    t = x[:3] + [0, 0, 0.01]
+    t = x[:3] + np.array([0, 0, 0.01])
     near = gmls.nearby(x, t, radius=0.6)
-    arguments = dict(space=gmls.Scalar(2), samples=gmls.Points(x), wanted=WANTED)
+    arguments: dict[str, Any] = dict(space=gmls.Scalar(2), samples=gmls.Points(x), wanted=WANTED)
     with pytest.raises(SolverError, match=rf"target 0 .* its \d+ sites lie {where}"):
         gmls.stencils(t, near, **arguments)
     marked = gmls.stencils(t, near, failed="mark", **arguments)
@@ -82,7 +84,7 @@ def test_too_few_sites_are_reported_with_their_number():
     x = np.random.default_rng(1).uniform(size=(7, 3))
     t = x[:1]
     near = gmls.nearby(x, t, radius=2.0)
-    with pytest.raises(SolverError, match="target 0 .* its 7 sites are too few for 10 unknowns of order 2"):
+    with pytest.raises(SolverError, match=r"target 0 .* its 7 sites are too few for 10 unknowns of order 2"):
         gmls.stencils(t, near, space=gmls.Scalar(2), samples=gmls.Points(x), wanted=WANTED)
     with pytest.raises(InputError, match="7 sites for 10 unknowns"):
         gmls.nearby(x, t, order=2)
@@ -104,7 +106,7 @@ def test_weights_depend_neither_on_the_batch_nor_on_the_lane_nor_on_the_order_of
     rng = np.random.default_rng(4)
     x = rng.uniform(size=(900, 3))
     t = x[:101]
-    arguments = dict(space=gmls.Scalar(3), samples=gmls.Points(x), wanted=WANTED)
+    arguments: dict[str, Any] = dict(space=gmls.Scalar(3), samples=gmls.Points(x), wanted=WANTED)
     near = gmls.nearby(x, t, order=3, reach=1.6)
     whole = gmls.stencils(t, near, **arguments)
     for i in range(0, 101, 7):
@@ -130,7 +132,7 @@ def test_target_by_target_on_kokkos_and_in_lanes_the_weights_agree_to_rounding()
     rng = np.random.default_rng(5)
     x = np.concatenate([rng.uniform(size=(500, 3)), three_levels() / 8 + [2, 0, 0]])
     t = x[::7]
-    arguments = dict(space=gmls.Scalar(3), samples=gmls.Points(x), wanted=WANTED)
+    arguments: dict[str, Any] = dict(space=gmls.Scalar(3), samples=gmls.Points(x), wanted=WANTED)
     near = gmls.nearby(x, t, order=3, reach=1.5)
     lanes, single = (gmls.stencils(t, near, portable=portable, **arguments) for portable in (False, True))
     assert np.array_equal(lanes.quality.path, single.quality.path)

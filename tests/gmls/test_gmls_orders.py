@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -52,7 +54,7 @@ def test_errors_fall_with_the_order_of_the_space(kind, order):
             x, w = two_levels(n)
             samples = gmls.Means(gmls.boxes(x, w[:, None]))
             g, gw = np.polynomial.legendre.leggauss(4)
-            values = sum(
+            values = np.zeros(len(x)) + sum(
                 a * b / 4 * f(x + w[:, None] * np.array([u, v]) / 2)
                 for u, a in zip(g, gw, strict=True)
                 for v, b in zip(g, gw, strict=True)
@@ -78,7 +80,7 @@ def test_vectors_have_curl_and_divergence_of_the_order_and_none_in_their_spaces(
     for n in sizes:
         x = jittered(n, 2)
         near = gmls.nearby(x, t, order=order, reach=1.8)
-        arguments = dict(samples=gmls.Vectors(x), wanted=[gmls.VALUE, gmls.CURL, gmls.DIVERGENCE])
+        arguments: dict[str, Any] = dict(samples=gmls.Vectors(x), wanted=[gmls.VALUE, gmls.CURL, gmls.DIVERGENCE])
         free = gmls.stencils(t, near, space=gmls.DivergenceFree(order), **arguments).apply(rotation(x))
         plain = gmls.stencils(t, near, space=gmls.Vector(order), **arguments).apply(rotation(x))
         assert np.abs(free["divergence"]).max() < 1e-10 * np.abs(free["curl"]).max()

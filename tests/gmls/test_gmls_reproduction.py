@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from gmls_oracle import ROOTS, Monomials, box_mean, simplex_mean, weights_by_svd
 
 from amrpic import gmls
+from gmls_oracle import ROOTS, Monomials, box_mean, simplex_mean, weights_by_svd
 
 CLOUDS = 200 if os.environ.get("AMRPIC_TEST_LONG") else 10
 
@@ -24,7 +25,8 @@ Rows = Callable[[Monomials, np.ndarray], np.ndarray]  # of samples by number, (n
 
 def along(m: Monomials, mean_of: Callable[[Any], np.ndarray], directions: np.ndarray) -> np.ndarray:
     """Means of vectors along directions; `mean_of` takes what gives values at places."""
-    return sum(directions[:, c, None] * mean_of(lambda x, c=c: m.value(x, c)) for c in range(m.dimension))  # type: ignore
+    parts = [directions[:, c, None] * mean_of(lambda x, c=c: m.value(x, c)) for c in range(m.dimension)]
+    return np.sum(parts, axis=0)
 
 
 def scalar_samples(kind: str, x: np.ndarray, rng: np.random.Generator) -> tuple[gmls.Samples, Rows]:
@@ -75,7 +77,7 @@ def vector_samples(kind: str, x: np.ndarray, rng: np.random.Generator) -> tuple[
     if kind == "components":
         return (
             gmls.Components(x, directions),
-            lambda m, j: sum(directions[j, c, None] * m.value(x[j], c) for c in range(d)),  # type: ignore[return-value]
+            lambda m, j: np.sum([directions[j, c, None] * m.value(x[j], c) for c in range(d)], axis=0),
         )
     if kind == "edges":
         ends = np.stack([x - 0.2 * directions, x + 0.1 * directions], axis=1)
@@ -84,7 +86,7 @@ def vector_samples(kind: str, x: np.ndarray, rng: np.random.Generator) -> tuple[
             lambda m, j: along(m, lambda v: simplex_mean(v, ends[j]), 0.3 * directions[j]),
         )
     if kind == "box faces":
-        axis = rng.integers(0, d, n)
+        axis = np.asarray(rng.integers(0, d, n))
         flat = np.where(np.arange(d) == axis[:, None], 0, w)
         return (
             gmls.Along(gmls.box_faces(x, w, axis)),
@@ -174,12 +176,14 @@ def vector_targets(t: np.ndarray) -> list[tuple[gmls.Wanted, Callable[[Monomials
         (gmls.CURL, lambda m, i: curl(m, t[i])),
         (
             gmls.CURL_CURL,
-            lambda m, i: [sum(m.derivative(t[i], m.unit(a, b), b) for b in axes) - m.laplacian(t[i], a) for a in axes],
+            lambda m, i: [
+                np.sum([m.derivative(t[i], m.unit(a, b), b) for b in axes], axis=0) - m.laplacian(t[i], a) for a in axes
+            ],
         ),
         (gmls.LAPLACIAN, lambda m, i: [m.laplacian(t[i], c) for c in axes]),
         (
             gmls.Mean(gmls.boxes(t, size)),
-            lambda m, i: [box_mean(lambda x, c=c: m.value(x, c), t[[i]], size) for c in axes],
+            lambda m, i: [box_mean(partial(m.value, component=c), t[[i]], size) for c in axes],
         ),
         (gmls.MeanAlong(gmls.box_faces(t, size, 1)), lambda m, i: box_mean(lambda x: m.value(x, 1), t[[i]], flat)),
         (gmls.COEFFICIENTS, lambda m, i: _coefficients(m, t[i])),

@@ -98,5 +98,5 @@ def test_gradients_are_tangential_and_the_divergence_of_the_normal_is_twice_the_
 
 def test_normals_that_are_zero_are_refused():
     x = fibonacci(400)
-    with pytest.raises(InputError, match="least length 0.0"):
+    with pytest.raises(InputError, match=r"least length 0\.0"):
         gmls.surface(x, x, gmls.nearby(x, x, radius=0.4), normals=np.zeros_like(x))

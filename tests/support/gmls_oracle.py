@@ -58,7 +58,7 @@ class Monomials:
         return self.derivative(places, self.unit(), component)
 
     def laplacian(self, places: np.ndarray, component: int = 0) -> np.ndarray:
-        return sum(self.derivative(places, self.unit(d, d), component) for d in range(self.dimension))
+        return np.sum([self.derivative(places, self.unit(d, d), component) for d in range(self.dimension)], axis=0)
 
     def null_space(self, operator: str) -> np.ndarray:
         """Coefficients, (basis, n), of polynomials that an operator maps to zero at many random places."""
@@ -68,7 +68,7 @@ class Monomials:
         if operator == "laplacian":
             rows = self.laplacian(places)
         elif operator == "divergence":
-            rows = sum(self.derivative(places, self.unit(d), d) for d in axes)
+            rows = np.sum([self.derivative(places, self.unit(d), d) for d in axes], axis=0)
         else:
             rows = np.vstack(
                 [

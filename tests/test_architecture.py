@@ -28,7 +28,18 @@ NATIVE = {
     "external": {"base"},
     "particle": {"external", "mesh", "stencil", "base"},
     "processor": set(),
-    "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "external", "stencil", "mesh", "gmls", "base"},
+    "bind": {
+        "solver",
+        "matrixfree",
+        "operators",
+        "freespace",
+        "particle",
+        "external",
+        "stencil",
+        "mesh",
+        "gmls",
+        "base",
+    },
 }
 
 # What may be named in some folders only.

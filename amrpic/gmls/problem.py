@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -125,6 +125,10 @@ class Problem:
         )
         out.exact_weights[:, has] = exact_weights
         return out
+
+    def equations(self, near: Neighbours) -> Callable[[int], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Return what gives the equations of a target: weighted rows (m, n), roots of weights (m,), targets (n, wanted)."""
+        return self._native(near.start, near.index, near.reach).equations
 
     def _native(
         self, start: np.ndarray, index: np.ndarray, reach: np.ndarray, exact: tuple[Native, ...] = ()

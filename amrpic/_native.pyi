@@ -76,6 +76,10 @@ class Hierarchy:
     def local_boxes(self, level: int) -> list[int]: ...
     def cells(self, level: int) -> int: ...
     def covered(self, level: int, box: int) -> NDArray[numpy.int8]: ...
+    def cells_around(self, points: NDArray[numpy.float64], radius: NDArray[numpy.float64]) -> tuple:
+        """
+        Starts and numbers of the uncovered cells within a radius of each point.
+        """
 
 class Field:
     def __init__(self, hierarchy: Hierarchy, zero: bool = True) -> None: ...
@@ -261,6 +265,48 @@ class FreeSpace:
         """
 
     def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
+
+def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
+    """
+    Exponents of the monomials, (n, dimension), in the order of their coefficients.
+    """
+
+class GmlsProblem:
+    """Stencils of generalized moving least squares; amrpic.gmls makes it."""
+
+    def __init__(
+        self,
+        order: int,
+        components: int,
+        basis: NDArray[numpy.float64],
+        weight: int,
+        parameters: Sequence[float],
+        aspect: Sequence[float],
+        targets: NDArray[numpy.float64],
+        reach: NDArray[numpy.float64],
+        start: NDArray[numpy.int64],
+        index: NDArray[numpy.int32],
+        sites: NDArray[numpy.float64],
+        samples: object | None,
+        wanted: object,
+        exact: object | None,
+    ) -> None: ...
+    def solve(
+        self,
+        residual_bound: float,
+        sum_bound: float,
+        portable: bool,
+        weights: NDArray[numpy.float64],
+        exact_weights: NDArray[numpy.float64],
+        path: NDArray[numpy.int8],
+        judgements: NDArray[numpy.float64],
+    ) -> None:
+        """Stencils of all targets, into arrays that are given."""
+
+    def equations(self, target: int) -> tuple:
+        """
+        Weighted rows of a target's samples (m, n), roots of their weights, and the targets (n, rows wanted): weights are root * z with rows.T @ z = targets.
+        """
 
 def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
     """

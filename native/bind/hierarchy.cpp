@@ -8,6 +8,7 @@
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
 #include "mesh/array_on_box.hpp"
+#include "mesh/cells_around.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -80,5 +81,18 @@ void bind_hierarchy(nb::module_& m) {
             nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<std::int8_t>*>(p); });
             return nb::ndarray<nb::numpy, std::int8_t>(kept->data(), 3, shape, owner, strides);
           },
-          "level"_a, "box"_a);
+          "level"_a, "box"_a)
+      .def(
+          "cells_around",
+          [](Hierarchy const& h, bind::RealRows points, bind::Reals radius) {
+            CellsAround found;
+            {
+              nb::gil_scoped_release release;
+              std::vector<Real3> places(points.shape(0));
+              for (std::size_t p = 0; p < places.size(); ++p) places[p] = {points(p, 0), points(p, 1), points(p, 2)};
+              found = cells_around(h, places, {radius.data(), radius.data() + radius.size()});
+            }
+            return nb::make_tuple(bind::to_array(std::move(found.start)), bind::to_array(std::move(found.cell)));
+          },
+          "points"_a, "radius"_a, "Starts and numbers of the uncovered cells within a radius of each point.");
 }

@@ -8,7 +8,8 @@ from pathlib import Path
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.checkpoint_reader import find_latest_valid
+from ..io.checkpoint_manifest import UnreadableCheckpoint
+from ..io.checkpoint_reader import candidates
 from ..parallel import together
 from ..run.log import RunLog
 from ..run.output import prepare
@@ -39,14 +40,17 @@ def _run(chosen: argparse.Namespace) -> int:
         scene = scene_of(chosen)
         walltime = None if chosen.walltime is None else to_seconds(chosen.walltime)
     prepare(comm, scene)
-    path = _checkpoint(comm, scene, chosen.restart)
-    simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)
+    simulation = _begin(comm, scene, chosen.restart)
     return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 
-def _checkpoint(comm: MPI.Comm, scene: Scene, restart: str | None) -> Path | None:
-    """Return the checkpoint to go on from."""
-    if restart == "auto":
-        with RunLog(comm, scene.schedule.last_step):  # warns of broken ones
-            return find_latest_valid(comm, scene.directory)
-    return None if restart is None else Path(restart)
+def _begin(comm: MPI.Comm, scene: Scene, restart: str | None) -> Simulation:
+    """Return the run at its start or at a checkpoint, with "auto" the newest one that is whole; rank 0 warns of others."""
+    if restart is not None and restart != "auto":
+        return Simulation.restart(comm, restart, scene)
+    for path in candidates(comm, scene.directory) if restart else ():
+        try:
+            return Simulation.restart(comm, path, scene)
+        except UnreadableCheckpoint as error:
+            RunLog(comm, scene.schedule.last_step).warn(str(error))
+    return Simulation(comm, scene)

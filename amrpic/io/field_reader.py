@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..mesh.boxes import cells_of
 from ..mesh.domain import AXES
 from .checkpoint_manifest import MANIFEST, decode
+from .shared_file import require_parts
 from .writer_ranks import one_line
 
 Array = NDArray[Any]
@@ -46,9 +47,11 @@ class Dump:
         except (KeyError, AttributeError, TypeError, ValueError, OSError) as error:
             self._h5.close()
             raise self._refusal(f"it is no field dump of amrpic ({one_line(error)})") from None
-        except InputError:
+        try:
+            require_parts(self._h5, self.path.parent)
+        except ValueError as error:
             self._h5.close()
-            raise
+            raise self._refusal(str(error)) from None
 
     def _refusal(self, reason: str) -> InputError:
         return InputError(
@@ -62,24 +65,12 @@ class Dump:
         self.lower, self.upper = np.array(root.attrs["Origin"]), np.array(ours.attrs["upper"])  # m
         self.levels = [self._read_level(root[f"Level{l}"]) for l in range(sum(key.startswith("Level") for key in root))]
         self.units = {name: str(values.attrs["unit"]) for name, values in root["Level0/CellData"].items()}
-        if "parts" in ours:
-            for name, size in zip(ours["parts"].asstr()[:], ours["part_bytes"][:], strict=True):
-                self._check_part(name, int(size))
 
     @staticmethod
     def _read_level(group: h5py.Group) -> Level:
         boxes = group["AMRBox"][:].astype(np.int64)[:, [0, 2, 4, 1, 3, 5]]
         cells = cells_of(boxes)
         return Level(np.array(group.attrs["Spacing"]), boxes, np.cumsum(cells) - cells)
-
-    def _check_part(self, name: str, size: int) -> None:
-        # HDF5 would silently give nan for what is not there.
-        try:
-            found = (self.path.parent / name).stat().st_size
-        except OSError:
-            raise self._refusal(f"its part {name} is not beside it") from None
-        if found != size:
-            raise self._refusal(f"its part {name} has {found} bytes instead of {size}")
 
     def __enter__(self) -> Dump:
         return self

@@ -26,7 +26,7 @@ from .flight import kicked
 from .log import Log, RunLog
 from .loss_files import remove_losses, write_losses, write_screens
 from .plan import Plan
-from .restart import about, snapshot
+from .restart import about, snapshot, writers_of
 from .state import State
 
 SERIES = "series.csv"
@@ -229,7 +229,7 @@ class Recorder:
             state.step,
             state.time,
             self._about,
-            self._scene.output.writers,
+            writers_of(self._scene),
             state.window,
         )
 
@@ -238,7 +238,16 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = openpmd_writer.path_of(self._scene.directory, state.step)
-        openpmd_writer.write(self._comm, path, state.synchronized, state.step, state.time, self._about, state.window)
+        openpmd_writer.write(
+            self._comm,
+            path,
+            state.synchronized,
+            state.step,
+            state.time,
+            self._about,
+            state.window,
+            writers=writers_of(self._scene),
+        )
 
     def _write_records(self, state: State) -> None:
         if "losses" not in self._wanted or self._written.get("losses") == state.step:
@@ -266,5 +275,5 @@ class Recorder:
             self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), output.writers)
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
         checkpoint_writer.prune(self._comm, directory, output.keep)

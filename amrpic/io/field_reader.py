@@ -1,18 +1,23 @@
-"""Reading the fields of dumps, box by box: of field files, and of checkpoints."""
+"""The fields of dumps, box by box: of field files, of checkpoints, and of a run itself, as its ranks hold them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..mesh.boxes import cells_of
+from ..mesh.boxes import cells_of, overlaps
 from ..mesh.domain import AXES
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
 from .checkpoint_manifest import MANIFEST, decode
 from .shared_file import require_parts
 from .writer_ranks import one_line
@@ -32,8 +37,11 @@ class Level:
 class Dump:
     """A field dump, open for reading; a context manager. Values are read when they are asked for.
 
+    Ranks of `comm` may share one: each has the boxes that are `here`. A file is not shared.
     Raises InputError if the file is missing, damaged, or something else.
     """
+
+    comm: MPI.Comm = MPI.COMM_SELF
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -87,7 +95,7 @@ class Dump:
         """The resolved scene as JSON."""
         return str(self._h5["amrpic/scene"].asstr()[()])
 
-    def values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+    def values(self, name: str, level: int, box: int) -> Array:
         """Return a field in a box of a level: (nx, ny, nz), or (nx, ny, nz, 3) of a vector.
 
         Of a vector field "E" there are also its length "|E|" and its components "Ex", "Ey" and "Ez".
@@ -114,7 +122,7 @@ class Dump:
             return name[:-1], AXES.index(name[-1])
         return None, None
 
-    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+    def _values(self, name: str, level: int, box: int) -> Array:
         cells = self._size(level, box)
         start = int(self.levels[level].starts[box])
         flat = self._h5[f"VTKHDF/Level{level}/CellData/{name}"][start : start + int(np.prod(cells))]
@@ -122,22 +130,46 @@ class Dump:
             return flat.reshape(cells, order="F")
         return np.stack([flat[:, c].reshape(cells, order="F") for c in range(flat.shape[1])], axis=-1)
 
-    def _size(self, level: int, box: int | np.integer[Any]) -> tuple[int, ...]:
+    def _size(self, level: int, box: int) -> tuple[int, ...]:
         corners = self.levels[level].boxes[box]
         return tuple(int(n) for n in corners[3:] - corners[:3] + 1)
 
-    def covered(self, level: int, box: int | np.integer[Any]) -> Array:
+    def is_vector(self, name: str) -> bool:
+        """Whether `values` gives vectors."""
+        return bool(self._h5[f"VTKHDF/Level0/CellData/{name}"].ndim == 2) if name in self.units else False
+
+    def here(self, level: int) -> Array:
+        """Return the numbers of those boxes of a level whose values this rank has."""
+        return np.arange(len(self.levels[level].boxes))
+
+    def total(self, values: Array) -> Array:
+        """Return the sum of arrays over the ranks that share the dump, on all of them; it takes their memory. Collective."""
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, values)
+        return values
+
+    def any(self, held: Array) -> Array:
+        """Return where any rank holds True, on all of them. Collective."""
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, held, MPI.LOR)
+        return held
+
+    def covered(self, level: int, box: int) -> Array:
         """Return where a finer level covers the cells of a box, bool (nx, ny, nz)."""
         lower, upper = self.levels[level].boxes[box, :3], self.levels[level].boxes[box, 3:]
         out = np.zeros(upper - lower + 1, dtype=bool)
-        if level + 1 == len(self.levels):
-            return out
-        finer = self.levels[level + 1].boxes
-        low, high = np.maximum(finer[:, :3] // 2, lower), np.minimum(finer[:, 3:] // 2, upper)
-        for b in np.flatnonzero(np.all(low <= high, axis=1)):
-            x, y, z = (slice(i, j + 1) for i, j in zip(low[b] - lower, high[b] - lower, strict=True))
-            out[x, y, z] = True
+        covered, parents, by = self._covering[level]
+        for corners in parents[by[slice(*np.searchsorted(covered, [box, box + 1]))]]:
+            low, high = np.maximum(corners[:3], lower) - lower, np.minimum(corners[3:], upper) - lower
+            out[tuple(slice(i, j + 1) for i, j in zip(low, high, strict=True))] = True
         return out
+
+    @cached_property
+    def _covering(self) -> list[tuple[Array, Array, Array]]:
+        """Of each level the boxes that are covered, the boxes of the next one in its cells, and which of them cover each."""
+        parents = [*(level.boxes // 2 for level in self.levels[1:]), np.empty((0, 6), dtype=np.int64)]
+        pairs = (overlaps(level.boxes, finer) for level, finer in zip(self.levels, parents, strict=True))
+        return [(covered, finer, by) for (covered, by), finer in zip(pairs, parents, strict=True)]
 
 
 class CheckpointDump(Dump):
@@ -161,6 +193,9 @@ class CheckpointDump(Dump):
         vector = {"efield_x", "efield_y", "efield_z"} <= set(manifest.fields)
         self.units = {name: unit for name, unit in UNITS.items() if name in manifest.fields or (name == "E" and vector)}
 
+    def is_vector(self, name: str) -> bool:
+        return name == "E"
+
     def _open_part(self, name: str) -> h5py.File:
         try:
             return h5py.File(self.path / name, "r", locking=False)
@@ -175,12 +210,51 @@ class CheckpointDump(Dump):
     def scene_text(self) -> str:
         return decode(self.path).header.about.scene_text
 
-    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+    def _values(self, name: str, level: int, box: int) -> Array:
         if name == "E":
             return np.stack([self._values(f"efield_{axis}", level, box) for axis in AXES], axis=-1)
         cells, start = self._size(level, box), int(self.levels[level].starts[box])
         rows = self._parts[self._part_of[level][box]][f"level{level}/{name}"]
         return rows[start : start + int(np.prod(cells))].reshape(cells, order="F")
+
+
+class LiveDump(Dump):
+    """Fields of a hierarchy, shared by its ranks, as their dump would show them. Values are those of the fields."""
+
+    def __init__(
+        self, path: Path, hierarchy: Hierarchy, fields: Mapping[str, Field | VectorField], step: int, time: float
+    ) -> None:
+        """`path` is that of the dump, whether it is written or not; `time` is in s."""
+        self.path, self.comm, self.step, self.time = Path(path), hierarchy.comm, step, time
+        self._hierarchy, self._fields = hierarchy, fields
+        self.lower, self.upper = np.array(hierarchy.domain.lower), np.array(hierarchy.domain.upper)
+        self.units = {name: field.unit for name, field in fields.items()}
+        self.levels = [self._level(level) for level in range(hierarchy.levels)]
+
+    def _level(self, level: int) -> Level:
+        """Return a level; rows are those of its own boxes on each rank."""
+        boxes = self._hierarchy.boxes(level).astype(np.int64)
+        cells = cells_of(boxes)
+        ends, first = np.cumsum(cells), self._hierarchy.local_boxes(level).start
+        return Level(np.array(self._hierarchy.spacing(level)), boxes, ends - cells - (ends - cells)[first : first + 1].sum())
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def is_vector(self, name: str) -> bool:
+        return isinstance(self._fields.get(name), VectorField)
+
+    def here(self, level: int) -> Array:
+        return np.array(self._hierarchy.local_boxes(level), dtype=np.int64)
+
+    def covered(self, level: int, box: int) -> Array:
+        return self._hierarchy.native.covered(level, box).astype(bool)
+
+    def _values(self, name: str, level: int, box: int) -> Array:
+        field, cells, start = self._fields[name], self._size(level, box), int(self.levels[level].starts[box])
+        parts = field.components if isinstance(field, VectorField) else (field,)
+        flat = [part.array(level)[start : start + int(np.prod(cells))].reshape(cells, order="F") for part in parts]
+        return np.stack(flat, axis=-1) if isinstance(field, VectorField) else flat[0]
 
 
 UNITS = {"rho": "C/m^3", "phi": "V", "E": "V/m"}  # of the fields of a checkpoint

@@ -22,6 +22,38 @@ def equal_shares(boxes: Array, ranks: int) -> Array:
     return np.minimum((middle * ranks / max(cells.sum(), 1)).astype(np.int64), ranks - 1)
 
 
+def overlaps(boxes: Array, others: Array) -> tuple[Array, Array]:
+    """Return the pairs (i, j) for which boxes[i] and others[j] share cells, in the order of i, then of j.
+
+    Boxes are put into bins as wide as the largest of them, at most eight each, so the time grows with boxes and pairs alone.
+    """
+    if len(boxes) == 0 or len(others) == 0:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    corners = np.concatenate([boxes, others]).astype(np.int64).reshape(-1, 2, 3)
+    width = (corners[:, 1] - corners[:, 0]).max(axis=0) + 1
+    corners -= corners.min(axis=(0, 1))
+    strides = np.cumprod([1, *(corners.max(axis=(0, 1)) // width + 2)])[:3]
+    first, last = (corners[:, k] // width for k in (0, 1))
+    in_bin, box = [], []
+    for step in np.ndindex(2, 2, 2):
+        there = np.flatnonzero(np.all(first + step <= last, axis=1))
+        in_bin.append((first[there] + step) @ strides)
+        box.append(there)
+    bins, members = np.concatenate(in_bin), np.concatenate(box)
+    theirs = members >= len(boxes)
+    order = np.argsort(bins[theirs], kind="stable")
+    start, stop = (np.searchsorted(bins[theirs][order], bins[~theirs], side) for side in ("left", "right"))
+    counts = stop - start
+    i = np.repeat(members[~theirs], counts)
+    j = members[theirs][order][np.arange(counts.sum()) + np.repeat(stop - np.cumsum(counts), counts)]
+    lower = np.maximum(corners[i, 0], corners[j, 0])
+    meet = np.all(lower <= np.minimum(corners[i, 1], corners[j, 1]), axis=1)
+    meet &= lower // width @ strides == np.repeat(bins[~theirs], counts)  # once, in the bin of their first shared cell
+    i, j = i[meet], j[meet] - len(boxes)
+    order = np.lexsort((j, i))
+    return i[order], j[order]
+
+
 def scaled_cells(cells: tuple[int, int, int], factor: float, block: int) -> tuple[int, int, int]:
     """Return so many times the cells along each axis; along axes with a multiple of the block they stay one."""
     steps = [block if n % block == 0 else 1 for n in cells]

@@ -14,13 +14,14 @@ from mpi4py import MPI
 from .. import isa
 from ..errors import OutputError, SolverError
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
+from ..io.field_reader import LiveDump
 from ..io.time_series import Series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
-from ..parallel import together
 from ..scene.scene import Scene
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
+from ..view.draw import draw
 from .beam_tables import BeamTables, Diagnostic
 from .flight import kicked
 from .log import Log, RunLog
@@ -164,7 +165,7 @@ class Recorder:
         """Write what the end of a run leaves; the momenta are to be of its time."""
         if self._beam is not None:
             self._beam.record_now(state)
-        if self._wanted & {"fields", "pictures"}:
+        if "fields" in self._wanted:
             self._write_fields(state)
         self._write_particles(state)
         self._write_records(state)
@@ -216,16 +217,11 @@ class Recorder:
         if self._written.get("fields") == state.step:
             return
         self._written["fields"] = state.step
-        content: dict[str, Field | VectorField] = {
-            "rho": state.rho,
-            "phi": state.phi,
-            "E": state.efield.with_components(),
-        }
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
         vtkhdf_writer.write(
             path,
             state.hierarchy,
-            content,
+            _shown(state),
             state.step,
             state.time,
             self._about,
@@ -257,12 +253,9 @@ class Recorder:
         write_screens(self._comm, state, self._scene, self._about)
 
     def _draw(self, state: State) -> None:
-        """Draw the field dump of a state."""
-        with together(self._comm, OutputError):
-            if self._comm.rank == 0:
-                from ..view.plot import plot
-
-                plot(vtkhdf_writer.path_of(self._scene.directory, state.step))
+        """Draw what a field dump of a state shows, or would show."""
+        path = vtkhdf_writer.path_of(self._scene.directory, state.step)
+        draw(LiveDump(path, state.hierarchy, _shown(state), state.step, state.time), path.parent)
 
     def _write_checkpoint(self, state: State) -> None:
         if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:
@@ -277,3 +270,8 @@ class Recorder:
         path = checkpoint_writer.path_of(directory, state.step)
         checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
         checkpoint_writer.prune(self._comm, directory, output.keep)
+
+
+def _shown(state: State) -> dict[str, Field | VectorField]:
+    """Return what dumps and pictures show of a state."""
+    return {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}

@@ -85,7 +85,8 @@ def loads(rows: Array, bytes_of_rows: Sequence[int], writers: Writers = Writers(
     sizes = [rows_per_piece(n) for n in bytes_of_rows]
     digests = pieces_of(rows, sizes).sum(axis=1, keepdims=True)
     groups = writers.groups(len(rows), int((rows * np.asarray(bytes_of_rows)).sum()))
-    return writer_ranks.writer_loads(groups, np.hstack([rows, digests]), [*bytes_of_rows, DIGEST_BYTES])
+    with_digests = np.hstack([rows, digests])
+    return writer_ranks.writer_loads(groups, with_digests, [*bytes_of_rows, DIGEST_BYTES], announced=rows.shape[1])
 
 
 def prune(comm: MPI.Comm, directory: Path, keep: int) -> None:

@@ -81,15 +81,16 @@ class Load:
     messages: int  # in which they come
 
 
-def writer_loads(groups: Sequence[range], rows: Array, row_bytes: Sequence[int]) -> list[Load]:
-    """Return what each writer does by `collect_rows` and `collect`: of `rows` (ranks, arrays), of so many bytes each."""
+def writer_loads(groups: Sequence[range], rows: Array, row_bytes: Sequence[int], announced: int) -> list[Load]:
+    """Return what each writer does by `collect_rows`, which announces so many of the arrays, and by `collect`: of `rows`
+    (ranks, arrays), of `row_bytes` each.
+    """
     sizes, width = rows * np.asarray(row_bytes), np.array([rows_per_piece(n) for n in row_bytes], dtype=np.int64)
     pieces = -(-rows // np.maximum(width, 1))
     out = []
     for group in groups:
         others = slice(group.start + 1, group.stop)
-        announced = (len(group) - 1) * rows.shape[1] * 8
-        received = int(sizes[others].sum()) + announced
+        received = int(sizes[others].sum()) + (len(group) - 1) * 8 * announced
         messages = int(pieces[others].sum()) + len(group) - 1
         out.append(Load(group, int(sizes[group.start : group.stop].sum()), received, messages))
     return out

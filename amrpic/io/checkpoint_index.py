@@ -38,7 +38,7 @@ class Index:
         return hashlib.sha256(self.rows.tobytes() + self.digests.tobytes()).hexdigest()
 
     def pieces(self, array: int, start: int, stop: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the pieces of an array that hold any of its rows from `start` to `stop`: their first row, the end, their checksum."""
+        """Yield first row, end and checksum of the pieces of an array that hold any of its rows from `start` to `stop`."""
         counts, size = self.rows[:, array], self.sizes[array]
         ends, numbers = np.cumsum(counts), pieces_of(self.rows, self.sizes)
         first_number = (np.cumsum(numbers) - numbers.ravel()).reshape(numbers.shape)[:, array]

@@ -126,7 +126,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):  # as bytes: there may be a million boxes
-        text = base64.b64encode(np.ascontiguousarray(value)).decode()
+        text = base64.b64encode(value.tobytes()).decode()
         return {"dtype": value.dtype.str, "shape": value.shape, "base64": text}
     if isinstance(value, np.generic):
         return value.item()
@@ -162,10 +162,8 @@ def _manifest(content: Mapping[str, Any]) -> Manifest:
     for name in ("boxes", "owners", "weights"):
         header[name] = [_array(packed) for packed in header[name]]
     header["about"] = Provenance(**header["about"])
-    kinds, parts = ([kind(**one) for one in content[key]] for kind, key in ((Kind, "arrays"), (Part, "parts")))
-    return Manifest(
-        Header(**header), content["fields"], content["tables"], kinds, int(content["piece_bytes"]), parts
-    )
+    kinds, parts = [Kind(**one) for one in content["arrays"]], [Part(**one) for one in content["parts"]]
+    return Manifest(Header(**header), content["fields"], content["tables"], kinds, int(content["piece_bytes"]), parts)
 
 
 def _array(packed: Mapping[str, Any]) -> Array:

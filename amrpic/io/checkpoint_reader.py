@@ -127,7 +127,9 @@ class _PartFile:
                 whole = start <= first and end <= stop
                 if (first, end) != (low, high):
                     low, high = first, end
-                    held = out[first - start : end - start] if whole else np.empty((end - first, *kind.shape), kind.dtype)
+                    held = (
+                        out[first - start : end - start] if whole else np.empty((end - first, *kind.shape), kind.dtype)
+                    )
                     self._read(offset + first * kind.bytes, held)
                     if digest(held) != expected:
                         raise self._damage
@@ -137,7 +139,7 @@ class _PartFile:
 
     def _read(self, offset: int, out: Array) -> None:
         """Fill a contiguous array with the bytes at an offset."""
-        left = memoryview(out.reshape(-1).view(np.uint8))
+        left = out.reshape(-1).view(np.uint8).data
         while len(left):
             done = os.preadv(self._file.fileno(), [left], offset)
             if done == 0:
@@ -174,7 +176,9 @@ class _Parts(contextlib.ExitStack):
     def rows_of_rank(self, name: str, rank: int) -> Array:
         """Return the rows of an array that a rank wrote."""
         number = next(n for n, part in enumerate(self._manifest.parts) if part.first_rank <= rank < part.end_rank)
-        before = self._file(number).index.rows[: rank - self._manifest.parts[number].first_rank + 1, self._numbers[name]]
+        before = self._file(number).index.rows[
+            : rank - self._manifest.parts[number].first_rank + 1, self._numbers[name]
+        ]
         return self.rows(name, [(number, int(before[:-1].sum()), int(before[-1]))])
 
     def _file(self, part: int) -> _PartFile:

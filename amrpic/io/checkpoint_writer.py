@@ -22,6 +22,7 @@ from .checkpoint_index import DIGEST_BYTES, DIGESTS, ROWS, Index, digest, pieces
 from .checkpoint_manifest import MANIFEST, Array, Header, Kind, Manifest, Part, encode
 from .shared_file import write_rows
 from .writer_ranks import (
+    BY_SIZE,
     Attempts,
     Interleaved,
     Load,
@@ -55,7 +56,7 @@ def path_of(directory: Path, step: int) -> Path:
     return Path(directory) / f"checkpoint_{step:08d}"
 
 
-def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: Writers = Writers()) -> None:
+def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: Writers = BY_SIZE) -> None:
     """Write a state into the new directory `path`: there whole and synced on return, or not at all. Collective.
 
     Ranks form groups; the first of each writes what it receives from the others in small pieces. Every rank makes the
@@ -80,7 +81,7 @@ def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: Writers = Writer
                 remove(temporary(path))  # it is gone already unless an attempt failed
 
 
-def loads(rows: Array, bytes_of_rows: Sequence[int], writers: Writers = Writers()) -> list[Load]:
+def loads(rows: Array, bytes_of_rows: Sequence[int], writers: Writers = BY_SIZE) -> list[Load]:
     """Return what each writer of a checkpoint does, given the rows (ranks, arrays) of each array on each rank."""
     sizes = [rows_per_piece(n) for n in bytes_of_rows]
     digests = pieces_of(rows, sizes).sum(axis=1, keepdims=True)
@@ -153,7 +154,7 @@ def _write_part(
         return None
     part = attempts.attempt(_index, writer, file, group, list(arrays), tables, Index(table, sizes, digests))
     attempts.always(writer.close)
-    return attempts.attempt(lambda: replace(part, bytes=file.stat().st_size))
+    return None if part is None else attempts.attempt(lambda: replace(part, bytes=file.stat().st_size))
 
 
 def _arrays(state: Snapshot) -> dict[str, Rows]:
@@ -184,9 +185,7 @@ def _index(
     total = dict(zip(names, index.rows.sum(axis=0).tolist(), strict=True))
     rows = {table: next((n for name, n in total.items() if name.startswith(f"{table}/")), 0) for table in tables}
     of_arrays = [offsets[name] for name in names]
-    return Part(
-        file.name, group.start, group.stop, 0, rows, of_arrays, offsets[ROWS], offsets[DIGESTS], index.checksum
-    )
+    return Part(file.name, group.start, group.stop, 0, rows, of_arrays, offsets[ROWS], offsets[DIGESTS], index.checksum)
 
 
 def _manifest(state: Snapshot, arrays: Mapping[str, Rows], parts: Sequence[Part]) -> Manifest:

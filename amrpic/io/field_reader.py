@@ -95,7 +95,7 @@ class Dump:
         """The resolved scene as JSON."""
         return str(self._h5["amrpic/scene"].asstr()[()])
 
-    def values(self, name: str, level: int, box: int) -> Array:
+    def values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         """Return a field in a box of a level: (nx, ny, nz), or (nx, ny, nz, 3) of a vector.
 
         Of a vector field "E" there are also its length "|E|" and its components "Ex", "Ey" and "Ez".
@@ -122,7 +122,7 @@ class Dump:
             return name[:-1], AXES.index(name[-1])
         return None, None
 
-    def _values(self, name: str, level: int, box: int) -> Array:
+    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         cells = self._size(level, box)
         start = int(self.levels[level].starts[box])
         flat = self._h5[f"VTKHDF/Level{level}/CellData/{name}"][start : start + int(np.prod(cells))]
@@ -130,7 +130,7 @@ class Dump:
             return flat.reshape(cells, order="F")
         return np.stack([flat[:, c].reshape(cells, order="F") for c in range(flat.shape[1])], axis=-1)
 
-    def _size(self, level: int, box: int) -> tuple[int, ...]:
+    def _size(self, level: int, box: int | np.integer[Any]) -> tuple[int, ...]:
         corners = self.levels[level].boxes[box]
         return tuple(int(n) for n in corners[3:] - corners[:3] + 1)
 
@@ -210,7 +210,7 @@ class CheckpointDump(Dump):
     def scene_text(self) -> str:
         return decode(self.path).header.about.scene_text
 
-    def _values(self, name: str, level: int, box: int) -> Array:
+    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         if name == "E":
             return np.stack([self._values(f"efield_{axis}", level, box) for axis in AXES], axis=-1)
         cells, start = self._size(level, box), int(self.levels[level].starts[box])
@@ -236,7 +236,9 @@ class LiveDump(Dump):
         boxes = self._hierarchy.boxes(level).astype(np.int64)
         cells = cells_of(boxes)
         ends, first = np.cumsum(cells), self._hierarchy.local_boxes(level).start
-        return Level(np.array(self._hierarchy.spacing(level)), boxes, ends - cells - (ends - cells)[first : first + 1].sum())
+        return Level(
+            np.array(self._hierarchy.spacing(level)), boxes, ends - cells - (ends - cells)[first : first + 1].sum()
+        )
 
     def close(self) -> None:
         """Nothing is open."""
@@ -250,7 +252,7 @@ class LiveDump(Dump):
     def covered(self, level: int, box: int) -> Array:
         return self._hierarchy.native.covered(level, box).astype(bool)
 
-    def _values(self, name: str, level: int, box: int) -> Array:
+    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         field, cells, start = self._fields[name], self._size(level, box), int(self.levels[level].starts[box])
         parts = field.components if isinstance(field, VectorField) else (field,)
         flat = [part.array(level)[start : start + int(np.prod(cells))].reshape(cells, order="F") for part in parts]

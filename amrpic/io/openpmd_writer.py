@@ -24,7 +24,7 @@ from ..particles.species import Species
 from . import shared_file
 from .provenance import Provenance
 from .shared_file import Table
-from .writer_ranks import Attempts, Writers
+from .writer_ranks import BY_SIZE, Attempts, Writers
 
 ALIVE = 1  # of BeamPhysics's particleStatus
 DEAD = 2  # the first of those that say how a particle ended
@@ -51,7 +51,7 @@ def write(
     window: Window = AT_REST,
     columns: Mapping[str, Array] | None = None,
     causes: Sequence[str] = (),
-    writers: Writers = Writers(),
+    writers: Writers = BY_SIZE,
 ) -> None:
     """Write all particles into the file `path`, which is there whole and synced on return, or unchanged. Collective.
 

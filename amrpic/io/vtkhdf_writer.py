@@ -14,7 +14,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
 from . import shared_file
 from .provenance import Provenance
-from .writer_ranks import Attempts, Interleaved, Rows, Writers
+from .writer_ranks import BY_SIZE, Attempts, Interleaved, Rows, Writers
 
 VTKHDF_VERSION = (2, 2)
 
@@ -33,7 +33,7 @@ def write(
     step: int,
     time: float,
     about: Provenance,
-    writers: Writers = Writers(),
+    writers: Writers = BY_SIZE,
     window: Window = AT_REST,
 ) -> None:
     """Write fields into the file `path`, which is there whole and synced on return, or unchanged. Collective.

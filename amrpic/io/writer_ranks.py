@@ -71,6 +71,9 @@ class Writers:
         return [range(first, last) for first, last in itertools.pairwise(edges)]
 
 
+BY_SIZE = Writers()
+
+
 @dataclass(frozen=True)
 class Load:
     """What the writer of a group does for a file."""
@@ -109,6 +112,14 @@ def row_bytes(rows: Rows) -> int:
 def rows_per_piece(bytes_of_row: int) -> int:
     """Return how many rows make a piece."""
     return max(1, PIECE_BYTES // max(1, bytes_of_row))
+
+
+def buffer_bytes(ranks: int, merges: bool) -> int:
+    """Return the bytes that a group of so many ranks holds at once for `collect`, or for `merge` as well, beyond its rows."""
+    under_way = (AHEAD + 1) * PIECE_BYTES if ranks > 1 else 0
+    # Of each rank a piece and the one that arrives meanwhile; those that are ready, and the same in order.
+    merged = 4 * MERGED_BYTES if merges else 0
+    return max(under_way, merged) + 2 * PIECE_BYTES * ranks
 
 
 # ---- the way of the rows ----
@@ -174,7 +185,7 @@ def merge(
     order: Sequence[str],
     write: Callable[[int, Array], object],
 ) -> None:
-    """Hand the rows of every rank of `group` to `write(offset, piece)` on its first rank, in the order of some of their columns.
+    """Hand the rows of every rank of `group` to `write(offset, piece)` on its first rank, in the order of some columns.
 
     Collective over the group. Rows are of a structured type and are in `order` on each rank: by the first of these columns,
     those that are equal there by the next. `counts` and `write` are as for `collect`.

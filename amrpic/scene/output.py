@@ -33,7 +33,9 @@ class Output(Section):
         "given, one for each `part_bytes` of the file, and for each 128 ranks.",
     )
     part_bytes: int = Field(
-        default=PART_BYTES, ge=1, description="Bytes of a file from which on one more rank writes, if `writers` is not given."
+        default=PART_BYTES,
+        ge=1,
+        description="Bytes of a file from which on one more rank writes, if `writers` is not given.",
     )
     fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
     particles_every: int = Field(

@@ -189,7 +189,7 @@ def _draw_boxes(panel: Axes, dump: Dump, raster: Raster, length: float, only: in
 
 
 def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | None = None) -> Figure:
-    """Return the profiles of fields along a line, given by what `line_values` has of them; of a vector, what points along it."""
+    """Return the profiles of fields along a line, given by `line_values` of each; of a vector, what points along it."""
     length, length_prefix = prefix_of(float(np.abs(line.along).max()))
     figure = Figure(figsize=(8, 2.5 * len(shown) if len(shown) > 1 else 3.6), layout="constrained")
     panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]

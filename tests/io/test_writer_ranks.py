@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from pathlib import Path
 from typing import Any
@@ -34,13 +35,13 @@ class Counting(MPI.Intracomm):
         self.messages += 1
         self.received += (buffer[0] if isinstance(buffer, list) else buffer).nbytes
 
-    def Recv(self, buffer, *given, **named):
-        self._count(buffer)
-        return super().Recv(buffer, *given, **named)
+    def Recv(self, buf: Any, *given: Any, **named: Any) -> None:
+        self._count(buf)
+        super().Recv(buf, *given, **named)
 
-    def Irecv(self, buffer, *given, **named):
-        self._count(buffer)
-        return super().Irecv(buffer, *given, **named)
+    def Irecv(self, buf: Any, *given: Any, **named: Any) -> MPI.Request:
+        self._count(buf)
+        return super().Irecv(buf, *given, **named)
 
 
 def state_of(comm: MPI.Comm, cells: int = 32, particles: int = 20_000) -> Snapshot:
@@ -65,7 +66,9 @@ def io_of_process() -> tuple[int, int]:
     return int(counters["rchar"]), int(counters["wchar"])
 
 
-@pytest.mark.parametrize(("ranks", "total"), [(1, 10**12), (2, 1000), (720, 2 * 10**11), (13_824, 2 * 10**11), (10**5, 1)])
+@pytest.mark.parametrize(
+    ("ranks", "total"), [(1, 10**12), (2, 1000), (720, 2 * 10**11), (13_824, 2 * 10**11), (10**5, 1)]
+)
 def test_groups_are_chosen_by_size_and_cover_all_ranks(ranks, total):
     groups = Writers().groups(ranks, total)
     assert [rank for group in groups for rank in group] == list(range(ranks))
@@ -99,14 +102,17 @@ def test_pieces_of_others_are_under_way_while_a_writer_writes(comm):
     counting = Counting(comm.Dup())
     rows, posted, values = np.arange(3_000_000.0) + 1e9 * comm.rank, [], []
     counts = [len(rows)] * 2
-    writer_ranks.collect(
-        counting, range(2), counts, rows, lambda *piece: (posted.append(counting.messages), values.append(piece[1].copy()))
-    )
+
+    def write(offset: int, piece: np.ndarray) -> None:
+        posted.append(counting.messages)
+        values.append(piece.copy())
+
+    writer_ranks.collect(counting, range(2), counts, rows, write)
     if comm.rank == 0:
         pieces = len(posted) // 2
         assert pieces > 2 * writer_ranks.AHEAD
         ahead = np.array(posted) - np.maximum(np.arange(2 * pieces) - pieces + 1, 0)
-        assert np.all(ahead[:-writer_ranks.AHEAD] == writer_ranks.AHEAD)
+        assert np.all(ahead[: -writer_ranks.AHEAD] == writer_ranks.AHEAD)
         np.testing.assert_array_equal(np.concatenate(values), np.concatenate([rows, rows + 1e9]))
     counting.Free()
 
@@ -215,7 +221,7 @@ def test_particles_of_a_part_lie_in_the_order_of_ids(comm, tmp_path, monkeypatch
 
 @pytest.mark.mpi(ranks=(3,))
 def test_clients_open_a_particle_file_of_several_parts(comm, tmp_path):
-    particles = Particles(*(a for a in drawn(comm, 300)[0].arrays), SpeciesTable((SPECIES["electron"],)))
+    particles = dataclasses.replace(drawn(comm, 300)[0], species=SpeciesTable((SPECIES["electron"],)))
     path = tmp_path / "particles_00000003.h5"
     openpmd_writer.write(comm, path, particles, 3, 0.0, Provenance(), writers=Writers(0))
     group = beamphysics.ParticleGroup(str(path))

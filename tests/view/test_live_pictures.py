@@ -22,7 +22,7 @@ def test_ranks_together_show_what_the_dump_shows(comm, tmp_path):
     phi = Field(hierarchy, "V").fill(lambda x, y, z: x + 10 * y + 100 * z)
     rho = Field(hierarchy, "C/m^3").fill(lambda x, y, z: np.exp(-((x / 4e-3) ** 2) - ((z - 0.09) / 3e-2) ** 2) + 0 * y)
     efield = VectorField(*(Field(hierarchy, "V/m").fill(lambda *at, i=i: at[i]) for i in range(3)))
-    fields = {"phi": phi, "rho": rho.average_down(), "E": efield}
+    fields: dict[str, Field | VectorField] = {"phi": phi, "rho": rho.average_down(), "E": efield}
     path = vtkhdf_writer.path_of(tmp_path, 3)
     vtkhdf_writer.write(path, hierarchy, fields, 3, 2e-9, Provenance())
     live = LiveDump(path, hierarchy, fields, 3, 2e-9)
@@ -32,14 +32,16 @@ def test_ranks_together_show_what_the_dump_shows(comm, tmp_path):
         np.testing.assert_allclose(spread.centre, expected.centre, rtol=1e-12, atol=1e-15)
         for level in (None, 0, 1, 2):
             for axis in range(3):
-                one, other = (raster.slice_through(d, "|E|", axis, float(expected.centre[axis]), level) for d in (live, dump))
+                one, other = (
+                    raster.slice_through(d, "|E|", axis, float(expected.centre[axis]), level) for d in (live, dump)
+                )
                 np.testing.assert_array_equal(one.values, other.values)
             one, other = (raster.projection(d, "rho", 1, level) for d in (live, dump))
             np.testing.assert_allclose(one.values, other.values, rtol=1e-13)
             line = raster.line_through(dump, expected)
             for name in ("phi", "E"):
-                one, other = (raster.line_values(d, name, line, level) for d in (live, dump))
-                np.testing.assert_array_equal(one, other)
+                mine, theirs = (raster.line_values(d, name, line, level) for d in (live, dump))
+                np.testing.assert_array_equal(mine, theirs)
     drawn = draw.draw(live, tmp_path / "pictures")
     assert [path.name for path in drawn] == [f"fields_00000003_{view.name}.png" for view in views.OVERVIEW]
     comm.Barrier()
@@ -54,7 +56,8 @@ def test_overlapping_boxes_are_those_that_share_cells():
         others = np.concatenate([theirs, theirs + random.integers(0, 4, (other, 3))], axis=1)
         expected = np.argwhere(
             np.all(
-                np.maximum(boxes[:, None, :3], others[None, :, :3]) <= np.minimum(boxes[:, None, 3:], others[None, :, 3:]),
+                np.maximum(boxes[:, None, :3], others[None, :, :3])
+                <= np.minimum(boxes[:, None, 3:], others[None, :, 3:]),
                 axis=2,
             )
         )

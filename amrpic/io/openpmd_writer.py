@@ -99,9 +99,9 @@ def _table(particles: Particles, chosen: Array, window: Window, own: Mapping[str
     def rows(numbers: Array) -> Array:
         out = np.empty(len(numbers), dtype)
         for name, vectors in (("position", particles.position), ("momentum", particles.momentum)):
-            turned = window.to_laboratory(vectors[numbers])
+            turned = window.to_laboratory(vectors[numbers]) if window.is_turned else None
             for i, axis in enumerate(AXES):
-                out[f"{name}/{axis}"] = turned[:, i]
+                out[f"{name}/{axis}"] = vectors[:, i][numbers] if turned is None else turned[:, i]
         out["weighting"], out["id"] = particles.weight[numbers], particles.id[numbers]
         out["weight"] = out["weighting"] * charge
         for name, column in own.items():

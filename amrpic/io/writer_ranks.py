@@ -202,12 +202,17 @@ def merge(
         # What is still to come of a stream lies behind the last row of its head.
         last = min(tuple(head[-1][list(order)]) for head in heads if head is not None)
         ends = [0 if head is None else _end_of(head, order, last) for head in heads]
-        ready = np.concatenate([head[:end] for head, end in zip(heads, ends, strict=True) if head is not None])
-        write(offset, ready[np.lexsort([ready[column] for column in reversed(order)])])
+        runs = [head[:end] for head, end in zip(heads, ends, strict=True) if head is not None and end > 0]
+        ready = runs[0] if len(runs) == 1 else _in_order(np.concatenate(runs), order)
+        write(offset, ready)
         offset += len(ready)
         for i, (head, end) in enumerate(zip(heads, ends, strict=True)):
             if head is not None:
                 heads[i] = head[end:] if end < len(head) else next(streams[i], None)
+
+
+def _in_order(rows: Array, order: Sequence[str]) -> Array:
+    return rows[np.lexsort([rows[column] for column in reversed(order)])]
 
 
 def _end_of(ordered: Array, order: Sequence[str], last: Sequence[Any]) -> int:

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import OutputError
 from ..io import vtkhdf_writer
+from ..io.field_reader import LiveDump
 from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import together
 from ..particles.particles import Particles, concatenate
 from ..run.adapt import follow, make_base
 from ..run.folder import prepare
@@ -25,7 +24,7 @@ from ..run.limits import machine_memory
 from ..run.memory import MIB, run_memory
 from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
-from ..run.restart import about
+from ..run.restart import about, writers_of
 from ..scene.motion import RandomWalk
 from ..scene.refinement import CallableRule, ChargeDensityRule, Combination, FieldStrengthRule, PotentialRule, RuleKind
 from ..scene.scene import Scene
@@ -34,6 +33,8 @@ from ..stages.migrate import migrate
 from ..stages.push import random_walk
 from ..stages.tag import living
 from ..units import quantity
+from ..view.draw import draw
+from ..view.views import View
 from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks
 from .text_table import columns
 
@@ -64,7 +65,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
         _bunches(comm, scene, bunches[1:], fields.hierarchy),
         _memory(fields, made, ranks),
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
-        list(map(str, _pictures(comm, scene, fields.rho))),
+        list(map(str, _pictures(scene, fields.rho))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
@@ -227,17 +228,12 @@ def _widths(spacing: np.ndarray) -> str:
 # ---- pictures ----
 
 
-def _pictures(comm: MPI.Comm, scene: Scene, rho: Field) -> list[Path]:
+def _pictures(scene: Scene, rho: Field) -> list[Path]:
     """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
     path = scene.directory / FILE
-    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene))
-    drawn: list[Path] = []
-    with together(comm, OutputError):
-        if comm.rank == 0:
-            from ..view.plot import View, plot
-
-            drawn = plot(path, views=[View("rho", "projection", axis) for axis in range(len(AXES))])
-    return comm.bcast([path, *drawn])
+    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene))
+    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0)
+    return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
 
 
 # ---- the command ----

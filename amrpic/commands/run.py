@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.checkpoint_reader import find_latest_valid
+from ..io.checkpoint_manifest import UnreadableCheckpoint
+from ..io.checkpoint_reader import candidates
 from ..parallel import together
 from ..run.folder import prepare
 from ..run.log import RunLog
@@ -41,14 +41,17 @@ def _run(chosen: argparse.Namespace) -> int:
         if walltime is not None and walltime <= 0:
             raise InputError(f"--walltime {chosen.walltime} leaves no time; give more than 0 s")
     prepare(comm, scene)
-    path = _checkpoint(comm, scene, chosen.restart)
-    simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)
+    simulation = _begin(comm, scene, chosen.restart)
     return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 
-def _checkpoint(comm: MPI.Comm, scene: Scene, restart: str | None) -> Path | None:
-    """Return the checkpoint to go on from."""
-    if restart == "auto":
-        with RunLog(comm, scene.schedule.last_step):  # warns of broken ones
-            return find_latest_valid(comm, scene.directory)
-    return None if restart is None else Path(restart)
+def _begin(comm: MPI.Comm, scene: Scene, restart: str | None) -> Simulation:
+    """Return the run at its start or at a checkpoint, with "auto" the newest one that is whole; rank 0 warns of others."""
+    if restart is not None and restart != "auto":
+        return Simulation.restart(comm, restart, scene)
+    for path in candidates(comm, scene.directory) if restart else ():
+        try:
+            return Simulation.restart(comm, path, scene)
+        except UnreadableCheckpoint as error:
+            RunLog(comm, scene.schedule.last_step).warn(str(error))
+    return Simulation(comm, scene)

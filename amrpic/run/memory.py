@@ -6,16 +6,19 @@ What is counted is what a whole run holds at once; the few numbers that were mea
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..io.writer_ranks import Writers, buffer_bytes
 from ..mesh.boxes import Array, cells_of, rows_of, table_of
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.motion import Leapfrog
 from ..scene.refinement import CallableRule, FieldStrengthRule, every_rule
 from ..scene.scene import Scene
+from ..view.raster import pixels_of
 
 MIB = 2**20
 PROCESS = 150 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
@@ -60,7 +63,8 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
         **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, boxes),
         "fields": int((1 + IDLE) * NUMBER * _fields(scene, boxes)),
         "particles": particles * _particle(scene),
-        "pictures": DRAWING if "pictures" in scene.output.write else 0,
+        "files": _files(scene, boxes, particles, ranks),
+        "pictures": DRAWING + ranks * _rasters(scene) if "pictures" in scene.output.write else 0,
     }
 
 
@@ -74,6 +78,20 @@ def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int
     }
     cells = held.cells / max(sum(int(cells_of(level).sum()) for level in boxes), 1)
     return sum(size * of_all.get(what, cells) for what, size in parts.items())
+
+
+def _files(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> int:
+    """Return the bytes of what is on its way into files."""
+    largest = NUMBER * max((2 + AXES) * sum(int(cells_of(level).sum()) for level in boxes), 9 * particles)
+    groups = Writers(scene.output.writers, scene.output.part_bytes).groups(ranks, largest)
+    merges = bool({"particles", "losses"} & set(scene.output.write)) and particles > 0
+    return sum(buffer_bytes(len(group), merges) for group in groups)
+
+
+def _rasters(scene: Scene) -> int:
+    """Return the bytes of a picture on each rank: its share of it, and the sum of all."""
+    cells = np.array(scene.domain.cells) * 2**scene.refinement.levels
+    return 2 * NUMBER * max(math.prod(pixels_of(np.delete(cells, axis))) for axis in range(AXES))
 
 
 def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:

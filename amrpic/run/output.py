@@ -9,21 +9,22 @@ from types import TracebackType
 from mpi4py import MPI
 
 from .. import isa
-from ..errors import OutputError, SolverError
+from ..errors import SolverError
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
+from ..io.field_reader import LiveDump
 from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
-from ..parallel import together
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
+from ..view.draw import draw
 from .beam_tables import BeamTables, Diagnostic
 from .flight import kicked
 from .folder import set_aside
 from .log import Log, RunLog
 from .loss_files import write_losses, write_screens
 from .plan import Plan
-from .restart import about, snapshot
+from .restart import about, snapshot, writers_of
 from .state import State
 
 SERIES = "series.csv"
@@ -134,7 +135,7 @@ class Recorder:
         if self._beam is not None:
             self._beam.record_now(state)
             settle(self._comm, self._beam.series)
-        if self._wanted & {"fields", "pictures"}:
+        if "fields" in self._wanted:
             self._write_fields(state)
         self._write_particles(state)
         self._write_records(state)
@@ -190,20 +191,15 @@ class Recorder:
         if self._written.get("fields") == state.step:
             return
         self._written["fields"] = state.step
-        content: dict[str, Field | VectorField] = {
-            "rho": state.rho,
-            "phi": state.phi,
-            "E": state.efield.with_components(),
-        }
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
         vtkhdf_writer.write(
             path,
             state.hierarchy,
-            content,
+            _shown(state),
             state.step,
             state.time,
             self._about,
-            self._scene.output.writers,
+            writers_of(self._scene),
             state.window,
         )
 
@@ -212,7 +208,16 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = openpmd_writer.path_of(self._scene.directory, state.step)
-        openpmd_writer.write(self._comm, path, state.synchronized, state.step, state.time, self._about, state.window)
+        openpmd_writer.write(
+            self._comm,
+            path,
+            state.synchronized,
+            state.step,
+            state.time,
+            self._about,
+            state.window,
+            writers=writers_of(self._scene),
+        )
 
     def _write_records(self, state: State) -> None:
         if "losses" not in self._wanted or self._written.get("losses") == state.step:
@@ -222,12 +227,9 @@ class Recorder:
         write_screens(self._comm, state, self._scene, self._about)
 
     def _draw(self, state: State) -> None:
-        """Draw the field dump of a state."""
-        with together(self._comm, OutputError):
-            if self._comm.rank == 0:
-                from ..view.plot import plot
-
-                plot(vtkhdf_writer.path_of(self._scene.directory, state.step))
+        """Draw what a field dump of a state shows, or would show."""
+        path = vtkhdf_writer.path_of(self._scene.directory, state.step)
+        draw(LiveDump(path, state.hierarchy, _shown(state), state.step, state.time), path.parent)
 
     def _write_checkpoint(self, state: State) -> None:
         if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:
@@ -240,5 +242,10 @@ class Recorder:
             self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), output.writers)
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
         checkpoint_writer.prune(self._comm, directory, output.keep)
+
+
+def _shown(state: State) -> dict[str, Field | VectorField]:
+    """Return what dumps and pictures show of a state."""
+    return {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}

@@ -14,9 +14,10 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.checkpoint_manifest import Header
-from ..io.checkpoint_reader import read, verify
+from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
+from ..io.writer_ranks import Writers
 from ..mesh.domain import AXES, FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -50,6 +51,11 @@ FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion",
 def about(scene: Scene) -> Provenance:
     """Return what every output says about the run."""
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
+
+
+def writers_of(scene: Scene) -> Writers:
+    """Return how many ranks write a file of a run."""
+    return Writers(scene.output.writers, scene.output.part_bytes)
 
 
 def snapshot(state: State, plan: Plan) -> Snapshot:
@@ -90,17 +96,18 @@ def load(
 
     `scene` may replace that of the checkpoint if its mesh is the same.
     """
-    manifest = verify(comm, path)
+    manifest = read_manifest(comm, path)
     header = manifest.header
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
     _require_same_mesh(scene, header, path)
-    require_room(comm, scene, header.boxes, sum(manifest.rows["particles"]), f"checkpoint {path}")
+    require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
     refinement = scene.refinement
     sizes = refinement.max_grid_size, refinement.blocking_factor
     hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
-    held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
+    owners = [hierarchy.owners(level) for level in range(hierarchy.levels)]
+    held = read(comm, path, lambda _: owners, manifest)
     plan = Plan(comm, scene, fields)
     made_with = header.extra.get("fields", [])
     for remark in _remarks(scene, header.about.scene) + _remarks_on_fields(plan.fields.names, made_with):

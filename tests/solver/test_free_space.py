@@ -361,7 +361,12 @@ CASES = {
     "one block": lambda comm: density(mesh((8, 8, 8), comm=comm, max_grid_size=4), noise((8,) * 3)),
     "no charge": lambda comm: density(mesh((16,) * 3, comm=comm, max_grid_size=8), np.zeros((16,) * 3)),
     "one open face": lambda comm: density(
-        mesh((24, 24, 24), comm=comm, max_grid_size=8, boundary=[["dirichlet"] * 2, ["dirichlet", "open"], ["dirichlet"] * 2]),
+        mesh(
+            (24, 24, 24),
+            comm=comm,
+            max_grid_size=8,
+            boundary=[["dirichlet"] * 2, ["dirichlet", "open"], ["dirichlet"] * 2],
+        ),
         noise((24,) * 3),
     ),
 }

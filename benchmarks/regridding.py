@@ -1,7 +1,7 @@
 """Time what regrid and set-up do with boxes alone, up to a million of them: `python benchmarks/regridding.py`.
 
 A base of n³ boxes with two refined levels around ten bunches, as the reference benchmark has them for n = 24; then all that is
-refined moves by one block. Boxes are of 3³ blocks as there, but these of 2³ cells, not 8³, so that one rank can number them all.
+refined moves by one block. Boxes are of 3³ blocks as there, but these of 2³ cells, not 8³, so that one rank can number all.
 No field is held and no message sent: all ranks do the same with all boxes, so one process can stand for each of many. Tags are
 given as boxes; what scans cells grows with a rank's own cells instead.
 """

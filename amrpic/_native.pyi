@@ -19,6 +19,11 @@ def traffic() -> list[int]:
 def count_collective() -> None:
     """Count a collective call that Python makes."""
 
+def sums_and_largest(comm: int, summed: Sequence[float], compared: Sequence[float]) -> list[float]:
+    """
+    The sums over all ranks of some numbers, and behind them the largest of others, in one reduction.
+    """
+
 def exchange(
     comm: int, asked: Sequence[tuple[int, int]], wanted: Sequence[tuple[int, int]], pack: Callable
 ) -> list[list[float]]:

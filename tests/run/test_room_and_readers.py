@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+
 import numpy as np
 import pytest
 
@@ -80,11 +82,9 @@ def test_rank_0_alone_reads_the_scene_and_maps(comm, tmp_path, monkeypatch):
 
 @pytest.mark.mpi(ranks=2)
 def test_what_rank_0_cannot_read_is_refused_on_all_ranks(comm, tmp_path):
-    class Chosen:
-        scene, set, output = "nowhere.toml", (), None
-
+    chosen = argparse.Namespace(scene="nowhere.toml", set=(), output=None)
     with pytest.raises(SceneError, match=r"nowhere\.toml cannot be read"):
-        scene_on_all_ranks(comm, Chosen)
+        scene_on_all_ranks(comm, chosen)
 
     def fail():
         raise ValueError("seven")

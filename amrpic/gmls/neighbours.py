@@ -16,6 +16,7 @@ from .checks import finite, points
 from .spaces import Scalar
 
 SEARCHED_TOGETHER = 4096  # targets, whose neighbours are Python's lists for a while
+GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do not determine
 EQUAL = 1 + 1e-9  # distances that rounding alone tells apart
 
 
@@ -129,6 +130,7 @@ def nearby(
     if (order is None) == (radius is None):
         raise InputError("neighbours need either an order or a radius; give one of them")
     tree = cKDTree(where)
+    tied = np.zeros(len(places), dtype=bool)
     if radius is not None:
         distances = np.broadcast_to(finite(radius, "the radius"), len(places)).copy()
     else:
@@ -137,7 +139,8 @@ def nearby(
             raise InputError(f"there are {len(where)} sites for {nearest} unknowns of order {order}; give more sites")
         if not reach > 0:
             raise InputError(f"reach is {reach}; it is a factor above 0, for instance 1.6")
-        distances = reach * tree.query(places, k=[nearest])[0][:, 0]
+        second, third, last, next_one = tree.query(places, k=[2, 3, nearest, nearest + 1])[0].T
+        distances, tied = reach * last, (third <= second * EQUAL) | (next_one <= last * EQUAL)
     if not (distances > 0).all():
         row = int(np.argmin(distances))
         raise InputError(f"target {row} has reach {distances[row]}; give a longer one, or no sites in one place")
@@ -152,4 +155,16 @@ def nearby(
         start = np.concatenate([[0], *counts]).cumsum()
         return Neighbours(start, np.concatenate([np.empty(0, np.int32), *found]), lengths)
 
-    return replace(search(np.arange(len(places)), distances), search=search)
+    # Ties are the mark of lattices, where reaches often have to grow: their sites are searched for once.
+    every = np.arange(len(places))
+    found = search(every, np.where(tied, GROWTH, 1.0) * distances)
+
+    def grown(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        if tied[which].all() and (lengths <= GROWTH * EQUAL * distances[which]).all():
+            return replace(found.of(which), reach=lengths)
+        return search(which, lengths)
+
+    of = np.repeat(every, np.diff(found.start))
+    inside = ((where[found.index] - places[of]) ** 2).sum(axis=1) <= (distances[of] * EQUAL) ** 2
+    start = np.concatenate([[0], np.bincount(of[inside], minlength=len(places)).cumsum()])
+    return Neighbours(start, found.index[inside], distances, grown)

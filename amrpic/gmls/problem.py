@@ -291,9 +291,8 @@ def _require_fit(targets: np.ndarray, near: Neighbours, space: Space, samples: S
         raise InputError(f"neighbours are given for {len(near)} of {len(targets)} targets; search with these targets")
     if len(near.index) != near.start[-1] or (np.diff(near.start) < 0).any() or near.start[0] != 0:
         raise InputError(f"neighbours have {len(near.index)} indices, but their starts end at {near.start[-1]}")
-    outside = (near.index < 0) | (near.index >= len(samples))
-    if outside.any():
-        at = int(np.argmax(outside))
+    if near.index.size and (near.index.min() < 0 or near.index.max() >= len(samples)):
+        at = int(np.argmax((near.index < 0) | (near.index >= len(samples))))
         raise InputError(f"neighbour {at} is sample {near.index[at]}, but there are {len(samples)}; use 0 and up")
     good = np.isfinite(near.reach) & (near.reach > 0)
     if not good.all():

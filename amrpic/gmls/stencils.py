@@ -12,14 +12,14 @@ from scipy.sparse import csr_array
 
 from ..errors import InputError, SolverError
 from .checks import finite, points
-from .neighbours import Neighbours
+from .neighbours import GROWTH, Neighbours
 from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, assembled, merged
 from .samples import Samples
 from .spaces import Space
 from .targets import Exact, Wanted
 from .weights import QUADRATIC, Weight
 
-GROWTH, GROWTHS = 1.15, 5  # how much longer a reach becomes, and how often
+GROWTHS = 5  # at most, of a reach
 PATHS = (
     "normal equations",
     "normal equations of less rank",

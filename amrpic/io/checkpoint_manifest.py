@@ -39,7 +39,6 @@ class Header:
     domain: Mapping[str, Any]
     boxes: Sequence[Array]  # per level (n, 6): lower x, y, z, upper x, y, z, inclusive
     owners: Sequence[Array]  # per level (n,): rank of each box
-    weights: Sequence[Array] = ()  # per level: work per box that led to the owners; empty: their cells
     about: Provenance = field(default_factory=Provenance)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
@@ -125,7 +124,7 @@ def _manifest(content: Mapping[str, Any]) -> Manifest:
     header = dict(content["header"])
     header["boxes"] = [np.array(boxes, dtype=np.int64).reshape(-1, 6) for boxes in header["boxes"]]
     header["owners"] = [np.array(owners, dtype=np.int64) for owners in header["owners"]]
-    header["weights"] = [np.array(weights, dtype=np.float64) for weights in header["weights"]]
+    header.pop("weights", None)  # of older checkpoints: work per box, by which boxes were shared out
     parts = [Part(**part) for part in content["parts"]]
     header["about"] = Provenance(**header["about"])
     return Manifest(Header(**header), content["fields"], content["tables"], content["rows"], parts)

@@ -37,8 +37,10 @@ class Hierarchy:
     """The levels of a refined mesh, coarse to fine; immutable. Collective to make.
 
     `levels[k]` lists the boxes of level k + 1 as pairs of inclusive corner indices in that level's own index space, or is
-    an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
-    if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
+    an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. Each level is
+    shared out over the ranks by its cells. Where whole boxes leave a rank with more than 1.1 times the mean, those across
+    the borders of ranks are halved, down to 8 cells per axis. With `base`, the boxes of level 0, all boxes are taken as they
+    are, in their order: so those that were stored come back.
 
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
 
@@ -57,11 +59,10 @@ class Hierarchy:
         levels: Sequence[Sequence[Sequence[Sequence[int]]] | np.ndarray] = (),
         max_grid_size: int = 24,
         blocking_factor: int = 8,
-        weights: Sequence[np.ndarray] | None = None,
+        base: np.ndarray | None = None,
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
-        loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
         is_virtual = isinstance(comm, VirtualRank)
         self.comm = cast(Communicator, comm) if is_virtual else own(cast(MPI.Comm, comm))
         try:
@@ -74,14 +75,13 @@ class Hierarchy:
                 boxes,
                 max_grid_size,
                 blocking_factor,
-                loads,
+                _index_boxes(0, np.empty((0, 6), dtype=np.int32) if base is None else base),
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
         self.domain = domain
         self.max_grid_size = int(max_grid_size)
         self.blocking_factor = int(blocking_factor)
-        self.weights = loads  # as given; none: the cells of each box
 
     def seen_by(self, rank: int) -> Hierarchy:
         """Return the hierarchy of a virtual rank as another virtual rank of as many has it. Local.

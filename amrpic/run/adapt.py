@@ -1,12 +1,11 @@
-"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes distributed by work."""
+"""The mesh follows the particles: the base level at first, refined as the scene's rule asks."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..mesh.hierarchy import Hierarchy
-from ..stages.migrate import particles_per_box
-from ..stages.regrid import Regridding, balance, regrid
+from ..stages.regrid import Regridding, regrid
 from ..stages.tag import Tags, cells_of_particles, tagged
 from .limits import require_room
 from .memory import base_boxes
@@ -52,7 +51,7 @@ def outrun(fields: ParticleFields) -> bool:
 
 
 def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
-    """Return the hierarchy that the rule asks for, its boxes shared out by cells and particles. Collective."""
+    """Return the hierarchy that the rule asks for. Collective."""
     plan, hierarchy, refinement = fields.plan, fields.hierarchy, fields.plan.scene.refinement
     rule, static = apart(refinement.rule)
     tags = [] if rule is None else tags_of(rule, fields)
@@ -65,7 +64,7 @@ def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
         return hierarchy
     boxes = [made.boxes(level) for level in range(made.levels)]
     require_room(plan.comm, plan.scene, boxes, fields.particles.global_count(plan.comm), "the refined hierarchy")
-    return balance(made, particles_per_box(fields.particles, made))
+    return made
 
 
 def _remark_on_tags(tags: Tags, fields: ParticleFields) -> None:

@@ -1,4 +1,4 @@
-"""Regrid: a new hierarchy from tags, fields carried over to it, and its boxes balanced over the ranks."""
+"""Regrid: a new hierarchy from tags, and fields carried over to it."""
 
 from __future__ import annotations
 
@@ -108,18 +108,3 @@ def carry_over(field: Field, hierarchy: Hierarchy) -> Field:
     out = Field(hierarchy, field.unit)
     _native.carry_over(field.native, out.native)
     return out
-
-
-def balance(hierarchy: Hierarchy, particles_per_box: Sequence[np.ndarray], cost_per_particle: float = 1.0) -> Hierarchy:
-    """Return the same boxes on the owners that share out cells and particles; itself if no owner changes. Collective.
-
-    `particles_per_box[l]` counts the particles of all ranks in each box of level l; the cost of one is in units of that
-    of a cell. Each level is shared out by itself.
-    """
-    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    weights = [cells_of(b) + cost_per_particle * np.asarray(p) for b, p in zip(boxes, particles_per_box, strict=True)]
-    made = Hierarchy(
-        hierarchy.comm, hierarchy.domain, boxes[1:], hierarchy.max_grid_size, hierarchy.blocking_factor, weights
-    )
-    same = all(np.array_equal(made.owners(level), hierarchy.owners(level)) for level in range(hierarchy.levels))
-    return hierarchy if same else made

@@ -35,19 +35,17 @@ void bind_hierarchy(nb::module_& m) {
       .def(
           "__init__",
           [](Hierarchy* self, Ranks comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
-             std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor,
-             std::vector<bind::Reals> weights) {
+             std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor, bind::IntRows base) {
             Domain domain{lower, upper, cells, {}};
             for (int face = 0; face < 6; ++face) domain.boundary[face / 2][face % 2] = Boundary(boundary[face]);
             std::vector<std::vector<Box>> boxes;
             for (auto const& level : levels) boxes.push_back(bind::to_boxes(level));
-            std::vector<std::vector<Real>> loads;
-            for (auto const& w : weights) loads.emplace_back(w.data(), w.data() + w.size());
             nb::gil_scoped_release release;
-            new (self) Hierarchy(communicator(comm), domain, boxes, max_grid_size, blocking_factor, loads);
+            new (self)
+                Hierarchy(communicator(comm), domain, boxes, max_grid_size, blocking_factor, bind::to_boxes(base));
           },
           "comm"_a, "lower"_a, "upper"_a, "cells"_a, "boundary"_a, "levels"_a, "max_grid_size"_a, "blocking_factor"_a,
-          "weights"_a)
+          "base"_a)
       .def(
           "seen_by", [](Hierarchy const& h, int rank) { return std::const_pointer_cast<Hierarchy>(h.seen_by(rank)); },
           "rank"_a, "The hierarchy of a virtual rank as another virtual rank has it.")

@@ -19,17 +19,21 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
                                 fine.stencil().weight(), coarse.stencil().weight());
 }
 
-/// Whether on all ranks the parents of each own block make up the own block of the same number. Collective.
+/// Whether on all ranks the parents of each own block make up the own block of the same number. Local: where the
+/// coarser level's boxes are the parents of the finer one's, box by box, they make up the same larger ones.
 bool Coarsening::keeps_children_together() const {
-  Layout const &fine = fine_.layout(), &coarse = coarse_.layout();
   Level const &level = fine_.level(), &coarser = coarse_.level();
-  bool together = fine.own_blocks() == coarse.own_blocks() && coarser.ranks() == level.ranks();
-  for (std::size_t b = 0; together && b < fine.own_blocks(); ++b) {
-    Box const& box = fine.blocks()[b].box;
-    together = box.coarsen(ratio_).intersect(coarser.domain()) == coarse.blocks()[b].box;
-    for (int d = 0; d < 3; ++d) together = together && box.lower[d] % ratio_[d] == 0;
+  if (coarser.ranks() != level.ranks() || coarser.box_count() != level.box_count()) return false;
+  for (int r = 0; r <= level.ranks(); ++r)
+    if (coarser.first_box(r) != level.first_box(r)) return false;
+  for (int b = 0; b < level.box_count(); ++b) {
+    Box const& box = level.box(b);
+    if (!(box.coarsen(ratio_).intersect(coarser.domain()) == coarser.box(b))) return false;
+    for (int d = 0; d < 3; ++d)
+      if (box.lower[d] % ratio_[d] != 0) return false;
   }
-  return level.ranks() > 1 ? comm_.all(together) : together;
+  // blocks end at seams, which the two levels may have at places of their own
+  return !fine_.layout().has_seam() && !coarse_.layout().has_seam();
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
@@ -165,23 +169,32 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   parents_.update(coarse_.correction().data(), values_.data());
   for (Copy const& c : ghosts_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
-  auto const prolong = [this, into](std::size_t b, int k) {
-    fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.right_hand_side(), fine_.correction());
+  auto const prolong = [this, into](std::size_t b, int k, RowChoice const& rows) {
+    fine_.sweep().prolong(b, k, rows, sources_[b], values_, into == Into::place, fine_.right_hand_side(),
+                          fine_.correction());
   };
   // What others copy comes first, so that it is under way while the rest is swept. Nothing is left to the sweeps before
   // a restriction that takes the same values for its own sums.
   Layout const& layout = fine_.layout();
   bool const all_now = into == Into::place && !in_place_;
-  auto const is_first = [&layout, all_now](std::size_t b, int k) { return all_now || layout.is_copied(b, k); };
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const& box = layout.blocks()[b].box;
     for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-      if (is_first(b, k)) prolong(b, k);
+      prolong(b, k, all_now ? RowChoice{} : layout.rows_by_copies(b, k, true));
   }
   fine_.exchange_corrections(refines_);
-  return {[&layout, is_first, prolong](std::size_t b, int k) {
-    if (b < layout.own_blocks() && !is_first(b, k)) prolong(b, k);
+  if (all_now) return {};
+  return {[&layout, prolong](std::size_t b, int k) {
+    if (b < layout.own_blocks()) prolong(b, k, layout.rows_by_copies(b, k, false));
   }};
+}
+
+Traffic Coarsening::of_restriction(bool of_residual) const {
+  Traffic out = of_residual && fine_.has_odd_ring() ? fine_.of_corrections(false) : Traffic{};
+  if (in_place_) return out;
+  out = out + parents_.of_add();
+  out.collectives += gathers_;
+  return out;
 }
 
 std::size_t Coarsening::bytes() const {

@@ -39,6 +39,11 @@ class Coarsening {
   enum class Into { sum, place };
   std::vector<PlaneStage> prolongation(Into into);
 
+  // What this rank sends in calls of these.
+  Traffic of_restriction(bool of_residual) const;
+  Traffic of_prolongation() const { return parents_.of_update() + fine_.of_corrections(refines_); }
+  std::set<int> const& neighbours() const { return parents_.neighbours(); }
+
   std::size_t bytes() const;
 
  private:

@@ -44,7 +44,8 @@ def test_boxes_that_cannot_be_are_refused_by_name(levels, complaint):
         ({"blocking_factor": 3}, "blocking_factor is 3; it must be a power of two"),
         ({"max_grid_size": 4}, "max_grid_size is 4, less than the blocking factor 8"),
         ({"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (2**20,) * 3)}, "more than the .* that 1 ranks can number"),
-        ({"weights": [np.ones(3)]}, "level 0 has 1 boxes but 3 weights"),
+        ({"base": np.array([[0, 0, 0, 15, 15, 7]])}, "given for level 0 have 2048 of the domain's 4096 cells"),
+        ({"base": np.array([[0, 0, 0, 15, 15, 15], [0, 0, 0, 7, 7, 7]])}, "of level 0 overlaps"),
         (
             {"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (16,) * 3, {"x": "periodic"})},
             "axis x is periodic and another face is open",
@@ -94,6 +95,14 @@ def test_virtual_ranks_refuse_to_communicate():
         mesh.seen_by(720)
     with pytest.raises(HierarchyError, match="ranks that run"):
         hierarchy().seen_by(0)
+
+
+def test_given_base_boxes_are_taken_as_they_are():
+    levels = [MIDDLE, [((24, 24, 24), (39, 39, 39))]]
+    halved = amrpic.Hierarchy(VirtualRank(0, 7), DOMAIN, levels, max_grid_size=16)
+    assert len(halved.boxes(0)) > 1
+    again = hierarchy([halved.boxes(1), halved.boxes(2)], max_grid_size=16, base=halved.boxes(0))
+    assert again.same_mesh(halved)
 
 
 def test_boxes_are_cut_to_size_and_cover_what_was_asked():

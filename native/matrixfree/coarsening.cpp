@@ -40,12 +40,13 @@ bool Coarsening::keeps_children_together() const {
 void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
-  std::vector<Copied> local;
+  std::vector<Copied> local, local_targets;
   std::size_t size = 0;
   sources_.reserve(layout.own_blocks());
   if (in_place_) targets_.reserve(layout.own_blocks());
   coarse_patches_.reserve(layout.own_blocks());
-  int const reach = refines_ ? 2 : 1;  // the ghosts' fits reach one cell further
+  int const reach = refines_ ? 2 : 1;   // the ghosts' fits reach one cell further
+  int const beside = refines_ ? 1 : 0;  // cells that take fluxes
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
     CoarsePatch patch{parents.grow(reach), {}};
@@ -59,6 +60,11 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
         Placement copy = patch.cells;
         copy.origin = patch.place(part.lower);
         local.push_back({n, part.shift_back(shift), copy});
+        Box const target = part.intersect(parents.grow(beside));
+        if (!target.empty() && !in_place_) {
+          copy.origin = patch.place(target.lower);
+          local_targets.push_back({n, target.shift_back(shift), copy});
+        }
       }
       known.fill(part, 1);
     });
@@ -84,12 +90,16 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach past it
   Level const& level = fine_.level();
-  auto const across = copies_across_ranks(
-      level, coarser, [&](Box const& o) { return o.grow(reach).refine(ratio_); },
-      [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(reach)); });
-  parents_ = RectangleExchange(comm, coarse_.layout(), local, across, [this](Box const& box, Part const& f) {
-    for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
-  });
+  auto const exchange = [&](std::vector<Copied> const& copied, int around) {
+    auto const across = copies_across_ranks(
+        level, coarser, [&](Box const& o) { return o.grow(around).refine(ratio_); },
+        [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); });
+    return RectangleExchange(comm, coarse_.layout(), copied, across, [this](Box const& box, Part const& f) {
+      for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
+    });
+  };
+  parents_ = exchange(local, reach);
+  if (!in_place_) targets_of_residuals_ = exchange(local_targets, beside);
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.
@@ -161,7 +171,7 @@ void Coarsening::add_to_coarse_level() {
   if (in_place_) return;
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
-  parents_.add(values_.data(), r.data());
+  targets_of_residuals_.add(values_.data(), r.data());
   if (gathers_) comm_.sum_each(r);
 }
 
@@ -192,7 +202,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
 Traffic Coarsening::of_restriction(bool of_residual) const {
   Traffic out = of_residual && fine_.has_odd_ring() ? fine_.of_corrections(false) : Traffic{};
   if (in_place_) return out;
-  out = out + parents_.of_add();
+  out = out + targets_of_residuals_.of_add();
   out.collectives += gathers_;
   return out;
 }

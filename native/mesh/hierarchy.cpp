@@ -139,8 +139,24 @@ void check_domain(Domain const& domain, int max_grid_size, int blocking_factor) 
 }  // namespace
 
 void sort_along_curve(std::vector<Box>& boxes) {
-  std::sort(boxes.begin(), boxes.end(),
-            [](Box const& a, Box const& b) { return morton_less(twice_centre(a), twice_centre(b)); });
+  // Places are counted in mean extents of a box first, else eight boxes after each other would make up a cube only if
+  // their extents were powers of two.
+  std::array<std::int64_t, 3> extent{0, 0, 0};
+  for (Box const& box : boxes)
+    for (int d = 0; d < 3; ++d) extent[d] += box.extent(d);
+  auto const place = [&](Box const& box) {
+    Index3 out;
+    for (int d = 0; d < 3; ++d)
+      out[d] = int((std::int64_t(box.lower[d]) + box.upper[d] + 1) * std::int64_t(boxes.size()) / (2 * extent[d]));
+    return out;
+  };
+  std::vector<std::pair<Index3, Box>> placed;
+  for (Box const& box : boxes) placed.emplace_back(place(box), box);
+  std::sort(placed.begin(), placed.end(), [](auto const& a, auto const& b) {
+    return a.first != b.first ? morton_less(a.first, b.first)
+                              : morton_less(twice_centre(a.second), twice_centre(b.second));
+  });
+  std::transform(placed.begin(), placed.end(), boxes.begin(), [](auto const& p) { return p.second; });
 }
 
 std::vector<int> distribute(std::vector<Box> const& boxes, int ranks) {

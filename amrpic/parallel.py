@@ -78,7 +78,7 @@ def world_by_default(method: Callable[..., T]) -> Callable[..., T]:
 
     @functools.wraps(method)
     def call(self: Any, *given: Any, **named: Any) -> T:
-        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm)):
+        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm | VirtualRank)):
             given = (MPI.COMM_WORLD, *given)
         return method(self, *given, **named)
 

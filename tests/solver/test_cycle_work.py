@@ -1,4 +1,4 @@
-"""What a cycle takes of a rank follows from the boxes: counted beforehand, for real and virtual ranks, and found in the counters."""
+"""What a cycle takes of a rank follows from the boxes: counted beforehand, for virtual ranks too, and found in the counters."""
 
 from __future__ import annotations
 

@@ -61,6 +61,7 @@ class Hierarchy:
         max_grid_size: int,
         blocking_factor: int,
         base: NDArray[numpy.int32],
+        earlier: Hierarchy | None,
     ) -> None: ...
     def seen_by(self, rank: int) -> Hierarchy:
         """The hierarchy of a virtual rank as another virtual rank has it."""
@@ -69,22 +70,32 @@ class Hierarchy:
     def levels(self) -> int: ...
     def boxes(self, level: int) -> NDArray[numpy.int32]: ...
     def owners(self, level: int) -> NDArray[numpy.int32]: ...
+    def metadata_bytes(self, level: int) -> int:
+        """
+        What the boxes of a level take on each rank, which levels with the same boxes share.
+        """
+
+    def same_boxes(self, other: Hierarchy, level: int) -> bool: ...
     def local_boxes(self, level: int) -> list[int]: ...
     def cells(self, level: int) -> int: ...
     def covered(self, level: int, box: int) -> NDArray[numpy.int8]: ...
+    def cells_around(self, points: NDArray[numpy.float64], radius: NDArray[numpy.float64]) -> tuple:
+        """
+        Starts and numbers of the uncovered cells within a radius of each point.
+        """
 
 class Field:
     def __init__(self, hierarchy: Hierarchy, zero: bool = True) -> None: ...
     def level(self, level: int) -> NDArray[numpy.float64]: ...
     def average_down(self) -> None: ...
-    def integral(self) -> float: ...
-    def integral_with(self, other: Field) -> float: ...
+    def own_integral(self) -> float: ...
+    def own_integral_with(self, other: Field) -> float: ...
     def sample(self, points: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
 
 class ElectricField:
     def __init__(self, x: Field, y: Field, z: Field) -> None: ...
     def write(self, x: Field, y: Field, z: Field) -> None: ...
-    def integral_of_square(self) -> float: ...
+    def own_integral_of_square(self) -> float: ...
 
 def cluster(blocks: NDArray[numpy.int32], efficiency: float) -> NDArray[numpy.int32]: ...
 def refine(
@@ -96,6 +107,24 @@ def refine(
     nesting: int,
     efficiency: float,
 ) -> list: ...
+
+class BoxTable:
+    """Disjoint boxes of a level, and a look-up by cells."""
+
+    def __init__(self, boxes: NDArray[numpy.int32]) -> None: ...
+    def meeting(self, lower: Sequence[int], upper: Sequence[int]) -> NDArray[numpy.int32]:
+        """Ascending numbers of the boxes that have cells of a region."""
+
+    def meets(self, regions: NDArray[numpy.int32]) -> NDArray[numpy.uint8]:
+        """Whether a box has a cell of each region, a byte per region."""
+
+    def find(self, cells: NDArray[numpy.int32]) -> NDArray[numpy.int32]:
+        """The box that holds each cell, -1 if none does."""
+
+    @property
+    def outer_faces(self) -> int:
+        """Number of cell faces on the surface of the union of the boxes."""
+
 def carry_over(from_: Field, to: Field) -> None: ...
 
 class EngeFringe:
@@ -240,6 +269,48 @@ class FreeSpace:
 
     def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
 
+def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
+    """
+    Exponents of the monomials, (n, dimension), in the order of their coefficients.
+    """
+
+class GmlsProblem:
+    """Stencils of generalized moving least squares; amrpic.gmls makes it."""
+
+    def __init__(
+        self,
+        order: int,
+        components: int,
+        basis: NDArray[numpy.float64],
+        weight: int,
+        parameters: Sequence[float],
+        aspect: Sequence[float],
+        targets: NDArray[numpy.float64],
+        reach: NDArray[numpy.float64],
+        start: NDArray[numpy.int64],
+        index: NDArray[numpy.int32],
+        sites: NDArray[numpy.float64],
+        samples: object | None,
+        wanted: object,
+        exact: object | None,
+    ) -> None: ...
+    def solve(
+        self,
+        residual_bound: float,
+        sum_bound: float,
+        portable: bool,
+        weights: NDArray[numpy.float64],
+        exact_weights: NDArray[numpy.float64],
+        path: NDArray[numpy.int8],
+        judgements: NDArray[numpy.float64],
+    ) -> None:
+        """Stencils of all targets, into arrays that are given."""
+
+    def equations(self, target: int) -> tuple:
+        """
+        Weighted rows of a target's samples (m, n), roots of their weights, and the targets (n, rows wanted): weights are root * z with rows.T @ z = targets.
+        """
+
 def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
     """
     The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.
@@ -373,10 +444,34 @@ class ParticleMesh:
     @property
     def slots(self) -> int: ...
 
+class RemoteBricks:
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        """None."""
+
+    @property
+    def bricks(self) -> NDArray[numpy.int32]:
+        """Level, box, and number in the box, of each; int (n, 3)."""
+
+    @property
+    def cells(self) -> NDArray[numpy.int32]:
+        """Those of each, in the indices of its level; int (n, 6)."""
+
+    def __len__(self) -> int: ...
+
+def brick_windows(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: bool) -> tuple:
+    """
+    What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner and the server exchange a component each way. From the boxes alone, whoever owns them.
+    """
+
+END_OF_CURVE: int = 9223372036854775807
+
+PLACES_PER_BRICK: int = 2097152
+
 class Migration:
     def __init__(
         self,
         mesh: ParticleMesh,
+        servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
@@ -387,14 +482,18 @@ class Migration:
     def lost(self) -> NDArray[numpy.int64]: ...
     @property
     def arriving(self) -> int: ...
+    @property
+    def bricks(self) -> int: ...
     def finish(
         self,
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
-        starts: NDArray[numpy.int64],
     ) -> bool: ...
+    @property
+    def starts(self) -> NDArray[numpy.int64]: ...
+    def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
 
 class Hole(enum.Enum):
     ellipse = 0
@@ -420,7 +519,8 @@ def crossings(
     start_offset: Sequence[float],
     end_offset: Sequence[float],
 ) -> tuple: ...
-def count_per_box(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> list: ...
+def count_per_brick(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> tuple:
+    """Places on the curve, ascending, and numbers of particles."""
 
 class Shape(enum.Enum):
     nearest_grid_point = 0
@@ -431,6 +531,7 @@ class Shape(enum.Enum):
 
 def deposit(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     position: NDArray[numpy.float64],
@@ -443,6 +544,7 @@ def deposit(
 ) -> None: ...
 def gather(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,
@@ -461,6 +563,7 @@ class Pusher(enum.Enum):
 
 def push(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,
@@ -575,7 +678,7 @@ def amplitude_quantiles(
     mass: NDArray[numpy.float64],
     later: NDArray[numpy.float64],
     share: float,
-    parts: BeamParts,
+    layers: Sequence[BeamParts],
     centres: Sequence[Sequence[float]],
     forms: Sequence[Sequence[Sequence[float]]],
     typical: Sequence[Sequence[float]],

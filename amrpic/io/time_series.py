@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, OutputError
+from ..parallel import raise_together
 from ..units import Quantity
 from .atomic_files import publish, temporary
 from .provenance import Provenance
@@ -43,6 +44,7 @@ class Series:
     ) -> None:
         self.columns = tuple(columns)
         self._path, self._comm, self._descriptor = Path(path), comm, -1
+        self._adding = self._attempts()
         attempts = self._attempts()
         if comm.rank == 0:
             attempts.attempt(self._open, about, keep_to_step)
@@ -60,10 +62,18 @@ class Series:
 
     def append(self, *rows: Mapping[str, float | str]) -> None:
         """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
-        attempts = self._attempts()
+        self.add(*rows)
+        settle(self._comm, [self])
+
+    def add(self, *rows: Mapping[str, float | str]) -> None:
+        """Do the same without the other ranks, until `settle` tells them whether it failed. Local."""
         if self._comm.rank == 0:
-            attempts.attempt(self._write, "".join(_line(row, self.columns) for row in rows))
-        attempts.settle(self._comm)
+            self._adding.attempt(self._write, "".join(_line(row, self.columns) for row in rows))
+
+    @property
+    def problem(self) -> str | None:
+        """Why rows could not be added, on rank 0."""
+        return self._adding.message
 
     def _write(self, line: str) -> None:
         if os.write(self._descriptor, line.encode()) < len(line):
@@ -84,6 +94,11 @@ class Series:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
+
+
+def settle(comm: MPI.Comm, series: Iterable[Series]) -> None:
+    """Raise OutputError on all ranks if rows of one of the series could not be added. Collective."""
+    raise_together(comm, next((one.problem for one in series if one.problem is not None), None), OutputError)
 
 
 def write(

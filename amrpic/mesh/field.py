@@ -138,13 +138,17 @@ class Field:
 
         Raises HierarchyError if the other field lives on another hierarchy.
         """
+        return global_sum(self.comm, self.own_integral(times))
+
+    def own_integral(self, times: Field | None = None) -> float:
+        """Part of this rank's cells in `integral`."""
         if times is None:
-            return self.native.integral()
+            return self.native.own_integral()
         if times.hierarchy is not self.hierarchy:
             raise HierarchyError(
                 "the fields of a product live on two hierarchies; carry one of them over to the other's"
             )
-        return self.native.integral_with(times.native)
+        return self.native.own_integral_with(times.native)
 
     def max_abs(self) -> float:
         """Largest magnitude over uncovered cells; nan if one of them is. Collective."""
@@ -330,7 +334,11 @@ class VectorField:
 
     def integral_of_square(self) -> float:
         """Volume integral of the square over uncovered cells. Collective."""
-        return self.native.integral_of_square()
+        return global_sum(self.hierarchy.comm, self.own_integral_of_square())
+
+    def own_integral_of_square(self) -> float:
+        """Part of this rank's cells in `integral_of_square`."""
+        return self.native.own_integral_of_square()
 
     def magnitude(self) -> Field:
         """Its length in each cell."""

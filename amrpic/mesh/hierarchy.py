@@ -13,6 +13,7 @@ from mpi4py import MPI
 from .. import _native
 from ..errors import HierarchyError
 from ..parallel import Communicator, VirtualRank, own, world_by_default
+from .boxes import cells_of
 from .domain import BOUNDARIES, Domain
 
 
@@ -42,7 +43,8 @@ class Hierarchy:
     the borders of ranks are halved, down to 8 cells per axis. With `base`, the boxes of level 0, all boxes are taken as they
     are, in their order: so those that were stored come back.
 
-    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
+    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face. Levels with
+    the boxes of an `earlier` hierarchy share what is known of them, and are not checked again.
 
     With a VirtualRank in place of the communicator nothing is collective: boxes, owners and plans of exchanges are those
     that this rank of so many would have, and nothing that communicates can be done with the hierarchy.
@@ -60,13 +62,15 @@ class Hierarchy:
         max_grid_size: int = 24,
         blocking_factor: int = 8,
         base: np.ndarray | None = None,
+        earlier: Hierarchy | None = None,
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
         is_virtual = isinstance(comm, VirtualRank)
         self.comm = cast(Communicator, comm) if is_virtual else own(cast(MPI.Comm, comm))
+        shared = None if earlier is None else earlier.native
         try:
-            self.native = _native.Hierarchy(
+            self.native: _native.Hierarchy = _native.Hierarchy(
                 (self.comm.rank, self.comm.size) if is_virtual else self.comm.py2f(),
                 domain.lower,
                 domain.upper,
@@ -76,6 +80,7 @@ class Hierarchy:
                 max_grid_size,
                 blocking_factor,
                 _index_boxes(0, np.empty((0, 6), dtype=np.int32) if base is None else base),
+                shared,
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
@@ -128,12 +133,18 @@ class Hierarchy:
         first, last = self.native.local_boxes(self._checked(level))
         return range(first, last)
 
+    @property
+    def own_cells(self) -> int:
+        """Number of this rank's cells of all levels."""
+        own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))
+        return sum(int(cells_of(boxes[local.start : local.stop]).sum()) for boxes, local in own)
+
     def same_mesh(self, other: Hierarchy) -> bool:
         """Whether both have the same domain and boxes; owners may differ."""
         return (
             self.domain == other.domain
             and self.levels == other.levels
-            and all(np.array_equal(self.boxes(l), other.boxes(l)) for l in range(self.levels))
+            and all(self.native.same_boxes(other.native, l) for l in range(self.levels))
         )
 
     def _checked(self, level: int) -> int:

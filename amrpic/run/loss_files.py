@@ -11,6 +11,7 @@ from ..io import openpmd_writer, time_series
 from ..io.provenance import Provenance
 from ..scene.scene import Scene
 from ..stages.loss_map import COLUMNS, loss_map
+from .restart import writers_of
 from .state import State
 
 LOSSES = "losses.h5"
@@ -25,7 +26,17 @@ def write_losses(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) 
         return
     columns = {"time": lost.time, "direction": lost.direction, "particleStatus": lost.cause + openpmd_writer.DEAD}
     path = scene.directory / LOSSES
-    openpmd_writer.write(comm, path, lost.particles, state.step, state.time, about, columns=columns, causes=lost.names)
+    openpmd_writer.write(
+        comm,
+        path,
+        lost.particles,
+        state.step,
+        state.time,
+        about,
+        columns=columns,
+        causes=lost.names,
+        writers=writers_of(scene),
+    )
     lower, upper = domain.lower[2], domain.upper[2]
     width = scene.diagnostics.loss_bin or (upper - lower) / BINS
     rows = loss_map(comm, lost.particles, lost.cause, lost.names, lower, upper, width)
@@ -40,7 +51,8 @@ def write_screens(comm: MPI.Comm, state: State, scene: Scene, about: Provenance)
         here = np.flatnonzero(seen.cause == number)
         columns = {"time": seen.time[here], "direction": seen.direction[here]}
         path = screen_path(scene.directory, screen.name)
-        openpmd_writer.write(comm, path, seen.particles.select(here), state.step, state.time, about, columns=columns)
+        particles, writers = seen.particles.select(here), writers_of(scene)
+        openpmd_writer.write(comm, path, particles, state.step, state.time, about, columns=columns, writers=writers)
 
 
 def screen_path(directory: Path, name: str) -> Path:

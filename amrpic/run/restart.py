@@ -14,9 +14,10 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.checkpoint_manifest import Header
-from ..io.checkpoint_reader import read, verify
+from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
+from ..io.writer_ranks import Writers
 from ..mesh.domain import AXES, FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -53,6 +54,11 @@ def about(scene: Scene) -> Provenance:
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
 
 
+def writers_of(scene: Scene) -> Writers:
+    """Return how many ranks write a file of a run."""
+    return Writers(scene.output.writers, scene.output.part_bytes)
+
+
 def snapshot(state: State, plan: Plan) -> Snapshot:
     """Return the whole state as a checkpoint takes it: arrays shared, not copied; of fields from Python the names."""
     hierarchy, particles, report, scene = state.hierarchy, state.synchronized, state.report, plan.scene
@@ -74,6 +80,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "dt": plan.dt,
             "course": state.course.to_dict(),
             "fields": list(plan.fields.names),
+            "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
     )
@@ -89,17 +96,18 @@ def load(
 
     `scene` may replace that of the checkpoint if its mesh is the same.
     """
-    manifest = verify(comm, path)
+    manifest = read_manifest(comm, path)
     header = manifest.header
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
     _require_same_mesh(scene, header, path)
-    require_room(comm, scene, header.boxes, sum(manifest.rows["particles"]), f"checkpoint {path}")
+    require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
     refinement = scene.refinement
     sizes = refinement.max_grid_size, refinement.blocking_factor
     stored = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, base=header.boxes[0])
-    held = read(comm, path, owners=lambda _: [stored.owners(level) for level in range(stored.levels)])
+    owners = [stored.owners(level) for level in range(stored.levels)]
+    held = read(comm, path, lambda _: owners, manifest)
     hierarchy = stored  # whose boxes are halved for as many ranks as wrote them
     if manifest.ranks != comm.size:
         hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes)
@@ -117,7 +125,9 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
         lag = 0.0
-    particles, _ = migrate(_particles(columns, species), hierarchy)
+    servers = np.array(extra.get("servers", ()), dtype=np.int64)  # of the ranks that wrote the checkpoint
+    same_ranks = len(servers) == plan.comm.size + 1
+    particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks else None)
     units = {"rho": "C/m^3", "phi": "V"}
     fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():

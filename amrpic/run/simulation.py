@@ -32,7 +32,7 @@ from .log import Log
 from .output import Recorder
 from .plan import Plan
 from .records import Record
-from .restart import about, load, snapshot
+from .restart import about, load, snapshot, writers_of
 from .state import State
 from .step import advance, begin, with_momenta
 from .stop import Stop
@@ -168,7 +168,7 @@ class Simulation:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
         content = snapshot(state, self._plan)
-        checkpoint_writer.write(self.comm, Path(path), content, self.scene.output.writers)
+        checkpoint_writer.write(self.comm, Path(path), content, writers_of(self.scene))
 
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others, in the laboratory.
@@ -177,7 +177,14 @@ class Simulation:
         """
         state = kicked(self.state, self._plan)
         write_particles(
-            self.comm, Path(path), state.synchronized, state.step, state.time, about(self.scene), state.window
+            self.comm,
+            Path(path),
+            state.synchronized,
+            state.step,
+            state.time,
+            about(self.scene),
+            state.window,
+            writers=writers_of(self.scene),
         )
 
     @property

@@ -36,6 +36,16 @@ MOST_BINS = 1_000_000  # of a map of losses
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
 
 
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a scene file. Raises SceneError in one sentence."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError as reason:
+        raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
+    except UnicodeDecodeError as reason:
+        raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
+
+
 class Scene(Section):
     """A run, described: where, what charge, how refined, how solved, how moved, how long, what written."""
 
@@ -251,17 +261,16 @@ class Scene(Section):
             )
 
     @classmethod
-    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
+    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = (), text: str | None = None) -> Self:
         """Return the scene of a TOML file, with `key.path=value` overrides.
 
-        Raises SceneError in one sentence; paths in the file are relative to it.
+        `text` is what the file holds, where `read_text` read it before: on rank 0 alone, for all. Raises SceneError in one
+        sentence; paths in the file are relative to it.
         """
         path = Path(path)
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as reason:
-            raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+            data = tomllib.loads(read_text(path) if text is None else text)
+        except tomllib.TOMLDecodeError as reason:
             raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
         toml.override(data, overrides)
         data.setdefault("name", path.stem)

@@ -57,11 +57,10 @@ def regrid(
             f"static boxes are given for level {len(static)}, but max_levels is {settings.max_levels}, the base "
             f"included; raise it to {len(static) + 1}"
         )
-    for level, boxes in enumerate(static, start=1):
-        for box in np.asarray(boxes).reshape(-1, 6):
-            if np.any(box[3:] < box[:3]):
-                raise HierarchyError(f"static box {box.tolist()} of level {level} is empty; swap its corners")
     fixed = [np.ascontiguousarray(boxes, dtype=np.int32).reshape(-1, 6) for boxes in static]
+    for level, boxes in enumerate(fixed, start=1):
+        if len(empty := boxes[np.any(boxes[:, 3:] < boxes[:, :3], axis=1)]):
+            raise HierarchyError(f"static box {empty[0].tolist()} of level {level} is empty; swap its corners")
     marks = _marks(tags, kept)
     try:
         levels = _native.refine(
@@ -69,7 +68,7 @@ def regrid(
         )
     except _native.HierarchyError as refused:
         raise HierarchyError(str(refused)) from None
-    made = Hierarchy(hierarchy.comm, hierarchy.domain, levels, hierarchy.max_grid_size, hierarchy.blocking_factor)
+    made = _like(hierarchy, levels)
     return hierarchy if made.same_mesh(hierarchy) else made
 
 
@@ -108,3 +107,9 @@ def carry_over(field: Field, hierarchy: Hierarchy) -> Field:
     out = Field(hierarchy, field.unit)
     _native.carry_over(field.native, out.native)
     return out
+
+
+def _like(earlier: Hierarchy, levels: Sequence[np.ndarray]) -> Hierarchy:
+    """Return a hierarchy of other refined levels on the same domain, which shares the boxes that stay."""
+    sizes = earlier.max_grid_size, earlier.blocking_factor
+    return Hierarchy(earlier.comm, earlier.domain, levels, *sizes, earlier=earlier)

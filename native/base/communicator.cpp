@@ -8,8 +8,8 @@ namespace amrpic {
 
 namespace {
 
-constexpr int tag_values = 7101, tag_announcement = 7102;  ///< and the next one
-constexpr std::size_t longest = std::size_t(1) << 30;      ///< elements of a message, which MPI counts with 31 bits
+constexpr int tag_values = 7101, tag_announcement = 7102 /* and the next one */, tag_lists = 7104;
+constexpr std::size_t longest = std::size_t(1) << 30;  ///< elements of a message, which MPI counts with 31 bits
 
 [[noreturn]] void end_job(MPI_Comm comm, std::string const& what) {
   int rank = 0, ranks = 1;
@@ -138,6 +138,33 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
   }
   std::sort(out.begin(), out.end());
   return out;
+}
+
+void Communicator::send_list(void const* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
+                             MPI_Request& request) const {
+  check_that_others_exist();
+  if (count > longest)
+    throw std::length_error(std::to_string(count) + " elements in one message, more than MPI counts; use more ranks");
+  MPI_Isend(values, int(count), type, rank, tag_lists, comm_, &request);
+  ++traffic().messages;
+  traffic().bytes += std::int64_t(count * size);
+}
+
+std::size_t Communicator::wait_for_list(int rank, MPI_Datatype type, MPI_Message& message) const {
+  check_that_others_exist();
+  MPI_Status status;
+  int count = 0;
+  MPI_Mprobe(rank, tag_lists, comm_, &message, &status);
+  MPI_Get_count(&status, type, &count);
+  return std::size_t(count);
+}
+
+void Communicator::take_list(void* into, std::size_t count, MPI_Datatype type, MPI_Message& message) const {
+  MPI_Mrecv(into, int(count), type, &message, MPI_STATUS_IGNORE);
+}
+
+void Communicator::wait(std::vector<MPI_Request>& requests) {
+  for (MPI_Request& request : requests) MPI_Wait(&request, MPI_STATUS_IGNORE);
 }
 
 void Communicator::abort(std::string const& what) const {

@@ -13,6 +13,18 @@
 namespace nb = nanobind;
 using namespace nb::literals;
 
+namespace {
+
+/// A number that is added to those of other ranks, or of which the largest counts.
+struct Number {
+  amrpic::Real value;
+  amrpic::Real by_largest;
+
+  void add(Number const& other) { value = by_largest > 0 ? std::max(value, other.value) : value + other.value; }
+};
+
+}  // namespace
+
 void bind_machine(nb::module_& m) {
   m.def(
       "end_job_on_failure", [](int comm) { amrpic::end_job_on_failure(MPI_Comm_f2c(comm)); }, "comm"_a,
@@ -26,6 +38,22 @@ void bind_machine(nb::module_& m) {
       "Messages and bytes that this process has sent to other ranks so far, and collective calls.");
   m.def(
       "count_collective", [] { ++amrpic::traffic().collectives; }, "Count a collective call that Python makes.");
+  m.def(
+      "sums_and_largest",
+      [](int comm, std::vector<amrpic::Real> const& summed, std::vector<amrpic::Real> const& compared) {
+        std::vector<Number> numbers;
+        for (amrpic::Real value : summed) numbers.push_back({value, 0});
+        for (amrpic::Real value : compared) numbers.push_back({value, 1});
+        {
+          nb::gil_scoped_release release;
+          amrpic::Communicator(MPI_Comm_f2c(comm)).add_each(numbers);
+        }
+        std::vector<amrpic::Real> out;
+        for (Number const& number : numbers) out.push_back(number.value);
+        return out;
+      },
+      "comm"_a, "summed"_a, "compared"_a,
+      "The sums over all ranks of some numbers, and behind them the largest of others, in one reduction.");
   m.def(
       "exchange",
       [](int comm, std::vector<std::pair<int, std::int64_t>> const& asked,

@@ -4,6 +4,7 @@
 #include <limits>
 #include <numeric>
 #include <string>
+#include <utility>
 
 #include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
@@ -91,8 +92,7 @@ void check_disjoint(int number, Level const& level) {
 void check_nesting(int number, Level const& level, Level const& coarser) {
   for (int b = 0; b < level.box_count(); ++b) {
     Box const region = coarser.cut_at_walls(level.box(b).coarsen(refinement_ratio).grow(1));
-    GlobalIndex inside = 0;
-    coarser.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { inside += part.cells(); });
+    GlobalIndex const inside = coarser.cells_in(region);
     if (inside != region.cells())
       throw HierarchyError(where(number, level.box(b)) + " does not nest: level " + std::to_string(number - 1) +
                            " must surround it by at least one cell, corners included, but lacks " +
@@ -134,6 +134,15 @@ void check_domain(Domain const& domain, int max_grid_size, int blocking_factor) 
           "axis " + std::string(1, "xyz"[d]) +
           " is periodic and another face is open; no method for that pair is built, so choose dirichlet or neumann");
   }
+}
+
+/// The boxes of a level of an earlier hierarchy, if there is such a level and they are the given ones.
+std::shared_ptr<BoxTable const> same_boxes(Hierarchy const* earlier, std::size_t l, Box const& domain,
+                                           std::array<bool, 3> const& periodic, std::vector<Box> const& boxes) {
+  if (!earlier || l >= std::size_t(earlier->level_count())) return nullptr;
+  Level const& level = earlier->level(int(l));
+  bool const same = level.domain() == domain && level.periodic() == periodic && level.boxes() == boxes;
+  return same ? level.share_table() : nullptr;
 }
 
 }  // namespace
@@ -224,13 +233,14 @@ std::vector<int> share_out(std::vector<Box>& boxes, int ranks, int blocking_fact
 }
 
 Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
-                     int max_grid_size, int blocking_factor, std::vector<Box> const& base)
+                     int max_grid_size, int blocking_factor, std::vector<Box> const& base, Hierarchy const* earlier)
     : comm_(comm), domain_(domain), max_grid_size_(max_grid_size), blocking_factor_(blocking_factor) {
   check_domain(domain, max_grid_size, blocking_factor);
   int const rank = comm.rank(), ranks = comm.ranks();
   std::array<bool, 3> const periodic{domain.periodic(0), domain.periodic(1), domain.periodic(2)};
   Box region{{0, 0, 0}, {domain.cells[0] - 1, domain.cells[1] - 1, domain.cells[2] - 1}};
   Real3 spacing{domain.spacing(0), domain.spacing(1), domain.spacing(2)};
+  bool is_known = true;  // the level before, and with it that this one nests if it is known too
 
   for (std::size_t l = 0; l <= refined.size(); ++l) {
     if (l > 0) {
@@ -253,14 +263,17 @@ Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector
       boxes.insert(boxes.end(), pieces.begin(), pieces.end());
     }
     auto first = as_given ? distribute(boxes, ranks) : share_out(boxes, ranks, blocking_factor);
-    auto level = std::make_shared<Level const>(region, periodic, spacing, std::move(boxes), std::move(first), rank);
+    auto table = same_boxes(earlier, l, region, periodic, boxes);
+    bool const was_known = std::exchange(is_known, table != nullptr);
+    if (!table) table = std::make_shared<BoxTable const>(std::move(boxes));
+    auto level = std::make_shared<Level const>(region, periodic, spacing, std::move(table), std::move(first), rank);
     for (int r = 0; r < ranks; ++r)
       if (level->first_cell(r + 1) - level->first_cell(r) > std::numeric_limits<LocalIndex>::max())
         throw HierarchyError("level " + std::to_string(l) + " puts " +
                              std::to_string(level->first_cell(r + 1) - level->first_cell(r)) + " cells on rank " +
                              std::to_string(r) + ", more than 32-bit numbers count; use more ranks");
-    if (l > 0 || as_given) check_disjoint(int(l), *level);
-    if (l > 0) check_nesting(int(l), *level, *levels_.back());
+    if ((l > 0 || as_given) && !is_known) check_disjoint(int(l), *level);
+    if (l > 0 && !(is_known && was_known)) check_nesting(int(l), *level, *levels_.back());
     if (l == 0 && level->cells() != region.cells())
       throw HierarchyError("the boxes given for level 0 have " + std::to_string(level->cells()) + " of the domain's " +
                            std::to_string(region.cells()) + " cells; they must cover it");

@@ -18,11 +18,13 @@ class Hierarchy {
   /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself), each level by its
   /// cells (see share_out). Boxes start on multiples of the blocking factor and have a multiple of it, except that
   /// those at the domain's upper faces may be shorter. With boxes of level 0 in `base` these and the refined ones are
-  /// taken as they are and in their order, neither cut nor halved: so boxes that were stored come back. Throws
+  /// taken as they are and in their order, neither cut nor halved: so boxes that were stored come back. Levels
+  /// with the boxes of an `earlier` hierarchy on the same domain share them, and are not checked again. Throws
   /// HierarchyError, the same on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not
   /// nest.
   Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
-            int max_grid_size, int blocking_factor, std::vector<Box> const& base = {});
+            int max_grid_size, int blocking_factor, std::vector<Box> const& base = {},
+            Hierarchy const* earlier = nullptr);
 
   Communicator const& comm() const { return comm_; }
   Domain const& domain() const { return domain_; }

@@ -205,12 +205,12 @@ struct Mover {
 
 }  // namespace
 
-void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
-          std::int64_t const* starts, Motion const& motion, Moved const& out) {
+void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out) {
   auto const p = out.momentum, x = out.position, between = out.between;
   bool const far = are_far(particles.count, p[0], p[1], p[2], x[0], x[1], x[2], between[0], between[1], between[2]);
   Mover const mover{particles, motion, out, far};
-  auto const move = [&](auto const& use) { read_field(mesh, clouds, field, particles, starts, use); };
+  auto const move = [&](auto const& use) { read_field(mesh, remote, clouds, field, particles, starts, use); };
   if (motion.external && !motion.external->empty())
     move([=](LaneBlock const& block, BlockComponents const& felt) { mover.by_all<true>(block, felt); });
   else if (motion.beta != Real3{} || motion.added.electric[0] || motion.added.magnetic[0])

@@ -57,7 +57,7 @@ class SolverError(Exception):
 class Hierarchy:
     def __init__(
         self,
-        comm: int,
+        comm: int | Sequence[int],
         lower: Sequence[float],
         upper: Sequence[float],
         cells: Sequence[int],
@@ -65,9 +65,12 @@ class Hierarchy:
         levels: Sequence[NDArray[numpy.int32]],
         max_grid_size: int,
         blocking_factor: int,
-        weights: Sequence[NDArray[numpy.float64]],
+        base: NDArray[numpy.int32],
         earlier: Hierarchy | None,
     ) -> None: ...
+    def seen_by(self, rank: int) -> Hierarchy:
+        """The hierarchy of a virtual rank as another virtual rank has it."""
+
     @property
     def levels(self) -> int: ...
     def boxes(self, level: int) -> NDArray[numpy.int32]: ...
@@ -323,6 +326,47 @@ def refusal_of_places(places: int, level: int, rank: int) -> str:
     What is wrong with so many padded cells of a level on a rank; empty if nothing is.
     """
 
+class LevelWork:
+    @property
+    def level(self) -> int:
+        """0: the base; negative below it."""
+
+    @property
+    def cells(self) -> int:
+        """Of this rank."""
+
+    @property
+    def stored(self) -> int:
+        """Cells with copies of others'."""
+
+    @property
+    def relaxed(self) -> float:
+        """Cells relaxed; without copies, cells times sweeps."""
+
+    @property
+    def sweeps(self) -> int: ...
+    @property
+    def neighbours(self) -> int:
+        """Ranks with which this one exchanges values."""
+
+    @property
+    def messages(self) -> int: ...
+    @property
+    def bytes(self) -> int: ...
+    @property
+    def collectives(self) -> int: ...
+
+def cycle_work(
+    hierarchy: Hierarchy,
+    pre_sweeps: int,
+    post_sweeps: int,
+    screening: float = 0.0,
+    stretch: Sequence[float] = [1.0, 1.0, 1.0],
+) -> list[LevelWork]:
+    """
+    What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.
+    """
+
 class CompositeLaplacian:
     def __init__(self, hierarchy: Hierarchy, stretch: Sequence[float], shift: float = 0.0) -> None: ...
     def average_down(self, phi: Field) -> None: ...
@@ -364,6 +408,16 @@ class CompositeLaplacian:
     def electric_field(
         self, potential: Field, walls: Sequence[NDArray[numpy.float64]], covered: CoveredField
     ) -> ElectricField: ...
+    @property
+    def sent_by_residual(self) -> list[int]:
+        """
+        Messages and bytes that this rank, which may be virtual, sends for a residual, besides its norm.
+        """
+
+    @property
+    def sent_by_add(self) -> list[int]:
+        """The same for a correction that is added."""
+
     @property
     def bytes(self) -> int: ...
 

@@ -49,6 +49,20 @@ def _counted(name: str) -> Callable[..., Any]:
     return counting
 
 
+@dataclass(frozen=True)
+class VirtualRank:
+    """One of any number of ranks that need not exist, in place of a communicator: what follows from metadata alone is the
+    same as on a real rank. Whatever would communicate raises AmrpicError."""
+
+    rank: int
+    size: int
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise AmrpicError(f"rank {self.rank} of {self.size} is virtual and has no {name}; run this under mpiexec")
+
+
 T = TypeVar("T")
 
 COLLECTIVES = ("Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
@@ -81,7 +95,7 @@ def world_by_default(method: Callable[..., T]) -> Callable[..., T]:
 
     @functools.wraps(method)
     def call(self: Any, *given: Any, **named: Any) -> T:
-        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm)):
+        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm | VirtualRank)):
             given = (MPI.COMM_WORLD, *given)
         return method(self, *given, **named)
 

@@ -49,7 +49,6 @@ class Header:
     domain: Mapping[str, Any]
     boxes: Sequence[Array]  # per level (n, 6): lower x, y, z, upper x, y, z, inclusive
     owners: Sequence[Array]  # per level (n,): rank of each box
-    weights: Sequence[Array] = ()  # per level: work per box that led to the owners; empty: their cells
     about: Provenance = field(default_factory=Provenance)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
@@ -159,8 +158,9 @@ def decode(path: Path) -> Manifest:
 
 def _manifest(content: Mapping[str, Any]) -> Manifest:
     header = dict(content["header"])
-    for name in ("boxes", "owners", "weights"):
+    for name in ("boxes", "owners"):
         header[name] = [_array(packed) for packed in header[name]]
+    header.pop("weights", None)  # of older checkpoints: work per box, by which boxes were shared out
     header["about"] = Provenance(**header["about"])
     kinds, parts = [Kind(**one) for one in content["arrays"]], [Part(**one) for one in content["parts"]]
     return Manifest(Header(**header), content["fields"], content["tables"], kinds, int(content["piece_bytes"]), parts)

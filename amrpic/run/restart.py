@@ -32,6 +32,7 @@ from ..scene.scene import Scene
 from ..stages.encounters import Flights
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
+from ..stages.regrid import carry_over
 from .course import Course
 from .field_functions import FieldFunction
 from .limits import require_room
@@ -70,7 +71,6 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
         domain=scene.domain.model_dump(mode="json"),
         boxes=[hierarchy.boxes(level) for level in range(hierarchy.levels)],
         owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
-        weights=hierarchy.weights,
         about=about(scene),
         extra={
             "species": particles.species.to_dict(),
@@ -105,17 +105,20 @@ def load(
     require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
     refinement = scene.refinement
     sizes = refinement.max_grid_size, refinement.blocking_factor
-    hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
-    owners = [hierarchy.owners(level) for level in range(hierarchy.levels)]
+    stored = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, base=header.boxes[0])
+    owners = [stored.owners(level) for level in range(stored.levels)]
     held = read(comm, path, lambda _: owners, manifest)
+    hierarchy = stored  # whose boxes are halved for as many ranks as wrote them
+    if manifest.ranks != comm.size:
+        hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes)
     plan = Plan(comm, scene, fields)
     made_with = header.extra.get("fields", [])
     for remark in _remarks(scene, header.about.scene) + _remarks_on_fields(plan.fields.names, made_with):
         plan.remark(remark)
-    return _state(plan, held, hierarchy), plan
+    return _state(plan, held, stored, hierarchy), plan
 
 
-def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
+def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> State:
     extra = held.header.extra
     species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra.get("lag", 0.0)
     if lag > 0 and isinstance(plan.scene.motion, Leapfrog):
@@ -126,10 +129,12 @@ def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
     same_ranks = len(servers) == plan.comm.size + 1
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks else None)
     units = {"rho": "C/m^3", "phi": "V"}
-    fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
+    fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
+    if hierarchy is not stored:
+        fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
     efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
     frames = _frames(extra)
     magnetic: VectorField | None = None

@@ -51,7 +51,7 @@ def snapshot(ranks: int, rank: int, step: int = 7, per_rank: int = 50) -> Snapsh
         "id": 1000 * rank + random.permutation(count).astype(np.uint64),
     }
     lost = {"id": np.arange(rank, dtype=np.uint64), "time": np.full(rank, 0.1 * rank)}
-    header = Header(step, 0.1 * step, DOMAIN, boxes, owners, (), Provenance(SCENE, "0.1.0", 42), {"charge": -1.602e-19})
+    header = Header(step, 0.1 * step, DOMAIN, boxes, owners, Provenance(SCENE, "0.1.0", 42), {"charge": -1.602e-19})
     return Snapshot(header, {"phi": phi}, {"particles": particles, "lost": lost})
 
 

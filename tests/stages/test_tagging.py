@@ -31,7 +31,7 @@ from amrpic.stages.migrate import migrate
 from amrpic.stages.regrid import Regridding, regrid
 from amrpic.stages.tag import Tags, inside
 from particle_cases import dense, everywhere
-from regions import coarser, mask, wanted_blocks
+from regions import coarser, mask, same_region, wanted_blocks
 
 CELLS = 16
 DOMAIN = {"lower": -0.1, "upper": 0.1, "cells": CELLS, "boundary": "dirichlet"}
@@ -229,7 +229,7 @@ def test_boxes_are_those_of_one_rank_and_as_full_as_asked(comm, name):
     rule, oracle = CASES[name]
     given = scene(rule)
     together, alone = follow(on_base(comm, given)), follow(on_base(MPI.COMM_SELF, given))
-    assert together.hierarchy.same_mesh(alone.hierarchy)
+    assert same_region(together.hierarchy, alone.hierarchy)
     world, settings = World(together, fields=False), Regridding(3)
     tags = [oracle(world, level) & world.exists[level] for level in range(2)]
     # The mesh as it is asks for itself: what is wanted is there, and boxes hold enough of it.
@@ -534,7 +534,7 @@ def test_a_run_with_a_function_goes_on_from_a_checkpoint_once_it_is_given_again(
     resumed = Simulation.restart(comm, path, given(2))
     resumed.run()
     whole_run.run()
-    assert resumed.hierarchy.levels == 2 and resumed.hierarchy.same_mesh(whole_run.hierarchy)
+    assert resumed.hierarchy.levels == 2 and same_region(resumed.hierarchy, whole_run.hierarchy)
     assert np.array_equal(resumed.phi.array(1), whole_run.phi.array(1))
 
 

@@ -1,8 +1,8 @@
 """What the open boundary of an example costs, stage by stage: `python benchmarks/open_boundary.py --base 144`.
 
 Also under mpiexec. `measure` is the interface; it makes the mesh and the charge of a scene as a run does at its start, and
-solves nothing. Its stages are `plan` (who does what, once per mesh) and `total` (the potential at all ghosts, in each solve).
-A work unit is one 7-point apply on as many cells as the hierarchy has, shared equally by the ranks.
+solves nothing. Its stages are `plan` (who does what, once per mesh) and `total` (the potential at all ghosts, in each
+solve). A work unit is one 7-point apply on as many cells as the hierarchy has, shared equally by the ranks.
 """
 
 from __future__ import annotations

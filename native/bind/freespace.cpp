@@ -162,7 +162,8 @@ void bind_freespace(nb::module_& m) {
             return out;
           },
           "density"_a,
-          "Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + "
+          "Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis "
+          "+ "
           "side; cells (n, 3); and values (n,), all of free space. Collective.");
 
   nb::class_<WallGeometry>(m, "OpenWallPlans")
@@ -192,7 +193,8 @@ void bind_freespace(nb::module_& m) {
             return to_dict(found);
           },
           "rank"_a, "charged"_a = std::vector<std::array<Point, 2>>{},
-          "Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions `far` "
+          "Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions "
+          "`far` "
           "and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; "
           "bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, "
           "upper) in cells of the base, or everywhere. Local.");

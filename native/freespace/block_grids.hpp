@@ -18,9 +18,7 @@ namespace amrpic::freespace {
 /// many times more across the long ones as make the blocks about as wide as long.
 Cell widest_blocks(Point const& shape);
 
-inline bool by_place(Cell const& a, Cell const& b) {
-  return std::tie(a[2], a[1], a[0]) < std::tie(b[2], b[1], b[0]);
-}
+inline bool by_place(Cell const& a, Cell const& b) { return std::tie(a[2], a[1], a[0]) < std::tie(b[2], b[1], b[0]); }
 
 /// Block `place` of a grid.
 struct Block {

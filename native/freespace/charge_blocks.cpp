@@ -172,10 +172,10 @@ void ChargeBlocks::clear() {
   charges_.clear();
 }
 
-bool ChargeBlocks::is_kept(BlockKey const& key) const {
+bool is_near_wall(Lattice const& lattice, Cell const& near, BlockKey const& key) {
   for (int d = 0; d < 3; ++d) {
-    int const first = key.place[d] * block_edge, end = lattice_.cells[d] << key.level;
-    if (first < kept_[d] || first + block_edge > end - kept_[d]) return true;
+    int const first = key.place[d] * block_edge, end = lattice.cells[d] << key.level;
+    if (first < near[d] || first + block_edge > end - near[d]) return true;
   }
   return false;
 }
@@ -185,7 +185,7 @@ void ChargeBlocks::add(BlockKey const& key, BlockCharges const& charges) {
   if (leaf.magnitude == 0) return;
   leaves_.push_back({leaf, moments_about_centre(charges, leaf, shape_)});
   place_.push_back(-1);
-  if (!is_kept(key)) return;
+  if (!is_near_wall(lattice_, kept_, key)) return;
   place_.back() = int(charges_.size());
   charges_.push_back(charges);
 }

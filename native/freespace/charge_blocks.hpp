@@ -61,6 +61,9 @@ struct LeafMoments {
   Harmonics<double> moments;  ///< about its centre
 };
 
+/// Whether a block comes as near to a wall as `near` cells of its level.
+bool is_near_wall(Lattice const& lattice, Cell const& near, BlockKey const& key);
+
 /// The blocks of this rank that hold charge. Boxes do not overlap.
 class ChargeBlocks {
  public:
@@ -77,7 +80,6 @@ class ChargeBlocks {
  private:
   void clear();
   void add(BlockKey const& key, BlockCharges const& charges);
-  bool is_kept(BlockKey const& key) const;
 
   Lattice lattice_;
   Point shape_;

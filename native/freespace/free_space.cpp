@@ -9,7 +9,6 @@ namespace amrpic::freespace {
 
 namespace {
 
-
 /// Call f(found, gift) for blocks found on this rank that are among some gifts; both are ascending.
 template <class F>
 void for_each_gift(OctreeBuilder const& builder, std::vector<Gift> const& gifts, F&& f) {

@@ -13,8 +13,8 @@ namespace amrpic::freespace {
 
 /// Potential phi of -Laplace phi = charge density on the infinite lattice: about q / (4 pi r), with 0 at infinity.
 ///
-/// The charge of a mesh is joined to ever wider blocks up to a top that all ranks know. Each rank evaluates its share of
-/// the patches of ghosts with what it sees of the tree, whoever owns the walls.
+/// The charge of a mesh is joined to ever wider blocks up to a top that all ranks know. Each rank evaluates its share
+/// of the patches of ghosts with what it sees of the tree, whoever owns the walls.
 class FreeSpace {
  public:
   FreeSpace(Communicator const& comm, Lattice const& lattice, Options const& options = {});

@@ -220,8 +220,7 @@ Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
     Block const parent = grids_.parent(record.block);
     others.push_back({parent, {parent.place, record.block, keep(record), -1}});
   }
-  std::stable_sort(others.begin(), others.end(),
-                   [](Family const& a, Family const& b) { return a.parent < b.parent; });
+  std::stable_sort(others.begin(), others.end(), [](Family const& a, Family const& b) { return a.parent < b.parent; });
   std::vector<Child> others_in_order;
   for (Family const& family : others) others_in_order.push_back(family.child);
 

@@ -1,4 +1,5 @@
-// Octree of boxes of charge, each with its moments about the centre of what it holds: the part of it that this rank sees.
+// Octree of boxes of charge, each with its moments about the centre of what it holds: the part of it that this rank
+// sees.
 //
 // Lengths are in units of the smallest base spacing.
 #pragma once
@@ -76,7 +77,9 @@ class OctreeBuilder {
   Member const& member(Found const& block) const { return members_[std::size_t(block.member)]; }
 
   /// The leaves of a level, ascending.
-  void add_leaf(int grid, Cell const& place, Member&& member) { found_[std::size_t(grid)].push_back({place, keep(std::move(member))}); }
+  void add_leaf(int grid, Cell const& place, Member&& member) {
+    found_[std::size_t(grid)].push_back({place, keep(std::move(member))});
+  }
   /// Give a common node to the children of each block of a grid: those found that `stays` says of, and received ones. A
   /// single child stays what it is.
   template <class Stays>
@@ -120,7 +123,7 @@ class OctreeBuilder {
   std::vector<Member> members_, together_;
   std::vector<std::vector<Found>> found_;     ///< by grid, ascending by place
   std::vector<std::vector<Child>> children_;  ///< by grid of the parents, ascending by their place
-  int next_leaf_;  ///< number of the next one of another rank
+  int next_leaf_;                             ///< number of the next one of another rank
 };
 
 }  // namespace amrpic::freespace

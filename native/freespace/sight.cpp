@@ -2,10 +2,17 @@
 
 #include <cmath>
 
+#include "freespace/tree_potential.hpp"
+
 namespace amrpic::freespace {
 
 Sight::Sight(WallMesh const& mesh, BlockGrids const& grids, WallPatches const& patches, Options const& options)
-    : grids_(grids), patches_(patches), options_(options), shape_(mesh.lattice.shape()) {
+    : grids_(grids),
+      patches_(patches),
+      options_(options),
+      lattice_(mesh.lattice),
+      shape_(lattice_.shape()),
+      near_cells_(near_cells(lattice_, options)) {
   Cell const widest = widest_blocks(shape_);
   double const longest = longest_spacing(shape_);
   for (int level = 0; level < int(mesh.levels.size()); ++level) {
@@ -21,7 +28,8 @@ Sight::Sight(WallMesh const& mesh, BlockGrids const& grids, WallPatches const& p
     out.reach = out.limit + out.radius;
     if (out.half > 0) {
       double const narrow = std::sqrt(2.0) * std::max(out.half, 0.5 * patch_points * longest);
-      out.merged = std::max(far_limit(options, std::max(out.radius, narrow), out.spacing), options.separation * out.half);
+      out.merged =
+          std::max(far_limit(options, std::max(out.radius, narrow), out.spacing), options.separation * out.half);
     }
     reach_.push_back(out);
   }
@@ -90,7 +98,8 @@ bool Sight::opens(int patch, Block const& block) const {
 bool Sight::sums(int patch, Block const& leaf) const {
   LevelReach const& there = reach_[std::size_t(grids_[leaf.grid].level)];
   bool const is_narrow = patches_[patch].is_block() || options_.separation * patches_.box(patch).width <= there.limit;
-  return is_narrow && distance2(patch, box_of(leaf)) <= there.reach * there.reach;
+  return is_narrow && is_near_wall(lattice_, near_cells_, {grids_[leaf.grid].level, leaf.place}) &&
+         distance2(patch, box_of(leaf)) <= there.reach * there.reach;
 }
 
 /// Whether a patch opens a block and all wider ones around it: that is so but for rounding, which must not leave a rank

@@ -68,8 +68,8 @@ class Sight {
     };
     BlockBox const b = box_of(block);
     LevelReach const& there = reach_[std::size_t(b.level)];
-    double const near = margin * std::max({b.limit, options_.separation * b.radius, there.limit, there.reach,
-                                           there.merged});
+    double const near =
+        margin * std::max({b.limit, options_.separation * b.radius, there.limit, there.reach, there.merged});
     std::vector<Visit> stack;
     for (int root : patches_.roots()) stack.push_back({root, false});
     while (!stack.empty()) {
@@ -88,7 +88,9 @@ class Sight {
   BlockGrids const& grids_;
   WallPatches const& patches_;
   Options options_;
+  Lattice lattice_;
   Point shape_;
+  Cell near_cells_;                ///< from a wall, of leaves that are summed
   std::vector<LevelReach> reach_;  ///< by level
 };
 

@@ -31,7 +31,6 @@ struct Interactions {
   };
   std::vector<Far> far;    ///< as multipoles at all points
   std::vector<int> mixed;  ///< too near to some of the points for that: charge by charge there
-
 };
 
 class TreePotential {

@@ -21,12 +21,12 @@ class FullBlocks {
     int const level = geometry_.grids[block.grid].level;
     Box const cells = geometry_.grids.cells(block);
     bool const is_near = charged_.empty() || std::any_of(charged_.begin(), charged_.end(), [&](auto const& region) {
-      bool meets = true;
-      for (int d = 0; d < 3; ++d)
-        meets = meets && std::ldexp(cells.lower[d], -level) < region.upper[d] &&
-                std::ldexp(cells.upper[d] + 1, -level) > region.lower[d];
-      return meets;
-    });
+                           bool meets = true;
+                           for (int d = 0; d < 3; ++d)
+                             meets = meets && std::ldexp(cells.lower[d], -level) < region.upper[d] &&
+                                     std::ldexp(cells.upper[d] + 1, -level) > region.lower[d];
+                           return meets;
+                         });
     if (!is_near) return false;
     if (geometry_.grids[block.grid].is_leaf()) return !is_covered(level, cells);
     bool any = false;
@@ -35,15 +35,16 @@ class FullBlocks {
   }
   std::vector<NodeRecord> children(Block const& block) const {
     std::vector<NodeRecord> out;
-    geometry_.grids.for_each_child(block, [&](Block const& child) {
-      if (has_charge(child)) out.push_back(record(child));
-    });
+    for (Block const& child : charged_children(block)) out.push_back(record(child));
     return out;
   }
-  NodeRecord record(Block const& block) const {
+  NodeRecord record(Block const& of) const {
+    Block block = of;
+    for (auto children = charged_children(block); children.size() == 1; children = charged_children(block))
+      block = children.front();  // the same node
     int const level = geometry_.grids[block.grid].level;
     Box const cells = geometry_.grids.cells(block);
-    NodeRecord out{block, {}};
+    NodeRecord out{of, {}};
     for (int d = 0; d < 3; ++d) {
       double const spacing = std::ldexp(shape_[d], -level);
       out.content.centre[d] = 0.5 * (cells.lower[d] + cells.upper[d] + 1) * spacing;
@@ -61,6 +62,13 @@ class FullBlocks {
   }
 
  private:
+  std::vector<Block> charged_children(Block const& block) const {
+    std::vector<Block> out;
+    geometry_.grids.for_each_child(block, [&](Block const& child) {
+      if (has_charge(child)) out.push_back(child);
+    });
+    return out;
+  }
   bool holds_finer(int grid) const {
     for (; grid >= 0; grid = geometry_.grids[grid].own)
       if (geometry_.grids[grid].finer >= 0) return true;
@@ -144,7 +152,8 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   out.received_messages += sent(plan.blocks.wanted).messages;
   if (geometry.mesh.ranks() > 1) {
     Cell const top = grids.extent(geometry.top);
-    out.collectives = {std::int64_t(sizeof(double)) * (octaves + most_levels), std::int64_t(top[0]) * top[1] * top[2] * std::int64_t(sizeof(NodeRecord::Content))};
+    out.collectives = {std::int64_t(sizeof(double)) * (octaves + most_levels),
+                       std::int64_t(top[0]) * top[1] * top[2] * std::int64_t(sizeof(NodeRecord::Content))};
   }
 
   // What this rank sees, and what it makes of it.

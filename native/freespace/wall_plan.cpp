@@ -18,9 +18,7 @@ Senders senders(std::set<int> const& to, std::set<int> const& from) {
 }
 
 bool in_order(LeafPart const& a, LeafPart const& b) {
-  auto const rest = [](LeafPart const& p) {
-    return std::tie(p.cells.lower[2], p.cells.lower[1], p.cells.lower[0]);
-  };
+  auto const rest = [](LeafPart const& p) { return std::tie(p.cells.lower[2], p.cells.lower[1], p.cells.lower[0]); };
   if (a.rank != b.rank) return a.rank < b.rank;
   return a.key == b.key ? rest(a) < rest(b) : a.key < b.key;
 }
@@ -40,12 +38,12 @@ int WallGeometry::home(Block const& block) const {
   Index3 middle;
   for (int d = 0; d < 3; ++d) middle[d] = (cells.lower[d] + cells.upper[d] + 1) / 2;
   int box = level.find(middle);
-  if (box < 0)
-    level.for_each_overlap(cells, [&](int b, Box const&, Index3 const&) { box = box < 0 ? b : box; });
+  if (box < 0) level.for_each_overlap(cells, [&](int b, Box const&, Index3 const&) { box = box < 0 ? b : box; });
   return box < 0 ? -1 : level.owner(box);
 }
 
-WallPlan::WallPlan(std::shared_ptr<WallGeometry const> geometry, int rank) : geometry_(std::move(geometry)), rank_(rank) {
+WallPlan::WallPlan(std::shared_ptr<WallGeometry const> geometry, int rank)
+    : geometry_(std::move(geometry)), rank_(rank) {
   plan_parts();
   if (geometry_->mesh.ranks() > 1)
     for (int grid = 0; grid <= geometry_->top; ++grid) own_blocks_.push_back(own_blocks(grid));
@@ -287,7 +285,8 @@ void WallPlan::plan_walls() {
   for (std::size_t n = 0; n < wall_blocks.size(); ++n) {
     int const owner = all.owner(wall_blocks[n]);
     if (owner == rank_)
-      kept_blocks.push_back({int(std::lower_bound(numbers_.begin(), numbers_.end(), wall_blocks[n]) - numbers_.begin()), int(n)});
+      kept_blocks.push_back(
+          {int(std::lower_bound(numbers_.begin(), numbers_.end(), wall_blocks[n]) - numbers_.begin()), int(n)});
     else
       in.push_back({owner, wall_blocks[n], int(n)});
   }
@@ -306,7 +305,8 @@ void WallPlan::plan_walls() {
 std::size_t WallPlan::place(int face, int level, Index3 const& cell) const {
   auto const [u, v] = plane_axes(face / 2);
   int const number = geometry_->patches.number({face, level, {cell[u] / patch_points, cell[v] / patch_points}});
-  auto const block = std::size_t(std::lower_bound(wall_blocks.begin(), wall_blocks.end(), number) - wall_blocks.begin());
+  auto const block =
+      std::size_t(std::lower_bound(wall_blocks.begin(), wall_blocks.end(), number) - wall_blocks.begin());
   return block * patch_values + std::size_t(cell[u] % patch_points + patch_points * (cell[v] % patch_points));
 }
 

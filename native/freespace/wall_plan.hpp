@@ -1,8 +1,8 @@
-// Which rank does what for the potential behind open walls, and who sends what to whom: it follows from the boxes of the
-// mesh alone, for any rank, without messages.
+// Which rank does what for the potential behind open walls, and who sends what to whom: it follows from the boxes of
+// the mesh alone, for any rank, without messages.
 //
-// A block of the octree belongs to the rank that has its middle cell, and a patch of ghosts to whom WallPatches gives it.
-// Blocks that no charge is in are planned for like all others; what is sent holds those that have some.
+// A block of the octree belongs to the rank that has its middle cell, and a patch of ghosts to whom WallPatches gives
+// it. Blocks that no charge is in are planned for like all others; what is sent holds those that have some.
 #pragma once
 
 #include <cstdint>
@@ -74,12 +74,12 @@ class WallPlan {
   std::vector<Senders> joins;                 ///< by grid, of the children's nodes
   std::vector<Gift> families, leaves;         ///< whose children, and whose charges, other ranks may need; ascending
   Senders family_ranks, leaf_ranks;
-  std::vector<GhostPatch> patches;  ///< of this rank, and all around them; children before parents
-  std::vector<char> is_own;         ///< each of them
-  std::vector<Transfer> down;       ///< from parents, a step per generation
-  std::vector<std::vector<int>> generations;  ///< of patches, from the widest on
-  Transfer blocks;                  ///< values of blocks of ghosts to the owners of the cells before them
-  std::vector<int> wall_blocks;     ///< this rank's, by number in the geometry, ascending
+  std::vector<GhostPatch> patches;              ///< of this rank, and all around them; children before parents
+  std::vector<char> is_own;                     ///< each of them
+  std::vector<Transfer> down;                   ///< from parents, a step per generation
+  std::vector<std::vector<int>> generations;    ///< of patches, from the widest on
+  Transfer blocks;                              ///< values of blocks of ghosts to the owners of the cells before them
+  std::vector<int> wall_blocks;                 ///< this rank's, by number in the geometry, ascending
   std::vector<std::array<int, 2>> kept_blocks;  ///< patch and wall block of those that it evaluates itself
 
   /// Call f(block) for the blocks that patches of this rank may open, and for the leaves that they may sum, several

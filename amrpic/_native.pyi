@@ -247,32 +247,23 @@ def kernel_table_bytes() -> int:
 
 class FreeSpace:
     def __init__(
-        self,
-        comm: int,
-        lower: Sequence[float],
-        spacing: Sequence[float],
-        cells: Sequence[int],
-        acceptance: float = 0.5,
-        lattice_limit: float = 10.0,
-        separation: float = 1.25,
+        self, hierarchy: Hierarchy, acceptance: float = 0.5, lattice_limit: float = 10.0, separation: float = 1.25
     ) -> None: ...
-    def set_charges(
-        self, positions: NDArray[numpy.float64], charges: NDArray[numpy.float64], levels: NDArray[numpy.int32]
-    ) -> None: ...
-    def set_box(self, level: int, lower: Sequence[int], charges: NDArray[numpy.float64]) -> None:
-        """This rank's charges as one box of cells, x fastest."""
-
-    def set_density(self, density: Field) -> None:
+    def walls(self, density: Field) -> list:
         """
-        The charges of a density, over all levels; what it holds in covered cells does not count.
+        Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + side; cells (n, 3); and values (n,), all of free space. Collective.
         """
 
-    def wall_planes(self, open: Sequence[bool]) -> list:
+class OpenWallPlans:
+    def __init__(self, hierarchy: Hierarchy, first_boxes: Sequence[Sequence[int]] = []) -> None:
         """
-        Per face an array (upper axis, lower axis), or None for walls that are not open.
+        What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. Local.
         """
 
-    def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
+    def counts(self, rank: int, charged: Sequence[Sequence[Sequence[float]]] = []) -> dict:
+        """
+        Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions `far` and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, upper) in cells of the base, or everywhere. Local.
+        """
 
 def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
     """

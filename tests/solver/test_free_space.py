@@ -91,7 +91,7 @@ def planes_of(rho, level=0, **kwargs):
         axes = [d for d in range(3) if d != face // 2]
         plane = np.full(extent[axes], -np.inf)
         plane[tuple(cells[faces == face][:, axes].T)] = values[faces == face]
-        plane = rho.hierarchy.comm.allreduce(plane, op=np.maximum)
+        rho.hierarchy.comm.Allreduce(MPI.IN_PLACE, plane, op=MPI.MAX)
         out.append(np.where(np.isinf(plane), np.nan, plane))
     return out
 

@@ -43,7 +43,7 @@ particles = 4000
 
 [refinement]
 levels = 2
-max_grid_size = 16
+max_grid_size = 8
 blocking_factor = 4
 regrid_every = 3
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError
+from .boxes import table_of
 from .domain import AXES
 from .hierarchy import Hierarchy
 
@@ -64,13 +65,11 @@ def to_yt(fields: Mapping[str, Gathered]) -> Any:
     yt = _imported("yt")
     first = next(iter(fields.values()))
     domain, grids = first.hierarchy.domain, []
-    coarser = {
-        level: [part for part in first.parts if part.level == level - 1] for level in range(first.hierarchy.levels)
-    }
+    parents = [_Parents(first.hierarchy, level) for level in range(first.hierarchy.levels)]
     for together in zip(*(field.parts for field in fields.values()), strict=True):
         part = together[0]
         h = first.hierarchy.spacing(part.level)
-        for lower, upper in _within(part, coarser[part.level]):
+        for lower, upper in parents[part.level].pieces(part):
             here = tuple(map(slice, lower - part.lower, upper - part.lower))
             grids.append(
                 {
@@ -115,15 +114,21 @@ def to_pyvista(fields: Mapping[str, Gathered]) -> pyvista.MultiBlock:
 HIDDEN = 8  # vtkDataSetAttributes.REFINEDCELL
 
 
-def _within(part: Part, coarser: list[Part]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the pieces of a part that lie within one coarser box each: yt hides what is covered by children of one parent."""
-    if not coarser:
-        yield np.array(part.lower), part.upper
-        return
-    lower = np.maximum([2 * np.array(one.lower) for one in coarser], part.lower)
-    upper = np.minimum([2 * one.upper for one in coarser], part.upper)
-    for number in np.flatnonzero((lower < upper).all(axis=1)):
-        yield lower[number], upper[number]
+class _Parents:
+    """The boxes of the next coarser level, none of level 0."""
+
+    def __init__(self, hierarchy: Hierarchy, level: int) -> None:
+        self._boxes = hierarchy.boxes(level - 1) if level > 0 else None
+        self._table = None if self._boxes is None else table_of(self._boxes)
+
+    def pieces(self, part: Part) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the pieces of a part that lie within one of them each: yt hides what is covered by children of one parent."""
+        lower, upper = np.array(part.lower), part.upper
+        if self._boxes is None or self._table is None:
+            yield lower, upper
+            return
+        for parent in self._boxes[self._table.meeting((lower // 2).tolist(), ((upper - 1) // 2).tolist())]:
+            yield np.maximum(2 * parent[:3], lower), np.minimum(2 * parent[3:] + 2, upper)
 
 
 def _imported(name: str) -> ModuleType:

@@ -83,9 +83,9 @@ class DumpedFields(Mapping[str, Field | VectorField]):
 def _region(dump: Dump, name: str, patch: Patch) -> np.ndarray:
     """Return the values of a dump in the cells of a patch, (nx, ny, nz, components), whatever boxes the dump has."""
     first, last = np.array(patch.lower), np.array(patch.upper)
-    boxes = dump.levels[patch.level].boxes
-    out = None
-    for box in np.flatnonzero(np.all((boxes[:, :3] <= last) & (boxes[:, 3:] >= first), axis=1)):
+    level = dump.levels[patch.level]
+    boxes, out = level.boxes, None
+    for box in level.table.meeting(first.tolist(), last.tolist()):
         values = dump.values(name, patch.level, box)
         values = values.reshape(*values.shape[:3], -1)
         if out is None:

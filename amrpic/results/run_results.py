@@ -57,11 +57,6 @@ class Results:
                 raise InputError(f"{found} does not exist; give the folder of a run, or a dump or checkpoint in it")
         return cls(own(comm), found)
 
-    @classmethod
-    def of_run(cls, comm: MPI.Comm, scene: Scene, stopped: str | None) -> Results:
-        """Return what a run of a scene wrote."""
-        return cls(comm, scene.directory, stopped)
-
     @property
     def folder(self) -> Path:
         """That of the run."""

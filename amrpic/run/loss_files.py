@@ -9,12 +9,12 @@ from mpi4py import MPI
 
 from ..io import openpmd_writer, time_series
 from ..io.provenance import Provenance
+from ..results.run_results import LOSSES
 from ..scene.scene import Scene
 from ..stages.loss_map import COLUMNS, loss_map
 from .restart import writers_of
 from .state import State
 
-LOSSES = "losses.h5"
 LOSS_MAP = "losses.csv"
 BINS = 100  # of the domain, if the scene gives no length
 

@@ -15,6 +15,7 @@ from ..io.field_reader import LiveDump
 from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
+from ..results.run_results import SERIES
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
 from ..view.draw import draw
@@ -27,7 +28,6 @@ from .plan import Plan
 from .restart import about, snapshot, writers_of
 from .state import State
 
-SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
     Quantity("step", counts=True),

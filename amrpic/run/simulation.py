@@ -131,7 +131,7 @@ class Simulation:
         and `stopped` of what is returned says why. A line per step and warnings are printed, given to Python's `logging` (as
         "amrpic.run"), or left out by `log="silent"`.
         """
-        return Results.of_run(self.comm, self.scene, self._run(walltime, log))
+        return Results(self.comm, self.scene.directory, self._run(walltime, log))
 
     def _run(self, walltime: float | None, log: Log) -> str | None:
         begun, self._begun = self._begun, True

@@ -6,6 +6,8 @@ particles are shared. Who serves a particle follows from its brick, its id and w
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from mpi4py import MPI
 
@@ -63,9 +65,21 @@ def migrate_without(
     return Particles(*here.arrays, here.species, sorting), plan.lost
 
 
+def _largest_and_sum(one: Any, other: Any, _: MPI.Datatype) -> None:
+    given, out = (np.frombuffer(values, dtype=np.int64).reshape(-1, 2) for values in (one, other))
+    out[:, 0] = np.maximum(given[:, 0], out[:, 0])
+    out[:, 1] += given[:, 1]
+
+
+PAIR = MPI.INT64_T.Create_contiguous(2).Commit()  # so that no pair is cut in two
+LARGEST_AND_SUM = MPI.Op.Create(_largest_and_sum, commute=True)
+
+
 def _is_uneven(comm: MPI.Comm, work: int) -> bool:
     """Return whether a rank has too much of the work of all, in particles. Collective."""
-    return bool(comm.allreduce(work, MPI.MAX) > UNEVEN * comm.allreduce(work) / comm.size + FEW)
+    found = np.array([work, work], dtype=np.int64)
+    comm.Allreduce(MPI.IN_PLACE, [found, 1, PAIR], LARGEST_AND_SUM)
+    return bool(found[0] > UNEVEN * found[1] / comm.size + FEW)
 
 
 def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:

@@ -16,7 +16,7 @@ SUPPORT = Path(__file__).parents[1] / "support"
 KILOBYTE = 1024
 MOST = 20  # in a step, besides those of cycles and of the discovery of who sends particles to whom
 PER_CYCLE = 3  # a norm, and the values of the coarsest levels, which the F-cycle over this base visits twice
-DISCOVERY = 6  # counts of particles, a barrier, and whether ranks have too much to do
+DISCOVERY = 5  # counts of particles, two barriers, and whether ranks have too much to do
 STEPS = 4
 SCENE: dict[str, Any] = {
     "domain": {"lower": -0.02, "upper": 0.02, "cells": 24, "boundary": "dirichlet"},

@@ -18,31 +18,29 @@ inline void add(Components& to, Components const& more) {
 }
 
 /// Eight particles in fields.
-template <class V>
 struct Group {
-  Vector3<V> x, p;
-  V charge, inverse_mass, per_mc;
+  Components x, p;
+  Lanes charge, inverse_mass, per_mc;
 
-  Vector3<V> velocity() const { return scaled(inverse_mass * inverse_gamma(p, per_mc), p); }
-  void kick(Vector3<V> const& e, Real time) {
-    V const impulse = charge * time;
+  Components velocity() const { return scaled(inverse_mass * inverse_gamma(p, per_mc), p); }
+  void kick(Components const& e, Real time) {
+    Lanes const impulse = charge * time;
     for (std::size_t d = 0; d < 3; ++d) p[d] += impulse * e[d];
   }
-  Turned<V> turned(Pusher pusher, Vector3<V> const& b, V const& time) const {
+  Turned<Lanes> turned(Pusher pusher, Components const& b, Lanes const& time) const {
     return amrpic::turned(pusher, p, b, time * charge * inverse_mass, per_mc);
   }
-  void turn(Pusher pusher, Vector3<V> const& b, V const& time) { p = turned(pusher, b, time).between; }
+  void turn(Pusher pusher, Components const& b, Lanes const& time) { p = turned(pusher, b, time).between; }
 };
 
 /// Both parts of a step in the same fields: a kick by E and a turn by B, and a turn and a kick. Return the momenta
 /// between them.
-template <class V>
-inline Vector3<V> act(Group<V>& on, Vector3<V> const& e, Vector3<V> const& b, Motion const& motion) {
+inline Components act(Group& on, Components const& e, Components const& b, Motion const& motion) {
   on.kick(e, motion.before);
-  auto [between, after] = on.turned(motion.pusher, b, motion.before + V{});
+  auto [between, after] = on.turned(motion.pusher, b, motion.before + Lanes{});
   if (motion.after != motion.before) {
     on.p = between;
-    after = on.turned(motion.pusher, b, motion.after + V{}).between;
+    after = on.turned(motion.pusher, b, motion.after + Lanes{}).between;
   }
   on.p = after;
   on.kick(e, motion.after);
@@ -57,7 +55,7 @@ inline Lanes or_one(Lanes const& divisor) { return select(divisor == 0, 1 + Lane
 /// Along the normal dp/dn = q v × B / v_n: B along it turns p about it, and B in the plane gives the impulse
 /// q v_n n × B, which does not depend on how p changes meanwhile; |p| stays. A solenoid's edge so keeps the canonical
 /// angular momentum. The place is shifted so that the change counts from the plane on.
-inline void pass(Group<Lanes>& on, Pusher pusher, Components const& b, Components const& normal, Components const& v,
+inline void pass(Group& on, Pusher pusher, Components const& b, Components const& normal, Components const& v,
                  Real time, Lanes const& when) {
   Components const before = on.p;
   Lanes const way = time * dot(v, normal), now = dot(on.velocity(), normal), slower = way / or_one(now);
@@ -74,8 +72,7 @@ inline void pass(Group<Lanes>& on, Pusher pusher, Components const& b, Component
 
 /// One of the parts, in fields of elements that may end on the way. What these have in the planes where they begin and
 /// end acts first and last.
-inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real time, bool is_before,
-                             Motion const& motion) {
+inline void act_along_flight(Group& on, Components e, Components b, Real time, bool is_before, Motion const& motion) {
   if (!(time > 0)) return;
   Edges<Lanes> edges;
   Components const arriving = on.velocity();
@@ -89,7 +86,7 @@ inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real 
 }
 
 /// Both of them. Return the momenta between.
-inline Components act_along_flights(Group<Lanes>& on, Components const& e, Components const& b, Motion const& motion) {
+inline Components act_along_flights(Group& on, Components const& e, Components const& b, Motion const& motion) {
   act_along_flight(on, e, b, motion.before, true, motion);
   Components const between = on.p;
   act_along_flight(on, e, b, motion.after, false, motion);
@@ -110,7 +107,7 @@ inline Components where(Lanes const& which, Components const& yes, Components co
   return out;
 }
 
-/// Moves particles that feel a field of the mesh.
+/// Moves particles that feel a field of the mesh, a group at a time.
 struct Mover {
   ParticleView particles;
   Motion motion;
@@ -119,15 +116,14 @@ struct Mover {
   bool has_own_b = motion.beta != Real3{};
   Real3 beta_per_c{motion.beta[0] / speed_of_light, motion.beta[1] / speed_of_light, motion.beta[2] / speed_of_light};
 
-  Group<Lanes> load_group(LaneGroup const& group) const {
+  Group load_group(LaneGroup const& group) const {
     Lanes const inverse_mass = load(motion.inverse_mass, motion.same, group);
     return {load_columns(particles.position, group), load_columns(particles.momentum, group),
             load(motion.charge, motion.same, group), inverse_mass, inverse_mass * (1 / speed_of_light)};
   }
-  template <class V>
-  Vector3<V> flown(Group<V> const& on) const {
-    V const drift = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
-    Vector3<V> out;
+  Components flown(Group const& on) const {
+    Lanes const drift = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
+    Components out;
     for (std::size_t d = 0; d < 3; ++d) out[d] = on.x[d] + (drift * on.p[d] - motion.shift[d]);
     return out;
   }
@@ -140,7 +136,7 @@ struct Mover {
   }
   /// By the field of the mesh alone.
   void by_mesh(LaneGroup const& group, Components const& felt) const {
-    Group<Lanes> on = load_group(group);
+    Group on = load_group(group);
     on.kick(felt, motion.before);
     Components const between = on.p;
     on.kick(felt, motion.after);
@@ -158,9 +154,9 @@ struct Mover {
   /// By all fields at places.
   void by_fields(LaneGroup const& group, Components const& felt) const {
     auto const [e, b] = fields(group, felt);
-    write(group, flown(load_group(group), e, b));
+    write(group, moved(load_group(group), e, b));
   }
-  Moving flown(Group<Lanes> on, Components const& e, Components const& b) const {
+  Moving moved(Group on, Components const& e, Components const& b) const {
     Components const between = act(on, e, b, motion);
     return {between, on.p, flown(on)};
   }
@@ -169,7 +165,7 @@ struct Mover {
                                          Moving const& others) const {
     if (bits_of(near > 0) == 0) return others;
     auto const [e, b] = fields(group, felt);
-    Group<Lanes> on = load_group(group);
+    Group on = load_group(group);
     Components const between = act_along_flights(on, e, b, motion);
     return {where(near, between, others.between), where(near, on.p, others.p), where(near, flown(on), others.x)};
   }
@@ -191,7 +187,7 @@ class BlockMover {
     auto [e, b] = mover_.fields(group, felt);
     add(e, at_.E[n]);
     add(b, at_.B[n]);
-    Moving moved = mover_.flown(mover_.load_group(group), e, b);
+    Moving moved = mover_.moved(mover_.load_group(group), e, b);
     if (near_) moved = mover_.along_flights(group, felt, at_.near_end[n], moved);
     mover_.write(group, moved);
   }
@@ -223,7 +219,7 @@ void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, 
 
 OneParticle push_one(OneParticle const& particle, Motion const& motion) {
   Lanes const inverse_mass = particle.inverse_mass + Lanes{};
-  Group<Lanes> on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
+  Group on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
   for (std::size_t d = 0; d < 3; ++d) {
     on.x[d] = particle.position[d] + Lanes{};
     on.p[d] = particle.momentum[d] + Lanes{};

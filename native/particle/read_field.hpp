@@ -273,18 +273,13 @@ inline Components average_in_x(std::array<Averages, lane_count> const& of, std::
   return out;
 }
 
-constexpr int groups_per_block = block_size / lane_count;
-
-/// Of a block of particles, group by group.
-typedef std::array<Components, groups_per_block> BlockComponents;
-
 inline std::size_t number_in_block(LaneBlock const& block, LaneGroup const& group) {
   return std::size_t(group.first - block.first) / lane_count;
 }
 
-/// Call use(group, field), or use(block, field), for particles with the tile averaged over their clouds. By blocks,
-/// what is done with the field is a loop of its own, in which long formulas of one group wait for nothing of another;
-/// by groups, short ones need not store it.
+/// Call use(group, field) for particles with the tile averaged over their clouds; or use(block), and then what it
+/// returns for the groups of that block. Nothing between the field and its use is stored: processors work on one while
+/// they wait for the other.
 template <class Shape, class Use>
 void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, Tile<lanes> const& tile,
                  Use const& use) {
@@ -308,20 +303,21 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       for (int j = 0; j < width; ++j) store(clouds.x_weight[j] + i, x.weight[j]);
     });
     all_in &= in;
-    [[maybe_unused]] BlockComponents field;
-    for_each_group(block, [=, &clouds, &field](LaneGroup const& group) {
-      int const start = int(group.first - block.first);
-      std::array<Averages, lane_count> averages;
+    auto const read_groups = [=, &clouds](auto const& use_group) {
+      for_each_group(block, [=, &clouds, &use_group](LaneGroup const& group) {
+        int const start = int(group.first - block.first);
+        std::array<Averages, lane_count> averages;
 #pragma GCC unroll 8
-      for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
-      std::array<Lanes, width> x_weight;
-      for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
-      if constexpr (std::is_invocable_v<Use, LaneGroup const&, Components const&>)
-        use(group, average_in_x<width>(averages, x_weight));
-      else
-        field[number_in_block(block, group)] = average_in_x<width>(averages, x_weight);
-    });
-    if constexpr (std::is_invocable_v<Use, LaneBlock const&, BlockComponents const&>) use(block, field);
+        for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
+        std::array<Lanes, width> x_weight;
+        for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
+        use_group(group, average_in_x<width>(averages, x_weight));
+      });
+    };
+    if constexpr (std::is_invocable_v<Use, LaneBlock const&>)
+      read_groups(use(block));
+    else
+      read_groups(use);
   });
   frame.require_inside(all_in, particles, chosen);
 }

@@ -106,8 +106,9 @@ def _on_surface(name: str, axes: np.ndarray, order: int) -> list[str | float | G
         nth = gmls.nearby(x, t, radius=np.sqrt(8 * np.pi * gmls.Scalar(order).unknowns(2) / count))
         found = gmls.surface(t, x, nth, order=order)
         values = found.stencils.apply(x[:, 0] * x[:, 1] * (1 + x[:, 2]))["laplace_beltrami"]
-        curvature = 1 / (axes.prod() ** 2 * (t**2 / axes**4).sum(axis=1) ** 2)
-        errors.append([_rms(values - _laplace_beltrami(t, axes)), _rms(found.gaussian_curvature - curvature)])
+        errors.append(
+            [_rms(values - laplace_beltrami(t, axes)), _rms(found.gaussian_curvature - gaussian_curvature(t, axes))]
+        )
     of_value, of_curvature = (-2 * np.polyfit(np.log(COUNTS), np.log(e), 1)[0] for e in zip(*errors, strict=True))
     least = SURFACE[order] if name == "sphere" else tuple(bound - 0.2 for bound in SURFACE[order])
     return [name, order, Goal(of_value, least[0], least=True), Goal(of_curvature, least[1], least=True), errors[-1][1]]
@@ -121,7 +122,7 @@ def fibonacci(count: int) -> np.ndarray:
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
 
 
-def _laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+def laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Of xy + xyz on the ellipsoid Σ x²/a² = 1: Δf - 2 H n·∇f - n·(∇∇f) n, where Δf = 0."""
     g = x / axes**2
     size = np.linalg.norm(g, axis=1)
@@ -130,6 +131,11 @@ def _laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
     gradient = np.stack([x[:, 1] * (1 + x[:, 2]), x[:, 0] * (1 + x[:, 2]), x[:, 0] * x[:, 1]], axis=1)
     mixed = n[:, 0] * n[:, 1] * (1 + x[:, 2]) + n[:, 0] * n[:, 2] * x[:, 1] + n[:, 1] * n[:, 2] * x[:, 0]
     return -two_h * (n * gradient).sum(axis=1) - 2 * mixed
+
+
+def gaussian_curvature(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Of the ellipsoid Σ x²/a² = 1."""
+    return 1 / (axes.prod() ** 2 * (x**2 / axes**4).sum(axis=1) ** 2)
 
 
 def _on_lattice(order: int, reach: float) -> list[float | Goal]:

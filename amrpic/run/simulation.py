@@ -194,6 +194,7 @@ class Simulation:
 
     @property
     def hierarchy(self) -> Hierarchy:
+        """The mesh of the present fields."""
         return self.state.hierarchy
 
     @property
@@ -226,6 +227,7 @@ class Simulation:
 
     @property
     def step(self) -> int:
+        """Steps taken since the start."""
         return self.state.step
 
     @property

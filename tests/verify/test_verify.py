@@ -83,8 +83,8 @@ def test_hard_cases_come_out_the_same_on_any_number_of_ranks(comm, case):
         assert isinstance(value, Goal) and isinstance(other, Goal)
         assert value.met and other.met
         if "floor" not in what and "reason" not in what:
-            # Boxes are halved where ranks would be overfull, which may make one cycle more or less.
-            near = 1 if "cycles" in what else 0
+            # At tolerance 0 cycles end where rounding does, which depends on how sums are cut; nowhere else.
+            near = 1 if case == "tolerance 0" and "cycles" in what else 0
             assert what == same and other.measured == pytest.approx(value.measured, rel=1e-6, abs=near)
 
 
@@ -133,7 +133,7 @@ def test_what_was_not_measured_now_stays_in_the_document(tmp_path):
 # ---- the same tables on any number of ranks ----
 
 ROUNDING = 1e-9  # what is smaller may be nothing but rounding
-OF_THIS_RUN = ("memory", "floor", "reason")  # rows that show a process, not a solution
+OF_THIS_RUN = ("memory", "floor", "reason", "tolerance 0")  # rows that show a process or rounding, not a solution
 
 
 def value(cell):

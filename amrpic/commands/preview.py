@@ -122,7 +122,7 @@ def _levels(particles_per_cell: Field) -> list[str]:
                 level,
                 len(hierarchy.boxes(level)),
                 hierarchy.cells(level),
-                _widths(hierarchy.spacing(level)),
+                hierarchy.width_text(level),
                 held.total,
                 f"{held.mean:.3g}",
                 held.median,
@@ -224,12 +224,6 @@ def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
     last = follow(ParticleFields(particles, fields.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
     cells = sum(last.cells(level) for level in range(last.levels))
     return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
-
-
-def _widths(spacing: np.ndarray) -> str:
-    """Return the cell widths, one if they are equal."""
-    equal = np.ptp(spacing) < 1e-9 * spacing[0]
-    return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
 
 
 # ---- pictures ----

@@ -14,8 +14,9 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..io.field_reader import Dump, open_dump
 from ..mesh.domain import AXES
-from ..mesh.field import Field, Patch, VectorField
+from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.patch import Patch
 from ..parallel import together
 from ..scene.scene import Scene
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ..errors import OutputError
 from ..io.field_reader import Dump, open_dump
+from ..mesh.raster import spread_of
 from ..parallel import together
-from .raster import spread_of
 from .views import OVERVIEW, View, numbers, require
 
 

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..io.particle_reader import ParticleDump, read
+from ..mesh.pictures import DECADES, ONE_SIGN, divisor
 from ..particles.groups import Groups
 from ..particles.particles import Particles
 from ..stages.beam_diagnostics import Beam, Part, Slice, group_moments, group_slices
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, prefix_of, quantity
-from .plot import DECADES, ONE_SIGN, save
+from .plot import save
 
 Array = NDArray[Any]
 
@@ -95,7 +96,7 @@ def draw_plane(particles: Particles, part: Part, name: str, title: str) -> Figur
         value, unit = coordinate(particles, index)
         factor, prefix = prefix_of(float(np.abs(value).max()))
         values.append(value / factor)
-        labels.append(f"{NAMES[index]} / {_divisor(prefix, unit)}")
+        labels.append(f"{NAMES[index]} / {divisor(prefix, unit)}")
     edges = _edges(values, pixels, same_scale=max(indices) < 3)
     charge = np.abs(particles.weight * particles.charge)
     held, _, _ = np.histogram2d(values[0], values[1], bins=(edges[0], edges[1]), weights=charge)
@@ -196,7 +197,7 @@ def draw_slices(slices: Sequence[Slice], title: str) -> Figure:
                 panel.stairs(np.nan_to_num(scaled), edges / length, color="C1", fill=True, alpha=0.8)
             else:
                 panel.plot(centres, scaled, color=f"C{3 * number}", marker=".", markersize=4, linewidth=1.0, label=name)
-        panel.set_ylabel(f"{label} / {_divisor(prefix, unit)}")
+        panel.set_ylabel(f"{label} / {divisor(prefix, unit)}")
         panel.grid(alpha=0.3)
         panel.margins(x=0)
         if len(curves) > 1:
@@ -206,7 +207,3 @@ def draw_slices(slices: Sequence[Slice], title: str) -> Figure:
     panel.set_xlabel(f"z / {length_prefix}m")
     figure.suptitle(f"{len(slices)} slices of {title}", fontsize="medium")
     return figure
-
-
-def _divisor(prefix: str, unit: str) -> str:
-    return f"({prefix}{unit})" if "/" in unit or " " in unit else f"{prefix}{unit}"

@@ -243,7 +243,7 @@ class Recorder:
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
         checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
-        checkpoint_writer.prune(self._comm, directory, output.keep)
+        checkpoint_writer.prune(self._comm, directory, output.keep, output.keep_every * output.checkpoint_every)
 
 
 def _shown(state: State) -> dict[str, Field | VectorField]:

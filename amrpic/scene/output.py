@@ -26,6 +26,12 @@ class Output(Section):
     keep: int = Field(
         default=2, ge=1, description="Newest checkpoints kept: two, so that one remains if a disk fails the last."
     )
+    keep_every: int = Field(
+        default=0,
+        ge=0,
+        description="Of the checkpoints one in so many stays for good, besides the newest: those of steps that are multiples "
+        "of keep_every times checkpoint_every; 0: none does.",
+    )
     writers: int | None = Field(
         default=None,
         ge=0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_a_picture_has_the_values_labels_with_units_and_boxes(comm):
     figure = one.plot("y", 0.1, name="φ")
     panel = figure.axes[0]
     shown = one.slice("y", 0.1)
-    np.testing.assert_allclose(panel.images[0].get_array(), shown.values.T, rtol=1e-13)
+    np.testing.assert_allclose(np.asarray(panel.images[0].get_array()), shown.values.T, rtol=1e-13)
     assert (panel.get_xlabel(), panel.get_ylabel(), panel.get_title()) == ("z / m", "x / m", "φ at y = 0.1 m")
     assert figure.axes[1].get_ylabel() == "φ / V"
     outlines = [len(c.get_segments()) for c in panel.collections if isinstance(c, LineCollection)]
@@ -136,7 +136,7 @@ def test_tables_for_notebooks_hold_what_there_is_and_load_nothing(comm, tmp_path
         (lambda f: f.to_xarray("fine"), "level 'fine' does not exist; the hierarchy has levels 0 to 1"),
         (lambda f: amrpic.PoissonSolver(f), "a solver was given Field.* to solve on; give an amrpic.Hierarchy"),
         (lambda f: amrpic.PoissonSolver(f.hierarchy).solve(f.array(0)), "rho is of type ndarray; give an amrpic.Field on"),
-        (lambda f: amrpic.PoissonSolver(f.hierarchy).solve(f, guess=1.0), "guess is of type float; give an amrpic.Field"),
+        (lambda f: amrpic.PoissonSolver(f.hierarchy).solve(f, guess=cast(Any, 1.0)), "guess is of type float; give an"),
         (lambda f: amrpic.Simulation("drift.toml"), "a simulation was given 'drift.toml' to run; give an amrpic.Scene"),
     ],
 )  # fmt: skip

@@ -339,7 +339,9 @@ def test_outputs_are_those_that_the_scene_wants(comm, tmp_path):
         return {path.name for path in Path(folder).glob("[!.]*")}
 
     assert written() == set()
-    assert written("series") == {"series.csv", "residuals.csv", "beam.csv"}
+    assert written("series") == {
+        f"{table}.{kind}" for table in ("series", "residuals", "beam") for kind in ("csv", "json")
+    }
     assert written("checkpoint") == {"checkpoint_00000001", "checkpoint_00000002"}
     assert written("fields") == {"fields_00000000.vtkhdf", "fields_00000002.vtkhdf"}
     assert {name.rpartition(".")[2] for name in written("pictures")} == {"png"}

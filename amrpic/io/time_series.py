@@ -26,6 +26,7 @@ from .provenance import Provenance
 from .writer_ranks import Attempts, one_line
 
 FORMAT = "amrpic series"
+ROW_BYTES = 2000  # at most, of usual rows
 
 
 class Series:
@@ -118,6 +119,21 @@ def write(
 def read(path: Path) -> NDArray[Any]:
     """Return the complete rows of a series as a structured array, a field per column. Raises InputError."""
     return _parsed(Path(path))[1]
+
+
+def latest(path: Path, names: Sequence[str], count: int) -> dict[str, list[float]]:
+    """Return at most the `count` latest values of some numeric columns, without reading the whole file. Raises InputError."""
+    try:
+        with open(path, "rb") as file:
+            head = file.readline()
+            start = max(file.seek(0, os.SEEK_END) - count * ROW_BYTES, len(head))
+            file.seek(start)
+            lines = file.read().decode().split("\n")[start > len(head) : -1]  # whole ones
+        columns = head.decode().strip().split(",")
+        rows = [line.split(",") for line in lines[-count:]]
+        return {name: [float(row[columns.index(name)]) for row in rows] for name in names}
+    except (OSError, ValueError, IndexError) as error:
+        raise _unreadable(path, error) from None
 
 
 def scene_of(path: Path) -> dict[str, Any]:

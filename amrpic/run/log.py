@@ -37,7 +37,7 @@ class RunLog:
         self._logs = how == "logging"
         self._last_step = last_step
         self._out, self._err = out, err
-        self._pace = 0.0  # s per step
+        self.pace = 0.0  # s per step, smoothed
         self._lines = 0
         self._warned: Counter[str] = Counter()
         self._catching = warnings.catch_warnings()
@@ -61,9 +61,9 @@ class RunLog:
         seconds = row["seconds"]
         # the first line's seconds hold the set-up, so the second one starts the pace anew
         weight = MEMORY_OF_PACE if self._lines >= 2 else 1.0
-        self._pace += weight * (seconds - self._pace)
+        self.pace += weight * (seconds - self.pace)
         self._lines += 1
-        left = max(self._last_step - int(row["step"]), 0) * self._pace
+        left = max(self._last_step - int(row["step"]), 0) * self.pace
         self._say(step_line(row, self._last_step, left))
 
     def note(self, text: str) -> None:

@@ -10,8 +10,10 @@ from mpi4py import MPI
 
 from .. import isa
 from ..errors import SolverError
+from ..failure import sentence
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
 from ..io.field_reader import LiveDump
+from ..io.run_status import FAILED, FINISHED, STOPPED
 from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
@@ -27,6 +29,7 @@ from .loss_files import write_losses, write_screens
 from .plan import Plan
 from .restart import about, snapshot, writers_of
 from .state import State
+from .status import Status
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
@@ -67,6 +70,7 @@ class Recorder:
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
+        self._status, self._end = Status(comm, scene, state.step), (FINISHED, "")
         self._log = RunLog(comm, scene.schedule.last_step, how=log)
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
@@ -95,6 +99,8 @@ class Recorder:
         if self._beam is not None:
             self._beam.close()
         self._log.__exit__(kind, value, trace)
+        state, why = self._end if value is None else (FAILED, sentence(value).removeprefix("amrpic: "))
+        self._status.end(state, why, self._written)
 
     def state(self, state: State, remarks: list[str]) -> None:
         """Record a state: its row and line, the solves that led to it, and the files that are due."""
@@ -129,6 +135,7 @@ class Recorder:
             if checkpoint_due:
                 self._write_records(state)
                 self._write_checkpoint(state)
+            self._status.step(row, self._log.pace, self._plan.dt, self._written)
 
     def end(self, state: State) -> None:
         """Write what the end of a run leaves; the momenta are to be of its time."""
@@ -147,6 +154,7 @@ class Recorder:
         """Write what a run needs to go on later; the momenta are to be of its time."""
         self._write_records(state)
         self._write_checkpoint(state)
+        self._end = STOPPED, reason
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
 
     def _all_series(self) -> list[Series]:

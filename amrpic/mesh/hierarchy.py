@@ -95,7 +95,8 @@ class Hierarchy:
         Much faster than to make it anew. HierarchyError if the ranks are real.
         """
         out = copy.copy(self)
-        out.__dict__.pop("particle_mesh", None)
+        for follows in ("particle_mesh", "own_cells"):
+            out.__dict__.pop(follows, None)
         try:
             out.native = self.native.seen_by(rank)
         except _native.HierarchyError as refused:
@@ -140,7 +141,7 @@ class Hierarchy:
         first, last = self.native.local_boxes(self._checked(level))
         return range(first, last)
 
-    @property
+    @cached_property
     def own_cells(self) -> int:
         """Number of this rank's cells of all levels."""
         own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))

@@ -33,14 +33,15 @@ DPI = 150
 class Picture(Figure):
     """A figure that a notebook shows by itself, whether pyplot is in use or not."""
 
-    def png(self, dpi: float = DPI) -> bytes:
-        """Return it as a PNG file."""
-        out = io.BytesIO()
-        self.savefig(out, format="png", dpi=dpi, bbox_inches="tight")
-        return out.getvalue()
-
     def _repr_png_(self) -> bytes:
-        return self.png()
+        return png(self)
+
+
+def png(figure: Figure, dpi: float = DPI) -> bytes:
+    """Return a figure as a PNG file."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=dpi, bbox_inches="tight")
+    return out.getvalue()
 
 
 def linear_colours(values: Array) -> Colouring:

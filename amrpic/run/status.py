@@ -6,7 +6,7 @@ import contextlib
 import os
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from importlib.metadata import version
@@ -63,6 +63,10 @@ class Status:
         )
         if time.monotonic() >= self._latest + EVERY:
             self._write()
+
+    def says(self, notes: Sequence[str], warnings: Iterable[str]) -> None:
+        """Take in what the log of the run has said so far besides its steps."""
+        self._status = replace(self._status, notes=list(notes), warnings=list(warnings))
 
     def end(self, state: str, why: str, written: Mapping[str, int]) -> None:
         """Say how the run ended."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +42,21 @@ def plot(
     Quantities are planes, as in `PLANES`, or "slices". Pictures go beside the dump unless `directory` is given. Serial.
     Raises InputError for what is not there, OutputError if a picture cannot be written.
     """
+    dump = read(Path(path))
+    folder = dump.path.parent if directory is None else Path(directory)
+    of = "" if group == "all" else f"_{group}"
+    return [
+        save(figure, folder / f"{dump.path.stem}{of}_{name}.png") for name, figure in figures(dump, quantities, group)
+    ]
+
+
+def figures(
+    dump: ParticleDump, quantities: Sequence[str] = OVERVIEW, group: str = "all"
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the pictures of the particles of a group by their quantities, as for `plot`. Serial; InputError."""
     for name in quantities:
         if name not in (*PLANES, "slices"):
             raise InputError(f"phase space has no picture {name}; choose among {', '.join((*PLANES, 'slices'))}")
-    dump = read(Path(path))
     try:
         groups = dump.groups.named(group)
     except KeyError:
@@ -57,17 +68,12 @@ def plot(
         raise InputError(f"{group} of {dump.path} has no particles left to draw; choose another group or dump")
     if not dump.particles.charge.any():
         raise InputError(f"particles of {dump.path} have no charge, which pictures show; choose another dump")
-    folder = dump.path.parent if directory is None else Path(directory)
-    of = "" if group == "all" else f"_{group}"
-    out = []
     for name in quantities:
         if name == "slices":
             slices = group_slices(MPI.COMM_SELF, beam, groups, moments, SLICES)[groups.members[0]]
-            figure = draw_slices(slices, _title(dump, group))
+            yield name, draw_slices(slices, _title(dump, group))
         else:
-            figure = draw_plane(_members(dump.particles, groups), part, name, _title(dump, group))
-        out.append(save(figure, folder / f"{dump.path.stem}{of}_{name}.png"))
-    return out
+            yield name, draw_plane(_members(dump.particles, groups), part, name, _title(dump, group))
 
 
 def _title(dump: ParticleDump, group: str) -> str:

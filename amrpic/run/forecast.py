@@ -70,7 +70,7 @@ def forecast(comm: MPI.Comm, scene: Scene, cells: int, seconds: float = 5.0) -> 
         given = _coarser(scene, factor)
         if factor > 1 and given.domain.cells == _coarser(scene, factor // 2).domain.cells:
             continue
-        if tried and not _in_time(comm, _extrapolated(tried[-1:], _between(tried[-1][0], cells, factor)).total, end):
+        if tried and not _in_time(comm, _expected(tried, _between(tried[-1][0], cells, factor)), end):
             break
         try:
             trial, held, steps = _tried(comm, given, end if factor == 1 else time.perf_counter() + seconds * SHARE)
@@ -83,8 +83,17 @@ def forecast(comm: MPI.Comm, scene: Scene, cells: int, seconds: float = 5.0) -> 
         tried.append((held, trial))
     if not tried:
         return None
-    found = _extrapolated(tried[-2:], cells)
-    return Forecast(found.start, found.per_step(scene), f"runs on up to {tried[-1][0] / cells:.2g} of its cells")
+    found, share = _extrapolated(tried[-2:], cells), f"{tried[-1][0] / cells:.2g} of its cells"
+    source = f"runs on up to {share}" if len(tried) > 1 else f"one run on {share}, in proportion: rather too long"
+    return Forecast(found.start, found.per_step(scene), source)
+
+
+def _expected(tried: list[tuple[float, Trial]], cells: float) -> float:
+    """Return about how long a trial of so many cells takes: after one alone, much of whose time is for no cell, by the root."""
+    if len(tried) > 1:
+        return _extrapolated(tried[-2:], cells).total
+    held, trial = tried[0]
+    return trial.total * math.sqrt(cells / held)
 
 
 def _between(tried: float, cells: float, factor: int) -> float:

@@ -20,6 +20,7 @@ from .fits_together import check
 from .motion import Leapfrog, NoMotion
 from .obstacles import out_of_reach
 from .parts import SceneParts
+from .section import Section
 from .thermal_bunch import ThermalBunch
 
 

@@ -59,6 +59,7 @@ ORDER = (
     "isa",
     "_native",
     "units",
+    "html",
     "failure",
     "parallel",
     "mesh",

@@ -17,8 +17,9 @@ from mpi4py import MPI
 from .. import _native, isa
 from ..errors import AmrpicError, SolverError
 from ..mesh.domain import Domain
-from ..mesh.field import Field, Patch
+from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.patch import Patch
 from ..parallel import global_max
 from ..stages.poisson import PoissonSolver
 from ..units import VACUUM_PERMITTIVITY

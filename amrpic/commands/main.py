@@ -11,10 +11,10 @@ from importlib.metadata import version
 from mpi4py import MPI
 
 from ..failure import Meeting, sentence
-from . import check, doctor, plot, preview, run, scaling, schema, verify
+from . import check, compare, doctor, plot, preview, report, run, scaling, schema, verify, watch
 from .arguments import Parser
 
-COMMANDS = (run, check, preview, plot, schema, verify, scaling, doctor)  # as --help lists them
+COMMANDS = (run, check, preview, watch, report, compare, plot, schema, verify, scaling, doctor)  # as --help lists them
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

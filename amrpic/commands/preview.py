@@ -1,4 +1,4 @@
-"""amrpic preview: mesh, bunches, memory and pictures of a scene, without a solve."""
+"""amrpic preview: mesh, bunches, memory, time and pictures of a scene, and what may not be meant."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
+from ..errors import AmrpicError
 from ..io import vtkhdf_writer
 from ..io.field_reader import LiveDump
 from ..mesh.domain import AXES
@@ -18,13 +19,16 @@ from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles, concatenate
 from ..run.adapt import follow, make_base
+from ..run.course import Course
 from ..run.folder import prepare
+from ..run.forecast import forecast
 from ..run.initial_particles import make_bunches
 from ..run.limits import machine_memory
 from ..run.memory import MIB, run_memory
 from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..run.restart import about, writers_of
+from ..run.time_step import settle_time_step
 from ..scene.motion import RandomWalk
 from ..scene.refinement_rules import (
     CallableRule,
@@ -43,6 +47,7 @@ from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View
 from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks
+from .preview_warnings import warnings_of
 from .text_table import columns
 
 FILE = "preview.vtkhdf"
@@ -50,10 +55,11 @@ IN_PLACE = 1e-3  # relative density that stands for rules that ask for the field
 FORESEEN = 1000  # steps of a random walk that are gone through for its last mesh
 
 
-def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
+def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> str:
     """Return the text of a preview; pictures go into the folder of the scene's run. Collective.
 
-    `ranks` are those that the run is meant for. Raises what making particles and mesh may raise, and OutputError.
+    `ranks` are those that the run is meant for. In about so many `seconds` it is tried out how long it will take; with 0
+    nothing is solved. Raises what making particles and mesh may raise, and OutputError.
     """
     prepare(comm, scene)
     plan, notes = _plan_without_solves(comm, scene)
@@ -66,11 +72,14 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
     made = fields.particles.global_count(comm) + lost
     if lost:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
+    settle_time_step(plan, fields.particles, fields.hierarchy, fields.frames, Course.of_scene(scene))
+    notes += warnings_of(scene, fields.particles_per_cell, bunches[1:])
     paragraphs = [
         [scene.summary()],
         _levels(fields.particles_per_cell),
         _bunches(comm, scene, bunches[1:], fields.hierarchy),
         _memory(fields, made, ranks),
+        _time(comm, scene, fields.hierarchy, ranks, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
         list(map(str, _pictures(scene, fields.rho))),
     ]
@@ -122,7 +131,7 @@ def _levels(particles_per_cell: Field) -> list[str]:
                 level,
                 len(hierarchy.boxes(level)),
                 hierarchy.cells(level),
-                _widths(hierarchy.spacing(level)),
+                hierarchy.width_text(level),
                 held.total,
                 f"{held.mean:.3g}",
                 held.median,
@@ -207,6 +216,21 @@ def _memory(fields: ParticleFields, particles: int, ranks: int) -> list[str]:
     ]
 
 
+def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, seconds: float) -> list[str]:
+    """Return how long a run will take. Collective."""
+    try:
+        found = forecast(comm, scene, sum(hierarchy.cells(level) for level in range(hierarchy.levels)), seconds)
+    except AmrpicError as failure:
+        return [f"time: a trial of the run ended with: {failure}"]
+    if found is None:
+        return [f"time: not known after {seconds:g} s; give a trial more of them by --seconds"]
+    start, step = (value * comm.size / ranks for value in (found.start, found.step))
+    steps = scene.schedule.last_step
+    shared = "" if ranks == comm.size else f", if {ranks} ranks share the work of {comm.size} evenly"
+    then = f", then {quantity(step, 's')} per step, {quantity(start + steps * step, 's')} in all" if steps else ""
+    return [f"time: {quantity(start, 's')} to the end of the first solve{then}; from {found.source}{shared}"]
+
+
 def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
     """Return the mesh of the last regrid, or else the first one, and which of them it is. Collective.
 
@@ -226,12 +250,6 @@ def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
     return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
 
 
-def _widths(spacing: np.ndarray) -> str:
-    """Return the cell widths, one if they are equal."""
-    equal = np.ptp(spacing) < 1e-9 * spacing[0]
-    return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
-
-
 # ---- pictures ----
 
 
@@ -249,17 +267,31 @@ def _pictures(scene: Scene, rho: Field) -> list[Path]:
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     added = command(
-        commands, "preview", _preview, "show mesh, bunches, memory and pictures of a scene, without a solve"
+        commands, "preview", _preview, "show mesh, bunches, memory, time and pictures of a scene before it is run"
     )
     scene_arguments(added)
+    added.add_argument(
+        "--seconds",
+        type=_seconds,
+        default=5.0,
+        metavar="S",
+        help="how long to try out what a step takes; default 5, 0: solve nothing",
+    )
     added.add_argument("--ranks", type=count, metavar="N", help="ranks of the run; default those of the preview")
     added.add_argument("--output", metavar="DIR", help="where to put the pictures; default runs/<scene>")
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0 <= seconds <= 3600:
+        raise argparse.ArgumentTypeError(f"{text} s is no time for a trial; give 0 to 3600")
+    return seconds
 
 
 def _preview(chosen: argparse.Namespace) -> int:
     comm = MPI.COMM_WORLD
     scene = scene_on_all_ranks(comm, chosen)
-    text = preview(comm, scene, chosen.ranks or comm.size)
+    text = preview(comm, scene, chosen.ranks or comm.size, chosen.seconds)
     if comm.rank == 0:
         print(text)
     return 0

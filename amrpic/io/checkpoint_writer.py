@@ -35,7 +35,7 @@ from .writer_ranks import (
     said_to_first,
 )
 
-NAME = re.compile(rf"checkpoint_\d+({re.escape(REPLACED)})?$")
+NAME = re.compile(rf"checkpoint_(?P<step>\d+)({re.escape(REPLACED)})?$")
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,16 @@ def loads(rows: Array, bytes_of_rows: Sequence[int], writers: Writers = BY_SIZE)
     return writer_ranks.writer_loads(groups, with_digests, [*bytes_of_rows, DIGEST_BYTES], announced=rows.shape[1])
 
 
-def prune(comm: MPI.Comm, directory: Path, keep: int) -> None:
-    """Delete all but the newest `keep` checkpoints of a directory. Collective."""
+def prune(comm: MPI.Comm, directory: Path, keep: int, every: int = 0) -> None:
+    """Delete all but the newest `keep` checkpoints of a directory, and those of steps that are multiples of `every`.
+
+    Collective; 0: no such steps.
+    """
     with together(comm, OutputError):
         for old in newest_first(Path(directory))[max(keep, 1) :] if comm.rank == 0 else ():
-            remove(old)
+            match = NAME.match(old.name)
+            if match is None or every == 0 or int(match["step"]) % every != 0:
+                remove(old)
 
 
 def newest_first(directory: Path) -> list[Path]:

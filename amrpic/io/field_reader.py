@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import NDArray
 
-from .. import _native
 from ..errors import InputError
-from ..mesh.boxes import cells_of, table_of
+from ..mesh.boxes import cells_of
+from ..mesh.composite import Composite, Level, LiveFields
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -26,28 +23,12 @@ from .writer_ranks import one_line
 Array = NDArray[Any]
 
 
-@dataclass(frozen=True)
-class Level:
-    """The boxes of a level of a dump."""
-
-    spacing: Array  # (3,) m
-    boxes: Array  # (n, 6): lower x, y, z, upper x, y, z, inclusive
-    starts: Array  # (n,): row of the first cell of each box
-
-    @cached_property
-    def table(self) -> _native.BoxTable:
-        """A look-up of the boxes by their cells."""
-        return table_of(self.boxes)
-
-
-class Dump:
+class Dump(Composite):
     """A field dump, open for reading; a context manager. Values are read when they are asked for.
 
     Ranks of `comm` may share one: each has the boxes that are `here`. A file is not shared.
     Raises InputError if the file is missing, damaged, or something else.
     """
-
-    comm: MPI.Comm = MPI.COMM_SELF
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -66,6 +47,10 @@ class Dump:
         except ValueError as error:
             self._h5.close()
             raise self._refusal(str(error)) from None
+
+    @property
+    def label(self) -> str:
+        return str(self.path)
 
     def _refusal(self, reason: str) -> InputError:
         return InputError(
@@ -101,33 +86,6 @@ class Dump:
         """The resolved scene as JSON."""
         return str(self._h5["amrpic/scene"].asstr()[()])
 
-    def values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
-        """Return a field in a box of a level: (nx, ny, nz), or (nx, ny, nz, 3) of a vector.
-
-        Of a vector field "E" there are also its length "|E|" and its components "Ex", "Ey" and "Ez".
-        """
-        vector, component = self._vector_of(name)
-        if vector is None:
-            return self._values(name, level, box)
-        values = self._values(vector, level, box)
-        return np.sqrt(np.sum(values**2, axis=-1)) if component is None else values[..., component]
-
-    def unit(self, name: str) -> str:
-        """Return the unit of what `values` gives. Raises InputError if the dump does not hold it."""
-        vector, _ = self._vector_of(name)
-        found = vector or name
-        if found not in self.units:
-            raise InputError(f"{self.path} holds no {name}; choose among {', '.join(self.units)}")
-        return self.units[found]
-
-    def _vector_of(self, name: str) -> tuple[str | None, int | None]:
-        """The vector field that a name refers to, and which component; None: its length. None, None for other names."""
-        if name.startswith("|") and name.endswith("|"):
-            return name[1:-1], None
-        if name not in self.units and name[-1:] in AXES and name[:-1] in self.units:
-            return name[:-1], AXES.index(name[-1])
-        return None, None
-
     def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
         cells = self._size(level, box)
         start = int(self.levels[level].starts[box])
@@ -136,42 +94,9 @@ class Dump:
             return flat.reshape(cells, order="F")
         return np.stack([flat[:, c].reshape(cells, order="F") for c in range(flat.shape[1])], axis=-1)
 
-    def _size(self, level: int, box: int | np.integer[Any]) -> tuple[int, ...]:
-        corners = self.levels[level].boxes[box]
-        return tuple(int(n) for n in corners[3:] - corners[:3] + 1)
-
     def is_vector(self, name: str) -> bool:
         """Whether `values` gives vectors."""
         return bool(self._h5[f"VTKHDF/Level0/CellData/{name}"].ndim == 2) if name in self.units else False
-
-    def here(self, level: int) -> Array:
-        """Return the numbers of those boxes of a level whose values this rank has."""
-        return np.arange(len(self.levels[level].boxes))
-
-    def total(self, values: Array) -> Array:
-        """Return the sum of arrays over the ranks that share the dump, on all of them; it takes their memory. Collective."""
-        if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, values)
-        return values
-
-    def any(self, held: Array) -> Array:
-        """Return where any rank holds True, on all of them. Collective."""
-        if self.comm.size > 1:
-            self.comm.Allreduce(MPI.IN_PLACE, held, MPI.LOR)
-        return held
-
-    def covered(self, level: int, box: int) -> Array:
-        """Return where a finer level covers the cells of a box, bool (nx, ny, nz)."""
-        lower, upper = self.levels[level].boxes[box, :3], self.levels[level].boxes[box, 3:]
-        out = np.zeros(upper - lower + 1, dtype=bool)
-        if level + 1 == len(self.levels):
-            return out
-        finer = self.levels[level + 1]
-        for corners in finer.boxes[finer.table.meeting((2 * lower).tolist(), (2 * upper + 1).tolist())]:
-            first, last = np.maximum(corners[:3] // 2, lower) - lower, np.minimum(corners[3:] // 2, upper) - lower
-            x, y, z = (slice(i, j + 1) for i, j in zip(first, last, strict=True))
-            out[x, y, z] = True
-        return out
 
 
 class CheckpointDump(Dump):
@@ -220,45 +145,18 @@ class CheckpointDump(Dump):
         return rows[start : start + int(np.prod(cells))].reshape(cells, order="F")
 
 
-class LiveDump(Dump):
+class LiveDump(LiveFields, Dump):
     """Fields of a hierarchy, shared by its ranks, as their dump would show them. Values are those of the fields."""
 
     def __init__(
         self, path: Path, hierarchy: Hierarchy, fields: Mapping[str, Field | VectorField], step: int, time: float
     ) -> None:
         """`path` is that of the dump, whether it is written or not; `time` is in s."""
-        self.path, self.comm, self.step, self.time = Path(path), hierarchy.comm, step, time
-        self._hierarchy, self._fields = hierarchy, fields
-        self.lower, self.upper = np.array(hierarchy.domain.lower), np.array(hierarchy.domain.upper)
-        self.units = {name: field.unit for name, field in fields.items()}
-        self.levels = [self._level(level) for level in range(hierarchy.levels)]
-
-    def _level(self, level: int) -> Level:
-        """Return a level; rows are those of its own boxes on each rank."""
-        boxes = self._hierarchy.boxes(level).astype(np.int64)
-        cells = cells_of(boxes)
-        ends, first = np.cumsum(cells), self._hierarchy.local_boxes(level).start
-        return Level(
-            np.array(self._hierarchy.spacing(level)), boxes, ends - cells - (ends - cells)[first : first + 1].sum()
-        )
+        super().__init__(hierarchy, {name: field.parts for name, field in fields.items()})
+        self.path, self.step, self.time = Path(path), step, time
 
     def close(self) -> None:
         """Nothing is open."""
-
-    def is_vector(self, name: str) -> bool:
-        return isinstance(self._fields.get(name), VectorField)
-
-    def here(self, level: int) -> Array:
-        return np.array(self._hierarchy.local_boxes(level), dtype=np.int64)
-
-    def covered(self, level: int, box: int) -> Array:
-        return self._hierarchy.native.covered(level, box).astype(bool)
-
-    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
-        field, cells, start = self._fields[name], self._size(level, box), int(self.levels[level].starts[box])
-        parts = field.components if isinstance(field, VectorField) else (field,)
-        flat = [part.array(level)[start : start + int(np.prod(cells))].reshape(cells, order="F") for part in parts]
-        return np.stack(flat, axis=-1) if isinstance(field, VectorField) else flat[0]
 
 
 UNITS = {"rho": "C/m^3", "phi": "V", "E": "V/m"}  # of the fields of a checkpoint

@@ -1,7 +1,8 @@
 """The time series: one line of text per step, appended at once, that survives a kill at any moment.
 
-Text, because everything opens it; a line is complete when it ends, so that the torn end of a killed run is recognised.
-Numbers are written so that they read back bit for bit.
+Text, because everything opens it: a line of names, then numbers, which read back bit for bit. A line is complete when it ends,
+so that the torn end of a killed run is recognised. What else belongs to a table `series.csv` is in `series.json` beside it:
+types and units of the columns, and the scene.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from .provenance import Provenance
 from .writer_ranks import Attempts, one_line
 
 FORMAT = "amrpic series"
+ROW_BYTES = 2000  # at most, of usual rows
 
 
 class Series:
@@ -55,9 +57,7 @@ class Series:
         kept = b""
         if keep_to_step is not None and self._path.exists():
             kept = _rows_to(self._path, self.columns, keep_to_step)
-        work = temporary(self._path)
-        work.write_bytes(_head(self.columns, about).encode() + kept)
-        publish(self._path)
+        _publish(self._path, self.columns, about, kept)
         self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
 
     def append(self, *rows: Mapping[str, float | str]) -> None:
@@ -112,10 +112,7 @@ def write(
     path = Path(path)
     attempts = Attempts(f"cannot write table {path}", "free some space or choose another output folder")
     if comm.rank == 0:
-        attempts.attempt(
-            temporary(path).write_text, _head(columns, about) + "".join(_line(row, columns) for row in rows)
-        )
-        attempts.attempt(publish, path)
+        attempts.attempt(_publish, path, columns, about, "".join(_line(row, columns) for row in rows).encode())
     attempts.settle(comm)
 
 
@@ -124,23 +121,49 @@ def read(path: Path) -> NDArray[Any]:
     return _parsed(Path(path))[1]
 
 
+def latest(path: Path, names: Sequence[str], count: int) -> dict[str, list[float]]:
+    """Return at most the `count` latest values of some numeric columns, without reading the whole file. Raises InputError."""
+    try:
+        with open(path, "rb") as file:
+            head = file.readline()
+            start = max(file.seek(0, os.SEEK_END) - count * ROW_BYTES, len(head))
+            file.seek(start)
+            lines = file.read().decode().split("\n")[start > len(head) : -1]  # whole ones
+        columns = head.decode().strip().split(",")
+        rows = [line.split(",") for line in lines[-count:]]
+        return {name: [float(row[columns.index(name)]) for row in rows] for name in names}
+    except (OSError, ValueError, IndexError) as error:
+        raise _unreadable(path, error) from None
+
+
 def scene_of(path: Path) -> dict[str, Any]:
     """Return the resolved scene of the run that wrote a series. Raises InputError."""
-    return json.loads(_comment(path, "scene"))
+    return about_of(path)["scene"]
 
 
 def units_of(path: Path) -> dict[str, str]:
     """Return the unit of each column of a series. Raises InputError."""
-    return dict(zip(read(path).dtype.names or (), _comment(path, "units").split(","), strict=True))
+    return {column["name"]: column["unit"] for column in about_of(path)["columns"]}
 
 
-def _comment(path: Path, key: str) -> str:
-    """Return what the head of a series says after a key."""
+def about_of(path: Path) -> dict[str, Any]:
+    """Return what is known of a series besides its rows: format, version, seed, scene, columns. Raises InputError."""
     try:
-        with open(path, encoding="utf-8") as lines:
-            return next(line for line in lines if line.startswith(f"# {key}: ")).partition(": ")[2].rstrip("\n")
-    except (OSError, UnicodeDecodeError, StopIteration) as error:
-        raise InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote") from None
+        about = json.loads(beside(path).read_text(encoding="utf-8"))
+        if not isinstance(about, dict) or about.get("format") != FORMAT or not {"scene", "columns"} <= set(about):
+            raise ValueError(f"{beside(path).name} does not describe a series")
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from None
+    return about
+
+
+def beside(path: Path) -> Path:
+    """Return where what describes a series lies."""
+    return Path(path).with_suffix(".json")
+
+
+def _unreadable(path: Path, error: Exception) -> InputError:
+    return InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote")
 
 
 def _type(column: Quantity) -> str:
@@ -158,33 +181,36 @@ def _line(row: Mapping[str, float | str], columns: Sequence[Quantity]) -> str:
     return ",".join(_text(row.get(column.name, 0), column) for column in columns) + "\n"
 
 
-def _head(columns: Sequence[Quantity], about: Provenance) -> str:
-    return (
-        f"# {FORMAT}, version {about.version}, seed {about.seed}\n"
-        f"# scene: {about.scene_text}\n"
-        f"# types: {','.join(_type(column) for column in columns)}\n"
-        f"# units: {','.join(column.unit for column in columns)}\n"
-        f"{','.join(column.name for column in columns)}\n"
-    )
+def _publish(path: Path, columns: Sequence[Quantity], about: Provenance, rows: bytes) -> None:
+    """Write a table with these lines of rows, and what describes it, in place of what is there."""
+    described = {
+        "format": FORMAT,
+        "version": about.version,
+        "seed": about.seed,
+        "columns": [{"name": column.name, "type": _type(column), "unit": column.unit} for column in columns],
+        "scene": about.scene,
+    }
+    head = ",".join(column.name for column in columns) + "\n"
+    for file, content in ((beside(path), json.dumps(described, indent=1).encode()), (path, head.encode() + rows)):
+        temporary(file).write_bytes(content)
+        publish(file)
 
 
 def _parsed(path: Path) -> tuple[list[bytes], NDArray[Any]]:
     """Return the complete lines of rows, and what they hold."""
     try:
-        *lines, _torn = path.read_bytes().split(b"\n")  # what follows the last line end was cut off by a kill
-        if not lines[0].startswith(f"# {FORMAT}".encode()):
-            raise ValueError("it is not a series")
-        comments = [line.decode()[2:] for line in lines if line.startswith(b"#")]
-        types = next(line for line in comments if line.startswith("types: ")).removeprefix("types: ").split(",")
-        names, *rows = [line for line in lines if not line.startswith(b"#")]
-        dtype = np.dtype(list(zip(names.decode().split(","), types, strict=True)))
+        names, *rows = path.read_bytes().split(b"\n")[:-1]  # what follows the last line end was cut off by a kill
+        columns = about_of(path)["columns"]
+        dtype = np.dtype([(column["name"], column["type"]) for column in columns])
+        if names.decode().split(",") != list(dtype.names or ()):
+            raise ValueError(f"its columns are not those of {beside(path).name}")
         values = (
             np.loadtxt([row.decode() for row in rows], delimiter=",", dtype=dtype, ndmin=1)
             if rows
             else np.zeros(0, dtype)
         )
-    except (OSError, ValueError, IndexError, StopIteration) as error:
-        raise InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote") from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise _unreadable(path, error) from None
     return rows, values
 
 

@@ -3,55 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
-from .. import _native
+from .. import _native, html
 from ..errors import HierarchyError, InputError
 from ..parallel import global_max, global_sum
 from . import exports
 from .domain import AXES
+from .field_views import FieldViews, points_of
 from .hierarchy import Hierarchy
+from .patch import Patch
 
 if TYPE_CHECKING:
     import pyvista
-    import xarray
 
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray | float]
 
 
-@dataclass(frozen=True)
-class Patch:
-    """The values of one field in one box of this rank."""
-
-    level: int
-    box: int  # its number among the level's boxes
-    lower: tuple[int, int, int]  # inclusive global indices of its level
-    upper: tuple[int, int, int]
-    data: np.ndarray  # (nx, ny, nz), x fastest in memory; writable unless the field is locked
-    hierarchy: Hierarchy
-
-    def centres(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cell centres in m as three arrays that broadcast to (nx, ny, nz)."""
-        h = self.hierarchy.spacing(self.level)
-        axes = [
-            self.hierarchy.domain.lower[d] + (np.arange(self.lower[d], self.upper[d] + 1) + 0.5) * h[d]
-            for d in range(3)
-        ]
-        return axes[0][:, None, None], axes[1][None, :, None], axes[2][None, None, :]
-
-    @cached_property
-    def covered(self) -> np.ndarray:
-        """Where a finer level covers the cell, bool (nx, ny, nz)."""
-        return self.hierarchy.native.covered(self.level, self.box).astype(bool)
-
-
-class Field:
+class Field(FieldViews):
     """One number per cell, on every level of a hierarchy; starts at zero.
 
     Each rank holds the cells of its own boxes. Cells that a finer level covers hold the mean of their children in every
@@ -59,6 +32,8 @@ class Field:
     """
 
     def __init__(self, hierarchy: Hierarchy, unit: str = "") -> None:
+        if not isinstance(hierarchy, Hierarchy):
+            raise InputError(f"a field was given {hierarchy!r:.60} to live on; give an amrpic.Hierarchy")
         self._hold(_native.Field(hierarchy.native), hierarchy, unit)
 
     @classmethod
@@ -73,11 +48,6 @@ class Field:
         self.hierarchy = hierarchy
         self.unit = unit
         self.locked = False
-
-    @property
-    def comm(self) -> MPI.Comm:
-        """The ranks that hold the field together."""
-        return self.hierarchy.comm
 
     @cached_property
     def patches(self) -> list[Patch]:
@@ -109,11 +79,23 @@ class Field:
         vars(self).pop("patches", None)
 
     def fill(self, function: Function | float) -> Field:
-        """Set every cell to a number, or to `function(x, y, z)` at its centre (m, broadcastable arrays); return self."""
+        """Set every cell to a number, or to `function(x, y, z)` at its centre (m, broadcastable arrays); return self.
+
+        Raises InputError for what is neither, and for a function that gives something else than a number for each cell.
+        """
         self._require_unlocked()
         for patch in self.patches:
-            patch.data[...] = function(*patch.centres()) if callable(function) else function
+            values = function(*patch.centres()) if callable(function) else function
+            try:
+                patch.data[...] = values
+            except (TypeError, ValueError):
+                raise InputError(_no_values(function, values, patch)) from None
         return self
+
+    @property
+    def parts(self) -> tuple[Field, ...]:
+        """The field itself, as what a vector field would have as components."""
+        return (self,)
 
     def copy(self) -> Field:
         """A field with the same values and memory of its own."""
@@ -179,30 +161,6 @@ class Field:
             return float(np.sqrt(self.integral(self)))
         raise InputError(f"{kind!r} is no norm; use l1, l2 or max")
 
-    # ---- for other packages, which are to be installed; InputError if they are not ----
-
-    def _gathered(self) -> exports.Gathered:
-        """The field with the boxes of all ranks. Collective."""
-        mine = [(p.level, p.box, exports.Part(p.level, p.lower, np.array(p.data), p.covered)) for p in self.patches]
-        everyones = [one for rank in self.comm.allgather(mine) for one in rank]
-        parts = [part for _, _, part in sorted(everyones, key=lambda one: one[:2])]
-        return exports.Gathered(self.hierarchy, self.unit, parts)
-
-    def to_xarray(self, level: int = 0, name: str = "field") -> xarray.DataArray:
-        """Return a level as an array (x, y, z) with coordinates in m, whole on every rank; nan where it has no cells.
-
-        Collective. Raises HierarchyError if there is no such level.
-        """
-        return exports.to_xarray(self._gathered(), level, name)
-
-    def to_yt(self, name: str = "field") -> Any:
-        """Return the field as a data set of yt, whole on every rank, for its slices and projections. Collective."""
-        return exports.to_yt({name: self._gathered()})
-
-    def to_pyvista(self, name: str = "field") -> pyvista.MultiBlock:
-        """Return the field as one PyVista image per box, covered cells hidden, whole on every rank. Collective."""
-        return exports.to_pyvista({name: self._gathered()})
-
     # ---- arithmetic, cell by cell; with numbers, and with fields of the same hierarchy ----
 
     def _combined(self, other: Field | float, operation: Callable[..., np.ndarray], unit: str) -> Field:
@@ -248,27 +206,25 @@ class Field:
     def _root(self, unit: str) -> Field:
         return self._combined(0.0, lambda values, _, out: np.sqrt(values, out=out), unit)
 
-    def __repr__(self) -> str:
-        cells = " + ".join(str(self.hierarchy.cells(level)) for level in range(self.hierarchy.levels))
-        here = [
-            (p.data.min(where=~p.covered, initial=np.inf), p.data.max(where=~p.covered, initial=-np.inf))
-            for p in self.patches
-        ]
-        low, high = np.min([one[0] for one in here], initial=np.inf), np.max([one[1] for one in here], initial=-np.inf)
-        range_ = (
-            f"{low:.4g} to {high:.4g}{' ' * bool(self.unit)}{self.unit}" if low <= high else "none of its cells here"
-        )
-        where = f" on rank {self.comm.rank}" if self.comm.size > 1 else ""
-        return f"Field({range_}{where}; {cells} cells on {self.hierarchy.levels} levels)"
-
     def sample(self, points: ArrayLike) -> np.ndarray:
         """Values at points (n, 3) in m, (n,) on every rank: trilinear in the finest cells there. Collective.
 
         All ranks pass the same points. Beside a coarse-fine face the cells that the finer level lacks take the coarser
         one's value; beyond a wall that of the wall cell is held. Points outside the domain give nan.
+
+        Raises InputError for what are no points.
         """
-        points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
-        return self.native.sample(points)
+        return self.native.sample(points_of(points))
+
+
+def _no_values(given: object, values: object, patch: Patch) -> str:
+    """Return why a field cannot be filled."""
+    if not callable(given):
+        return f"a field cannot be filled with {given!r:.60}; give a number, or a function of x, y and z in m"
+    found = f"an array of shape {values.shape}" if isinstance(values, np.ndarray) else f"{values!r:.60}"
+    return (
+        f"the function gives {found} for a box of {patch.data.shape} cells; let it compute with the arrays it is given"
+    )
 
 
 def _fits(other: object) -> bool:
@@ -360,6 +316,22 @@ class VectorField:
         return exports.to_pyvista(
             {f"{name}_{axis}": one._gathered() for axis, one in zip(AXES, self.components, strict=True)}
         )
+
+    def __repr__(self) -> str:
+        return f"VectorField(in {self.unit or 'no unit'}, on {self.hierarchy.levels} levels; components x, y, z)"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for axis, component in zip(AXES, self.components, strict=True):
+            low, high = component._range_here()
+            rows.append([axis, f"{low:.4g}", f"{high:.4g}"])
+        caption = f"VectorField{' in ' * bool(self.unit)}{self.unit}{self.x._on_rank}"
+        return html.table(("component", "least", "largest"), rows, caption)
+
+    @property
+    def parts(self) -> tuple[Field, ...]:
+        """Its components."""
+        return self.components
 
     def sample(self, points: ArrayLike) -> np.ndarray:
         """Values at points (n, 3) in m, (n, 3) on every rank. Collective."""

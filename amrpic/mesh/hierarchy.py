@@ -10,9 +10,10 @@ from typing import cast
 import numpy as np
 from mpi4py import MPI
 
-from .. import _native
+from .. import _native, html
 from ..errors import HierarchyError
 from ..parallel import Communicator, VirtualRank, own, world_by_default
+from ..units import quantity
 from .boxes import cells_of
 from .domain import BOUNDARIES, Domain
 
@@ -94,7 +95,8 @@ class Hierarchy:
         Much faster than to make it anew. HierarchyError if the ranks are real.
         """
         out = copy.copy(self)
-        out.__dict__.pop("particle_mesh", None)
+        for follows in ("particle_mesh", "own_cells"):
+            out.__dict__.pop(follows, None)
         try:
             out.native = self.native.seen_by(rank)
         except _native.HierarchyError as refused:
@@ -124,6 +126,12 @@ class Hierarchy:
         """Cell widths of a level, (3,) in m."""
         return self.domain.spacing / 2 ** self._checked(level)
 
+    def width_text(self, level: int) -> str:
+        """Cell widths of a level with their unit, one if they are equal."""
+        spacing = self.spacing(level)
+        equal = np.ptp(spacing) < 1e-9 * spacing[0]
+        return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
+
     def cells(self, level: int) -> int:
         """Number of cells of a level, over all ranks."""
         return self.native.cells(self._checked(level))
@@ -133,7 +141,7 @@ class Hierarchy:
         first, last = self.native.local_boxes(self._checked(level))
         return range(first, last)
 
-    @property
+    @cached_property
     def own_cells(self) -> int:
         """Number of this rank's cells of all levels."""
         own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))
@@ -148,10 +156,20 @@ class Hierarchy:
         )
 
     def _checked(self, level: int) -> int:
-        if not 0 <= level < self.levels:
-            raise HierarchyError(f"level {level} does not exist; the hierarchy has levels 0 to {self.levels - 1}")
+        if not isinstance(level, int | np.integer) or not 0 <= level < self.levels:
+            raise HierarchyError(f"level {level!r} does not exist; the hierarchy has levels 0 to {self.levels - 1}")
         return level
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(self.boxes(l))} boxes {self.cells(l)} cells" for l in range(self.levels))
         return f"Hierarchy({sizes})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            [level, len(self.boxes(level)), self.cells(level), self.width_text(level)] for level in range(self.levels)
+        ]
+        reach = " × ".join(
+            f"{quantity(low, 'm')} to {quantity(high, 'm')}"
+            for low, high in zip(self.domain.lower, self.domain.upper, strict=True)
+        )
+        return html.table(("level", "boxes", "cells", "cell width"), rows, f"Hierarchy on {reach}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -14,8 +14,9 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..io.field_reader import Dump, open_dump
 from ..mesh.domain import AXES
-from ..mesh.field import Field, Patch, VectorField
+from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.patch import Patch
 from ..parallel import together
 from ..scene.scene import Scene
 
@@ -40,6 +41,10 @@ class DumpedFields(Mapping[str, Field | VectorField]):
             boxes = [level.boxes for level in dump.levels[1:]]
         sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor
         return cls(path, step, time, Hierarchy(comm, scene.domain.value, boxes, *sizes), units)
+
+    def on(self, hierarchy: Hierarchy) -> DumpedFields:
+        """The same fields on another hierarchy; nan in cells that the dump does not have."""
+        return replace(self, hierarchy=hierarchy, _read={})
 
     def __getitem__(self, name: str) -> Field | VectorField:
         if name not in self.units:
@@ -81,18 +86,18 @@ class DumpedFields(Mapping[str, Field | VectorField]):
 
 
 def _region(dump: Dump, name: str, patch: Patch) -> np.ndarray:
-    """Return the values of a dump in the cells of a patch, (nx, ny, nz, components), whatever boxes the dump has."""
+    """Return the values of a dump in the cells of a patch, (nx, ny, nz, components), whatever boxes the dump has; else nan."""
     first, last = np.array(patch.lower), np.array(patch.upper)
+    out = np.full((*patch.data.shape, 3 if dump.is_vector(name) else 1), np.nan)
+    if patch.level >= len(dump.levels):
+        return out
     level = dump.levels[patch.level]
-    boxes, out = level.boxes, None
+    boxes = level.boxes
     for box in level.table.meeting(first.tolist(), last.tolist()):
         values = dump.values(name, patch.level, box)
         values = values.reshape(*values.shape[:3], -1)
-        if out is None:
-            out = np.full((*patch.data.shape, values.shape[3]), np.nan)
         low, high = np.maximum(boxes[box, :3], first), np.minimum(boxes[box, 3:], last) + 1
         there = tuple(map(slice, low - first, high - first))
         here = tuple(map(slice, low - boxes[box, :3], high - boxes[box, :3]))
         out[there] = values[here]
-    assert out is not None, "a patch lies outside the boxes of its own dump"
     return out

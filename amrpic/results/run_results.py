@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mpi4py import MPI
 
+from .. import html
 from ..errors import InputError
 from ..io import openpmd_reader, particle_reader, time_series
 from ..io.checkpoint_manifest import MANIFEST
@@ -31,9 +32,10 @@ if TYPE_CHECKING:
 
 SERIES = "series.csv"
 LOSSES = "losses.h5"
+PARTICLES = "particles_*.h5", "checkpoint_*"  # what holds some
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Results:
     """What lies in the folder of a run, or in a dump or checkpoint of one; read when it is asked for.
 
@@ -73,6 +75,23 @@ class Results:
             return time_series.scene_of(series)
         with open_dump(self.path) as dump:
             return json.loads(dump.scene_text)
+
+    def __repr__(self) -> str:
+        return f"Results({str(self.path)!r}: {'; '.join(f'{what}: {held}' for what, held in self._content())})"
+
+    def _repr_html_(self) -> str:
+        return html.table(("what", "there is"), self._content(), f"Results of {self.path}")
+
+    def _content(self) -> list[tuple[str, str]]:
+        """What lies there, by the names of attributes that read it. Local."""
+        tables = sorted(one.stem for one in self.folder.glob("*.csv")) if self.folder == self.path else []
+        found = {
+            "tables": ", ".join(tables),
+            "fields of steps": ", ".join(map(str, self.fields)),
+            "particles of steps": ", ".join(map(str, sorted(self._dumps(*PARTICLES)))),
+            "losses": LOSSES if self.folder == self.path and (self.folder / LOSSES).exists() else "",
+        }
+        return [(what, held or "none") for what, held in found.items()]
 
     # ---- tables ----
 
@@ -124,7 +143,7 @@ class Results:
             return _losses(self.folder / LOSSES)
 
     def _particle_dump(self, step: int | None) -> Path:
-        found = self._dumps("particles_*.h5", "checkpoint_*")
+        found = self._dumps(*PARTICLES)
         if step is None and found:
             step = max(found)
         if step not in found:

@@ -37,9 +37,9 @@ class RunLog:
         self._logs = how == "logging"
         self._last_step = last_step
         self._out, self._err = out, err
-        self._pace = 0.0  # s per step
+        self.pace = 0.0  # s per step, smoothed
         self._lines = 0
-        self._warned: Counter[str] = Counter()
+        self.warned: Counter[str] = Counter()
         self._catching = warnings.catch_warnings()
 
     def __enter__(self) -> RunLog:
@@ -52,7 +52,7 @@ class RunLog:
         self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._catching.__exit__(kind, value, trace)
-        for text, times in self._warned.items():
+        for text, times in self.warned.items():
             if times > 1:
                 self._say(f"warning, {times} times in all: {text}", logging.WARNING)
 
@@ -61,9 +61,9 @@ class RunLog:
         seconds = row["seconds"]
         # the first line's seconds hold the set-up, so the second one starts the pace anew
         weight = MEMORY_OF_PACE if self._lines >= 2 else 1.0
-        self._pace += weight * (seconds - self._pace)
+        self.pace += weight * (seconds - self.pace)
         self._lines += 1
-        left = max(self._last_step - int(row["step"]), 0) * self._pace
+        left = max(self._last_step - int(row["step"]), 0) * self.pace
         self._say(step_line(row, self._last_step, left))
 
     def note(self, text: str) -> None:
@@ -72,8 +72,8 @@ class RunLog:
 
     def warn(self, text: str) -> None:
         """Print a warning when it comes up first; the end reports how often it did."""
-        self._warned[text] += 1
-        if self._warned[text] == 1:
+        self.warned[text] += 1
+        if self.warned[text] == 1:
             self._say(f"warning: {text}", logging.WARNING)
 
     def _say(self, line: str, level: int = logging.INFO) -> None:

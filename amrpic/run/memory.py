@@ -14,11 +14,11 @@ import numpy as np
 
 from ..io.writer_ranks import Writers, buffer_bytes
 from ..mesh.boxes import Array, cells_of, rows_of, table_of
+from ..mesh.raster import pixels_of
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.motion import Leapfrog
 from ..scene.refinement_rules import CallableRule, FieldStrengthRule, every_rule
 from ..scene.scene import Scene
-from ..view.raster import pixels_of
 
 MIB = 2**20
 PROCESS = 150 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos

@@ -9,12 +9,15 @@ from types import TracebackType
 from mpi4py import MPI
 
 from .. import isa
-from ..errors import SolverError
+from ..errors import OutputError, SolverError
+from ..failure import sentence
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
 from ..io.field_reader import LiveDump
+from ..io.run_status import FAILED, FINISHED, STOPPED
 from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
+from ..parallel import together
 from ..results.run_results import SERIES
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
@@ -27,6 +30,7 @@ from .loss_files import write_losses, write_screens
 from .plan import Plan
 from .restart import about, snapshot, writers_of
 from .state import State
+from .status import Status
 
 RESIDUALS = "residuals.csv"
 HISTORY = (  # of the solves: a row for each guess and each cycle
@@ -67,6 +71,7 @@ class Recorder:
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
+        self._status = Status(comm, scene, state.step)
         self._log = RunLog(comm, scene.schedule.last_step, how=log)
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
@@ -95,6 +100,8 @@ class Recorder:
         if self._beam is not None:
             self._beam.close()
         self._log.__exit__(kind, value, trace)
+        if value is not None:
+            self._status.end(FAILED, sentence(value).removeprefix("amrpic: "), self._written)
 
     def state(self, state: State, remarks: list[str]) -> None:
         """Record a state: its row and line, the solves that led to it, and the files that are due."""
@@ -129,6 +136,8 @@ class Recorder:
             if checkpoint_due:
                 self._write_records(state)
                 self._write_checkpoint(state)
+            self._status.says(self._plan.notes, self._log.warned)
+            self._status.step(row, self._log.pace, self._plan.dt, self._written)
 
     def end(self, state: State) -> None:
         """Write what the end of a run leaves; the momenta are to be of its time."""
@@ -142,12 +151,25 @@ class Recorder:
         self._write_checkpoint(state)
         if "pictures" in self._wanted:
             self._draw(state)
+        self._ended(FINISHED)
 
     def stopped(self, state: State, reason: str) -> None:
         """Write what a run needs to go on later; the momenta are to be of its time."""
         self._write_records(state)
         self._write_checkpoint(state)
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
+        self._ended(STOPPED, reason)
+
+    def _ended(self, state: str, why: str = "") -> None:
+        """Say how the run ended, and write the report if it is wanted."""
+        self._status.says(self._plan.notes, self._log.warned)
+        self._status.end(state, why, self._written)
+        if "report" in self._wanted:
+            with together(self._comm, OutputError):
+                if self._comm.rank == 0:
+                    from ..results import report  # matplotlib takes long to import, and no other rank needs it
+
+                    report.write(self._scene.directory)
 
     def _all_series(self) -> list[Series]:
         own = [series for series in (self._series, self._residuals) if series is not None]
@@ -243,7 +265,7 @@ class Recorder:
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
         checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
-        checkpoint_writer.prune(self._comm, directory, output.keep)
+        checkpoint_writer.prune(self._comm, directory, output.keep, output.keep_every * output.checkpoint_every)
 
 
 def _shown(state: State) -> dict[str, Field | VectorField]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -27,6 +27,7 @@ from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
+from ..scene.differences import differences
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.encounters import Flights
@@ -151,7 +152,7 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     if math.isnan(plan.dt) and given == "auto":
         plan.dt = before
     if plan.dt != before:
-        settle_time_step(plan, particles, solution, course)
+        settle_time_step(plan, particles, hierarchy, frames, course)
     return state_of(plan, particles, solution, lost, screens, course, held.header.step, held.header.time, lag)
 
 
@@ -210,7 +211,7 @@ def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
     changed = [
         f"{path} is {_text(value)}, before {_text(before)}"
         for part in FOLLOWED
-        for path, value, before in _differences(now.get(part), made_from.get(part, []), part)
+        for path, value, before in differences(now.get(part), made_from.get(part, []), part)
     ]
     if changed:
         out.append(f"the run goes on otherwise than up to the checkpoint: {'; '.join(changed)}")
@@ -226,15 +227,6 @@ def _remarks_on_fields(names: Sequence[str], before: Sequence[str]) -> list[str]
         f"fields from Python are {now}, and were {then} up to the checkpoint; give Simulation.restart the same ones to go on "
         "as before"
     ]
-
-
-def _differences(now: Any, before: Any, path: str) -> Iterator[tuple[str, Any, Any]]:
-    """The settings that differ: where, the value now, the value before; None where there is none."""
-    if isinstance(now, dict) and isinstance(before, dict):
-        for key in {**before, **now}:
-            yield from _differences(now.get(key), before.get(key), f"{path}.{key}")
-    elif now != before:
-        yield path, now, before
 
 
 def _text(value: Any) -> str:

@@ -55,6 +55,10 @@ class Simulation:
         also for n = 0, and may communicate. A window follows the elements alone. Raises InputError on all ranks if a function
         fails or gives something else.
         """
+        if not isinstance(scene, Scene):
+            raise InputError(
+                f"a simulation was given {scene!r:.60} to run; give an amrpic.Scene, as of Scene.from_toml"
+            )
         plan = Plan(comm, scene, fields)
         self._hold(plan, begin(plan))
 

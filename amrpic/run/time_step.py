@@ -22,7 +22,6 @@ from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 from .course import Course
 from .element_strengths import Strength, strength
 from .plan import Plan
-from .solution import Solution
 
 # Steps per time: what "auto" takes, and what a step that is given should not fall below.
 PER_CELL, LEAST_PER_CELL = 2.0, 1.0
@@ -54,16 +53,16 @@ class Fastest:
     current_per_mass: float  # |q v| / (γ m), C m/(kg s)
 
 
-def settle_time_step(plan: Plan, particles: Particles, solution: Solution, course: Course) -> None:
+def settle_time_step(plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, course: Course) -> None:
     """Choose the plan's time step where the scene leaves that to the run and it is not known yet, and note which rule it is.
 
-    A remark says of a step that the scene gives if it is long. The particles are sorted on the mesh of the solution.
-    Collective; InputError on all ranks if nothing in the run has a time of its own.
+    A remark says of a step that the scene gives if it is long. The particles are sorted on the hierarchy, and `frames` are
+    those of their self-field. Collective; InputError on all ranks if nothing in the run has a time of its own.
     """
     motion = plan.scene.motion
     if not isinstance(motion, Leapfrog):
         return
-    found = [process for process in processes(plan, particles, solution, course) if process.time < math.inf]
+    found = [process for process in processes(plan, particles, hierarchy, frames, course) if process.time < math.inf]
     if motion.dt != "auto":
         _remark(plan, found)
     elif math.isnan(plan.dt):
@@ -92,7 +91,9 @@ def _remark(plan: Plan, found: list[Process]) -> None:
             )
 
 
-def processes(plan: Plan, particles: Particles, solution: Solution, course: Course) -> Iterator[Process]:
+def processes(
+    plan: Plan, particles: Particles, hierarchy: Hierarchy, frames: Frames, course: Course
+) -> Iterator[Process]:
     """Return what goes on in a run at its start. Collective.
 
     Fields from Python are not looked at.
@@ -102,7 +103,7 @@ def processes(plan: Plan, particles: Particles, solution: Solution, course: Cour
     for axis, width, speed in zip(AXES, widths, fast.along, strict=True):
         what = f"passage of a particle through a cell of the finest level along {axis}"
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
-    omega = plasma_frequency(particles, solution.rho.hierarchy, plan.clouds, solution.frames)
+    omega = plasma_frequency(particles, hierarchy, plan.clouds, frames)
     yield Process("plasma", "plasma period", _time(2 * math.pi, omega), PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
     elements = plan.external.elements
     strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps

@@ -15,16 +15,23 @@ class Output(Section):
     """What a run writes."""
 
     directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
-    write: list[Literal["checkpoint", "fields", "particles", "series", "losses", "pictures"]] = Field(
+    write: list[Literal["checkpoint", "fields", "particles", "series", "losses", "pictures", "report"]] = Field(
         default=["checkpoint", "fields", "series", "losses", "pictures"],
         description="The kinds of output wanted; particles are openPMD files, which a restart does without; losses are the "
-        "records of lost particles and of screens, as openPMD, and a map of losses along z: written where there are any.",
+        "records of lost particles and of screens, as openPMD, and a map of losses along z: written where there are any; "
+        "report is a page for a browser with all that is known of the run, made at its end.",
     )
     checkpoint_every: int = Field(
         default=10, ge=0, description="Steps between checkpoints; 0 writes the last one only."
     )
     keep: int = Field(
         default=2, ge=1, description="Newest checkpoints kept: two, so that one remains if a disk fails the last."
+    )
+    keep_every: int = Field(
+        default=0,
+        ge=0,
+        description="Of the checkpoints one in so many stays for good, besides the newest: those of steps that are multiples "
+        "of keep_every times checkpoint_every; 0: none does.",
     )
     writers: int | None = Field(
         default=None,

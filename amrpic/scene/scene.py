@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import tomllib
@@ -11,6 +12,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError, model_validator
 
+from .. import html
 from ..errors import SceneError
 from . import toml
 from .complaints import refusal
@@ -18,6 +20,7 @@ from .fits_together import check
 from .motion import Leapfrog, NoMotion
 from .obstacles import out_of_reach
 from .parts import SceneParts
+from .section import Section
 from .thermal_bunch import ThermalBunch
 
 
@@ -95,6 +98,14 @@ class Scene(SceneParts):
             f"{self.particle_count()} particles in all{more}, {self.schedule.last_step} steps after the first solve"
         )
 
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, str]] = []
+        for key in sorted(self.model_fields_set - {"name"}, key=list(type(self).model_fields).index):
+            value = getattr(self, key)
+            members = {f"{key}.{n}": one for n, one in enumerate(value)} if isinstance(value, list) else {key: value}
+            rows += [(where, _brief(one)) for where, one in members.items()]
+        return html.table(("key", "value, where it is not the default"), rows, f"Scene: {self.summary()}")
+
     def remarks(self) -> list[str]:
         """Return one sentence for each thing that is legal and yet may not be meant."""
         out = []
@@ -116,6 +127,16 @@ class Scene(SceneParts):
         if flat:
             out.append(f"bunches.{', '.join(flat)} has zero size; its field is limited by the cell width alone")
         return out
+
+
+def _brief(value: Any) -> str:
+    """Return what a section holds besides defaults, after its kind if it has one; other values as they are."""
+    if not isinstance(value, Section):
+        return str(value)
+    kind = getattr(value, "kind", None) or getattr(value, "distribution", None)
+    given = value.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
+    text = ", ".join(f"{key} = {json.dumps(one, ensure_ascii=False)}" for key, one in given.items())
+    return f"{kind}: {text}" if kind else text
 
 
 def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:

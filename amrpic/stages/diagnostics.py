@@ -43,6 +43,8 @@ def quantities(levels: int) -> list[Quantity]:
         *(Quantity(f"emittance_{axis}", "m rad") for axis in AXES),
         Quantity("cycles", counts=True),
         Quantity("residual"),
+        Quantity("imbalance_cells"),  # the most of a rank over the mean
+        Quantity("imbalance_particles"),
         Quantity("memory", "B", counts=True),
         Quantity("seconds", "s"),
         *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
@@ -74,8 +76,16 @@ def measure(
             "field_energy": _energy_of_square(efield.own_integral_of_square()),
             "potential_energy": _energy_of_product(rho.own_integral(phi)),
         },
-        {**{f"seconds_{stage}": seconds.get(stage, 0.0) for stage in STAGES}, "memory": peak_memory()},
+        {
+            **{f"seconds_{stage}": seconds.get(stage, 0.0) for stage in STAGES},
+            "memory": peak_memory(),
+            "imbalance_cells": hierarchy.own_cells,
+            "imbalance_particles": len(particles),
+        },
     )
+    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
+    for name, total in (("imbalance_cells", cells), ("imbalance_particles", of_all["particles"])):
+        of_all[name] *= hierarchy.comm.size / max(total, 1)
     return {
         **{f"cells_{level}": hierarchy.cells(level) for level in range(hierarchy.levels)},
         "boxes": box_count(hierarchy),

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ValidationError
 from scipy import sparse
 
-from .. import _native
+from .. import _native, html
 from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
 from ..mesh.field import Field, Function, VectorField
@@ -34,6 +34,11 @@ class SolveReport:
     reason: str  # why the solve stopped
     floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
     discretization_error: float = 0.0  # estimate of the largest error of φ that the mesh makes, V; 0 unless asked for
+
+    def _repr_html_(self) -> str:
+        end = "converged" if self.converged else "not converged"
+        caption = f"SolveReport: {end} after {self.cycles} cycles: {self.reason}"
+        return html.table(("cycle", "residual"), [[n, f"{r:.2e}"] for n, r in enumerate(self.residuals)], caption)
 
 
 class PoissonSolver:
@@ -72,6 +77,8 @@ class PoissonSolver:
         reuse: BaseSetup | None = None,
         **choices: Any,
     ) -> None:
+        if not isinstance(hierarchy, Hierarchy):
+            raise SolverError(f"a solver was given {hierarchy!r:.60} to solve on; give an amrpic.Hierarchy")
         named = {"tolerance": tolerance, "norm": norm, "backend": backend}
         self.options = _options(options, {**{k: v for k, v in named.items() if v is not None}, **choices})
         if background is not None:
@@ -167,6 +174,11 @@ class PoissonSolver:
         return LevelOperators(self, self.hierarchy._checked(level))
 
     def _require_home(self, name: str, field: Field) -> None:
+        if not isinstance(field, Field):
+            raise SolverError(
+                f"{name} is of type {type(field).__name__}; give an amrpic.Field on the hierarchy of the solver, whose values "
+                "`fill` sets, or whose patches' data are arrays"
+            )
         if field.hierarchy is not self.hierarchy:
             raise SolverError(
                 f"{name} lives on another hierarchy than the solver; make a solver for it, or carry it over"

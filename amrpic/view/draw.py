@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import OutputError
 from ..io.field_reader import Dump, open_dump
+from ..mesh.raster import spread_of
 from ..parallel import together
-from .raster import spread_of
 from .views import OVERVIEW, View, numbers, require
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVERVIEW) -> list[Path]:
@@ -20,6 +24,16 @@ def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVER
     """
     with open_dump(path) as dump:
         return draw(dump, dump.path.parent if directory is None else Path(directory), views)
+
+
+def figures(dump: Dump, views: Sequence[View] = OVERVIEW) -> Iterator[tuple[str, Figure]]:
+    """Yield the pictures of a dump by the names of their views. Serial. Raises InputError for what is not in the dump."""
+    from .plot import figure
+
+    spread = spread_of(dump)
+    for view in views:
+        require(dump, view)
+        yield view.name, figure(dump, spread, view, numbers(dump, spread, view))
 
 
 def draw(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> list[Path]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..io.particle_reader import ParticleDump, read
+from ..mesh.pictures import DECADES, ONE_SIGN, divisor
 from ..particles.groups import Groups
 from ..particles.particles import Particles
 from ..stages.beam_diagnostics import Beam, Part, Slice, group_moments, group_slices
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, prefix_of, quantity
-from .plot import DECADES, ONE_SIGN, save
+from .plot import save
 
 Array = NDArray[Any]
 
@@ -41,10 +42,21 @@ def plot(
     Quantities are planes, as in `PLANES`, or "slices". Pictures go beside the dump unless `directory` is given. Serial.
     Raises InputError for what is not there, OutputError if a picture cannot be written.
     """
+    dump = read(Path(path))
+    folder = dump.path.parent if directory is None else Path(directory)
+    of = "" if group == "all" else f"_{group}"
+    return [
+        save(figure, folder / f"{dump.path.stem}{of}_{name}.png") for name, figure in figures(dump, quantities, group)
+    ]
+
+
+def figures(
+    dump: ParticleDump, quantities: Sequence[str] = OVERVIEW, group: str = "all"
+) -> Iterator[tuple[str, Figure]]:
+    """Yield the pictures of the particles of a group by their quantities, as for `plot`. Serial; InputError."""
     for name in quantities:
         if name not in (*PLANES, "slices"):
             raise InputError(f"phase space has no picture {name}; choose among {', '.join((*PLANES, 'slices'))}")
-    dump = read(Path(path))
     try:
         groups = dump.groups.named(group)
     except KeyError:
@@ -56,17 +68,12 @@ def plot(
         raise InputError(f"{group} of {dump.path} has no particles left to draw; choose another group or dump")
     if not dump.particles.charge.any():
         raise InputError(f"particles of {dump.path} have no charge, which pictures show; choose another dump")
-    folder = dump.path.parent if directory is None else Path(directory)
-    of = "" if group == "all" else f"_{group}"
-    out = []
     for name in quantities:
         if name == "slices":
             slices = group_slices(MPI.COMM_SELF, beam, groups, moments, SLICES)[groups.members[0]]
-            figure = draw_slices(slices, _title(dump, group))
+            yield name, draw_slices(slices, _title(dump, group))
         else:
-            figure = draw_plane(_members(dump.particles, groups), part, name, _title(dump, group))
-        out.append(save(figure, folder / f"{dump.path.stem}{of}_{name}.png"))
-    return out
+            yield name, draw_plane(_members(dump.particles, groups), part, name, _title(dump, group))
 
 
 def _title(dump: ParticleDump, group: str) -> str:
@@ -95,7 +102,7 @@ def draw_plane(particles: Particles, part: Part, name: str, title: str) -> Figur
         value, unit = coordinate(particles, index)
         factor, prefix = prefix_of(float(np.abs(value).max()))
         values.append(value / factor)
-        labels.append(f"{NAMES[index]} / {_divisor(prefix, unit)}")
+        labels.append(f"{NAMES[index]} / {divisor(prefix, unit)}")
     edges = _edges(values, pixels, same_scale=max(indices) < 3)
     charge = np.abs(particles.weight * particles.charge)
     held, _, _ = np.histogram2d(values[0], values[1], bins=(edges[0], edges[1]), weights=charge)
@@ -196,7 +203,7 @@ def draw_slices(slices: Sequence[Slice], title: str) -> Figure:
                 panel.stairs(np.nan_to_num(scaled), edges / length, color="C1", fill=True, alpha=0.8)
             else:
                 panel.plot(centres, scaled, color=f"C{3 * number}", marker=".", markersize=4, linewidth=1.0, label=name)
-        panel.set_ylabel(f"{label} / {_divisor(prefix, unit)}")
+        panel.set_ylabel(f"{label} / {divisor(prefix, unit)}")
         panel.grid(alpha=0.3)
         panel.margins(x=0)
         if len(curves) > 1:
@@ -206,7 +213,3 @@ def draw_slices(slices: Sequence[Slice], title: str) -> Figure:
     panel.set_xlabel(f"z / {length_prefix}m")
     figure.suptitle(f"{len(slices)} slices of {title}", fontsize="medium")
     return figure
-
-
-def _divisor(prefix: str, unit: str) -> str:
-    return f"({prefix}{unit})" if "/" in unit or " " in unit else f"{prefix}{unit}"

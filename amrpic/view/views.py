@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..io.field_reader import Dump
 from ..mesh.domain import AXES
-from .raster import Raster, Spread, line_through, line_values, projection, slice_through
+from ..mesh.raster import Raster, Spread, line_through, line_values, projection, slice_through
 
 Array = NDArray[Any]
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from amrpic import PoissonSolver, Scene, Simulation
+from amrpic import Leapfrog, PoissonSolver, Scene, Simulation, SphereBunch
 from amrpic.commands.preview import Histogram, preview
 
 TRAIN = {
@@ -104,3 +104,66 @@ def test_a_histogram_is_that_of_the_numbers_of_all_ranks(comm):
             assert histogram.mean == pytest.approx(numbers.mean())
             assert histogram.median == np.sort(numbers)[(size - 1) // 2]
             assert histogram.most == numbers.max()
+
+
+GOOD = {"distribution": "gaussian", "species": "electron", "sigma": 0.15, "charge": "-1 nC", "particles": 60_000}
+
+
+@pytest.mark.mpi(ranks=(2,), timeout=120)
+@pytest.mark.parametrize(
+    ("changed", "dt", "warned"),
+    [
+        ({}, "10 ps", None),
+        (
+            {"sigma": [0.15, 0.06, 0.15]},
+            "10 ps",
+            r"bunches\.0 has 0\.9\d* cells of the finest level per rms size along y, where 2 are",
+        ),
+        (
+            {"particles": 600},
+            "10 ps",
+            r"cells of level 1 that hold particles hold 1\.\d+ of them in the mean, where 3 are",
+        ),
+        ({"centre": [0, 0, 0.7]}, "10 ps", r"bunches\.0 has its centre 2 rms sizes from the face z_upper, where 4 are"),
+        ({"velocity": [0.05, 0, 0]}, "10 ps", None),
+        ({}, "1 us", r"motion\.dt of 1e-06 s is long: .* steps per plasma period"),
+    ],
+)
+def test_what_spoils_results_is_warned_of(comm, tmp_path, changed, dt, warned):
+    given = scene(tmp_path).to_dict()
+    given |= {"bunches": [{**GOOD, **changed}], "motion": {"kind": "leapfrog", "dt": dt}, "schedule": {"steps": 1}}
+    given["refinement"] = {"levels": 1}
+    given["domain"]["cells"] = [16, 16, 16]
+    notes = [line for line in preview(comm, Scene.from_dict(given), 1).splitlines() if line.startswith("note: ")]
+    found = [line for line in notes if "particles.interface" not in line and "lie outside the domain" not in line]
+    assert len(found) == (0 if warned is None else 1) and re.search(warned or "", "".join(found)), found
+
+
+def test_a_bunch_that_ends_before_a_near_wall_is_well(comm, tmp_path):
+    ball = {**DENSE, "particles": 20_000, "radius": 0.3, "centre": [0, 0, 0.5]}
+    text = preview(comm, scene(tmp_path).replace(bunches=[SphereBunch(**ball_of(ball))]), 1)
+    assert "rms sizes from the face" not in text
+    beside = {**ball, "centre": [0, 0, 0.65]}
+    text = preview(comm, scene(tmp_path).replace(bunches=[SphereBunch(**ball_of(beside))]), 1)
+    assert "bunches.0 has its centre 2.6 rms sizes from the face z_upper" in text
+
+
+def ball_of(given):
+    return {key: value for key, value in given.items() if key != "distribution"}
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_the_time_of_a_run_is_part_of_the_preview(comm, tmp_path):
+    moving = scene(tmp_path).replace(motion=Leapfrog(dt="1 ps"), schedule={"steps": 3})
+    [line] = [line for line in preview(comm, moving, 8, 100.0).splitlines() if line.startswith("time: ")]
+    time = r"[\d.e-]+ \S*s"
+    assert re.match(
+        rf"time: {time} to the end of the first solve, then {time} per step, {time} in all; from 3 steps", line
+    )
+    assert line.endswith(f"from 3 steps of it, if 8 ranks share the work of {comm.size} evenly")
+
+
+def test_a_trial_that_fails_says_why(comm, tmp_path):
+    given = scene(tmp_path).to_dict()
+    given["solver"] = {"tolerance": 1e-10, "max_cycles": 1}
+    assert "time: a trial of the run ended with: residual " in preview(comm, Scene.from_dict(given), 1, 100.0)

@@ -238,6 +238,7 @@ def test_a_flipped_bit_anywhere_is_found_or_of_no_consequence(comm, tmp_path):
     checkpoint_writer.write(comm, path, state, Writers(2))
     part = path / "part_0001.h5"
     content = part.read_bytes()
+    comm.barrier()  # before rank 0 writes
     found = 0
     for place in range(0, len(content), max(1, len(content) // 50)):
         if comm.rank == 0:
@@ -277,6 +278,14 @@ def test_the_newest_are_kept_and_leftovers_of_dead_runs_go(comm, tmp_path):
         checkpoint_writer.prune(comm, tmp_path, keep=2)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["checkpoint_00000020", "checkpoint_00000030"]
     assert checkpoint_reader.candidates(comm, tmp_path)[0] == checkpoint_writer.path_of(tmp_path, 30)
+
+
+@pytest.mark.mpi(ranks=(2,))
+def test_those_of_every_so_many_steps_stay_besides_the_newest(comm, tmp_path):
+    for step in range(5, 50, 5):
+        checkpoint_writer.write(comm, checkpoint_writer.path_of(tmp_path, step), snapshot(comm.size, comm.rank, step))
+        checkpoint_writer.prune(comm, tmp_path, keep=2, every=15)
+    assert sorted(int(p.name[-8:]) for p in tmp_path.iterdir()) == [15, 30, 40, 45]
 
 
 @pytest.mark.mpi(ranks=(2,))

@@ -83,8 +83,33 @@ def test_what_is_no_series_is_named(comm, tmp_path):
     with pytest.raises(InputError, match="No such file"):
         time_series.read(path)
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="it is not a series"):
+    for beside in (None, "{", "[1]", '{"format": "something else"}'):
+        if beside is not None:
+            (tmp_path / "series.json").write_text(beside)
+        with pytest.raises(InputError, match=r"series .*series.csv cannot be read: .*; give a file that a run wrote"):
+            time_series.read(path)
+
+
+def test_columns_that_are_not_those_described_are_refused(comm, tmp_path):
+    path = tmp_path / "series.csv"
+    Series(comm, path, COLUMNS, ABOUT).close()
+    path.write_text(path.read_text().replace("charge", "mass"))
+    with pytest.raises(InputError, match=r"its columns are not those of series\.json"):
         time_series.read(path)
+
+
+def test_pandas_reads_a_table_without_options(comm, tmp_path):
+    pandas = pytest.importorskip("pandas")
+    path = tmp_path / "series.csv"
+    file = Series(comm, path, COLUMNS, ABOUT)
+    file.append(*(row(step) for step in range(3)), {"step": 3, "charge": float("nan")})
+    file.close()
+    table = pandas.read_csv(path)
+    assert list(table) == [column.name for column in COLUMNS]
+    assert list(table.dtypes) == ["int64", "float64", "int64", "float64"]
+    assert table.charge[2] == -0.2 and np.isnan(table.charge[3])
+    assert time_series.units_of(path) == {"step": "", "time": "s", "particles": "", "charge": "C"}
+    assert time_series.scene_of(path) == {"name": "test"}
 
 
 @pytest.mark.mpi(ranks=(2,))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -120,3 +123,16 @@ def test_a_state_without_particles_can_be_measured(comm):
         "seconds",
         "cells_2",
     }
+
+
+def test_the_page_defines_every_column_of_the_series():
+    page = (Path(__file__).parents[2] / "docs" / "diagnostics.md").read_text()
+    rows = page[page.index("| columns of `series.csv`") :].split("\n\n")[0].splitlines()[2:]
+    names = {name.replace("*", r"\w+") for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1])}
+    names |= {
+        name.rpartition("_")[0] + "_[xyz0-9]" for name in names
+    }  # momentum_x … stands for all axes, cells_0 for levels
+    for column in diagnostics.quantities(4):
+        assert any(re.fullmatch(name, column.name) for name in names), column.name
+    for energy in ("kinetic", "potential", "field"):
+        assert any(f"`{energy}_energy`" in row and "$" in row for row in rows)

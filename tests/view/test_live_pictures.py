@@ -9,7 +9,8 @@ from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.io import vtkhdf_writer
 from amrpic.io.field_reader import Dump, LiveDump
 from amrpic.io.provenance import Provenance
-from amrpic.view import draw, raster, views
+from amrpic.mesh import raster
+from amrpic.view import draw, views
 
 DOMAIN = Domain(lower=(-0.02, -0.03, 0.01), upper=(0.02, 0.01, 0.17), cells=(16, 16, 32), boundary="dirichlet")
 LEVELS = [[((8, 8, 8), (23, 23, 47))], [((24, 24, 40), (39, 39, 55))]]

@@ -13,7 +13,9 @@ from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer
 from amrpic.io.field_reader import CheckpointDump, Dump, open_dump
 from amrpic.io.provenance import Provenance
-from amrpic.view import draw, plot, raster, views
+from amrpic.mesh import raster
+from amrpic.units import quantity
+from amrpic.view import draw, plot, views
 
 DOMAIN = Domain(lower=(-0.02, -0.03, 0.01), upper=(0.02, 0.01, 0.17), cells=(16, 16, 32), boundary="dirichlet")
 LEVELS = [[((8, 8, 8), (23, 23, 47))], [((24, 24, 40), (39, 39, 55))]]
@@ -219,4 +221,4 @@ def test_a_checkpoint_shows_what_the_field_file_of_its_step_shows(comm, tmp_path
     [(0.0, "s", "0 s"), (1.25e-9, "s", "1.25 ns"), (-0.0282842, "m", "−28.28 mm"), (0.99999, "V", "1 V")],
 )
 def test_quantities_take_the_prefix_that_suits_them(value, unit, text):
-    assert plot.quantity(value, unit) == text
+    assert quantity(value, unit) == text

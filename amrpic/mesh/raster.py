@@ -1,7 +1,7 @@
-"""Numbers for pictures: planes, projections and lines through a field dump, always from the finest cells.
+"""Numbers for pictures: planes, projections and lines through fields on levels, always from the finest cells.
 
-Cell values are taken as they are, constant in each cell: what a picture shows is what was computed. Ranks that share a dump
-draw the boxes that each of them holds, and their sum is the picture: all here is collective over `dump.comm`.
+Cell values are taken as they are, constant in each cell: what a picture shows is what was computed. Ranks that share a fields
+draw the boxes that each of them holds, and their sum is the picture: all here is collective over `fields.comm`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..io.field_reader import Dump
-from ..mesh.boxes import rows_of
+from .boxes import rows_of
+from .composite import Composite
 
 Array = NDArray[Any]
 
@@ -32,6 +32,13 @@ class Raster:
     lower: Array  # (2,) m
     upper: Array
 
+    @property
+    def centres(self) -> tuple[Array, Array]:
+        """Coordinates in m of the pixels along both `axes`, each (pixels,)."""
+        edges = zip(self.lower, self.upper, self.values.shape, strict=True)
+        first, second = (lower + (np.arange(n) + 0.5) * (upper - lower) / n for lower, upper, n in edges)
+        return first, second
+
 
 def others(axis: int) -> tuple[int, int]:
     """Return the two axes normal to `axis`, in ascending order."""
@@ -39,32 +46,32 @@ def others(axis: int) -> tuple[int, int]:
     return first, second
 
 
-def slice_through(dump: Dump, name: str, axis: int, position: float, level: int | None = None) -> Raster:
+def slice_through(fields: Composite, name: str, axis: int, position: float, level: int | None = None) -> Raster:
     """Return a scalar in the plane normal to `axis` at `position` (m): from the finest cells, or those of one level.
 
     A plane between two cells shows the upper ones. Where a level has no cells, the raster holds nan.
     """
 
     def cut(cells: Array, number: int, box: int) -> Array:
-        return cells.take(cell_at(dump, number, axis, position) - dump.levels[number].boxes[box, axis], axis=axis)
+        return cells.take(cell_at(fields, number, axis, position) - fields.levels[number].boxes[box, axis], axis=axis)
 
-    return _raster(dump, name, axis, position, level, lambda number: cut_by(dump, number, axis, position), cut)
+    return _raster(fields, name, axis, position, level, lambda number: cut_by(fields, number, axis, position), cut)
 
 
-def projection(dump: Dump, name: str, axis: int, level: int | None = None) -> Raster:
+def projection(fields: Composite, name: str, axis: int, level: int | None = None) -> Raster:
     """Return the integral of a scalar along `axis`: each place once, on its finest level, or all cells of one level.
 
     Where a level has no cells, the raster holds nan.
     """
 
     def summed(cells: Array, number: int, box: int) -> Array:
-        return cells.sum(axis=axis) * dump.levels[number].spacing[axis]
+        return cells.sum(axis=axis) * fields.levels[number].spacing[axis]
 
-    return _raster(dump, name, axis, None, level, lambda number: np.arange(len(dump.levels[number].boxes)), summed)
+    return _raster(fields, name, axis, None, level, lambda number: np.arange(len(fields.levels[number].boxes)), summed)
 
 
 def _raster(
-    dump: Dump,
+    fields: Composite,
     name: str,
     axis: int,
     position: float | None,
@@ -73,43 +80,43 @@ def _raster(
     flat: Callable[[Array, int, int], Array],
 ) -> Raster:
     """Return the sum of what `flat(cells, level, box)` makes of some boxes of each level, cells under a finer level zero."""
-    grid = _Pixels(dump, axis, level)
+    grid = _Pixels(fields, axis, level)
     values, held = np.zeros(grid.shape), np.zeros(grid.shape, dtype=bool)
-    for number in range(len(dump.levels)) if level is None else [level]:
-        for box in np.intersect1d(boxes(number), dump.here(number)):
-            cells = dump.values(name, number, box)
+    for number in range(len(fields.levels)) if level is None else [level]:
+        for box in np.intersect1d(boxes(number), fields.here(number)):
+            cells = fields.values(name, number, box)
             if level is None:
-                cells = np.where(dump.covered(number, box), 0.0, cells)
+                cells = np.where(fields.covered(number, box), 0.0, cells)
             pixels, inside = grid.locate(number, box)
             values[pixels] += flat(cells, number, box)[inside]
             held[pixels] = True
-    values = np.where(dump.any(held), dump.total(values), np.nan)
+    values = np.where(fields.any(held), fields.total(values), np.nan)
     return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
 
 
-def cut_by(dump: Dump, level: int, axis: int, position: float) -> Array:
+def cut_by(fields: Composite, level: int, axis: int, position: float) -> Array:
     """Return the numbers of the boxes of a level that a plane cuts."""
-    boxes, index = dump.levels[level].boxes, cell_at(dump, level, axis, position)
+    boxes, index = fields.levels[level].boxes, cell_at(fields, level, axis, position)
     return np.flatnonzero((boxes[:, axis] <= index) & (index <= boxes[:, 3 + axis]))
 
 
-def cell_at(dump: Dump, level: int, axis: int, position: float) -> int:
+def cell_at(fields: Composite, level: int, axis: int, position: float) -> int:
     """Return the index of the cells of a level at a place along an axis; those at the wall for places outside."""
-    spacing = dump.levels[level].spacing[axis]
-    last = round((dump.upper[axis] - dump.lower[axis]) / spacing) - 1
-    return int(np.clip(np.floor((position - dump.lower[axis]) / spacing), 0, last))
+    spacing = fields.levels[level].spacing[axis]
+    last = round((fields.upper[axis] - fields.lower[axis]) / spacing) - 1
+    return int(np.clip(np.floor((position - fields.lower[axis]) / spacing), 0, last))
 
 
 class _Pixels:
     """The pixels of the plane normal to an axis, over the whole domain. Each shows the finest cell at its centre."""
 
-    def __init__(self, dump: Dump, axis: int, level: int | None) -> None:
-        self._dump = dump
+    def __init__(self, fields: Composite, axis: int, level: int | None) -> None:
+        self._fields = fields
         self._axes = list(others(axis))
-        self._finest = len(dump.levels) - 1 if level is None else level
-        extent = (dump.upper - dump.lower)[self._axes]
+        self._finest = len(fields.levels) - 1 if level is None else level
+        extent = (fields.upper - fields.lower)[self._axes]
         self.axes = others(axis) if extent[0] >= extent[1] else others(axis)[::-1]
-        cells = np.rint(extent / dump.levels[self._finest].spacing[self._axes]).astype(np.int64)
+        cells = np.rint(extent / fields.levels[self._finest].spacing[self._axes]).astype(np.int64)
         self.shape = pixels_of(cells)
         # A pixel on the face between two cells shows the upper one, on all levels.
         self._cells = [(2 * np.arange(p) + 1) * n // (2 * p) for n, p in zip(cells, self.shape, strict=True)]
@@ -121,11 +128,11 @@ class _Pixels:
     @property
     def corners(self) -> tuple[Array, Array]:
         """Lower and upper corner of the plane in m, in the order of `axes`."""
-        return self._dump.lower[list(self.axes)], self._dump.upper[list(self.axes)]
+        return self._fields.lower[list(self.axes)], self._fields.upper[list(self.axes)]
 
     def locate(self, level: int, box: int) -> tuple[tuple[slice, ...], tuple[Array, ...]]:
         """Return the slices of pixels whose centres lie in a box, and for them the cells of the box to index."""
-        corners = self._dump.levels[level].boxes[box]
+        corners = self._fields.levels[level].boxes[box]
         pixels_of_box, inside = [], []
         for axis, finest in zip(self._axes, self._cells, strict=True):
             cells = finest >> (self._finest - level)
@@ -154,25 +161,25 @@ class Line:
         return self.centre + self.along[:, None] * self.direction
 
 
-def line_values(dump: Dump, name: str, line: Line, level: int | None = None) -> Array:
+def line_values(fields: Composite, name: str, line: Line, level: int | None = None) -> Array:
     """Return a field along a line, in the finest cells or those of one level: (n,), or (n, 3) of a vector; else nan."""
     points = line.points
     held = np.zeros(len(points), dtype=bool)
-    out = np.zeros((len(points), 3) if dump.is_vector(name) else len(points))
-    for number in range(len(dump.levels)) if level is None else [level]:
-        description = dump.levels[number]
-        shape = np.rint((dump.upper - dump.lower) / description.spacing).astype(np.int64)
-        index = np.clip(np.floor((points - dump.lower) / description.spacing).astype(np.int64), 0, shape - 1)
+    out = np.zeros((len(points), 3) if fields.is_vector(name) else len(points))
+    for number in range(len(fields.levels)) if level is None else [level]:
+        description = fields.levels[number]
+        shape = np.rint((fields.upper - fields.lower) / description.spacing).astype(np.int64)
+        index = np.clip(np.floor((points - fields.lower) / description.spacing).astype(np.int64), 0, shape - 1)
         holding = description.table.find(rows_of(index))
-        for box in np.intersect1d(holding[holding >= 0], dump.here(number)):
+        for box in np.intersect1d(holding[holding >= 0], fields.here(number)):
             inside = np.flatnonzero(holding == box)
             cells = tuple((index[inside] - description.boxes[box, :3]).T)
             if level is None:
-                shown = ~dump.covered(number, box)[cells]
+                shown = ~fields.covered(number, box)[cells]
                 inside, cells = inside[shown], tuple(of_axis[shown] for of_axis in cells)
-            out[inside] = dump.values(name, number, box)[cells]
+            out[inside] = fields.values(name, number, box)[cells]
             held[inside] = True
-    out, held = dump.total(out), dump.any(held)
+    out, held = fields.total(out), fields.any(held)
     out[~held] = np.nan
     return out
 
@@ -186,17 +193,17 @@ class Spread:
     covariance: Array
 
 
-def spread_of(dump: Dump, name: str = "rho") -> Spread:
+def spread_of(fields: Composite, name: str = "rho") -> Spread:
     """Return where a density is, the middle of the domain if it is zero."""
     charge, first, second = np.zeros(1), np.zeros(3), np.zeros((3, 3))
-    middle = (dump.lower + dump.upper) / 2
-    for level, description in enumerate(dump.levels):
+    middle = (fields.lower + fields.upper) / 2
+    for level, description in enumerate(fields.levels):
         volume = float(np.prod(description.spacing))
-        for box in dump.here(level):
+        for box in fields.here(level):
             corners = description.boxes[box]
-            cells = np.where(dump.covered(level, box), 0.0, np.abs(dump.values(name, level, box)) * volume)
+            cells = np.where(fields.covered(level, box), 0.0, np.abs(fields.values(name, level, box)) * volume)
             axes = [
-                dump.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d] - middle[d]
+                fields.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d] - middle[d]
                 for d in range(3)
             ]
             charge += cells.sum()
@@ -207,7 +214,7 @@ def spread_of(dump: Dump, name: str = "rho") -> Spread:
                 mixed = axes[a] @ cells.sum(axis=3 - a - b) @ axes[b]
                 second[a, b] += mixed
                 second[b, a] += mixed
-    total, *moments = dump.total(np.concatenate([charge, first, second.ravel()]))
+    total, *moments = fields.total(np.concatenate([charge, first, second.ravel()]))
     if total == 0.0:
         return Spread(0.0, middle, np.zeros((3, 3)))
     mean, square = np.array(moments[:3]) / total, np.reshape(moments[3:], (3, 3)) / total
@@ -217,14 +224,14 @@ def spread_of(dump: Dump, name: str = "rho") -> Spread:
 LONG = 3.0  # variance along a train over that across it, from which on its own direction is taken
 
 
-def line_through(dump: Dump, spread: Spread, axis: int | None = None) -> Line:
+def line_through(fields: Composite, spread: Spread, axis: int | None = None) -> Line:
     """Return the line through the middle of the charge: along an axis, or along a train of bunches, or else along x."""
     direction = direction_of(spread) if axis is None else np.eye(3)[axis]
     with np.errstate(divide="ignore"):
-        walls = np.stack([dump.lower - spread.centre, dump.upper - spread.centre]) / direction
+        walls = np.stack([fields.lower - spread.centre, fields.upper - spread.centre]) / direction
     walls = np.where(direction == 0, [[-np.inf], [np.inf]], np.sort(walls, axis=0))
     start, stop = walls[0].max(), walls[1].min()
-    step = 0.5 * float(dump.levels[-1].spacing.min())
+    step = 0.5 * float(fields.levels[-1].spacing.min())
     count = int(np.clip((stop - start) / step, 2, 20_000))
     return Line(spread.centre, direction, start + (np.arange(count) + 0.5) * (stop - start) / count)
 

@@ -1,0 +1,94 @@
+"""What a preview warns of: bunches that the mesh does not resolve, too few particles in cells, walls that are near."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from ..mesh.domain import AXES
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..particles.particles import Particles
+from ..scene.scene import Scene
+from ..stages.diagnostics import moments
+from ..stages.tag import living
+
+CELLS_PER_SIGMA = 2.0
+PARTICLES_PER_CELL = 3.0  # in cells that hold any, on the level that holds most particles
+SIGMAS_TO_WALL = 4.0
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """Where a bunch is, each (3,) in m."""
+
+    mean: np.ndarray
+    rms: np.ndarray
+    first: np.ndarray  # particle along each axis
+    last: np.ndarray
+
+    @classmethod
+    def of(cls, comm: MPI.Comm, bunch: Particles) -> _Extent:
+        """Return that of a bunch, nan without particles. Collective."""
+        found = moments(comm, bunch)
+        ends = np.array([-bunch.position.min(axis=0, initial=np.inf), bunch.position.max(axis=0, initial=-np.inf)])
+        first, last = comm.allreduce(ends, MPI.MAX)
+        return cls(found.mean, found.rms, -first, last)
+
+
+def warnings_of(scene: Scene, particles_per_cell: Field, bunches: Sequence[Particles]) -> list[str]:
+    """Return one sentence for each thing that spoils results and can be seen before a run. Collective.
+
+    `bunches` are those of the scene one by one, in their order.
+    """
+    comm, hierarchy = particles_per_cell.comm, particles_per_cell.hierarchy
+    out: list[str] = []
+    rest = iter(bunches)
+    for number, bunch in enumerate(scene.bunches):
+        copies = [_Extent.of(comm, copy) for copy in itertools.islice(rest, bunch.copies)]
+        known = [one for one in copies if np.isfinite(one.rms).all() and one.rms.min() > 0]
+        if known:
+            out += _of_bunch(f"bunches.{number}", known, hierarchy)
+    return [*out, *_few_in_cells(particles_per_cell)]
+
+
+def _of_bunch(name: str, copies: Sequence[_Extent], hierarchy: Hierarchy) -> Iterator[str]:
+    domain, finest = hierarchy.domain, hierarchy.spacing(hierarchy.levels - 1)
+    cells = np.min([one.rms for one in copies], axis=0) / finest
+    axis = int(np.argmin(cells))
+    if cells[axis] < CELLS_PER_SIGMA:
+        yield (
+            f"{name} has {cells[axis]:.2g} cells of the finest level per rms size along {AXES[axis]}, where "
+            f"{CELLS_PER_SIGMA:g} are advisable; raise refinement.levels or domain.cells"
+        )
+    for side, face, end in (("lower", domain.lower, "first"), ("upper", domain.upper, "last")):
+        distance = np.min([np.abs(face - one.mean) / one.rms for one in copies], axis=0)
+        # beyond the last particle; a bunch that ends well before the face is none of these
+        room = np.min(
+            [np.abs(face - one.mean) - np.abs(getattr(one, end) - one.mean) - one.rms for one in copies], axis=0
+        )
+        axis = int(np.argmin(np.where(np.array(domain.periodic) | (room > 0), np.inf, distance)))
+        if not domain.periodic[axis] and room[axis] <= 0 and distance[axis] < SIGMAS_TO_WALL:
+            yield (
+                f"{name} has its centre {distance[axis]:.2g} rms sizes from the face {AXES[axis]}_{side}, where "
+                f"{SIGMAS_TO_WALL:g} are advisable; enlarge the domain"
+            )
+
+
+def _few_in_cells(particles_per_cell: Field) -> Iterator[str]:
+    """Warn of noise on the level that holds most particles."""
+    comm = particles_per_cell.comm
+    sums = comm.allreduce(
+        np.array([[numbers.sum(), np.count_nonzero(numbers)] for numbers in living(particles_per_cell)], dtype=float)
+    )
+    level = int(np.argmax(sums[:, 0]))
+    held, cells = sums[level]
+    if held > 0 and held < PARTICLES_PER_CELL * cells:
+        yield (
+            f"cells of level {level} that hold particles hold {held / cells:.2g} of them in the mean, where "
+            f"{PARTICLES_PER_CELL:g} are advisable: the density is mostly noise; use more particles or fewer levels"
+        )

@@ -1,0 +1,25 @@
+"""amrpic report: a page on a run, for any browser."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..errors import InputError
+from .arguments import Commands, command
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    added = command(commands, "report", _report, "write a page on a run, pictures included, for any browser")
+    added.add_argument("run", metavar="RUN", help="the folder of a run")
+
+
+def _report(chosen: argparse.Namespace) -> int:
+    from ..results import report  # matplotlib takes long to import
+
+    folder = Path(chosen.run)
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder; give that of a run, such as runs/drift")
+    print(report.write(folder))
+    return 0

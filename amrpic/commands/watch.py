@@ -1,0 +1,164 @@
+"""amrpic watch: how a run is getting on, until it ends."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+from ..io import time_series
+from ..io.run_status import FINISHED, RUNNING, STOPPED, RunStatus
+from ..results.run_results import SERIES
+from ..units import quantity
+from .arguments import Commands, command
+from .run import STOPPED as EXIT_STOPPED
+from .text_table import columns
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+SHOWN = {  # columns of the series, with their units
+    "rms_x": "m",
+    "rms_y": "m",
+    "rms_z": "m",
+    "kinetic_energy": "J",
+    "potential_energy": "J",
+    "particles": "",
+    "cycles": "",
+    "seconds": "s",
+}
+WIDTH = 40  # steps in a sparkline
+BARS = "▁▂▃▄▅▆▇█"
+ENDS = {RUNNING: 0, FINISHED: 0, STOPPED: EXIT_STOPPED}  # exit status; 1 for others
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is shown of a run at one moment: facts, and the latest values of a few series."""
+
+    title: str
+    facts: list[tuple[str, str]]
+    series: list[tuple[str, str, str]]  # name, sparkline, latest value
+
+    @classmethod
+    def at(cls, folder: Path, status: RunStatus) -> Look:
+        """Return how a run looks now. Raises InputError if its series is damaged."""
+        path, held = folder / SERIES, {}
+        if path.exists():
+            held = time_series.latest(path, list(SHOWN), WIDTH)
+        series = [(name, sparkline(values), _value(values[-1], SHOWN[name])) for name, values in held.items() if values]
+        return cls(f"{status.scene}: {status.state}{': ' * bool(status.why)}{status.why}", _facts(status), series)
+
+    @property
+    def text(self) -> str:
+        """All of it as lines."""
+        rows = [*columns(self.facts), "", *columns(self.series)] if self.series else columns(self.facts)
+        return "\n".join([self.title, "", *rows])
+
+
+def sparkline(values: Sequence[float]) -> str:
+    """Return bars between the least and the largest value, blank where one is nan."""
+    known = [value for value in values if math.isfinite(value)]
+    low, high = min(known, default=0.0), max(known, default=0.0)
+    step = (high - low) / (len(BARS) - 1) or 1.0
+    return "".join(BARS[round((value - low) / step)] if math.isfinite(value) else " " for value in values)
+
+
+def _facts(status: RunStatus) -> list[tuple[str, str]]:
+    done = f"{100 * status.step / status.of:.0f} %" if status.of else "100 %"
+    pace, left = status.seconds_per_step, ""
+    if status.state == RUNNING and status.estimated_end:
+        rest = datetime.fromisoformat(status.estimated_end) - datetime.now().astimezone()
+        left = f", {max(timedelta(seconds=round(rest.total_seconds())), timedelta(0))} left"
+    written = ", ".join(f"{kind} {step}" for kind, step in status.written.items())
+    facts = [
+        ("step", f"{status.step} of {status.of}, {done}"),
+        ("time", f"{_value(status.time, 's')}, step of {_value(status.dt, 's')}" if status.dt else _value(status.time, "s")),
+        ("pace", f"{_value(pace, 's')} per step on {status.ranks} rank{'s' * (status.ranks > 1)}{left}"),
+        ("particles", f"{status.particles}, {status.lost_particles} lost"),
+        ("mesh", f"{status.levels} levels, {status.cells} cells"),
+        ("solve", f"{status.cycles} cycles to {status.residual:.1e}" if status.residual is not None else "none"),
+        ("memory", f"{status.memory / 2**20:.0f} MiB on the largest rank"),
+        ("written", f"steps: {written}" if written else "nothing yet"),
+        ("updated", f"{status.updated}, process {status.process} on {status.host}"),
+    ]  # fmt: skip
+    return facts
+
+
+def _value(value: float | None, unit: str) -> str:
+    if value is None or not math.isfinite(value):
+        return "none"
+    return quantity(value, unit) if unit else f"{value:.0f}"
+
+
+@contextmanager
+def screen() -> Iterator[Callable[[Look], None]]:
+    """Give what shows a look in place of the one before: by rich where it is installed, else as plain text."""
+    if not sys.stdout.isatty():
+        yield lambda look: print(f"{look.text}\n", flush=True)
+        return
+    try:
+        from rich.live import Live
+    except ImportError:
+        yield lambda look: print(f"\x1b[2J\x1b[H{look.text}", flush=True)
+        return
+    with Live(auto_refresh=False) as live:
+        yield lambda look: live.update(_rich(look), refresh=True)
+
+
+def _rich(look: Look) -> Group:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    facts = Table(title=Text(look.title), title_justify="left", show_header=False, box=None)
+    for name, value in look.facts:
+        facts.add_row(Text(name, "bold"), Text(value))
+    series = Table(show_header=False, box=None)
+    for name, bars, value in look.series:
+        series.add_row(Text(name, "bold"), Text(bars, "cyan"), Text(value))
+    return Group(facts, "", series)
+
+
+# ---- the command ----
+
+
+def add(commands: Commands) -> None:
+    """Add the command to the parser."""
+    added = command(commands, "watch", _watch, "show how a run is getting on, until it ends")
+    added.add_argument("run", metavar="RUN", help="the folder of a run that has begun")
+    added.add_argument(
+        "--once", action="store_true", help="show it once; exit status 0 unless it was stopped or failed"
+    )
+    added.add_argument("--every", type=_seconds, default=1.0, metavar="SECONDS", help="between two looks; default 1")
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not 0.1 <= seconds <= 3600:
+        raise argparse.ArgumentTypeError(f"{text} s is no time between two looks; give 0.1 to 3600")
+    return seconds
+
+
+def _watch(chosen: argparse.Namespace) -> int:
+    folder = Path(chosen.run)
+    if not folder.is_dir():
+        raise InputError(f"{folder} is no folder; give that of a run, such as runs/drift")
+    with screen() as show:
+        shown = None
+        while True:
+            status = RunStatus.read(folder)
+            if status != shown:
+                show(Look.at(folder, status))
+            shown = status
+            if chosen.once or status.state != RUNNING:
+                return ENDS.get(status.state, 1)
+            time.sleep(chosen.every)

@@ -1,0 +1,227 @@
+"""Two runs beside each other: where their scenes differ, by how much what they found does, and their speed."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ..io import particle_reader, time_series
+from ..mesh.domain import AXES
+from ..mesh.field import Field, VectorField
+from ..particles.particles import Particles
+from ..scene.differences import differences
+from ..units import SPEED_OF_LIGHT
+from .dumped_fields import DumpedFields
+from .run_results import PARTICLES, SERIES, Results
+
+Table = NDArray[Any]
+
+HOW = (
+    "seconds",
+    "memory",
+    "imbalance",
+    "boxes",
+    "cycles",
+    "residual",
+)  # columns on how a run went, not on what it found
+FINAL = (
+    "particles",
+    "charge",
+    "mean_energy",
+    "rms_energy",
+    *(f"{of}_{axis}" for of in ("rms", "emittance") for axis in AXES),
+)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """By how much one thing differs between two runs."""
+
+    what: str
+    relative: float  # to the scale of what is compared; inf where one of the runs does not have it
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between two runs. Parts that one of them did not write are not in `parts`."""
+
+    scenes: list[tuple[str, Any, Any]]  # key, value of the first run, of the second
+    parts: Mapping[str, list[Difference]]  # of what they found: series, beam, fields, particles
+    speed: list[tuple[str, float, float]]  # what, in s or bytes, of both
+
+    def beyond(self, tolerance: float) -> dict[str, list[Difference]]:
+        """Return the differences above a tolerance, the largest first, by part."""
+        return {
+            part: sorted((one for one in found if not one.relative <= tolerance), key=lambda one: -one.relative)
+            for part, found in self.parts.items()
+        }
+
+    def equal(self, tolerance: float) -> bool:
+        """Whether the runs found the same within a tolerance; their scenes and speed do not count."""
+        return not any(self.beyond(tolerance).values())
+
+
+def compare(first: Path, second: Path) -> Comparison:
+    """Compare the runs in two folders. Serial.
+
+    Raises InputError if one of them holds no series.
+    """
+    runs = [Results.open(MPI.COMM_SELF, folder) for folder in (first, second)]
+    tables = [time_series.read(run.folder / SERIES) for run in runs]
+    scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
+    parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
+    for name, part in (("beam", _beam), ("fields", _fields), ("particles", _particles)):
+        with contextlib.suppress(_Missing):
+            parts[name] = list(part(*runs))
+    return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)))
+
+
+class _Missing(Exception):
+    """One of the runs did not write what would be compared."""
+
+
+def _relative(one: Table, other: Table, scale: float | None = None) -> tuple[float, int]:
+    """Return the largest difference over the largest magnitude, or a larger scale, and its place; nan equals nan."""
+    if len(one) == 0:
+        return 0.0, 0
+    with np.errstate(invalid="ignore"):
+        apart = np.where((one == other) | (np.isnan(one) & np.isnan(other)), 0.0, np.abs(one - other))
+    apart = np.where(np.isnan(apart), np.inf, apart)
+    place = int(np.argmax(apart))
+    finite = np.abs(np.concatenate([one, other]))
+    largest = max(float(finite[np.isfinite(finite)].max(initial=0.0)), scale or 0.0)
+    return (float(apart[place]) / largest if largest > 0 else float(apart[place])), place
+
+
+def _series(one: Table, other: Table) -> Iterator[Difference]:
+    """Compare the columns that both have, at the steps that both have; a step of one alone is a difference."""
+    steps, here, there = np.intersect1d(one["step"], other["step"], return_indices=True)
+    alone = len(one) + len(other) - 2 * len(steps)
+    yield Difference("steps", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
+    one, other = one[here], other[there]
+    names = [name for name in one.dtype.names or () if name in (other.dtype.names or ()) and not name.startswith(HOW)]
+    for name in names[1:]:
+        relative, place = _relative(one[name].astype(float), other[name].astype(float), _scale(name, one))
+        yield Difference(name, relative, f"at step {steps[place]}" if relative > 0 else "")
+
+
+def _scale(name: str, table: Table) -> float:
+    """Return what means and total momenta, which may vanish, are compared with: sizes, and 2 E/c, below the sum of all |p|."""
+    of, _, axis = name.rpartition("_")
+    if of == "mean" and axis in AXES:
+        found = np.array([table[f"rms_{one}"] for one in AXES])
+    elif of == "momentum":
+        found = np.array(
+            [*(np.abs(table[f"momentum_{one}"]) for one in AXES), 2 * table["kinetic_energy"] / SPEED_OF_LIGHT]
+        )
+    else:
+        return 0.0
+    return float(found[np.isfinite(found)].max(initial=0.0))
+
+
+def _beam(one: Results, other: Results) -> Iterator[Difference]:
+    """Compare final moments of the groups of particles."""
+    tables = []
+    for run in (one, other):
+        path = run.folder / "beam.csv"
+        if not path.exists():
+            raise _Missing
+        tables.append(time_series.read(path))
+    steps = np.intersect1d(tables[0]["step"], tables[1]["step"])
+    if len(steps) == 0:
+        raise _Missing
+    rows = [{str(row["group"]): row for row in table[table["step"] == steps[-1]]} for table in tables]
+    for group in dict.fromkeys([*rows[0], *rows[1]]):
+        if not all(group in held for held in rows):
+            yield Difference(group, math.inf, "in one run alone")
+            continue
+        for name in FINAL:
+            a, b = (np.array([float(held[group][name])]) for held in rows)
+            yield Difference(f"{name} of {group}", _relative(a, b)[0], f"at step {steps[-1]}")
+
+
+def _latest_common(steps: Sequence[Iterable[int]]) -> int:
+    common = set(steps[0]) & set(steps[1])
+    if not common:
+        raise _Missing
+    return max(common)
+
+
+def _fields(one: Results, other: Results) -> Iterator[Difference]:
+    """Compare the fields of the latest step that both have: norms of differences, or of both where the meshes differ."""
+    step = _latest_common([one.fields, other.fields])
+    mine, theirs = one.fields[step], other.fields[step]
+    moved = theirs.on(mine.hierarchy)
+    same = all(
+        np.isfinite(part.array(level)).all() for level in range(mine.hierarchy.levels) for part in moved["rho"].parts
+    )
+    same = same and _cells(mine) == _cells(theirs)
+    if not same:
+        yield Difference("mesh", math.inf, f"refined cells differ at step {step}; norms are compared")
+    for name in (name for name in mine if name in theirs):
+        a, b = _scalar(mine[name]), _scalar(theirs[name])
+        apart = _apart(mine[name], moved[name]) if same else None
+        for kind in ("l2", "max"):
+            norms = a.norm(kind), b.norm(kind)
+            difference = apart.norm(kind) if apart is not None else abs(norms[0] - norms[1])
+            scale = max(norms)
+            yield Difference(
+                f"{name} in the {kind} norm", difference / scale if scale > 0 else difference, f"at step {step}"
+            )
+
+
+def _cells(fields: DumpedFields) -> list[int]:
+    return [fields.hierarchy.cells(level) for level in range(fields.hierarchy.levels)]
+
+
+def _apart(one: Field | VectorField, other: Field | VectorField) -> Field:
+    parts = [a - b for a, b in zip(one.parts, other.parts, strict=True)]
+    return parts[0] if len(parts) == 1 else VectorField(*parts).magnitude()
+
+
+def _scalar(field: Field | VectorField) -> Field:
+    return field if isinstance(field, Field) else field.magnitude()
+
+
+def _particles(one: Results, other: Results) -> Iterator[Difference]:
+    """Compare the particles of the latest step that both have, by their numbers."""
+    dumps = [run._dumps(*PARTICLES) for run in (one, other)]
+    step = _latest_common(dumps)
+    mine, theirs = (particle_reader.read(held[step]).particles for held in dumps)
+    _, here, there = np.intersect1d(mine.id, theirs.id, return_indices=True)
+    alone = len(mine) + len(theirs) - 2 * len(here)
+    yield Difference(
+        "particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else f"at step {step}"
+    )
+    mine, theirs = mine.select(here), theirs.select(there)
+    for what in ("position", "momentum"):
+        apart = getattr(mine, what) - getattr(theirs, what)
+        spread = _spread(mine, what)
+        worst = float(np.abs(apart).max(initial=0.0))
+        yield Difference(f"{what} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
+
+
+def _spread(particles: Particles, what: str) -> float:
+    values = getattr(particles, what)
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0
+
+
+def _speed(one: Table, other: Table) -> Iterator[tuple[str, float, float]]:
+    """Yield time of a step after the first, that of the stages, and memory."""
+
+    def mean(table: Table, name: str) -> float:
+        return float(table[name][1:].mean() if len(table) > 1 else table[name].mean())
+
+    for name in one.dtype.names or ():
+        if name.startswith("seconds") and name in (other.dtype.names or ()):
+            yield name, mean(one, name), mean(other, name)
+    yield "memory", float(one["memory"].max()), float(other["memory"].max())

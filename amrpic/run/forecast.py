@@ -1,0 +1,184 @@
+"""How long a run will take, from a trial of it: of the run itself for some seconds, or of coarser ones that it follows from."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ..errors import AmrpicError, OutputError
+from ..parallel import own, together
+from ..scene.bunches import LatticeBunch, Train
+from ..scene.output import Output
+from ..scene.scene import Scene
+from .output import Recorder
+from .simulation import Simulation
+
+FOLDER = ".trial"
+COARSER = tuple(2**power for power in range(10, -1, -1))  # how many times as wide base cells of trials are
+FEWEST_CELLS = 8  # of a trial along an axis, if the scene has as many
+SHARE = 0.05  # of the time, for a trial of a coarser one
+MARGIN = 1.3  # what comes next may take so much longer than expected
+DUMPS = {"checkpoint": "checkpoint_every", "fields": "fields_every", "particles": "particles_every"}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What parts of a run take, s."""
+
+    start: float  # particles, mesh and first solve
+    step: float  # without regrid, 0 for a run of one solve
+    regrid: float  # what a step with regrid takes besides
+    dump: float  # a checkpoint
+
+    @property
+    def total(self) -> float:
+        return self.start + self.step + self.regrid + self.dump
+
+    def per_step(self, scene: Scene) -> float:
+        """Return the mean time of a step of a scene, with its regrids and dumps."""
+        every = scene.refinement.regrid_every if scene.refinement.follows else 0
+        dumps = [getattr(scene.output, key) for kind, key in DUMPS.items() if kind in scene.output.write]
+        return self.step + (self.regrid / every if every else 0.0) + sum(self.dump / steps for steps in dumps if steps)
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """How long a run will take on the ranks that made the forecast, s."""
+
+    start: float  # until the first solve is done
+    step: float  # the mean of all steps after it
+    source: str  # what it follows from
+
+
+def forecast(comm: MPI.Comm, scene: Scene, cells: int, seconds: float = 5.0) -> Forecast | None:
+    """Return how long a run will take, from trials of about so many seconds; None if there is no time for any.
+
+    The scene itself is tried if that is short enough, after coarser ones with fewer particles that tell; else it follows from
+    the last two of these, linearly in the number of cells. `cells` are those of all levels. The mesh is that of the start:
+    what it grows by is not foreseen. Collective; raises what the run may raise, and OutputError.
+    """
+    comm, end = own(comm), time.perf_counter() + seconds
+    tried: list[tuple[float, Trial]] = []  # with the cells of each
+    for factor in COARSER if seconds > 0 else ():
+        given = _coarser(scene, factor)
+        if factor > 1 and given.domain.cells == _coarser(scene, factor // 2).domain.cells:
+            continue
+        if tried and not _in_time(comm, _expected(tried, _between(tried[-1][0], cells, factor)), end):
+            break
+        try:
+            trial, held, steps = _tried(comm, given, end if factor == 1 else time.perf_counter() + seconds * SHARE)
+        except AmrpicError:
+            if factor == 1:
+                raise
+            continue  # boxes by their cells, for instance, do not fit a coarser mesh
+        if factor == 1:
+            return Forecast(trial.start, trial.per_step(scene), f"{steps} steps of it" if steps else "its first solve")
+        tried.append((held, trial))
+    if not tried:
+        return None
+    found, share = _extrapolated(tried[-2:], cells), f"{tried[-1][0] / cells:.2g} of its cells"
+    source = f"runs on up to {share}" if len(tried) > 1 else f"one run on {share}, in proportion: rather too long"
+    return Forecast(found.start, found.per_step(scene), source)
+
+
+def _expected(tried: list[tuple[float, Trial]], cells: float) -> float:
+    """Return about how long a trial of so many cells takes: after one alone, much of whose time is for no cell, by the root."""
+    if len(tried) > 1:
+        return _extrapolated(tried[-2:], cells).total
+    held, trial = tried[0]
+    return trial.total * math.sqrt(cells / held)
+
+
+def _between(tried: float, cells: float, factor: int) -> float:
+    """Return about how many cells a trial has, given those of one on twice as wide base cells, and of the scene."""
+    return float(tried * (cells / tried) ** (1 / math.log2(2 * factor)))
+
+
+def _base(scene: Scene) -> int:
+    return math.prod(scene.domain.cells)
+
+
+def _in_time(comm: MPI.Comm, expected: float, end: float) -> bool:
+    """Return whether what is expected to take so long, s, is done before the end. Collective."""
+    return comm.bcast(time.perf_counter() + MARGIN * expected < end)
+
+
+def _coarser(scene: Scene, factor: int) -> Scene:
+    """Return a scene on so many times as wide base cells, with fewer particles in proportion."""
+    cells = tuple(max(number // factor, min(number, FEWEST_CELLS)) for number in scene.domain.cells)
+    share = math.prod(cells) / _base(scene)
+    bunches = []
+    for bunch in scene.bunches:
+        if isinstance(bunch, Train):
+            bunch = bunch.model_copy(update={"particles": math.ceil(bunch.particles * share)})
+        elif isinstance(bunch, LatticeBunch):
+            bunch = bunch.model_copy(update={"per_axis": tuple(max(n // factor, 1) for n in bunch.per_axis)})
+        bunches.append(bunch)
+    return scene.model_copy(update={"domain": scene.domain.model_copy(update={"cells": cells}), "bunches": bunches})
+
+
+def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
+    """Return what a run takes that goes on until `end`, its cells and its steps: at least one, and one that regrids."""
+    with _folder(comm, scene.directory / FOLDER) as folder:
+        output = Output(directory=str(folder), write=[kind for kind in scene.output.write if kind == "series"])
+        began = time.perf_counter()
+        simulation = Simulation(comm, scene.model_copy(update={"output": output}))
+        start = time.perf_counter() - began
+        plan, plain = simulation._plan, [0.0]  # 0 for a run of one solve
+        regrids: list[float] = []
+        with Recorder(comm, simulation.state, plan, False, log="silent") as record:
+            record.state(simulation.state, [])
+            while simulation.step < scene.schedule.last_step:
+                behind = plan.scene.refinement.regrid_every
+                if simulation.step > 0 and not _in_time(comm, plain[-1], end):
+                    if regrids or not scene.refinement.follows or behind == 0:
+                        break
+                    # none came up to now: the next step makes one
+                    refinement = plan.scene.refinement.model_copy(update={"regrid_every": 1})
+                    plan.scene = plan.scene.model_copy(update={"refinement": refinement})
+                begun = time.perf_counter()
+                simulation.advance()
+                record.state(simulation.state, [])
+                (regrids if plan.regrids_at(simulation.step) else plain).append(time.perf_counter() - begun)
+        begun = time.perf_counter()
+        simulation.checkpoint(folder / "checkpoint")
+        dump = time.perf_counter() - begun
+        cells = sum(simulation.hierarchy.cells(level) for level in range(simulation.hierarchy.levels))
+    step = _mean(plain[1:] or regrids or plain)
+    return Trial(start, step, max(_mean(regrids) - step, 0.0) if regrids else 0.0, dump), cells, simulation.step
+
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values)
+
+
+@contextmanager
+def _folder(comm: MPI.Comm, folder: Path) -> Iterator[Path]:
+    """Make an empty folder for a while. Collective; OutputError on all ranks."""
+    with together(comm, OutputError):
+        if comm.rank == 0:
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        if comm.rank == 0:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _extrapolated(tried: list[tuple[float, Trial]], cells: float) -> Trial:
+    """Return what a run of so many cells takes, linearly in their number; in proportion to it if one smaller run is known."""
+    (held, last), (before, first) = tried[-1], tried[0]
+    values = {}
+    for part in fields(Trial):
+        one, other = getattr(first, part.name), getattr(last, part.name)
+        slope = (other - one) / (held - before) if held > before else other / held
+        values[part.name] = other + max(slope, 0.0) * (cells - held)
+    return Trial(**values)

@@ -1,0 +1,143 @@
+"""amrpic compare finds what differs between two runs, and by how much."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import amrpic
+from amrpic.commands.main import main
+from amrpic.results.compare import Comparison, compare
+
+
+def scene(folder: Path, levels: int = 1, **more) -> amrpic.Scene:
+    return amrpic.Scene(
+        domain=amrpic.Domain(-0.1, 0.1, 16, boundary="dirichlet"),
+        bunches=[amrpic.GaussianBunch(species="electron", sigma=0.01, charge="-10 pC", particles=900)],
+        refinement={"levels": levels, "blocking_factor": 4},
+        solver={"tolerance": 1e-11},
+        motion=amrpic.Leapfrog(dt="50 ps"),
+        schedule={"steps": 3},
+        output={"directory": str(folder), "write": ["fields", "series", "checkpoint"]},
+        **more,
+    )
+
+
+def ran(folder: Path, comm: MPI.Comm = MPI.COMM_SELF, kick: float = 0.0, **more) -> amrpic.Simulation:
+    simulation = amrpic.Simulation(comm, scene(folder, **more))
+    if kick:
+        change = np.zeros((len(simulation.particles), 3))
+        change[0, 1] = kick
+        simulation.kick(change)
+    simulation.run(log="silent")
+    return simulation
+
+
+def largest(found: Comparison, part: str) -> dict[str, float]:
+    return {one.what: one.relative for one in found.parts[part]}
+
+
+def status_of(capsys, *arguments: str) -> tuple[object, str]:
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", *arguments])
+    return ended.value.code, capsys.readouterr().out
+
+
+def test_the_same_run_twice_is_the_same_bit_by_bit(comm, tmp_path, capsys):
+    for name in "ab":
+        ran(tmp_path / name)
+    code, text = status_of(capsys, str(tmp_path / "a"), str(tmp_path / "b"), "--tolerance", "0")
+    assert code == 0 and text.splitlines()[-1] == "results are the same within a relative tolerance of 0"
+    assert [line.split()[0] for line in text.splitlines()[:2]] == ["scene", "output.directory"]
+    found = compare(tmp_path / "a", tmp_path / "b")
+    assert set(found.parts) == {"series", "beam", "fields", "particles"}
+    assert all(one.relative == 0 for part in found.parts.values() for one in part)
+    assert [key for key, _, _ in found.scenes] == ["output.directory"]
+
+
+@pytest.mark.mpi(ranks=(2,), timeout=120)
+def test_other_ranks_find_the_same_to_rounding(comm, tmp_path):
+    ran(tmp_path / "two", comm)
+    if comm.rank == 0:
+        ran(tmp_path / "one")
+        found = compare(tmp_path / "one", tmp_path / "two")
+        assert found.equal(1e-8) and not found.equal(0)
+        speed = {what: (one, two) for what, one, two in found.speed}
+        assert speed["memory"][1] == amrpic.open(MPI.COMM_SELF, tmp_path / "two").series.memory.max()
+
+
+def test_a_kick_shows_as_large_as_it_is(comm, tmp_path, capsys):
+    one, kick = ran(tmp_path / "a"), 1e-26
+    other = ran(tmp_path / "b", kick=kick)
+    found = compare(tmp_path / "a", tmp_path / "b")
+    apart = {
+        what: np.abs(getattr(one.particles, what) - getattr(other.particles, what)).max()
+        / np.sqrt(np.mean(getattr(one.particles, what) ** 2))
+        for what in ("position", "momentum")
+    }
+    given = largest(found, "particles")
+    for what, expected in apart.items():
+        assert given[f"{what} over its rms"] == pytest.approx(expected, rel=1e-6) and expected > 1e-4
+    difference = amrpic.open(tmp_path / "a").fields[3]
+    theirs = amrpic.open(tmp_path / "b").fields[3].on(difference.hierarchy)
+    for kind in ("l2", "max"):
+        norm = (difference.phi - theirs.phi).norm(kind) / max(difference.phi.norm(kind), theirs.phi.norm(kind))
+        assert largest(found, "fields")[f"phi in the {kind} norm"] == pytest.approx(norm, rel=1e-9) and norm > 0
+    code, text = status_of(capsys, str(tmp_path / "a"), str(tmp_path / "b"))
+    assert code == 1 and "particles, different" in text and "results are different" in text
+
+
+def test_a_changed_number_a_missing_step_and_a_missing_column_are_found(comm, tmp_path):
+    ran(tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    path = tmp_path / "b" / "series.csv"
+    head, *rows = path.read_text().splitlines()
+    column = head.split(",").index("rms_x")
+    cells = rows[2].split(",")
+    cells[column] = repr(float(cells[column]) * (1 + 1e-4))
+    path.write_text("\n".join([head, rows[0], rows[1], ",".join(cells), rows[3], ""]))
+    found = compare(tmp_path / "a", tmp_path / "b")
+    [only] = [one for one in found.parts["series"] if one.relative > 0]
+    assert only.what == "rms_x" and only.where == "at step 2" and only.relative == pytest.approx(1e-4, rel=0.1)
+    assert found.equal(1e-3) and not found.equal(1e-5)
+    path.write_text("\n".join([head, *rows[:3], ""]))
+    missing = compare(tmp_path / "a", tmp_path / "b")
+    assert missing.parts["series"][0].where == "1 of one run alone" and not missing.equal(0.9)
+
+
+def test_other_meshes_are_named_and_their_norms_compared(comm, tmp_path):
+    ran(tmp_path / "a")
+    ran(tmp_path / "b", levels=0)
+    found = largest(compare(tmp_path / "a", tmp_path / "b"), "fields")
+    assert found["mesh"] == math.inf
+    norms = [amrpic.open(tmp_path / name).fields[3].phi.norm("max") for name in "ab"]
+    assert found["phi in the max norm"] == pytest.approx(abs(norms[0] - norms[1]) / max(norms), rel=1e-12)
+    again = largest(compare(tmp_path / "b", tmp_path / "a"), "fields")
+    assert again["phi in the max norm"] == pytest.approx(found["phi in the max norm"], rel=1e-12)
+
+
+def test_what_one_of_them_did_not_write_is_left_out(comm, tmp_path):
+    ran(tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b", ignore=shutil.ignore_patterns("fields*", "checkpoint*", "beam*"))
+    assert set(compare(tmp_path / "a", tmp_path / "b").parts) == {"series"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere", "."], "nowhere does not exist; give the folder of a run"),
+        ([".", "."], "series.csv cannot be read: No such file or directory"),
+        ([".", ".", "--tolerance", "2"], "2 is no relative tolerance; give 0 or more, and less than 1"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_sentence(comm, tmp_path, monkeypatch, capfd, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", *arguments])
+    error = capfd.readouterr().err
+    assert ended.value.code == 2 and message in error and error.count("\n") == 1

@@ -202,6 +202,7 @@ class Recorder:
             writers_of(self._scene),
             state.window,
         )
+        vtkhdf_writer.list_time(self._comm, path.parent, state.step, state.time)
 
     def _write_particles(self, state: State) -> None:
         if "particles" not in self._wanted or self._written.get("particles") == state.step:

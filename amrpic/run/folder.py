@@ -19,7 +19,7 @@ from ..scene.scene import Scene
 LOCK = ".lock"
 STOP = "STOP"  # a file of this name ends the run after a checkpoint
 WRITTEN = re.compile(  # what a run writes
-    r"(checkpoint|fields|particles)_\d{8,}.*|fields\.vtkhdf\.series|(series|residuals|beam|slices|losses|own_.+)\.csv|(losses|screen_.+)\.h5|STOP"
+    r"(checkpoint|fields|particles)_\d{8,}.*|fields\.vtkhdf\.series|(series|residuals|beam|slices|losses|own_.+)\.csv|(losses|screen_.+)\.h5|openpmd|STOP"
 )
 
 

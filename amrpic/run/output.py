@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from .. import isa
 from ..errors import SolverError
-from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
+from ..io import checkpoint_writer, openpmd_meshes, openpmd_writer, vtkhdf_writer
 from ..io.field_reader import LiveDump
 from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
@@ -126,6 +126,7 @@ class Recorder:
                 state = kicked(state, self._plan)
             if particles_due:
                 self._write_particles(state)
+            self._write_openpmd(state)
             if checkpoint_due:
                 self._write_records(state)
                 self._write_checkpoint(state)
@@ -138,6 +139,7 @@ class Recorder:
         if "fields" in self._wanted:
             self._write_fields(state)
         self._write_particles(state)
+        self._write_openpmd(state)
         self._write_records(state)
         self._write_checkpoint(state)
         if "pictures" in self._wanted:
@@ -218,6 +220,23 @@ class Recorder:
             self._about,
             state.window,
             writers=writers_of(self._scene),
+        )
+
+    def _write_openpmd(self, state: State) -> None:
+        """Write the view of a step's fields and particles for readers of openPMD, if the fields were written."""
+        step, hierarchy, directory = state.step, state.hierarchy, self._scene.directory
+        boxes = sum(len(hierarchy.boxes(level)) for level in range(hierarchy.levels))
+        if self._written.get("fields") != step or boxes > openpmd_meshes.LARGEST:
+            return
+        openpmd_meshes.write(
+            openpmd_meshes.path_of(directory, step),
+            hierarchy,
+            _shown(state),
+            vtkhdf_writer.path_of(directory, step),
+            openpmd_writer.path_of(directory, step) if self._written.get("particles") == step else None,
+            step,
+            state.time,
+            self._about,
         )
 
     def _write_records(self, state: State) -> None:

@@ -7,38 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer, writer_ranks
 from amrpic.io.field_reader import Dump
-from amrpic.io.provenance import Provenance
 from amrpic.io.shared_file import part_of
 from amrpic.io.writer_ranks import Writers
 from full_disk import file_size_limit
-
-DOMAIN = Domain(lower=(-0.15, -0.3, 0.1), upper=(0.09, 0.18, 0.74), cells=(24, 16, 32), boundary="dirichlet")
-LEVELS = [[((8, 8, 8), (39, 23, 31)), ((8, 8, 40), (15, 15, 55))], [((24, 24, 24), (39, 31, 47))]]
-ABOUT = Provenance({"name": "test", "unit": "µm"}, "0.1.0", 42)
-
-
-def phi_at(x, y, z):
-    return 3 * x - 2 * y + 0.5 * z + 1
-
-
-def dumped(comm):
-    """A hierarchy of three levels with φ linear in space and E = 10⁶ (x, y, z)."""
-    hierarchy = Hierarchy(comm, DOMAIN, LEVELS, max_grid_size=16, blocking_factor=8)
-    phi = Field(hierarchy, unit="V").fill(phi_at)
-    x = Field(hierarchy, unit="V/m").fill(lambda x, y, z: 1e6 * x)
-    y = Field(hierarchy, unit="V/m").fill(lambda x, y, z: 1e6 * y)
-    z = Field(hierarchy, unit="V/m").fill(lambda x, y, z: 1e6 * z)
-    return hierarchy, {"phi": phi, "E": VectorField(x, y, z)}
-
-
-def write(comm, path, writers=1):
-    hierarchy, values = dumped(comm)
-    vtkhdf_writer.write(path, hierarchy, values, 7, 1.25e-9, ABOUT, Writers(writers))
-    return hierarchy
+from linear_dump import ABOUT, DOMAIN, dumped, phi_at, write
 
 
 def vtk_read(path):

@@ -40,9 +40,9 @@ def count(text: str) -> int:
     return number
 
 
-def scene_arguments(command: argparse.ArgumentParser) -> None:
-    """Add the scene file and its overrides."""
-    command.add_argument("scene", metavar="SCENE", help="a scene file in TOML")
+def scene_arguments(command: argparse.ArgumentParser, what: str = "a scene file in TOML") -> None:
+    """Add the scene file, or `what` may be in its place, and its overrides."""
+    command.add_argument("scene", metavar="SCENE", help=what)
     command.add_argument(
         "--set",
         action="append",

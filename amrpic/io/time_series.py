@@ -1,12 +1,15 @@
 """The time series: one line of text per step, appended at once, that survives a kill at any moment.
 
 Text, because everything opens it; a line is complete when it ends, so that the torn end of a killed run is recognised.
-Numbers are written so that they read back bit for bit.
+Numbers are written so that they read back bit for bit. The second line is a checksum of the others, which is overwritten after
+each row: after a kill it is that of all but the last rows.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,6 +28,8 @@ from .provenance import Provenance
 from .writer_ranks import Attempts, one_line
 
 FORMAT = "amrpic series"
+CHECKSUM = b"# sha256: "
+TYPES = {"U64", "i8", "f8"}
 
 
 class Series:
@@ -55,10 +60,12 @@ class Series:
         kept = b""
         if keep_to_step is not None and self._path.exists():
             kept = _rows_to(self._path, self.columns, keep_to_step)
+        text = _head(self.columns, about).encode() + kept
+        self._sum, self._bytes, self._sum_at = hashlib.sha256(text), len(text), text.index(b"\n") + 1
         work = temporary(self._path)
-        work.write_bytes(_head(self.columns, about).encode() + kept)
+        work.write_bytes(_with_checksum(text))
         publish(self._path)
-        self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
+        self._descriptor = os.open(self._path, os.O_RDWR)
 
     def append(self, *rows: Mapping[str, float | str]) -> None:
         """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
@@ -75,9 +82,13 @@ class Series:
         """Why rows could not be added, on rank 0."""
         return self._adding.message
 
-    def _write(self, line: str) -> None:
-        if os.write(self._descriptor, line.encode()) < len(line):
+    def _write(self, lines: str) -> None:
+        text, end = lines.encode(), os.lseek(self._descriptor, 0, os.SEEK_END)
+        if os.pwrite(self._descriptor, text, end) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._sum.update(text)
+        self._bytes += len(text)
+        os.pwrite(self._descriptor, _checksum_line(self._sum.hexdigest(), self._bytes), self._sum_at)
 
     def _attempts(self) -> Attempts:
         return Attempts(f"cannot write series {self._path}", "free some space or choose another output folder")
@@ -112,9 +123,8 @@ def write(
     path = Path(path)
     attempts = Attempts(f"cannot write table {path}", "free some space or choose another output folder")
     if comm.rank == 0:
-        attempts.attempt(
-            temporary(path).write_text, _head(columns, about) + "".join(_line(row, columns) for row in rows)
-        )
+        text = _head(columns, about) + "".join(_line(row, columns) for row in rows)
+        attempts.attempt(temporary(path).write_bytes, _with_checksum(text.encode()))
         attempts.attempt(publish, path)
     attempts.settle(comm)
 
@@ -122,6 +132,34 @@ def write(
 def read(path: Path) -> NDArray[Any]:
     """Return the complete rows of a series as a structured array, a field per column. Raises InputError."""
     return _parsed(Path(path))[1]
+
+
+def require_whole(path: Path) -> None:
+    """Raise InputError if a series is cut short, torn, or has changed since it was written."""
+    _parsed(path)
+    *lines, torn = path.read_bytes().split(b"\n")
+    noted, rest, length = lines[1] + b"\n", b"\n".join([lines[0], *lines[2:], torn]), 0
+    with contextlib.suppress(ValueError, IndexError):
+        length = int(noted.split()[-2])
+    # Rows that a killed run added after the checksum are as good as others if they are whole.
+    reason = "its last line is incomplete" if torn else None
+    if length > len(rest):
+        reason = f"it has {len(rest)} of {length} bytes"
+    elif noted != _checksum_line(hashlib.sha256(rest[:length]).hexdigest(), length):
+        reason = "its checksum is missing or wrong: bytes of it have changed"
+    if reason is not None:
+        raise InputError(f"series {path} is damaged: {reason}; a restart keeps the rows up to its checkpoint")
+
+
+def _with_checksum(text: bytes) -> bytes:
+    """Return the text of a series with the checksum as its second line."""
+    first, end, rest = text.partition(b"\n")
+    return first + end + _checksum_line(hashlib.sha256(text).hexdigest(), len(text)) + rest
+
+
+def _checksum_line(digest: str, length: int) -> bytes:
+    """Return the line of the checksum of so many bytes, which has the same length for any."""
+    return CHECKSUM + f"{digest} of the other lines, {length:15} bytes\n".encode()
 
 
 def scene_of(path: Path) -> dict[str, Any]:
@@ -176,6 +214,8 @@ def _parsed(path: Path) -> tuple[list[bytes], NDArray[Any]]:
             raise ValueError("it is not a series")
         comments = [line.decode()[2:] for line in lines if line.startswith(b"#")]
         types = next(line for line in comments if line.startswith("types: ")).removeprefix("types: ").split(",")
+        if not set(types) <= TYPES:
+            raise ValueError(f"its types are {','.join(types)}")
         names, *rows = [line for line in lines if not line.startswith(b"#")]
         dtype = np.dtype(list(zip(names.decode().split(","), types, strict=True)))
         values = (

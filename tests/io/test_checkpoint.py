@@ -238,6 +238,7 @@ def test_a_flipped_bit_anywhere_is_found_or_of_no_consequence(comm, tmp_path):
     checkpoint_writer.write(comm, path, state, Writers(2))
     part = path / "part_0001.h5"
     content = part.read_bytes()
+    comm.barrier()  # before rank 0 writes it
     found = 0
     for place in range(0, len(content), max(1, len(content) // 50)):
         if comm.rank == 0:

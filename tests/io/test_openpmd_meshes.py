@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import whole_run
 from amrpic.errors import InputError
 from amrpic.io import openpmd_files, openpmd_meshes, openpmd_writer, vtkhdf_writer
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
-from amrpic.run.simulation import Simulation
-from amrpic.scene.scene import Scene
 from linear_dump import ABOUT, DOMAIN, STEP, TIME, dumped, phi_at, write
 
 COUNT = 60
@@ -115,31 +114,9 @@ def test_the_view_holds_no_values(comm, tmp_path):
         pass
 
 
-SCENE = {
-    "domain": {"lower": -0.01, "upper": 0.01, "cells": 16, "boundary": "dirichlet"},
-    "bunches": [
-        {
-            "distribution": "gaussian",
-            "species": "electron",
-            "charge": "-1 pC",
-            "sigma": "2 mm",
-            "particles": 400,
-            "momentum": [0, 0, "30 keV/c"],
-        }
-    ],
-    "refinement": {"levels": 1, "max_grid_size": 8, "rule": {"kind": "charge-density", "relative": 0.1}},
-    "motion": {"kind": "leapfrog", "dt": "20 ps"},
-    "schedule": {"steps": 4},
-    "screens": [{"name": "end", "z": "1 um"}],
-    "apertures": [{"name": "pipe", "kind": "round", "radius": "2 mm"}],
-}
-
-
 @pytest.mark.mpi(ranks=(1, 2))
 def test_the_validator_accepts_all_that_a_run_writes(comm, tmp_path):
-    output = {"write": ["fields", "particles", "losses"], "fields_every": 2, "particles_every": 4}
-    Simulation(comm, Scene.from_dict({**SCENE, "output": {**output, "directory": str(tmp_path)}})).run(log="silent")
-    comm.Barrier()
+    whole_run.run(comm, tmp_path, write=["fields", "particles", "losses"])
     found = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.h5"))
     views = [f"openpmd/openpmd_{step:08d}.h5" for step in (0, 2, 4)]
     assert found == ["losses.h5", *views, "particles_00000000.h5", "particles_00000004.h5", "screen_end.h5"]

@@ -23,7 +23,7 @@ def phi_at(x: Any, y: Any, z: Any) -> Any:
     return 3 * x - 2 * y + 0.5 * z + 1
 
 
-def dumped(comm: MPI.Comm) -> tuple[Hierarchy, dict[str, Field | VectorField]]:
+def dumped(comm: MPI.Comm) -> tuple[Hierarchy, dict[str, Any]]:
     """A hierarchy of three levels with φ linear in space and E = 10⁶ (x, y, z). Collective."""
     hierarchy = Hierarchy(comm, DOMAIN, LEVELS, max_grid_size=16, blocking_factor=8)
     phi = Field(hierarchy, unit="V").fill(phi_at)

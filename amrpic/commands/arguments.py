@@ -65,4 +65,6 @@ def scene_of(chosen: argparse.Namespace, text: str | None = None) -> Scene:
     scene = Scene.from_toml(chosen.scene, chosen.set, text)
     if getattr(chosen, "output", None) is None:
         return scene
+    if not chosen.output:
+        raise InputError("--output is empty; name a folder, or leave it out for runs/<name of the scene>")
     return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -29,29 +31,36 @@ def add(commands: Commands) -> None:
 def _check(chosen: argparse.Namespace) -> int:
     """Return the exit status of a check, which rank 0 does alone. Collective."""
     path = Path(chosen.scene)
-    return from_rank_0(
-        MPI.COMM_WORLD, lambda: _check_output(path) if integrity.is_output(path) else _check_scene(chosen), InputError
+    found = from_rank_0(
+        MPI.COMM_WORLD, lambda: _of_output(path) if integrity.is_output(path) else _of_scene(chosen), InputError
     )
+    if MPI.COMM_WORLD.rank == 0:
+        for stream, lines in ((sys.stdout, found.lines), (sys.stderr, found.notes)):
+            print(*lines, sep="\n", end="\n" if lines else "", file=stream)
+    return found.status
 
 
-def _check_output(path: Path) -> int:
+class Found(NamedTuple):
+    """What a check found: the exit status, and lines for standard output and standard error."""
+
+    status: int
+    lines: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+def _of_output(path: Path) -> Found:
     try:
         number = integrity.require_whole(path)
     except InputError as damaged:
-        print(damaged, file=sys.stderr)
-        return BAD_INPUT
-    print(f"{path} is whole" + (f": {number} files and checkpoints" if number > 1 else ""))
-    return 0
+        return Found(BAD_INPUT, notes=[str(damaged)])
+    return Found(0, [f"{path} is whole" + (f": {number} files and checkpoints" if number > 1 else "")])
 
 
-def _check_scene(chosen: argparse.Namespace) -> int:
+def _of_scene(chosen: argparse.Namespace) -> Found:
     try:
         scene = scene_of(chosen)
     except RefusedScene as refused:
-        print("\n".join(refused.problems), file=sys.stderr)
-        return BAD_INPUT
+        return Found(BAD_INPUT, notes=refused.problems)
     check_scene(scene, chosen.ranks)
-    print(scene.to_toml() if chosen.resolved else scene.summary())
-    for remark in scene.remarks():
-        print(f"note: {remark}", file=sys.stderr)
-    return 0
+    text = scene.to_toml() if chosen.resolved else scene.summary()
+    return Found(0, [text], [f"note: {remark}" for remark in scene.remarks()])

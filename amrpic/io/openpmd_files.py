@@ -13,12 +13,27 @@ import numpy as np
 from ..errors import InputError
 from .provenance import Provenance
 from .shared_file import require_parts
+from .vetting import require_readable
 from .writer_ranks import one_line
+
+# What h5py and NumPy raise where a file holds something else than is expected.
+UNREADABLE = (
+    OSError,
+    KeyError,
+    TypeError,
+    ValueError,
+    RuntimeError,
+    AttributeError,
+    IndexError,
+    ArithmeticError,
+    MemoryError,
+)
 
 
 @contextlib.contextmanager
 def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
     """Open a file for a while; whatever goes wrong becomes InputError, in words of `what` it is and a `remedy`."""
+    require_readable(Path(path))
     try:
         with h5py.File(path, "r", locking=False) as h5:
             require_parts(h5, Path(path).parent)
@@ -27,7 +42,7 @@ def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
         raise InputError(
             f"{what} {path} does not exist; correct the path (relative ones start at the scene file)"
         ) from None
-    except (OSError, KeyError, TypeError, ValueError) as reason:
+    except UNREADABLE as reason:
         raise InputError(f"{what} {path} cannot be read as openPMD ({one_line(reason)}); {remedy}") from None
 
 

@@ -6,13 +6,29 @@ import re
 
 import numpy as np
 
-EXTREMES = (b"0", b"-1", b"1e300", b"-1e-300", b"nan", b"inf", b"9" * 40, b"''", b"[]", b"{}", b"true", b"'1 km'", b"1e999")
+EXTREMES = (
+    b"0",
+    b"-1",
+    b"1e300",
+    b"-1e-300",
+    b"nan",
+    b"inf",
+    b"9" * 40,
+    b"''",
+    b"[]",
+    b"{}",
+    b"true",
+    b"'1 km'",
+    b"1e999",
+)
 
 
 def damaged(data: bytes, random: np.random.Generator) -> bytes:
     """Bytes of which some are other ones, zero, missing, doubled, or from elsewhere in the file."""
     out, size = bytearray(data), len(data)
-    start = int(random.integers(size)) if random.random() < 0.5 else int(random.integers(min(size, 4096)))  # or the head
+    start = (
+        int(random.integers(size)) if random.random() < 0.5 else int(random.integers(min(size, 4096)))
+    )  # or the head
     length = int(random.integers(1, 1 + min(64, size - start)))
     match int(random.integers(8)):
         case 0 | 1 | 2:

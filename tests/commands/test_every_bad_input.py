@@ -57,7 +57,7 @@ def beams(comm: Any) -> Iterator[Case]:
 def outputs(comm: Any) -> Iterator[Case]:
     for name, (file, damage, command) in [*bad_inputs.OUTPUTS.items()][::EVERY]:
 
-        def prepare(file: str = file, damage: Callable[[Path], None] = damage) -> None:
+        def prepare(file: str = file, damage: Callable[[Path], object] = damage) -> None:
             shutil.rmtree("damaged", ignore_errors=True)
             shutil.copytree("run", "damaged")
             damage(Path(file.replace("run/", "damaged/")))

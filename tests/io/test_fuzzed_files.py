@@ -75,7 +75,7 @@ def read_checkpoint(path: Path) -> None:
     checkpoint_reader.read(MPI.COMM_SELF, path)
 
 
-def try_reading(read: Callable[[Path], None], path: Path, name: str) -> bool:
+def try_reading(read: Callable[[Path], object], path: Path, name: str) -> bool:
     """Whether a file was read; if it was not, the reason must be one sentence."""
     started = time.monotonic()
     try:

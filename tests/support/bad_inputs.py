@@ -227,16 +227,21 @@ def _text(path: Path) -> None:
     path.write_text("something else")
 
 
+def _folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
 CHECKPOINT, DUMP = "run/checkpoint_00000001", "run/fields_00000001.vtkhdf"
-DAMAGE: Mapping[str, Callable[[Path], None]] = {
+DAMAGE: Mapping[str, Callable[[Path], object]] = {
     "half": _half,
     "flipped": _flip,
     "text": _text,
-    "empty": lambda path: path.write_bytes(b"") and None,
+    "empty": lambda path: path.write_bytes(b""),
     "missing": lambda path: path.unlink(),
-    "a folder": lambda path: (path.unlink(), path.mkdir())[1],
+    "a folder": _folder,
 }
-OUTPUTS: Mapping[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {  # file that is damaged, how, and a command
+OUTPUTS: Mapping[str, tuple[str, Callable[[Path], object], tuple[str, ...]]] = {  # file that is damaged, how, and a command
     **{
         f"restart, {kind} {name}": (
             f"{CHECKPOINT}/{name}", damage, ("run", "SCENE", "--output", "OUT", "--restart", CHECKPOINT)

@@ -77,7 +77,8 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
 	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/verify/test_verify.py tests/run/test_decomposition.py \
 	  tests/run/test_kill_restart.py tests/run/test_memory.py tests/solver/test_rounding_floor.py tests/solver/test_invariance.py \
-	  tests/solver/test_every_base.py tests/solver/test_fuzz.py tests/gmls/test_gmls_reproduction.py $(ARGS); \
+	  tests/solver/test_every_base.py tests/solver/test_fuzz.py tests/gmls/test_gmls_reproduction.py \
+	  tests/commands/test_every_bad_input.py tests/io/test_fuzzed_files.py $(ARGS); \
 	exit $$failed
 
 # What the verification compares with where a peer is needed to make it.
@@ -100,7 +101,7 @@ setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, na
 	@mkdir -p .venv && touch $@
 
 # The package is installed by the names of its modules, and anew when these change.
-MODULES := $(sort $(wildcard amrpic/*.py amrpic/*/*.py))
+MODULES := $(sort $(wildcard amrpic/*.py amrpic/*/*.py amrpic_command/*.py))
 build/.modules: always
 	@mkdir -p build; echo '$(MODULES)' | cmp -s - $@ || echo '$(MODULES)' > $@
 

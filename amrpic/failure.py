@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import os
 import sys
 import time
 import traceback
 from types import TracebackType
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 from mpi4py import MPI
 
 from .errors import AmrpicError, HierarchyError, InputError, SceneError
 
 BAD_INPUT = 2  # exit status of what the user can correct in the input; any other failure is 1
+NOT_PRINTED = (errno.ENOSPC, errno.EPIPE, errno.EIO, errno.EBADF)  # what printing may meet; files have names besides
 GRACE = 3.0  # s; ranks that raise together get here within milliseconds of each other
 
 
@@ -49,8 +53,18 @@ def is_over(collective: MPI.Request, patience: float) -> bool:
 
 def say(text: str) -> None:
     """Print on stderr, after all that was printed before."""
-    sys.stdout.flush()
-    print(text, file=sys.stderr, flush=True)
+    for stream, words in ((sys.stdout, ""), (sys.stderr, f"{text}\n")):
+        try:
+            stream.write(words)
+            stream.flush()
+        except OSError:
+            discard(stream)
+
+
+def discard(stream: TextIO) -> None:
+    """Let what a stream still has to write, and all that comes, go nowhere: else Python's end would fail on it."""
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def end_alone(comm: MPI.Comm, text: str, status: int) -> NoReturn:
@@ -67,6 +81,8 @@ def sentence(failure: BaseException) -> str:
         return f"amrpic: {text}"
     if isinstance(failure, KeyboardInterrupt):
         return "amrpic: interrupted"
+    if isinstance(failure, OSError) and failure.filename is None and failure.errno in NOT_PRINTED:
+        return f"amrpic: standard output cannot be written: {failure.strerror}; give it to a file or pipe that takes it"
     if isinstance(failure, MemoryError):
         return f"amrpic: out of memory ({text}); use fewer cells or particles, or more machines"
     return f"amrpic: unexpected {type(failure).__name__}: {text}; run again with --traceback and report it"

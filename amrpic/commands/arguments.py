@@ -40,9 +40,9 @@ def count(text: str) -> int:
     return number
 
 
-def scene_arguments(command: argparse.ArgumentParser) -> None:
-    """Add the scene file and its overrides."""
-    command.add_argument("scene", metavar="SCENE", help="a scene file in TOML")
+def scene_arguments(command: argparse.ArgumentParser, what: str = "a scene file in TOML") -> None:
+    """Add the scene file, or `what` may be in its place, and its overrides."""
+    command.add_argument("scene", metavar="SCENE", help=what)
     command.add_argument(
         "--set",
         action="append",
@@ -65,4 +65,6 @@ def scene_of(chosen: argparse.Namespace, text: str | None = None) -> Scene:
     scene = Scene.from_toml(chosen.scene, chosen.set, text)
     if getattr(chosen, "output", None) is None:
         return scene
+    if not chosen.output:
+        raise InputError("--output is empty; name a folder, or leave it out for runs/<name of the scene>")
     return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})

@@ -24,6 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         chosen = parser().parse_args(arguments)
         show_traceback = chosen.traceback
         status = chosen.command(chosen)
+        sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as failure:
         status = meeting.report(failure, traceback.format_exc() if show_traceback else sentence(failure))
     sys.exit(status)

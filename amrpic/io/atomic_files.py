@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: temporary names, syncing, renaming."""
+"""Files that appear whole or not at all: temporary names, syncing, renaming; and checksums by which damage is found later."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from typing import Any
 import h5py
 
 TEMPORARY = ".tmp"  # the name of a file or directory that is still being written ends so
+SEAL = b"\namrpic sha256 "  # followed by 64 hexadecimal digits at the end of an HDF5 file, which readers of HDF5 do not look at
+SEAL_BYTES = len(SEAL) + 64
 REPLACED = ".replaced"  # a complete directory that steps aside while its successor takes its name
 
 
@@ -40,7 +42,7 @@ class _Deferred(io.FileIO):
 
 
 class Hdf5Writer:
-    """A new HDF5 file, `h5`; `close` syncs it and raises OSError if any byte could not be written.
+    """A new HDF5 file, `h5`; `close` adds a checksum for `require_seal`, syncs, and raises OSError if a byte was not written.
 
     HDF5 crashes the process when it closes a file on a disk that has filled up. Here it never learns of that.
     """
@@ -49,9 +51,15 @@ class Hdf5Writer:
         self._file = _Deferred(path, "w+")
         self.h5 = h5py.File(self._file, "w", libver=("earliest", "v110"))
 
-    def close(self) -> None:
+    def close(self, sealed: bool = True) -> None:
+        """`sealed`: with the checksum, for which the file is read again, from memory as a rule."""
         self.h5.close()
         with self._file:
+            if sealed and self._file.error is None:
+                self._file.seek(0)
+                digest = hashlib.file_digest(self._file, "sha256").hexdigest()
+                self._file.seek(0, os.SEEK_END)
+                self._file.write(SEAL + digest.encode())
             if self._file.error is not None:
                 raise self._file.error
             os.fsync(self._file.fileno())
@@ -102,7 +110,16 @@ def remove(path: Path) -> None:
         path.unlink()
 
 
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's content in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def require_seal(path: Path) -> None:
+    """Raise ValueError if a file that `Hdf5Writer` sealed is cut short or has changed since; OSError if it cannot be read."""
+    left = path.stat().st_size - SEAL_BYTES
+    total = hashlib.sha256()
+    with path.open("rb") as file:
+        while left > 0 and (piece := file.read(min(left, 2**20))):
+            total.update(piece)
+            left -= len(piece)
+        seal = file.read()
+    if not seal.startswith(SEAL):
+        raise ValueError("the checksum at its end is missing: it is cut short, or another program or version wrote it")
+    if seal[len(SEAL) :] != total.hexdigest().encode():
+        raise ValueError("its checksum is wrong: bytes of it have changed")

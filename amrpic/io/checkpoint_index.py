@@ -6,8 +6,10 @@ Ranks make the checksums of what they send, so damage on the way to the disk is 
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -49,6 +51,16 @@ class Index:
             for piece in range(max(start - first, 0) // size, -(-(min(stop, int(ends[rank])) - first) // size)):
                 low, high = first + piece * size, min(first + (piece + 1) * size, int(ends[rank]))
                 yield low, high, self.digests[first_number[rank] + piece].tobytes()
+
+
+def digest_of_rest(file: Path, spans: Sequence[tuple[int, int]]) -> str:
+    """Return the SHA-256, in hexadecimal, of the bytes of a file that lie in none of its spans (first byte, end), in order."""
+    total = hashlib.sha256()
+    with file.open("rb") as stream:
+        for (_, end), (start, _) in itertools.pairwise([(0, 0), *spans, (file.stat().st_size,) * 2]):
+            stream.seek(end)
+            total.update(stream.read(max(start - end, 0)))
+    return total.hexdigest()
 
 
 def pieces_of(rows: Array, sizes: Sequence[int]) -> Array:

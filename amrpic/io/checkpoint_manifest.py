@@ -80,6 +80,13 @@ class Part:
     rows_offset: int  # of the rows of each array on each rank, (ranks, arrays) int64
     digests_offset: int  # of the checksums of the pieces, by rank, then by array
     sha256: str  # of these two
+    sha256_of_rest: str = ""  # of the bytes besides all of these, which are HDF5's own; older checkpoints lack it
+
+    def spans(self, rows: Array, kinds: Sequence[Kind], digest_bytes: int) -> list[tuple[int, int]]:
+        """Return where arrays and index lie, (first byte, end) in order; `rows` are those of an index."""
+        sizes = [*(rows.sum(axis=0) * [kind.bytes for kind in kinds]).tolist(), rows.nbytes, digest_bytes]
+        offsets = [*self.offsets, self.rows_offset, self.digests_offset]
+        return sorted((offset, offset + size) for offset, size in zip(offsets, sizes, strict=True) if size)
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,10 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..mesh.boxes import cells_of, equal_shares
 from ..parallel import share, together
-from .checkpoint_index import DIGEST_BYTES, Index, digest, pieces_of
+from .checkpoint_index import DIGEST_BYTES, Index, digest, digest_of_rest, pieces_of
 from .checkpoint_manifest import REMEDY, Array, Header, Manifest, Part, UnreadableCheckpoint, decode
 from .checkpoint_writer import Snapshot, newest_first
-from .writer_ranks import Attempts
+from .writer_ranks import Attempts, one_line
 
 Run = tuple[int, int, int]  # part, first row in it, number of rows
 
@@ -137,6 +137,18 @@ class _PartFile:
                     a, b = max(start, first), min(stop, end)
                     out[a - start : b - start] = held[a - first : b - first]
 
+    def require_whole(self) -> None:
+        """Raise ValueError unless the rows of all arrays, and all other bytes, have their checksums."""
+        spans = self._part.spans(self.index.rows, self._kinds, self.index.digests.nbytes)
+        if self._part.sha256_of_rest not in ("", digest_of_rest(Path(self._file.name), spans)):
+            raise self._damage
+        for number, kind in enumerate(self._kinds):
+            for first, end, expected in self.index.pieces(number, 0, int(self.index.rows[:, number].sum())):
+                piece = np.empty((end - first, *kind.shape), kind.dtype)
+                self._read(self._part.offsets[number] + first * kind.bytes, piece)
+                if digest(piece) != expected:
+                    raise self._damage
+
     def _read(self, offset: int, out: Array) -> None:
         """Fill a contiguous array with the bytes at an offset."""
         left = out.reshape(-1).view(np.uint8).data
@@ -149,6 +161,19 @@ class _PartFile:
     @property
     def _damage(self) -> ValueError:
         return ValueError(f"the checksum of {self._part.file} is wrong")
+
+
+def require_whole(path: Path) -> None:
+    """Raise UnreadableCheckpoint if any part of a checkpoint is missing or damaged. Serial; a piece is in memory at a time."""
+    manifest = read_manifest(MPI.COMM_SELF, path)
+    for part in manifest.parts:
+        file = _PartFile(path, part, manifest)
+        try:
+            file.require_whole()
+        except (OSError, ValueError) as error:
+            raise UnreadableCheckpoint(f"checkpoint {path} is damaged: {one_line(error)}; {REMEDY}") from None
+        finally:
+            file.close()
 
 
 class _Parts(contextlib.ExitStack):

@@ -18,7 +18,7 @@ from ..errors import OutputError
 from ..parallel import together
 from . import writer_ranks
 from .atomic_files import REPLACED, TEMPORARY, Hdf5Writer, publish, remove, sync, temporary
-from .checkpoint_index import DIGEST_BYTES, DIGESTS, ROWS, Index, digest, pieces_of
+from .checkpoint_index import DIGEST_BYTES, DIGESTS, ROWS, Index, digest, digest_of_rest, pieces_of
 from .checkpoint_manifest import MANIFEST, Array, Header, Kind, Manifest, Part, encode
 from .shared_file import write_rows
 from .writer_ranks import (
@@ -157,9 +157,20 @@ def _write_part(
     collect(comm, group, numbers, own, partial(_store, digests))
     if writer is None:
         return None
-    part = attempts.attempt(_index, writer, file, group, list(arrays), tables, Index(table, sizes, digests))
-    attempts.always(writer.close)
-    return None if part is None else attempts.attempt(lambda: replace(part, bytes=file.stat().st_size))
+    index = Index(table, sizes, digests)
+    part = attempts.attempt(_index, writer, file, group, list(arrays), tables, index)
+    attempts.always(partial(writer.close, sealed=False))  # the index has checksums of all rows
+    return None if part is None else attempts.attempt(_closed, part, file, index, _kinds(arrays))
+
+
+def _closed(part: Part, file: Path, index: Index, kinds: Sequence[Kind]) -> Part:
+    """Return what the manifest says of a part whose file is closed."""
+    rest = digest_of_rest(file, part.spans(index.rows, kinds, index.digests.nbytes))
+    return replace(part, bytes=file.stat().st_size, sha256_of_rest=rest)
+
+
+def _kinds(arrays: Mapping[str, Rows]) -> list[Kind]:
+    return [Kind(name, rows.dtype.str, list(rows.shape[1:])) for name, rows in arrays.items()]
 
 
 def _arrays(state: Snapshot) -> dict[str, Rows]:
@@ -195,8 +206,7 @@ def _index(
 
 def _manifest(state: Snapshot, arrays: Mapping[str, Rows], parts: Sequence[Part]) -> Manifest:
     tables = {name: list(columns) for name, columns in state.tables.items()}
-    kinds = [Kind(name, rows.dtype.str, list(rows.shape[1:])) for name, rows in arrays.items()]
-    return Manifest(state.header, list(state.fields), tables, kinds, writer_ranks.PIECE_BYTES, parts)
+    return Manifest(state.header, list(state.fields), tables, _kinds(arrays), writer_ranks.PIECE_BYTES, parts)
 
 
 def _finish(path: Path, manifest: Manifest) -> None:

@@ -17,7 +17,9 @@ from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from .checkpoint_manifest import MANIFEST, decode
+from .openpmd_files import UNREADABLE
 from .shared_file import require_parts
+from .vetting import require_readable
 from .writer_ranks import one_line
 
 Array = NDArray[Any]
@@ -32,6 +34,7 @@ class Dump(Composite):
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
+        require_readable(self.path)
         try:
             self._h5 = h5py.File(self.path, "r", locking=False)
         except OSError as error:
@@ -39,7 +42,7 @@ class Dump(Composite):
             raise self._refusal(reason) from None
         try:
             self._read_description()
-        except (KeyError, AttributeError, TypeError, ValueError, OSError) as error:
+        except UNREADABLE as error:
             self._h5.close()
             raise self._refusal(f"it is no field dump of amrpic ({one_line(error)})") from None
         try:
@@ -124,6 +127,7 @@ class CheckpointDump(Dump):
         return name == "E"
 
     def _open_part(self, name: str) -> h5py.File:
+        require_readable(self.path / name)
         try:
             return h5py.File(self.path / name, "r", locking=False)
         except OSError as error:

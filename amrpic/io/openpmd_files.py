@@ -1,4 +1,4 @@
-"""What all openPMD files (HDF5) have in common: opening one, and the iteration in it that is meant."""
+"""What all openPMD files (HDF5) have in common: opening one, the iteration in it that is meant, and what one says of itself."""
 
 from __future__ import annotations
 
@@ -11,13 +11,29 @@ import h5py
 import numpy as np
 
 from ..errors import InputError
+from .provenance import Provenance
 from .shared_file import require_parts
+from .vetting import require_readable
 from .writer_ranks import one_line
+
+# What h5py and NumPy raise where a file holds something else than is expected.
+UNREADABLE = (
+    OSError,
+    KeyError,
+    TypeError,
+    ValueError,
+    RuntimeError,
+    AttributeError,
+    IndexError,
+    ArithmeticError,
+    MemoryError,
+)
 
 
 @contextlib.contextmanager
 def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
     """Open a file for a while; whatever goes wrong becomes InputError, in words of `what` it is and a `remedy`."""
+    require_readable(Path(path))
     try:
         with h5py.File(path, "r", locking=False) as h5:
             require_parts(h5, Path(path).parent)
@@ -26,7 +42,7 @@ def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
         raise InputError(
             f"{what} {path} does not exist; correct the path (relative ones start at the scene file)"
         ) from None
-    except (OSError, KeyError, TypeError, ValueError) as reason:
+    except UNREADABLE as reason:
         raise InputError(f"{what} {path} cannot be read as openPMD ({one_line(reason)}); {remedy}") from None
 
 
@@ -52,3 +68,26 @@ def text(value: Any) -> str:
     """Return an attribute that is a text."""
     value = np.ravel(value)[0] if isinstance(value, np.ndarray) else value
     return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def describe_file(h5: h5py.File, path: Path, step: int, time: float, about: Provenance) -> None:
+    """Add what holds for a new file of one iteration as a whole but where meshes and particles are; `time` is in s."""
+    name = path.name.replace(f"{step:08d}", "%08T")
+    texts = {
+        "openPMD": "1.1.0",
+        "basePath": "/data/%T/",
+        "iterationEncoding": "fileBased",
+        "iterationFormat": name if "%08T" in name else "%T",
+        "software": "amrpic",
+        "softwareVersion": about.version,
+    }
+    for key, value in texts.items():
+        set_text(h5, key, value)
+    h5.attrs["openPMDextension"] = np.uint32(0)
+    h5["amrpic/scene"] = about.scene_text
+    h5.require_group(f"/data/{step}").attrs.update(time=time, dt=0.0, timeUnitSI=1.0)
+
+
+def set_text(target: h5py.Group, key: str, value: str) -> None:
+    """Set an attribute that is a text of fixed length, as readers of openPMD expect it."""
+    target.attrs.create(key, np.bytes_(value.encode()))

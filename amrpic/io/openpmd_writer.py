@@ -22,6 +22,7 @@ from ..mesh.window import AT_REST, Window
 from ..particles.particles import Particles
 from ..particles.species import Species
 from . import shared_file
+from .openpmd_files import describe_file, set_text
 from .provenance import Provenance
 from .shared_file import Table
 from .writer_ranks import BY_SIZE, Attempts, Writers
@@ -79,7 +80,10 @@ def write(
     }
 
     def describe(h5: h5py.File) -> None:
-        _describe_file(h5, path, step, time, about, causes)
+        describe_file(h5, path, step, time, about)
+        set_text(h5, "particlesPath", "particles/")
+        if causes:
+            h5["amrpic/causes"] = list(causes)
         h5.require_group(root)
         for (group, species), charge in zip(groups.items(), total.tolist(), strict=True):
             _describe(h5, group, species, charge, time, window, own)
@@ -111,27 +115,6 @@ def _table(particles: Particles, chosen: Array, window: Window, own: Mapping[str
     return Table(dtype, numbers, rows, list(keys))
 
 
-def _describe_file(h5: h5py.File, path: Path, step: int, time: float, about: Provenance, causes: Sequence[str]) -> None:
-    """Add what holds for the file as a whole."""
-    name = path.name.replace(f"{step:08d}", "%08T")
-    texts = {
-        "openPMD": "1.1.0",
-        "basePath": "/data/%T/",
-        "particlesPath": "particles/",
-        "iterationEncoding": "fileBased",
-        "iterationFormat": name if "%08T" in name else "%T",
-        "software": "amrpic",
-        "softwareVersion": about.version,
-    }
-    for key, text in texts.items():
-        _set_text(h5, key, text)
-    h5.attrs["openPMDextension"] = np.uint32(0)
-    h5["amrpic/scene"] = about.scene_text
-    if causes:
-        h5["amrpic/causes"] = list(causes)
-    h5.require_group(f"/data/{step}").attrs.update(time=time, dt=0.0, timeUnitSI=1.0)
-
-
 def _describe(
     h5: h5py.File,
     group: str,
@@ -148,7 +131,7 @@ def _describe(
     for name in ("weighting", "weight", "id", *own):
         _set_units(h5, f"{group}/{name}", dimensions.get(name, NONE))
     member, count = h5[group], len(h5[f"{group}/id"])
-    _set_text(member, "speciesType", species.name or "other")
+    set_text(member, "speciesType", species.name or "other")
     member.attrs.update(numParticles=count, totalCharge=charge, chargeUnitSI=1.0)
     for axis, offset in zip(AXES, window.origin, strict=True):
         _constant(h5, f"{group}/positionOffset/{axis}", offset, count, LENGTH)
@@ -175,7 +158,3 @@ def _set_units(h5: h5py.File, name: str, dimension: tuple[int, ...]) -> None:
     # Momentum, charge and mass are those of a real particle; the rest does not know the difference.
     record.attrs.update(unitDimension=np.array(dimension, dtype=np.float64), timeOffset=0.0)
     record.attrs.update(macroWeighted=np.uint32(name.endswith(("/weighting", "/weight"))), weightingPower=1.0)
-
-
-def _set_text(target: h5py.Group, key: str, text: str) -> None:
-    target.attrs.create(key, np.bytes_(text.encode()))

@@ -15,6 +15,7 @@ from ..particles.species import SpeciesTable
 from ..scene.scene import Scene
 from . import openpmd_reader
 from .checkpoint_manifest import MANIFEST, decode
+from .vetting import require_readable
 from .writer_ranks import one_line
 
 
@@ -54,6 +55,7 @@ def _of_checkpoint(path: Path) -> ParticleDump:
     try:
         parts = []
         for part in manifest.parts:
+            require_readable(path / part.file)
             with h5py.File(path / part.file, "r", locking=False) as h5:
                 parts.append([h5[f"particles/{column}"][:] for column in columns])
     except (OSError, KeyError) as error:

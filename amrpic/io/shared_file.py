@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -93,6 +94,12 @@ def part_of(path: Path, index: int) -> Path:
     return path.with_name(f"{path.stem}.part{index:04d}")
 
 
+def name_parts(h5: h5py.File, folder: Path, parts: Sequence[Path]) -> None:
+    """Note the files whose values a file in the folder shows, and their sizes, for `require_parts`."""
+    h5[PARTS] = [os.path.relpath(part, folder) for part in parts]
+    h5[BYTES] = np.array([part.stat().st_size for part in parts], dtype=np.int64)
+
+
 def require_parts(h5: h5py.File, folder: Path) -> None:
     """Raise ValueError if a part of a file is not whole in the folder: HDF5 would silently give nan for what is not there."""
     if PARTS not in h5:
@@ -174,8 +181,7 @@ def _write_master(
         for dataset, _, dtype in _datasets(name, rows):
             _show_as_one(writer.h5, dataset, dtype, rows.shape[1:], dict(zip(parts, lengths, strict=True)))
     describe(writer.h5)
-    writer.h5[PARTS] = [part.name for part in parts]
-    writer.h5[BYTES] = np.array([part.stat().st_size for part in parts], dtype=np.int64)
+    name_parts(writer.h5, path.parent, list(parts))
     writer.close()
     publish(path)
 

@@ -2,12 +2,15 @@
 
 Text, because everything opens it: a line of names, then numbers, which read back bit for bit. A line is complete when it ends,
 so that the torn end of a killed run is recognised. What else belongs to a table `series.csv` is in `series.json` beside it:
-types and units of the columns, and the scene.
+types and units of the columns, and the scene. Its first line has a checksum of both files, which is overwritten after each row:
+after a kill it is that of all but the last rows.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
+import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,6 +29,7 @@ from .provenance import Provenance
 from .writer_ranks import Attempts, one_line
 
 FORMAT = "amrpic series"
+TYPES = {"U64", "i8", "f8"}
 ROW_BYTES = 2000  # at most, of usual rows
 
 
@@ -45,7 +49,8 @@ class Series:
         keep_to_step: int | None = None,
     ) -> None:
         self.columns = tuple(columns)
-        self._path, self._comm, self._descriptor = Path(path), comm, -1
+        self._path, self._comm = Path(path), comm
+        self._descriptor = self._beside = -1
         self._adding = self._attempts()
         attempts = self._attempts()
         if comm.rank == 0:
@@ -57,8 +62,9 @@ class Series:
         kept = b""
         if keep_to_step is not None and self._path.exists():
             kept = _rows_to(self._path, self.columns, keep_to_step)
-        _publish(self._path, self.columns, about, kept)
+        self._sum, self._bytes = _publish(self._path, self.columns, about, kept)
         self._descriptor = os.open(self._path, os.O_WRONLY | os.O_APPEND)
+        self._beside = os.open(beside(self._path), os.O_WRONLY)
 
     def append(self, *rows: Mapping[str, float | str]) -> None:
         """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
@@ -75,9 +81,13 @@ class Series:
         """Why rows could not be added, on rank 0."""
         return self._adding.message
 
-    def _write(self, line: str) -> None:
-        if os.write(self._descriptor, line.encode()) < len(line):
+    def _write(self, lines: str) -> None:
+        text = lines.encode()
+        if os.write(self._descriptor, text) < len(text):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._sum.update(text)
+        self._bytes += len(text)
+        os.pwrite(self._beside, _checksum(self._sum.hexdigest(), self._bytes), 0)
 
     def _attempts(self) -> Attempts:
         return Attempts(f"cannot write series {self._path}", "free some space or choose another output folder")
@@ -90,10 +100,11 @@ class Series:
         attempts.settle(self._comm)
 
     def close(self) -> None:
-        """Close the file."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        """Close the files."""
+        for descriptor in (self._descriptor, self._beside):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._descriptor = self._beside = -1
 
 
 def settle(comm: MPI.Comm, series: Iterable[Series]) -> None:
@@ -134,6 +145,29 @@ def latest(path: Path, names: Sequence[str], count: int) -> dict[str, list[float
         return {name: [float(row[columns.index(name)]) for row in rows] for name in names}
     except (OSError, ValueError, IndexError) as error:
         raise _unreadable(path, error) from None
+
+
+def require_whole(path: Path) -> None:
+    """Raise InputError if a table, or what describes it, is cut short, torn, or has changed since it was written."""
+    path = Path(path).with_suffix(".csv")
+    _parsed(path)
+    first, _, described = beside(path).read_bytes().partition(b"\n")
+    rows, length = path.read_bytes(), 0
+    with contextlib.suppress(ValueError):
+        length = int(first.rpartition(b":")[2].strip(b" ,"))
+    # Rows that a killed run added after the checksum are as good as others if they are whole.
+    reason = None if rows.endswith(b"\n") else "its last line is incomplete"
+    if length > len(rows):
+        reason = f"it has {len(rows)} of {length} bytes"
+    elif first + b"\n" != _checksum(hashlib.sha256(described + rows[:length]).hexdigest(), length):
+        reason = f"its checksum in {beside(path).name} is missing or wrong: bytes have changed"
+    if reason is not None:
+        raise InputError(f"series {path} is damaged: {reason}; a restart keeps the rows up to its checkpoint")
+
+
+def _checksum(digest: str, length: int) -> bytes:
+    """Return the first line of what describes a table of so many bytes: it has the same length for any."""
+    return f'{{"sha256": "{digest}", "bytes": {length:15},\n'.encode()
 
 
 def scene_of(path: Path) -> dict[str, Any]:
@@ -181,8 +215,11 @@ def _line(row: Mapping[str, float | str], columns: Sequence[Quantity]) -> str:
     return ",".join(_text(row.get(column.name, 0), column) for column in columns) + "\n"
 
 
-def _publish(path: Path, columns: Sequence[Quantity], about: Provenance, rows: bytes) -> None:
-    """Write a table with these lines of rows, and what describes it, in place of what is there."""
+def _publish(path: Path, columns: Sequence[Quantity], about: Provenance, rows: bytes) -> tuple[hashlib._Hash, int]:
+    """Write a table with these lines of rows, and what describes it, in place of what is there.
+
+    Return the checksum of both, and the bytes of the table.
+    """
     described = {
         "format": FORMAT,
         "version": about.version,
@@ -190,10 +227,13 @@ def _publish(path: Path, columns: Sequence[Quantity], about: Provenance, rows: b
         "columns": [{"name": column.name, "type": _type(column), "unit": column.unit} for column in columns],
         "scene": about.scene,
     }
-    head = ",".join(column.name for column in columns) + "\n"
-    for file, content in ((beside(path), json.dumps(described, indent=1).encode()), (path, head.encode() + rows)):
+    rest = json.dumps(described, indent=1).removeprefix("{\n").encode()
+    table = (",".join(column.name for column in columns) + "\n").encode() + rows
+    total = hashlib.sha256(rest + table)
+    for file, content in ((beside(path), _checksum(total.hexdigest(), len(table)) + rest), (path, table)):
         temporary(file).write_bytes(content)
         publish(file)
+    return total, len(table)
 
 
 def _parsed(path: Path) -> tuple[list[bytes], NDArray[Any]]:
@@ -201,6 +241,8 @@ def _parsed(path: Path) -> tuple[list[bytes], NDArray[Any]]:
     try:
         names, *rows = path.read_bytes().split(b"\n")[:-1]  # what follows the last line end was cut off by a kill
         columns = about_of(path)["columns"]
+        if not {column["type"] for column in columns} <= TYPES:
+            raise ValueError(f"a type of {beside(path).name} is none of {', '.join(sorted(TYPES))}")
         dtype = np.dtype([(column["name"], column["type"]) for column in columns])
         if names.decode().split(",") != list(dtype.names or ()):
             raise ValueError(f"its columns are not those of {beside(path).name}")

@@ -1,22 +1,31 @@
-"""Field dumps: potential, charge density and electric field as VTKHDF OverlappingAMR, which ParaView and VTK open."""
+"""Field dumps: potential, charge density and electric field as VTKHDF OverlappingAMR, which ParaView and VTK open.
+
+A view of the same values for yt is beside it in the file: `yt_view`.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
 
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
-from . import shared_file
+from . import shared_file, yt_view
+from .atomic_files import publish, temporary
 from .provenance import Provenance
 from .writer_ranks import BY_SIZE, Attempts, Interleaved, Rows, Writers
 
 VTKHDF_VERSION = (2, 2)
+SERIES = "fields.vtkhdf.series"
 
 Fields = Mapping[str, Field | VectorField]
 
@@ -44,12 +53,44 @@ def write(
     path = Path(path)
     attempts = Attempts(f"cannot write fields {path}", "free some space or choose another output folder")
     arrays = {
-        _dataset_name(level, name): _rows(field, level)
+        DATASETS.format(level, name): _rows(field, level)
         for level in range(hierarchy.levels)
         for name, field in fields.items()
     }
     describe = partial(_describe, hierarchy=hierarchy, fields=fields, step=step, time=time, about=about, window=window)
     shared_file.write(hierarchy.comm, path, arrays, describe, attempts, writers)
+
+
+def list_time(comm: MPI.Comm, directory: Path, step: int, time: float) -> None:
+    """Note the time, s, of a step's dump in the list that ParaView opens as one animation. Collective; OutputError.
+
+    It is JSON: the files in the order of their times. Dumps that are no longer there leave it.
+    """
+    path, dump = Path(directory) / SERIES, path_of(directory, step)
+    attempts = Attempts(f"cannot write {path}", "free some space or choose another output folder")
+
+    def write_list() -> None:
+        times: dict[str, float] = {}
+        with contextlib.suppress(ValueError):  # a damaged list is begun anew
+            times = listed_times(path)
+        times = {name: at for name, at in times.items() if path.with_name(name).exists()} | {dump.name: time}
+        files = [{"name": name, "time": at} for name, at in sorted(times.items(), key=lambda item: item[1])]
+        temporary(path).write_text(json.dumps({"file-series-version": "1.0", "files": files}, indent=1) + "\n")
+        publish(path)
+
+    if comm.rank == 0:
+        attempts.attempt(write_list)
+    attempts.settle(comm)
+
+
+def listed_times(path: Path) -> dict[str, float]:
+    """Return the time, s, of each file in a list of times; none if there is no list. Raises ValueError if it is damaged."""
+    try:
+        return {str(one["name"]): float(one["time"]) for one in json.loads(path.read_text())["files"]}
+    except FileNotFoundError:
+        return {}
+    except (KeyError, TypeError, UnicodeDecodeError) as error:
+        raise ValueError(f"it is no list of times ({error})") from None
 
 
 def _rows(field: Field | VectorField, level: int) -> Rows:
@@ -58,8 +99,12 @@ def _rows(field: Field | VectorField, level: int) -> Rows:
     return field.array(level)
 
 
-def _dataset_name(level: int, name: str) -> str:
-    return f"VTKHDF/Level{level}/CellData/{name}"
+DATASETS = "VTKHDF/Level{}/CellData/{}"
+
+
+def boxes_as_written(hierarchy: Hierarchy, level: int) -> NDArray[np.int64]:
+    """Return the boxes of a level, (n, 6), in the order of their cells in a file: by owner, so that those of a rank follow."""
+    return hierarchy.boxes(level)[np.argsort(hierarchy.owners(level), kind="stable")].astype(np.int64)
 
 
 def _describe(
@@ -77,14 +122,15 @@ def _describe(
     root.attrs.create("Type", np.bytes_(b"OverlappingAMR"))
     root.attrs["Origin"] = np.array(hierarchy.domain.lower, dtype=np.float64)
     root.attrs.create("GridDescription", np.bytes_(b"XYZ"))
-    for level in range(hierarchy.levels):
+    levels = [boxes_as_written(hierarchy, level) for level in range(hierarchy.levels)]
+    for level, boxes in enumerate(levels):
         group = root.require_group(f"Level{level}")
         group.attrs["Spacing"] = np.asarray(hierarchy.spacing(level), dtype=np.float64)
-        # By owner, so that each rank's cells are one run of rows.
-        boxes = hierarchy.boxes(level)[np.argsort(hierarchy.owners(level), kind="stable")]
         group["AMRBox"] = boxes[:, [0, 3, 1, 4, 2, 5]].astype(np.int32)
         for name, field in fields.items():
             group[f"CellData/{name}"].attrs["unit"] = field.unit
+    if sum(map(len, levels)) <= yt_view.LARGEST:
+        yt_view.add(h5, hierarchy.domain, levels, {name: f.unit for name, f in fields.items()}, DATASETS, time)
     ours = h5.require_group("amrpic")
     ours.attrs.update(step=step, time=time, version=about.version, seed=about.seed)
     ours.attrs["upper"] = np.array(hierarchy.domain.upper, dtype=np.float64)

@@ -20,7 +20,7 @@ LOCK = ".lock"
 STOP = "STOP"  # a file of this name ends the run after a checkpoint
 WRITTEN = re.compile(  # what a run writes
     r"(checkpoint|fields|particles)_\d{8,}.*|(series|residuals|beam|slices|losses|own_.+)\.(csv|json)|(losses|screen_.+)\.h5|"
-    r"status\.json|report\.html|STOP"
+    r"fields\.vtkhdf\.series|status\.json|report\.html|openpmd|STOP"
 )
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
+import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
 from ..io import openpmd_reader
+from ..io.vetting import require_readable_on_all
 from ..parallel import share, together
+from ..particles.frame import LARGEST_MOMENTUM
 from ..particles.particles import Particles, concatenate
 from ..particles.phase_space import PhaseSpace
 from ..particles.species import Species, SpeciesTable
@@ -17,6 +21,7 @@ from ..scene.bunch_files import ArrayBunch, OpenPMDBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
 from ..scene.scene import Scene
 from ..stages import beam
+from ..units import SPEED_OF_LIGHT
 
 NO_SPECIES = Species(charge=1.0, mass=1.0)  # of scenes without bunches
 
@@ -31,16 +36,28 @@ def make_bunches(comm: MPI.Comm, scene: Scene) -> list[Particles]:
 
     Collective; InputError, ParticleError on all ranks.
     """
+    require_readable_on_all(comm, [Path(bunch.file) for bunch in scene.bunches if isinstance(bunch, OpenPMDBunch)])
     parts, first_id = [Particles.empty(SpeciesTable((NO_SPECIES,)))], 0
     runs: list[tuple[int, Species]] = []
     for bunch in scene.bunches:
         with together(comm, InputError):
             made = _bunch(comm, scene, bunch, first_id)
+            _require_momenta(made)
         parts += made
         runs.append((first_id, made[0].species.kinds[0]))
         first_id += comm.allreduce(sum(map(len, made)))
     table = SpeciesTable.of_runs(runs or [(0, NO_SPECIES)])
     return [replace(part, species=table) for part in parts]
+
+
+def _require_momenta(made: list[Particles]) -> None:
+    """Raise InputError if momenta of this rank's particles are too large to be true, and for the sums that follow."""
+    for bunch in made:
+        largest = np.abs(bunch.momentum).max(initial=0.0)
+        if largest > LARGEST_MOMENTUM * SPEED_OF_LIGHT * bunch.species.masses.min():
+            raise InputError(
+                f"a bunch has a momentum of {largest:.3g} kg m/s, more than {LARGEST_MOMENTUM:g} m c; correct momenta"
+            )
 
 
 def _bunch(comm: MPI.Comm, scene: Scene, bunch: Bunch, first_id: int) -> list[Particles]:

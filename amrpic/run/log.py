@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sys
 import warnings
@@ -12,6 +13,8 @@ from types import TracebackType
 from typing import Literal, TextIO
 
 from mpi4py import MPI
+
+from ..failure import discard
 
 Log = Literal["print", "logging", "silent"]
 LOGGER = logging.getLogger("amrpic.run")
@@ -80,9 +83,21 @@ class RunLog:
         if self._speaks and self._logs:
             LOGGER.log(level, line.removeprefix("warning: "))
         elif self._speaks and level == logging.WARNING:
-            print(line, file=self._err or sys.stderr, flush=True)
+            self._print(line, self._err or sys.stderr)
         elif self._speaks:
-            print(line, file=self._out or sys.stdout, flush=True)
+            self._print(line, self._out or sys.stdout)
+
+    def _print(self, line: str, stream: TextIO) -> None:
+        """Print a line; a stream that takes no more, as on a full disk, does not end a run."""
+        try:
+            print(line, file=stream, flush=True)
+        except OSError as error:
+            self._speaks = False
+            discard(stream)
+            if stream is not sys.stderr:
+                reason = f"warning: the log cannot be written ({error.strerror}); the run goes on without it"
+                with contextlib.suppress(OSError):
+                    print(reason, file=sys.stderr, flush=True)
 
 
 def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> str:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from .. import isa
 from ..errors import OutputError, SolverError
 from ..failure import sentence
-from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
+from ..io import checkpoint_writer, openpmd_meshes, openpmd_writer, vtkhdf_writer
 from ..io.field_reader import LiveDump
 from ..io.run_status import FAILED, FINISHED, STOPPED
 from ..io.time_series import Series, settle
@@ -133,6 +133,7 @@ class Recorder:
                 state = kicked(state, self._plan)
             if particles_due:
                 self._write_particles(state)
+            self._write_openpmd(state)
             if checkpoint_due:
                 self._write_records(state)
                 self._write_checkpoint(state)
@@ -147,6 +148,7 @@ class Recorder:
         if "fields" in self._wanted:
             self._write_fields(state)
         self._write_particles(state)
+        self._write_openpmd(state)
         self._write_records(state)
         self._write_checkpoint(state)
         if "pictures" in self._wanted:
@@ -224,6 +226,7 @@ class Recorder:
             writers_of(self._scene),
             state.window,
         )
+        vtkhdf_writer.list_time(self._comm, path.parent, state.step, state.time)
 
     def _write_particles(self, state: State) -> None:
         if "particles" not in self._wanted or self._written.get("particles") == state.step:
@@ -239,6 +242,23 @@ class Recorder:
             self._about,
             state.window,
             writers=writers_of(self._scene),
+        )
+
+    def _write_openpmd(self, state: State) -> None:
+        """Write the view of a step's fields and particles for readers of openPMD, if the fields were written."""
+        step, hierarchy, directory = state.step, state.hierarchy, self._scene.directory
+        boxes = sum(len(hierarchy.boxes(level)) for level in range(hierarchy.levels))
+        if self._written.get("fields") != step or boxes > openpmd_meshes.LARGEST:
+            return
+        openpmd_meshes.write(
+            openpmd_meshes.path_of(directory, step),
+            hierarchy,
+            _shown(state),
+            vtkhdf_writer.path_of(directory, step),
+            openpmd_writer.path_of(directory, step) if self._written.get("particles") == step else None,
+            step,
+            state.time,
+            self._about,
         )
 
     def _write_records(self, state: State) -> None:

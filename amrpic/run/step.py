@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
+from ..mesh.domain import Domain
 from ..particles.energy_bins import EVERY
 from ..particles.particles import Particles
 from ..scene.motion import Leapfrog, RandomWalk
@@ -49,6 +51,7 @@ def begin(plan: Plan) -> State:
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
         plan.settle_interface(bunches)
         made = plan.comm.allreduce(sum(map(len, bunches)))
+        _require_mostly_inside(plan.comm, bunches, base.domain)
         particles, lost, screens = place(bunches, base, course.window, plan)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
@@ -108,6 +111,24 @@ def _moved(state: State, plan: Plan) -> Particles:
     if isinstance(motion, RandomWalk):
         return random_walk(state.particles, motion.amplitude, plan.scene.seed, state.step + 1)
     return state.particles
+
+
+def _require_mostly_inside(comm: MPI.Comm, bunches: Sequence[Particles], domain: Domain) -> None:
+    """Raise InputError on all ranks if more than half of the particles of a bunch, but not all of all, are outside."""
+    walls = ~np.array(domain.periodic)
+    lower, upper = np.array(domain.lower)[walls], np.array(domain.upper)[walls]
+    counts = [
+        (len(one), int(((one.position[:, walls] < lower) | (one.position[:, walls] > upper)).any(axis=1).sum()))
+        for one in bunches
+    ]
+    of_all = comm.allreduce(np.array(counts, dtype=np.int64).reshape(-1, 2))
+    worst = int(np.argmax(2 * of_all[:, 1] - of_all[:, 0]))
+    made, outside = of_all[worst].tolist()
+    if 2 * outside > made and of_all[:, 1].sum() < of_all[:, 0].sum():
+        raise InputError(
+            f"{outside} of {made} particles of bunch {worst} of {len(bunches) - 1} lie outside the domain; "
+            "move the bunch, make it smaller, or enlarge the domain"
+        )
 
 
 def _require_some_inside(comm: MPI.Comm, inside: Particles, made: int) -> None:

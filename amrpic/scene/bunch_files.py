@@ -147,6 +147,8 @@ def _array(data: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> np.ndar
     if value is None:
         return None
     try:
+        if np.iscomplexobj(value):
+            raise TypeError
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise complaint("is not an array of numbers", "give a NumPy array of floats", path=key, found="") from None

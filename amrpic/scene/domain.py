@@ -14,6 +14,8 @@ from .complaints import close_match, complaint
 from .section import Section
 from .units import Index3, Length3
 
+SHORTEST, LONGEST = 1e-30, 1e30  # m; of a domain: squares of volumes are numbers still
+RESOLVED = 1e-10  # of a place: how wide cells are at least, so that a place in one has four digits on 15 levels
 LARGEST_INDEX = 2**31 - 1  # cells are counted in 32 bits along an axis and on a rank
 _FACE = {"enum": list(BOUNDARIES)}
 _FACES = {"anyOf": [_FACE, {"type": "array", "items": _FACE, "minItems": 2, "maxItems": 2}]}
@@ -66,6 +68,8 @@ class DomainSection(Section):
         except HierarchyError as refused:
             what, _, remedy = str(refused).partition("; ")
             raise complaint(f"is refused: {what}", remedy, found="") from None
+        for axis, (lower, upper, cells) in enumerate(zip(self.lower, self.upper, self.cells, strict=True)):
+            _require_measurable(AXES[axis], lower, upper, cells)
         if any("open" in pair for pair in domain.boundary) and any(domain.periodic):
             raise complaint(
                 "mixes open and periodic faces, for which there is no method yet",
@@ -88,6 +92,23 @@ class DomainSection(Section):
     def value(self) -> Domain:
         """The domain that hierarchies are made of."""
         return Domain(self.lower, self.upper, self.cells, self.boundary)
+
+
+def _require_measurable(axis: str, lower: float, upper: float, cells: int) -> None:
+    """Refuse a domain whose volumes, or places of cells, are not told by numbers of 64 bits."""
+    length, farthest = upper - lower, max(abs(lower), abs(upper))
+    if not SHORTEST <= length <= LONGEST:
+        raise complaint(
+            f"along {axis} reaches from {lower:g} to {upper:g} m, which is {length:g} m",
+            f"give it a length from {SHORTEST:g} to {LONGEST:g} m",
+            found="",
+        )
+    if length / cells < RESOLVED * farthest:
+        raise complaint(
+            f"along {axis} has cells of {length / cells:g} m at {farthest:g} m, too fine for numbers of 64 bits",
+            "move it nearer to 0, or give it fewer cells",
+            found="",
+        )
 
 
 def _per_face(value: Any) -> Any:

@@ -14,7 +14,9 @@ PART_BYTES = 2**30
 class Output(Section):
     """What a run writes."""
 
-    directory: str | None = Field(default=None, description="Where to write; runs/<name of the scene> if not given.")
+    directory: str | None = Field(
+        default=None, min_length=1, description="Where to write; runs/<name of the scene> if not given."
+    )
     write: list[Literal["checkpoint", "fields", "particles", "series", "losses", "pictures", "report"]] = Field(
         default=["checkpoint", "fields", "series", "losses", "pictures"],
         description="The kinds of output wanted; particles are openPMD files, which a restart does without; losses are the "

@@ -54,6 +54,8 @@ class Scene(SceneParts):
             data = tomllib.loads(read_text(path) if text is None else text)
         except tomllib.TOMLDecodeError as reason:
             raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
+        except RecursionError:
+            raise SceneError(f"scene file {path} has tables or arrays in too many others; make it flatter") from None
         toml.override(data, overrides)
         data.setdefault("name", path.stem)
         _anchor_files(data, path.parent)

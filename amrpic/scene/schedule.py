@@ -9,12 +9,14 @@ from pydantic import Field, model_validator
 from .complaints import complaint
 from .section import Section
 
+MOST = 2**31 - 1  # steps
+
 
 class Schedule(Section):
     """How long a run is. The first solve comes before the first step."""
 
-    steps: int | None = Field(default=None, ge=0, description="Steps after the first solve.")
-    solves: int | None = Field(default=None, ge=1, description="Solves in all, in place of steps: one more than steps.")
+    steps: int | None = Field(default=None, ge=0, le=MOST, description="Steps after the first solve.")
+    solves: int | None = Field(default=None, ge=1, le=MOST, description="Solves in all instead: one more than steps.")
 
     @model_validator(mode="after")
     def _one_of_two(self) -> Self:

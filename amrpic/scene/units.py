@@ -16,7 +16,9 @@ from ..errors import InputError
 from ..units import UNITS
 from .complaints import complaint
 
-_NUMBER = r"[-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+LARGEST = 1e60  # of any quantity in SI units, so that products of a few of them are numbers still
+_NUMBER = r"[-+]?(?:\d+(?:_\d+)*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+MICRO, GREEK_MU = "\u00b5", "\u03bc"  # two signs that look alike; keyboards have one or the other
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 
 
@@ -29,6 +31,7 @@ def to_si(value: Any, kind: str) -> float:
         return _finite(float(value) if abs(value) <= sys.float_info.max else math.inf, kind)  # an int has no limit
     match = _QUANTITY.fullmatch(value)
     number, unit = match.groups() if match else ("", "")
+    unit = unit.replace(GREEK_MU, MICRO)
     if not match or not unit:
         raise complaint(
             f"is not a {kind} with a unit", f"write a string {_example(kind)}, or a plain number in {next(iter(table))}"
@@ -49,7 +52,7 @@ class Quantity:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         # The pattern constrains strings alone, limits constrain numbers alone.
-        units = "|".join(UNITS[self.kind]).replace("^", r"\^")
+        units = "|".join(UNITS[self.kind]).replace("^", r"\^").replace(MICRO, f"[{MICRO}{GREEK_MU}]")
         pattern = rf"^\s*{_NUMBER}\s*({units})\s*$"
         unit = next(iter(UNITS[self.kind]))
         return {**handler(schema), "type": ["number", "string"], "pattern": pattern, "unit": unit}
@@ -105,6 +108,8 @@ def _scaled(number: str, unit: float) -> float:
 def _finite(value: float, kind: str) -> float:
     if not math.isfinite(value):
         raise complaint(f"is not a finite {kind}", "write a finite number")
+    if abs(value) > LARGEST:
+        raise complaint(f"is a {kind} beyond all measure", f"write one of less than {LARGEST:g} in SI units")
     return value
 
 

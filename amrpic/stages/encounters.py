@@ -103,9 +103,9 @@ class Flights:
         return out
 
     def _leaving(self, flight: Array) -> Encounters:
-        """Return where some flights leave the domain, of those that end beyond a face, or on an upper one."""
+        """Return where some flights leave the domain, of those that end beyond a face."""
         start, end = self._beyond(self.start[flight]), self._beyond(self.end[flight])
-        outside = (end > 0) | ((end == 0) & (np.arange(6) % 2 == 1))
+        outside = end > 0
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(outside, np.where(start >= 0, 0.0, start / (start - end)), np.inf)
         face, leaves = np.argmin(share, axis=1), outside.any(axis=1)

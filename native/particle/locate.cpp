@@ -24,7 +24,11 @@ bool Locator::wrap(Real3& x) const {
   };
   for (int d = 0; d < 3; ++d) {
     if (inside(d)) continue;
-    if (!hierarchy_->domain().periodic(d)) return false;
+    if (!hierarchy_->domain().periodic(d)) {
+      if (!(x[d] >= lower_[d] && x[d] <= hierarchy_->domain().upper[d])) return false;
+      while (!inside(d)) x[d] = std::nextafter(x[d], lower_[d]);  // on the upper wall, or rounded onto it
+      continue;
+    }
     Real const rest = std::fmod(x[d] - lower_[d], length_[d]);
     x[d] = lower_[d] + (rest < 0 ? rest + length_[d] : rest);
     if (!inside(d)) x[d] = lower_[d];  // rounded onto the upper face, which is the lower one

@@ -5,20 +5,18 @@ What is legal although it looks odd runs to its end, with one warning.
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 import mpi_batch
+from refusals import ended, refusal
 
 SCENE = """
 [domain]
@@ -50,33 +48,6 @@ def scene_file(folder: Path) -> str:
     path = folder / "small.toml"
     path.write_text(SCENE)
     return str(path)
-
-
-def ended(comm: Any, *arguments: str) -> tuple[int, str]:
-    """Exit status and standard error of a command: checked to be the same on all ranks, and printed by rank 0 alone."""
-    from amrpic.commands.main import main
-
-    comm.Barrier()
-    errors = io.StringIO()
-    with (
-        contextlib.redirect_stderr(errors),
-        contextlib.redirect_stdout(io.StringIO()),
-        pytest.raises(SystemExit) as end,
-    ):
-        main(arguments)
-    reported = comm.allgather((end.value.code, errors.getvalue()))
-    assert len({status for status, _ in reported}) == 1
-    assert all(text == "" for _, text in reported[1:])
-    return reported[0]
-
-
-def refusal(comm: Any, *arguments: str, status: int = 2) -> str:
-    """The one sentence of a command that must fail."""
-    code, text = ended(comm, *arguments)
-    assert code == status
-    assert text.count("\n") == 1 and text.startswith("amrpic: ")
-    assert "; " in text and "Traceback" not in text
-    return text
 
 
 RULE = "refinement.rule={kind='charge-density',relative=1e-3}"

@@ -7,38 +7,13 @@ import json
 import numpy as np
 import pytest
 
-from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer, writer_ranks
 from amrpic.io.field_reader import Dump
-from amrpic.io.provenance import Provenance
 from amrpic.io.shared_file import part_of
 from amrpic.io.writer_ranks import Writers
 from full_disk import file_size_limit
-
-DOMAIN = Domain(lower=(-0.15, -0.3, 0.1), upper=(0.09, 0.18, 0.74), cells=(24, 16, 32), boundary="dirichlet")
-LEVELS = [[((8, 8, 8), (39, 23, 31)), ((8, 8, 40), (15, 15, 55))], [((24, 24, 24), (39, 31, 47))]]
-ABOUT = Provenance({"name": "test", "unit": "µm"}, "0.1.0", 42)
-
-
-def phi_at(x, y, z):
-    return 3 * x - 2 * y + 0.5 * z + 1
-
-
-def dumped(comm):
-    """A hierarchy of three levels with φ linear in space and E = 10⁶ (x, y, z)."""
-    hierarchy = Hierarchy(comm, DOMAIN, LEVELS, max_grid_size=16, blocking_factor=8)
-    phi = Field(hierarchy, unit="V").fill(phi_at)
-    x = Field(hierarchy, unit="V/m").fill(lambda x, y, z: 1e6 * x)
-    y = Field(hierarchy, unit="V/m").fill(lambda x, y, z: 1e6 * y)
-    z = Field(hierarchy, unit="V/m").fill(lambda x, y, z: 1e6 * z)
-    return hierarchy, {"phi": phi, "E": VectorField(x, y, z)}
-
-
-def write(comm, path, writers=1):
-    hierarchy, values = dumped(comm)
-    vtkhdf_writer.write(path, hierarchy, values, 7, 1.25e-9, ABOUT, Writers(writers))
-    return hierarchy
+from linear_dump import ABOUT, DOMAIN, dumped, phi_at, write
 
 
 def vtk_read(path):
@@ -186,3 +161,75 @@ def test_a_lost_part_is_named(comm, tmp_path):
     comm.barrier()
     with pytest.raises(InputError, match=r"its part fields_00000007\.part0001 is not beside it"):
         Dump(path)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_run_lists_the_times_of_its_dumps(comm, tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    for step, time in ((0, 0.0), (20, 2.5e-9), (10, 1.25e-9)):
+        comm.Barrier()
+        vtkhdf_writer.path_of(tmp_path, step).touch()
+        vtkhdf_writer.list_time(comm, tmp_path, step, time)
+    comm.Barrier()
+    vtkhdf_writer.path_of(tmp_path, 20).unlink(missing_ok=True)
+    comm.Barrier()
+    vtkhdf_writer.list_time(comm, tmp_path, 10, 1.5e-9)  # again, after a restart
+    if comm.rank == 0:
+        reader = pyvista.get_reader(tmp_path / "fields.vtkhdf.series")  # as ParaView's reader of series
+        assert reader.time_values == [0.0, 1.5e-9]
+        assert list(vtkhdf_writer.listed_times(tmp_path / vtkhdf_writer.SERIES)) == [
+            f"fields_{step:08d}.vtkhdf" for step in (0, 10)
+        ]
+    comm.Barrier()
+    (tmp_path / vtkhdf_writer.SERIES).write_text("[]")
+    comm.Barrier()
+    vtkhdf_writer.list_time(comm, tmp_path, 10, 1.5e-9)
+    assert vtkhdf_writer.listed_times(tmp_path / vtkhdf_writer.SERIES) == {"fields_00000010.vtkhdf": 1.5e-9}
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_yt_shows_values_units_and_axes_of_a_dump(comm, tmp_path):
+    yt = pytest.importorskip("yt")
+    path = vtkhdf_writer.path_of(tmp_path, 7)
+    hierarchy = write(comm, path, writers=0)  # one file, and one of two parts
+    dataset = yt.load(str(path))
+    assert float(dataset.current_time.to_value("s")) == 1.25e-9
+    assert dataset.domain_left_edge.to_value("m") == pytest.approx(DOMAIN.lower, rel=1e-15)
+    assert dataset.domain_right_edge.to_value("m") == pytest.approx(DOMAIN.upper, rel=1e-15)
+    assert dataset.index.max_level == 2 and not any(dataset.periodicity)
+    assert len(dataset.index.grids) == sum(len(hierarchy.boxes(level)) for level in range(3))
+    data = dataset.all_data()
+    centres = [data["index", axis].to_value("m") for axis in "xyz"]
+    assert str(data["gdf", "phi"].units) == "V" and str(data["gdf", "Ez"].units) == "V/m"
+    np.testing.assert_allclose(data["gdf", "phi"].to_value("V"), phi_at(*centres), rtol=1e-12)
+    for axis, centre in zip("xyz", centres, strict=True):
+        np.testing.assert_allclose(data["gdf", f"E{axis}"].to_value("V/m"), 1e6 * centre, rtol=1e-12, atol=1e-6)
+    # What yt shows covers the domain once: cells under a finer level are left out.
+    assert float(data["index", "cell_volume"].sum().to_value("m**3")) == pytest.approx(0.24 * 0.48 * 0.64, rel=1e-12)
+    cut = dataset.slice("z", dataset.quan(0.303, "m"))  # between faces of cells of all levels
+    assert np.abs(cut["index", "z"].to_value("m") - 0.303).max() <= 0.01  # half a base cell
+    picture = cut.to_frb((0.24, "m"), 48, height=(0.48, "m"), center=dataset.domain_center)["gdf", "Ex"]
+    assert picture.to_value("V/m")[:, ::2] == pytest.approx(
+        np.tile(1e6 * (-0.15 + 0.01 * (np.arange(24) + 0.5)), (48, 1)),
+        abs=2.6e3,  # a quarter of a base cell
+    )
+    along = dataset.proj(("gdf", "phi"), "x")  # the integral of φ along x
+    y, z = (along[name].to_value("m") for name in ("px", "py"))
+    assert str(along["gdf", "phi"].to("V*m").units) == "V*m"
+    integral, areas = along["gdf", "phi"].to_value("V*m"), (4 * along["pdx"] * along["pdy"]).to_value("m**2")
+    # Where some of the cells on the way are coarse, their centres lie up to a quarter of a base cell beside the line.
+    np.testing.assert_allclose(integral, 0.24 * phi_at(-0.03, y, z), atol=0.24 * 0.02)
+    assert (integral * areas).sum() == pytest.approx(0.24 * 0.48 * 0.64 * phi_at(-0.03, -0.06, 0.42), rel=1e-12)
+
+
+def test_the_view_takes_no_room_for_values(comm, tmp_path, monkeypatch):
+    from amrpic.io import yt_view
+
+    with_view, without = tmp_path / "with.vtkhdf", tmp_path / "without.vtkhdf"
+    hierarchy = write(comm, with_view)
+    monkeypatch.setattr(yt_view, "LARGEST", 0)
+    write(comm, without)
+    boxes = sum(len(hierarchy.boxes(level)) for level in range(hierarchy.levels))
+    assert with_view.stat().st_size - without.stat().st_size < 10_000 + 4_000 * boxes
+    with Dump(without) as dump:
+        assert "data" not in dump._h5

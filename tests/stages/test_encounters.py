@@ -177,7 +177,7 @@ def test_exits_are_at_the_first_face_that_is_passed():
 
 def test_what_is_outside_from_the_start_is_met_there():
     domain = Domain((-1, -1, -1), (1, 1, 1), (8, 8, 8))
-    at = [[0, 3, 0], [-1.5, 0, 0], [0, 0, 1], [0, 1.0, 0]]
+    at = [[0, 3, 0], [-1.5, 0, 0], [0, 0, 1.5], [0, 1.25, 0]]
     met = flights(at, at, domain).exits(np.arange(4))
     assert [FACES[what] for what in met.what] == ["y_upper", "x_lower", "z_upper", "y_upper"]
     assert met.place.tolist() == at and not met.share.any()

@@ -52,7 +52,7 @@ class SolverError(Exception):
 class Hierarchy:
     def __init__(
         self,
-        comm: int,
+        comm: int | Sequence[int],
         lower: Sequence[float],
         upper: Sequence[float],
         cells: Sequence[int],
@@ -62,6 +62,9 @@ class Hierarchy:
         blocking_factor: int,
         weights: Sequence[NDArray[numpy.float64]],
     ) -> None: ...
+    def seen_by(self, rank: int) -> Hierarchy:
+        """The hierarchy of a virtual rank as another virtual rank has it."""
+
     @property
     def levels(self) -> int: ...
     def boxes(self, level: int) -> NDArray[numpy.int32]: ...

@@ -31,6 +31,20 @@ def _counted(name: str) -> Callable[..., Any]:
     return counting
 
 
+@dataclass(frozen=True)
+class VirtualRank:
+    """One of any number of ranks that need not exist, in place of a communicator: what follows from metadata alone is the
+    same as on a real rank. Whatever would communicate raises AmrpicError."""
+
+    rank: int
+    size: int
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise AmrpicError(f"rank {self.rank} of {self.size} is virtual and has no {name}; run this under mpiexec")
+
+
 T = TypeVar("T")
 
 COLLECTIVES = ("allreduce", "Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 from mpi4py import MPI
 
 from .. import _native
 from ..errors import HierarchyError
-from ..parallel import own
+from ..parallel import Communicator, VirtualRank, own
 from .domain import BOUNDARIES, Domain
 
 
@@ -40,12 +42,15 @@ class Hierarchy:
 
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
 
+    With a VirtualRank in place of the communicator nothing is collective: boxes, owners and plans of exchanges are those
+    that this rank of so many would have, and nothing that communicates can be done with the hierarchy.
+
     Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not aligned so, or do not nest.
     """
 
     def __init__(
         self,
-        comm: MPI.Comm,
+        comm: MPI.Comm | VirtualRank,
         domain: Domain,
         levels: Sequence[Sequence[Sequence[Sequence[int]]] | np.ndarray] = (),
         max_grid_size: int = 24,
@@ -55,10 +60,11 @@ class Hierarchy:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
         loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
-        self.comm = own(comm)
+        is_virtual = isinstance(comm, VirtualRank)
+        self.comm = cast(Communicator, comm) if is_virtual else own(cast(MPI.Comm, comm))
         try:
             self.native = _native.Hierarchy(
-                self.comm.py2f(),
+                (self.comm.rank, self.comm.size) if is_virtual else self.comm.py2f(),
                 domain.lower,
                 domain.upper,
                 domain.cells,
@@ -74,6 +80,20 @@ class Hierarchy:
         self.max_grid_size = int(max_grid_size)
         self.blocking_factor = int(blocking_factor)
         self.weights = loads  # as given; none: the cells of each box
+
+    def seen_by(self, rank: int) -> Hierarchy:
+        """Return the hierarchy of a virtual rank as another virtual rank of as many has it. Local.
+
+        Much faster than to make it anew. HierarchyError if the ranks are real.
+        """
+        out = copy.copy(self)
+        out.__dict__.pop("particle_mesh", None)
+        try:
+            out.native = self.native.seen_by(rank)
+        except _native.HierarchyError as refused:
+            raise HierarchyError(str(refused)) from None
+        out.comm = cast(Communicator, VirtualRank(rank, self.comm.size))
+        return out
 
     @cached_property
     def particle_mesh(self) -> _native.ParticleMesh:

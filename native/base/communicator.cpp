@@ -66,6 +66,18 @@ Communicator::Communicator(MPI_Comm comm) : comm_(comm) {
   MPI_Comm_size(comm, &ranks_);
 }
 
+Communicator::Communicator(int rank, int ranks) : comm_(MPI_COMM_NULL), rank_(rank), ranks_(ranks) {
+  if (rank < 0 || rank >= ranks)
+    throw std::invalid_argument("virtual rank " + std::to_string(rank) + " is not one of " + std::to_string(ranks) +
+                                "; give one from 0 to " + std::to_string(ranks - 1));
+}
+
+void Communicator::check_that_others_exist() const {
+  if (is_virtual())
+    throw std::logic_error("rank " + std::to_string(rank_) + " of " + std::to_string(ranks_) +
+                           " is virtual and cannot communicate; run this under mpiexec");
+}
+
 std::pair<Real, int> Communicator::largest_and_rank(Real value) const {
   struct {
     double value;
@@ -93,6 +105,7 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
     std::vector<std::pair<int, std::int64_t>> const& to) const {
   std::vector<std::pair<int, std::int64_t>> out;
   if (ranks_ == 1) return out;
+  check_that_others_exist();
   // A rank may be one round ahead of another, and must not be taken for one of the round before: two tags take turns.
   int const tag = tag_announcement + rounds_of(comm_)++ % 2;
   std::vector<MPI_Request> sending;
@@ -127,10 +140,14 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
   return out;
 }
 
-void Communicator::abort(std::string const& what) const { end_job(comm_, what.substr(0, what.find('\n'))); }
+void Communicator::abort(std::string const& what) const {
+  if (is_virtual()) throw std::logic_error(what);
+  end_job(comm_, what.substr(0, what.find('\n')));
+}
 
 void Messages::post(Communicator const& comm, void* values, std::size_t count, std::size_t size, MPI_Datatype type,
                     int rank, bool sends) {
+  comm.check_that_others_exist();
   for (std::size_t first = 0; first < count; first += longest) {
     int const n = int(std::min(longest, count - first));
     char* const at = static_cast<char*>(values) + first * size;

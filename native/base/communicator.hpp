@@ -46,9 +46,17 @@ MPI_Datatype datatype() {
 
 /// The ranks of an MPI communicator, which must be the library's own: see `amrpic.parallel.own`. All that is not said
 /// to be local is collective. Of one rank, nothing communicates.
+///
+/// A virtual rank is one of any number that need not exist: what follows from metadata alone, such as boxes, owners and
+/// plans of exchanges, is the same for it as for a real one. It has no others: whatever would communicate throws
+/// std::logic_error.
 class Communicator {
  public:
   explicit Communicator(MPI_Comm comm);
+  Communicator(int rank, int ranks);  ///< a virtual rank, which must lie in [0, ranks). Local.
+  bool is_virtual() const { return comm_ == MPI_COMM_NULL; }
+  /// Throws std::logic_error for a virtual rank. Local.
+  void check_that_others_exist() const;
 
   int rank() const { return rank_; }
   int ranks() const { return ranks_; }
@@ -121,6 +129,7 @@ class Communicator {
   }
   std::vector<int> counts(std::size_t mine) const;
   void count_collective() const {
+    check_that_others_exist();
     if (ranks_ > 1) ++traffic().collectives;
   }
 

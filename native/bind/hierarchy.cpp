@@ -2,6 +2,7 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include "base/error.hpp"
@@ -13,6 +14,19 @@ namespace nb = nanobind;
 using namespace amrpic;
 using namespace nb::literals;
 
+namespace {
+
+/// The Fortran handle of a communicator, or a virtual rank and the number of ranks.
+using Ranks = std::variant<int, std::array<int, 2>>;
+
+Communicator communicator(Ranks const& ranks) {
+  if (auto const* handle = std::get_if<int>(&ranks)) return Communicator(MPI_Comm_f2c(*handle));
+  auto const& [rank, count] = std::get<1>(ranks);
+  return Communicator(rank, count);
+}
+
+}  // namespace
+
 void bind_hierarchy(nb::module_& m) {
   nb::exception<HierarchyError>(m, "HierarchyError");
   nb::exception<SolverError>(m, "SolverError");
@@ -20,7 +34,7 @@ void bind_hierarchy(nb::module_& m) {
   nb::class_<Hierarchy>(m, "Hierarchy")
       .def(
           "__init__",
-          [](Hierarchy* self, int comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
+          [](Hierarchy* self, Ranks comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
              std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor,
              std::vector<bind::Reals> weights) {
             Domain domain{lower, upper, cells, {}};
@@ -30,11 +44,13 @@ void bind_hierarchy(nb::module_& m) {
             std::vector<std::vector<Real>> loads;
             for (auto const& w : weights) loads.emplace_back(w.data(), w.data() + w.size());
             nb::gil_scoped_release release;
-            new (self)
-                Hierarchy(Communicator(MPI_Comm_f2c(comm)), domain, boxes, max_grid_size, blocking_factor, loads);
+            new (self) Hierarchy(communicator(comm), domain, boxes, max_grid_size, blocking_factor, loads);
           },
           "comm"_a, "lower"_a, "upper"_a, "cells"_a, "boundary"_a, "levels"_a, "max_grid_size"_a, "blocking_factor"_a,
           "weights"_a)
+      .def(
+          "seen_by", [](Hierarchy const& h, int rank) { return std::const_pointer_cast<Hierarchy>(h.seen_by(rank)); },
+          "rank"_a, "The hierarchy of a virtual rank as another virtual rank has it.")
       .def_prop_ro("levels", &Hierarchy::level_count)
       .def(
           "boxes", [](Hierarchy const& h, int level) { return bind::from_boxes(h.level(level).boxes()); }, "level"_a)

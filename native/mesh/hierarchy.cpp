@@ -219,4 +219,14 @@ std::shared_ptr<Hierarchy const> Hierarchy::stretched(Real3 const& factor) const
   return out;
 }
 
+std::shared_ptr<Hierarchy const> Hierarchy::seen_by(int rank) const {
+  if (!comm_.is_virtual())
+    throw HierarchyError("the hierarchy belongs to ranks that run; make it for a virtual rank to see it as others do");
+  auto out = std::make_shared<Hierarchy>(*this);
+  out->comm_ = Communicator(rank, comm_.ranks());
+  for (auto& level : out->levels_) level = level->seen_by(rank);
+  out->faces_ = std::make_shared<Faces>();
+  return out;
+}
+
 }  // namespace amrpic

@@ -37,6 +37,9 @@ class Hierarchy {
   /// The same boxes on the same ranks, in a space whose lengths are those of this one times `factor`.
   std::shared_ptr<Hierarchy const> stretched(Real3 const& factor) const;
 
+  /// The hierarchy of a virtual rank as another virtual rank of the same number has it. Local.
+  std::shared_ptr<Hierarchy const> seen_by(int rank) const;
+
  private:
   Communicator comm_;
   Domain domain_;

@@ -85,4 +85,10 @@ std::shared_ptr<Level const> Level::stretched(Real3 const& factor) const {
   return out;
 }
 
+std::shared_ptr<Level const> Level::seen_by(int rank) const {
+  auto out = std::make_shared<Level>(*this);
+  out->rank_ = rank;
+  return out;
+}
+
 }  // namespace amrpic

@@ -52,6 +52,8 @@ class Level {
   Real3 const& spacing() const { return spacing_; }
   /// The same boxes on the same ranks, with `factor` times the spacing.
   std::shared_ptr<Level const> stretched(Real3 const& factor) const;
+  /// The same as another rank has it.
+  std::shared_ptr<Level const> seen_by(int rank) const;
   Real cell_volume() const { return spacing_[0] * spacing_[1] * spacing_[2]; }
 
   int box_count() const { return int(boxes_.size()); }

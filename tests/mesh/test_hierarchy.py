@@ -7,7 +7,8 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
-from amrpic.errors import HierarchyError
+from amrpic.errors import AmrpicError, HierarchyError
+from amrpic.parallel import VirtualRank
 
 DOMAIN = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16))
 MIDDLE = [((8, 8, 8), (23, 23, 23))]
@@ -68,6 +69,31 @@ def test_boxes_and_their_order_are_those_of_one_rank(comm):
         assert np.array_equal(alone.boxes(level), together.boxes(level))
         owners = together.owners(level)
         assert np.all(np.diff(owners) >= 0) and set(owners) == set(range(comm.size))
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+def test_virtual_ranks_have_the_boxes_of_real_ones(comm):
+    levels = [MIDDLE, [((24, 24, 24), (39, 39, 39))]]
+    real = amrpic.Hierarchy(comm, DOMAIN, levels, max_grid_size=8)
+    first = amrpic.Hierarchy(VirtualRank(0, comm.size), DOMAIN, levels, max_grid_size=8)
+    for unreal in first.seen_by(comm.rank), amrpic.Hierarchy(VirtualRank(comm.rank, comm.size), DOMAIN, levels, 8):
+        assert (unreal.comm.rank, unreal.comm.size) == (comm.rank, comm.size)
+        for level in range(3):
+            assert np.array_equal(unreal.boxes(level), real.boxes(level))
+            assert np.array_equal(unreal.owners(level), real.owners(level))
+            assert unreal.local_boxes(level) == real.local_boxes(level)
+
+
+def test_virtual_ranks_refuse_to_communicate():
+    mesh = amrpic.Hierarchy(VirtualRank(3, 720), DOMAIN)
+    with pytest.raises(AmrpicError, match="rank 3 of 720 is virtual and has no allreduce"):
+        mesh.comm.allreduce(1)
+    with pytest.raises(RuntimeError, match="rank 3 of 720 is virtual and cannot communicate"):
+        amrpic.Field(mesh).native.integral()
+    with pytest.raises(ValueError, match="virtual rank 720 is not one of 720; give one from 0 to 719"):
+        mesh.seen_by(720)
+    with pytest.raises(HierarchyError, match="ranks that run"):
+        hierarchy().seen_by(0)
 
 
 def test_boxes_are_cut_to_size_and_cover_what_was_asked():

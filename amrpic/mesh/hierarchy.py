@@ -43,7 +43,7 @@ class Hierarchy:
     Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
 
     With a VirtualRank in place of the communicator nothing is collective: boxes, owners and plans of exchanges are those
-    that this rank of so many would have, and nothing that communicates can be done with the hierarchy.
+    that this rank of so many would have, and all that would be sent is only counted.
 
     Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not aligned so, or do not nest.
     """

@@ -4,6 +4,8 @@
 #include <cstdio>
 #include <cstdlib>
 
+#include "base/destinations.hpp"
+
 namespace amrpic {
 
 namespace {
@@ -54,6 +56,11 @@ Traffic& traffic() {
   return all;
 }
 
+std::set<int>& destinations() {
+  static std::set<int> all;
+  return all;
+}
+
 MPI_Datatype new_datatype(std::size_t size) {
   MPI_Datatype out;
   MPI_Type_contiguous(int(size), MPI_BYTE, &out);
@@ -72,18 +79,13 @@ Communicator::Communicator(int rank, int ranks) : comm_(MPI_COMM_NULL), rank_(ra
                                 "; give one from 0 to " + std::to_string(ranks - 1));
 }
 
-void Communicator::check_that_others_exist() const {
-  if (is_virtual())
-    throw std::logic_error("rank " + std::to_string(rank_) + " of " + std::to_string(ranks_) +
-                           " is virtual and cannot communicate; run this under mpiexec");
-}
-
 std::pair<Real, int> Communicator::largest_and_rank(Real value) const {
   struct {
     double value;
     int rank;
   } out{value, rank_};
   count_collective();
+  if (is_virtual()) return {value, rank_};
   MPI_Allreduce(MPI_IN_PLACE, &out, 1, MPI_DOUBLE_INT, MPI_MAXLOC, comm_);
   return {out.value, out.rank};
 }
@@ -92,7 +94,10 @@ std::vector<int> Communicator::counts(std::size_t mine) const {
   std::vector<int> out(std::size_t(ranks_), 0);
   int const count = int(mine);
   count_collective();
-  MPI_Allgather(&count, 1, MPI_INT, out.data(), 1, MPI_INT, comm_);
+  if (is_virtual())
+    out[std::size_t(rank_)] = count;
+  else
+    MPI_Allgather(&count, 1, MPI_INT, out.data(), 1, MPI_INT, comm_);
   std::int64_t total = 0;
   for (int n : out) total += n;
   if (total > std::numeric_limits<int>::max())
@@ -105,7 +110,13 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
     std::vector<std::pair<int, std::int64_t>> const& to) const {
   std::vector<std::pair<int, std::int64_t>> out;
   if (ranks_ == 1) return out;
-  check_that_others_exist();
+  if (is_virtual()) {
+    for (auto const& [rank, count] : to) destinations().insert(rank);
+    traffic().messages += std::int64_t(to.size());
+    traffic().bytes += std::int64_t(to.size() * sizeof(std::int64_t));
+    count_collective();
+    return out;
+  }
   // A rank may be one round ahead of another, and must not be taken for one of the round before: two tags take turns.
   int const tag = tag_announcement + rounds_of(comm_)++ % 2;
   std::vector<MPI_Request> sending;
@@ -147,15 +158,17 @@ void Communicator::abort(std::string const& what) const {
 
 void Messages::post(Communicator const& comm, void* values, std::size_t count, std::size_t size, MPI_Datatype type,
                     int rank, bool sends) {
-  comm.check_that_others_exist();
   for (std::size_t first = 0; first < count; first += longest) {
     int const n = int(std::min(longest, count - first));
     char* const at = static_cast<char*>(values) + first * size;
     if (!sends) {
-      MPI_Irecv(at, n, type, rank, tag_values, comm.handle(), &receiving_.emplace_back());
+      if (!comm.is_virtual()) MPI_Irecv(at, n, type, rank, tag_values, comm.handle(), &receiving_.emplace_back());
       continue;
     }
-    MPI_Isend(at, n, type, rank, tag_values, comm.handle(), &sending_.emplace_back());
+    if (comm.is_virtual())
+      destinations().insert(rank);
+    else
+      MPI_Isend(at, n, type, rank, tag_values, comm.handle(), &sending_.emplace_back());
     ++traffic().messages;
     traffic().bytes += std::int64_t(n) * std::int64_t(size);
   }

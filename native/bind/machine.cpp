@@ -1,11 +1,14 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
+#include <nanobind/stl/set.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "base/communicator.hpp"
+#include "base/destinations.hpp"
 #include "base/runtime.hpp"
 #include "bind/bind.hpp"
 #include "mesh/exchange.hpp"
@@ -24,6 +27,9 @@ void bind_machine(nb::module_& m) {
         return std::array{all.messages, all.bytes, all.collectives};
       },
       "Messages and bytes that this process has sent to other ranks so far, and collective calls.");
+  m.def(
+      "take_destinations", [] { return std::exchange(amrpic::destinations(), {}); },
+      "The ranks that virtual ranks of this process have sent messages to since the last call.");
   m.def(
       "count_collective", [] { ++amrpic::traffic().collectives; }, "Count a collective call that Python makes.");
   m.def(

@@ -58,6 +58,7 @@ ORDER = (
     "view",
     "run",
     "__init__",
+    "scaling",
     "verify",
     "commands",
 )

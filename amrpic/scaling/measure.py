@@ -22,7 +22,7 @@ from ..parallel import own, together
 from ..run.clock import Spent
 from ..run.simulation import Simulation
 from ..scene.scene import Scene
-from .measured import Run, Stage
+from .measured import WALLS, Run, Stage
 
 UNCOUNTED = 1  # first steps, in which memory is touched for the first time
 
@@ -44,7 +44,7 @@ def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name
         taken = time.perf_counter() - since
         if of.step > UNCOUNTED:
             seconds.append(comm.allreduce(taken, op=MPI.MAX))
-            stages.append(over_ranks(comm, of.state.spent))
+            stages.append(over_ranks(comm, _with_walls(of.state.spent, of.report.seconds)))
             cycles.append(of.report.cycles)
         comm.Barrier()
         since = time.perf_counter()
@@ -61,6 +61,7 @@ def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name
         name,
         sum(mesh.cells(level) for level in range(mesh.levels)),
         total,
+        wall_cells(mesh),
         cell_imbalance(mesh),
         comm.allreduce(number, op=MPI.MAX) * comm.size / total if total else 1.0,
         _spread(comm, np.array([memory]))[0],
@@ -76,17 +77,37 @@ def _with_steps(scene: Scene, steps: int) -> Scene:
     return scene.model_copy(update={"schedule": schedule})
 
 
+def _with_walls(spent: Mapping[str, Spent], of_solve: Mapping[str, float]) -> dict[str, Spent]:
+    """Return what stages spent, with the open walls' part of the latest solve as a stage of its own; messages stay."""
+    seconds = of_solve.get("open boundary", 0.0)
+    if seconds == 0 or "solve" not in spent:
+        return dict(spent)
+    return {**spent, "solve": spent["solve"] - Spent(seconds), WALLS: Spent(seconds)}
+
+
+def wall_cells(mesh: Hierarchy) -> int:
+    """Return the number of base cells at open walls."""
+    cells = np.array(mesh.domain.cells)
+    return int(sum(cells.prod() // cells[axis] * faces.count("open") for axis, faces in enumerate(mesh.domain.boundary)))
+
+
 def _spread(comm: MPI.Comm, values: np.ndarray) -> list[tuple[float, float, float]]:
     """Return the least, mean and most of each value over the ranks. Collective."""
-    least, total, most = (comm.allreduce(values, op=op) for op in (MPI.MIN, MPI.SUM, MPI.MAX))
+    least, total, most = (_reduced(comm, values, op) for op in (MPI.MIN, MPI.SUM, MPI.MAX))
     return list(zip(least.tolist(), (total / comm.size).tolist(), most.tolist(), strict=True))
+
+
+def _reduced(comm: MPI.Comm, values: np.ndarray, op: MPI.Op) -> np.ndarray:
+    out = np.empty_like(values)
+    comm.Allreduce(values, out, op=op)
+    return out
 
 
 def over_ranks(comm: MPI.Comm, spent: Mapping[str, Spent]) -> dict[str, Stage]:
     """Return what all ranks spent on the stages of a step. Collective."""
     seconds = _spread(comm, np.array([of.seconds for of in spent.values()]))
     traffic = np.array([list(asdict(of.traffic).values()) for of in spent.values()], dtype=float).reshape(-1, 3)
-    busiest = comm.allreduce(traffic, op=MPI.MAX)
+    busiest = _reduced(comm, traffic, MPI.MAX)
     return {name: Stage(*s, *t) for name, s, t in zip(spent, seconds, busiest.tolist(), strict=True)}
 
 

@@ -12,6 +12,7 @@ from typing import Any, Self
 from ..errors import InputError, OutputError
 
 OUTPUT = "output"  # the stage of series, diagnostics and dumps in the course of a run
+WALLS = "open walls"  # the part of a solve that finds the potential at them
 END = "end"  # what a run writes at its end; not part of a step
 
 
@@ -37,6 +38,7 @@ class Run:
     scene: str  # what the scene is known by: see `study.name_of`
     cells: int  # of all levels
     particles: int
+    wall_cells: int  # base cells at open walls
     cell_imbalance: float  # Σ_l max ÷ Σ_l mean over ranks of the cells of level l: levels are visited in turn
     particle_imbalance: float  # max ÷ mean over ranks
     memory: tuple[float, float, float]  # bytes of a rank at its fullest: least, mean, most
@@ -72,6 +74,7 @@ class Measured:
     ranks: int
     cells: int
     particles: int
+    wall_cells: int
     cell_imbalance: float
     particle_imbalance: float
     memory: tuple[float, float, float]
@@ -99,6 +102,7 @@ class Measured:
             first.ranks,
             first.cells,
             first.particles,
+            first.wall_cells,
             first.cell_imbalance,
             first.particle_imbalance,
             _each(max, [run.memory for run in runs]),

@@ -19,7 +19,10 @@ from .text_table import columns
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     scaling = command(
-        commands, "scaling", _scaling, "measure how steps of a scene speed up with ranks, or plan it for any number of them"
+        commands,
+        "scaling",
+        _scaling,
+        "measure how steps of a scene speed up with ranks, or plan it for any number of them",
     )
     scene_arguments(scaling)
     scaling.add_argument("--ranks", type=count, nargs="+", default=[1, 2], metavar="N", help="numbers of ranks")
@@ -44,7 +47,9 @@ def add(commands: Commands) -> None:
         help='write a batch job for each number of ranks in place of starting it, with these options of sbatch, such as "-t 30"',
     )
     scaling.add_argument(
-        "--collect", action="store_true", help="show what earlier starts and batch jobs have measured, and start nothing"
+        "--collect",
+        action="store_true",
+        help="show what earlier starts and batch jobs have measured, and start nothing",
     )
     scaling.add_argument(
         "--plan", type=_list, metavar="N,N,...", help="count and model a step on so many ranks that need not exist"

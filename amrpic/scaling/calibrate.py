@@ -90,11 +90,15 @@ def calibrate(launcher: str, repeat: int = 2, say: Callable[[str], None] = lambd
 def _start(launcher: str, ranks: int, module: str, *arguments: object) -> None:
     command = [*shlex.split(launcher.format(ranks=ranks)), sys.executable, "-m", f"amrpic.scaling.{module}"]
     try:
-        done = subprocess.run([*command, *map(str, arguments)], env=dict(os.environ), stdout=subprocess.DEVNULL, check=False)
+        done = subprocess.run(
+            [*command, *map(str, arguments)], env=dict(os.environ), stdout=subprocess.DEVNULL, check=False
+        )
     except OSError as reason:
         raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
     if done.returncode != 0:
-        raise InputError(f"a calibration on {ranks} ranks ended with status {done.returncode}; correct what it says above")
+        raise InputError(
+            f"a calibration on {ranks} ranks ended with status {done.returncode}; correct what it says above"
+        )
 
 
 def _processor() -> str:

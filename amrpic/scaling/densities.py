@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,7 +50,13 @@ def clouds_of(scene: Scene) -> list[Cloud]:
 def _clouds(scene: Scene, number: int, bunch: Bunch) -> Iterator[Cloud]:
     if isinstance(bunch, LatticeBunch):
         lower, upper = np.array(scene.domain.lower), np.array(scene.domain.upper)
-        yield Cloud(bunch.number, bunch.bunch_charge, lower, upper, _product([_even(*ends) for ends in zip(lower, upper, strict=True)]))
+        yield Cloud(
+            bunch.number,
+            bunch.bunch_charge,
+            lower,
+            upper,
+            _product([_even(*ends) for ends in zip(lower, upper, strict=True)]),
+        )
         return
     if not isinstance(bunch, Train):
         raise InputError(
@@ -108,7 +113,9 @@ class Densities:
             meets = np.array([((c.lower < upper) & (lower < c.upper)).all(axis=1) for c in clouds], dtype=bool)
             meets = meets.reshape(len(clouds), len(boxes))
             self.boxes.append(np.flatnonzero(meets.any(axis=0)))
-            self._near.append([[c for c, near in zip(clouds, meets[:, b], strict=True) if near] for b in self.boxes[-1]])
+            self._near.append(
+                [[c for c, near in zip(clouds, meets[:, b], strict=True) if near] for b in self.boxes[-1]]
+            )
 
     def box_values(self, level: int, place: int, value: Callable[[Cloud], float]) -> np.ndarray:
         """Return the sum over clouds of a value times the share in each cell (nx, ny, nz) of `boxes[level][place]`."""

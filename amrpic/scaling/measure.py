@@ -88,7 +88,9 @@ def _with_walls(spent: Mapping[str, Spent], of_solve: Mapping[str, float]) -> di
 def wall_cells(mesh: Hierarchy) -> int:
     """Return the number of base cells at open walls."""
     cells = np.array(mesh.domain.cells)
-    return int(sum(cells.prod() // cells[axis] * faces.count("open") for axis, faces in enumerate(mesh.domain.boundary)))
+    return int(
+        sum(cells.prod() // cells[axis] * faces.count("open") for axis, faces in enumerate(mesh.domain.boundary))
+    )
 
 
 def _spread(comm: MPI.Comm, values: np.ndarray) -> list[tuple[float, float, float]]:

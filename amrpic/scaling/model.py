@@ -70,9 +70,7 @@ def _work(work: Work, cells: float, particles: float, walls: float, cycles: floa
     return work.call + cells * each_cell + particles * work.particle + walls * work.wall
 
 
-def _messages(
-    plan: Plan, network: Network, calls: Sequence[tuple[str, bool]], cycles: float
-) -> tuple[float, float]:
+def _messages(plan: Plan, network: Network, calls: Sequence[tuple[str, bool]], cycles: float) -> tuple[float, float]:
     if plan.ranks == 1:
         return 0.0, 0.0
     per_byte = min(network.ranks_per_node, plan.ranks) / network.bandwidth

@@ -91,9 +91,7 @@ class Planner:
             self._say(f"{ranks} ranks: messages of rank {rank}, {number} of {len(chosen)}")
             sent.append(counts(self.scene, mesh.seen_by(rank), *self._sample))
         boxes = np.array([np.bincount(mesh.owners(level), minlength=ranks) for level in range(mesh.levels)])
-        return Plan(
-            ranks, cells, boxes, particles, wall_cells(self.mesh), *self._memory(mesh, particles), chosen, sent
-        )
+        return Plan(ranks, cells, boxes, particles, wall_cells(self.mesh), *self._memory(mesh, particles), chosen, sent)
 
     def _on(self, mesh: Hierarchy) -> list[np.ndarray]:
         """Return the particles of the boxes of a mesh, which may be cut in another way for more ranks."""

@@ -67,7 +67,14 @@ def markdown(planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine
 
 def _held(plans: Sequence[Plan]) -> list[tuple[str, Rows]]:
     levels = range(len(plans[0].cells))
-    head = ["ranks", *(f"cells of level {l}, most" for l in levels), "Σ max/Σ mean", "particles, mean", "most", "most/mean"]
+    head = [
+        "ranks",
+        *(f"cells of level {l}, most" for l in levels),
+        "Σ max/Σ mean",
+        "particles, mean",
+        "most",
+        "most/mean",
+    ]
     held = [
         head + ["MiB, most", "MiB at the start, most"],
         *(
@@ -140,9 +147,7 @@ def _values(plan: Plan, machines: Sequence[Machine], cycles: float) -> dict[str,
         "memory_most": float(plan.memory.max()),
         "start_memory_most": float(plan.start_memory.max()),
         "neighbours": plan.neighbours(),
-        "sent": {
-            call: {key: plan.most(call, key) for key in ("messages", "bytes", "collectives")} for call in CALLS
-        },
+        "sent": {call: {key: plan.most(call, key) for key in ("messages", "bytes", "collectives")} for call in CALLS},
         "seconds": {
             machine.name: {name: time.total for name, time in step_time(plan, machine, cycles).items()}
             for machine in machines

@@ -29,7 +29,14 @@ def table(found: Sequence[Measured]) -> list[list[str]]:
         for one in all_:
             solve = f"{efficiency(first, one, 'solve'):.0%}" if "solve" in one.stages else "-"
             rows.append(
-                [kind, f"{one.ranks}", f"{one.cells}", f"{one.particles}", f"{one.cycles:g}", f"{1e3 * one.seconds:.4g}"]
+                [
+                    kind,
+                    f"{one.ranks}",
+                    f"{one.cells}",
+                    f"{one.particles}",
+                    f"{one.cycles:g}",
+                    f"{1e3 * one.seconds:.4g}",
+                ]
                 + [f"{first.seconds / one.seconds:.2f}", f"{efficiency(first, one):.0%}", solve]
                 + [f"{one.cell_imbalance:.2f}", f"{one.particle_imbalance:.2f}", f"{one.memory[2] / MIB:.0f}"]
                 + [f"{one.steps}"]
@@ -43,9 +50,7 @@ def stage_table(one: Measured) -> list[list[str]]:
     for name, stage in one.stages.items():
         times = [f"{1e3 * seconds:.3g}" for seconds in (stage.least, stage.mean, stage.most)]
         label = "at the end of the run" if name == END else name
-        rows.append(
-            [label, *times, f"{stage.messages:.0f}", f"{stage.bytes / 1e3:.0f}", f"{stage.collectives:.0f}"]
-        )
+        rows.append([label, *times, f"{stage.messages:.0f}", f"{stage.bytes / 1e3:.0f}", f"{stage.collectives:.0f}"])
     return rows
 
 
@@ -93,7 +98,9 @@ def draw_times(panel: Axes, ranks: Sequence[int], times: dict[str, list[float]],
         panel.plot(ranks, [value or None for value in values], "o-", markersize=4, label=name, **heavy)
     first = next(iter(times.values()))[0]
     panel.plot(ranks, [first * one / work[0] for one in work], "k--", linewidth=0.8, label="ideal")
-    panel.set(yscale="log", ylim=(max(first * 1e-4, min(v for all_ in times.values() for v in all_ if v > 0) / 2), None))
+    panel.set(
+        yscale="log", ylim=(max(first * 1e-4, min(v for all_ in times.values() for v in all_ if v > 0) / 2), None)
+    )
     over_ranks(panel, ranks)
 
 

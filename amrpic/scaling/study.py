@@ -144,6 +144,8 @@ class Study:
                 # os.environ is what this process started with; MPI has added to its own that it is a rank of a run
                 status = subprocess.run(whole, env=dict(os.environ), stdout=said, check=False).returncode
             except OSError as reason:
-                raise InputError(f"{whole[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
+                raise InputError(
+                    f"{whole[0]} cannot be started ({reason.strerror}); choose another --launcher"
+                ) from None
         if status != 0 or not Path(command[3]).exists():
             raise InputError(f"the run on {ranks} ranks ended with status {status}; correct what it says above")

@@ -141,16 +141,14 @@ def without_open_walls(mesh: Hierarchy) -> Hierarchy:
 
     What finds the potential at open walls needs the charges of all ranks, which a virtual one does not have.
     """
-    boundary = tuple(
-        tuple("dirichlet" if face == "open" else face for face in faces) for faces in mesh.domain.boundary
-    )
+    boundary = tuple(tuple("dirichlet" if face == "open" else face for face in faces) for faces in mesh.domain.boundary)
     domain = Domain(mesh.domain.lower, mesh.domain.upper, mesh.domain.cells, boundary)  # type: ignore[arg-type]
     boxes = [mesh.boxes(level) for level in range(1, mesh.levels)]
     return Hierarchy(mesh.comm, domain, boxes, mesh.max_grid_size, mesh.blocking_factor)
 
 
 def chosen_ranks(loads: np.ndarray, most: int) -> list[int]:
-    """Return at most so many ranks: those with the largest loads, (kinds, ranks), of each kind, and others at even distances."""
+    """Return at most so many ranks: those with the largest loads (kinds, ranks), others at even distances."""
     ranks = loads.shape[1]
     if ranks <= most:
         return list(range(ranks))

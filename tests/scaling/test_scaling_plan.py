@@ -82,7 +82,11 @@ def test_rules_that_need_fields_are_replaced_and_said():
 
 def machine(**network: float) -> Machine:
     constants = {"latency": 1e-6, "bandwidth": 1e9, "ranks_per_node": 4, "collective": 2e-6, **network}
-    stages = {"solve": Work(call=1e-3, cell=1e-9, cycle=1e-8), "deposit": Work(particle=1e-8), "open walls": Work(wall=1e-9)}
+    stages = {
+        "solve": Work(call=1e-3, cell=1e-9, cycle=1e-8),
+        "deposit": Work(particle=1e-8),
+        "open walls": Work(wall=1e-9),
+    }
     return Machine("test", "invented", Network(**constants), stages, {})  # type: ignore[arg-type]
 
 
@@ -122,7 +126,7 @@ def test_machines_are_read_and_written(path, tmp_path):
 
 
 def test_bad_machines_are_refused(tmp_path):
-    with pytest.raises(InputError, match="machine nowhere cannot be read .* give a TOML file, or one of aries"):
+    with pytest.raises(InputError, match=r"machine nowhere cannot be read .* give a TOML file, or one of aries"):
         Machine.read("nowhere")
     (tmp_path / "bad.toml").write_text("name = 3")
     with pytest.raises(InputError, match="describes no machine"):

@@ -1,4 +1,4 @@
-"""The scaling study: it starts ranks, grows scenes with them, adds to what is there, and tells efficiency from work and time."""
+"""The scaling study: it starts ranks, grows scenes with them, adds to what is there, and finds the efficiency."""
 
 from __future__ import annotations
 
@@ -66,7 +66,14 @@ def test_a_stage_holds_the_fastest_and_the_slowest_rank(comm: MPI.Comm):
 
 def command(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     changes = [part for change in SMALL for part in ("--set", change)]
-    whole = [str(Path(sys.executable).parent / "amrpic"), "scaling", str(SCENE), *changes, "--output", str(folder / "out")]
+    whole = [
+        str(Path(sys.executable).parent / "amrpic"),
+        "scaling",
+        str(SCENE),
+        *changes,
+        "--output",
+        str(folder / "out"),
+    ]
     return subprocess.run(
         [*whole, *more], cwd=folder, env=mpi_batch.ENVIRONMENT, capture_output=True, text=True, check=False
     )

@@ -39,7 +39,7 @@ class VirtualRank:
     """One of any number of ranks that need not exist, in place of a communicator.
 
     What follows from metadata alone is the same as on a real rank. What it sends is counted and goes nowhere, and what all
-    ranks hold together is its own part alone: whatever a real rank does can be gone through for its traffic, with wrong numbers.
+    ranks hold together is its own part alone: what a real rank does can be gone through for its traffic, with wrong numbers.
     """
 
     rank: int

@@ -44,7 +44,7 @@ def add(commands: Commands) -> None:
     scaling.add_argument(
         "--sbatch",
         metavar="OPTIONS",
-        help='write a batch job for each number of ranks in place of starting it, with these options of sbatch, such as "-t 30"',
+        help='write a batch job for each number of ranks in place of starting it, with options of sbatch, such as "-t 30"',
     )
     scaling.add_argument(
         "--collect",

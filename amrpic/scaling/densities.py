@@ -1,4 +1,4 @@
-"""The mesh that a scene's rule asks for, and where its particles are, from the densities of its bunches: no particle is made."""
+"""The mesh that a scene's rule asks for, and where its particles are, from the densities of its bunches."""
 
 from __future__ import annotations
 

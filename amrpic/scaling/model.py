@@ -2,9 +2,11 @@
 
 A stage takes, with n cells of level l on a rank, p particles, w base cells at open walls and c cycles
 
-    t = call + Σ_l max n_l (cell + c cycle) + max p particle + w wall + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
+    t = call + Σ_l max n_l (cell + c cycle) + max p particle + w wall + m latency
+        + b ranks per node / bandwidth + k log₂(ranks) collective
 
-with its m messages, b bytes and k collectives. Maxima are over ranks; levels are visited in turn. No message overlaps with work.
+with its m messages, b bytes and k collectives. Maxima are over ranks; levels are visited in turn.
+No message overlaps with work.
 """
 
 from __future__ import annotations

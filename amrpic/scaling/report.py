@@ -76,11 +76,18 @@ def _held(plans: Sequence[Plan]) -> list[tuple[str, Rows]]:
         "most/mean",
     ]
     held = [
-        head + ["MiB, most", "MiB at the start, most"],
+        [*head, "MiB, most", "MiB at the start, most"],
         *(
-            [f"{p.ranks:,}", *(f"{n:,}" for n in p.cells.max(axis=1)), f"{p.cell_imbalance:.2f}"]
-            + [f"{p.particles.mean():.3g}", f"{p.particles.max():.3g}", f"{p.particle_imbalance:.2f}"]
-            + [f"{p.memory.max() / MIB:,.0f}", f"{p.start_memory.max() / MIB:,.0f}"]
+            [
+                f"{p.ranks:,}",
+                *(f"{n:,}" for n in p.cells.max(axis=1)),
+                f"{p.cell_imbalance:.2f}",
+                f"{p.particles.mean():.3g}",
+                f"{p.particles.max():.3g}",
+                f"{p.particle_imbalance:.2f}",
+                f"{p.memory.max() / MIB:,.0f}",
+                f"{p.start_memory.max() / MIB:,.0f}",
+            ]
             for p in plans
         ),
     ]
@@ -105,8 +112,12 @@ def _times(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
             if after > 0
         ]
         rows.append(
-            [f"{plan.ranks:,}", *(f"{1e3 * time.total:.3g}" for time in times.values())]
-            + [f"{1e3 * total(times):.3g}", *(f"{one:.0%}" for one in part)]
+            [
+                f"{plan.ranks:,}",
+                *(f"{1000.0 * time.total:.3g}" for time in times.values()),
+                f"{1000.0 * total(times):.3g}",
+                *(f"{one:.0%}" for one in part),
+            ]
         )
     return rows
 

@@ -21,8 +21,21 @@ MIB = 2**20
 def table(found: Sequence[Measured]) -> list[list[str]]:
     """Return a row per kind and number of ranks, under a head: each kind against its fewest ranks."""
     rows = [
-        ["", "ranks", "cells", "particles", "cycles", "ms per step", "faster", "efficiency", "of solve"]
-        + ["cells max/mean", "particles max/mean", "MiB per rank", "steps"]
+        [
+            "",
+            "ranks",
+            "cells",
+            "particles",
+            "cycles",
+            "ms per step",
+            "faster",
+            "efficiency",
+            "of solve",
+            "cells max/mean",
+            "particles max/mean",
+            "MiB per rank",
+            "steps",
+        ]
     ]
     for kind, all_ in by_kind(found).items():
         first = all_[0]
@@ -35,11 +48,15 @@ def table(found: Sequence[Measured]) -> list[list[str]]:
                     f"{one.cells}",
                     f"{one.particles}",
                     f"{one.cycles:g}",
-                    f"{1e3 * one.seconds:.4g}",
+                    f"{1000.0 * one.seconds:.4g}",
+                    f"{first.seconds / one.seconds:.2f}",
+                    f"{efficiency(first, one):.0%}",
+                    solve,
+                    f"{one.cell_imbalance:.2f}",
+                    f"{one.particle_imbalance:.2f}",
+                    f"{one.memory[2] / MIB:.0f}",
+                    f"{one.steps}",
                 ]
-                + [f"{first.seconds / one.seconds:.2f}", f"{efficiency(first, one):.0%}", solve]
-                + [f"{one.cell_imbalance:.2f}", f"{one.particle_imbalance:.2f}", f"{one.memory[2] / MIB:.0f}"]
-                + [f"{one.steps}"]
             )
     return rows
 

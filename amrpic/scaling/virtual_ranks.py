@@ -40,7 +40,7 @@ CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "migrate", "output", "
 class Sent:
     """What a rank sends by one call, and to how many others."""
 
-    traffic: Traffic = Traffic()
+    traffic: Traffic
     neighbours: int = 0
 
 

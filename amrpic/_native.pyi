@@ -16,6 +16,11 @@ def traffic() -> list[int]:
     Messages and bytes that this process has sent to other ranks so far, and collective calls.
     """
 
+def take_destinations() -> set[int]:
+    """
+    The ranks that virtual ranks of this process have sent messages to since the last call.
+    """
+
 def count_collective() -> None:
     """Count a collective call that Python makes."""
 

@@ -112,7 +112,7 @@ def draw_times(panel: Axes, ranks: Sequence[int], times: dict[str, list[float]],
     rank."""
     for number, (name, values) in enumerate(times.items()):
         heavy = {"color": "black", "linewidth": 2.0} if number == 0 else {"linewidth": 1.2}
-        panel.plot(ranks, [value or None for value in values], "o-", markersize=4, label=name, **heavy)
+        panel.plot(ranks, [value or float("nan") for value in values], "o-", markersize=4, label=name, **heavy)
     first = next(iter(times.values()))[0]
     panel.plot(ranks, [first * one / work[0] for one in work], "k--", linewidth=0.8, label="ideal")
     panel.set(

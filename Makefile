@@ -25,6 +25,7 @@ export OMPI_MCA_rmaps_base_oversubscribe := 1
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
 
+run: export OMPI_MCA_odls_base_sigkill_timeout := 60  # time for a checkpoint after Ctrl-C or TERM
 run: setup  ## the main job: SCENE on RANKS ranks
 	mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
 
@@ -76,7 +77,7 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
 	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/verify/test_verify.py tests/run/test_decomposition.py \
 	  tests/run/test_kill_restart.py tests/run/test_memory.py tests/solver/test_rounding_floor.py tests/solver/test_invariance.py \
-	  tests/solver/test_every_base.py tests/solver/test_fuzz.py $(ARGS); \
+	  tests/solver/test_every_base.py tests/solver/test_fuzz.py tests/gmls/test_gmls_reproduction.py $(ARGS); \
 	exit $$failed
 
 # What the verification compares with where a peer is needed to make it.

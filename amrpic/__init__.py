@@ -11,27 +11,122 @@ from . import _native
 _native.initialize()
 atexit.register(_native.finalize)
 
+from .errors import (  # noqa: E402
+    AmrpicError,
+    HierarchyError,
+    InputError,
+    OutputError,
+    ParticleError,
+    SceneError,
+    SolverError,
+)
 from .mesh.domain import Domain  # noqa: E402
 from .mesh.field import Field, VectorField  # noqa: E402
 from .mesh.hierarchy import Hierarchy  # noqa: E402
 from .particles.particles import Particles  # noqa: E402
 from .particles.species import Species, SpeciesTable  # noqa: E402
+from .results.run_results import Results  # noqa: E402
 from .run.simulation import Simulation  # noqa: E402
+from .scene.bunch_files import ArrayBunch, OpenPMDBunch  # noqa: E402
+from .scene.bunch_shapes import (  # noqa: E402
+    GaussianBunch,
+    HaloBunch,
+    HollowBunch,
+    KVBunch,
+    ParabolicBunch,
+    SphereBunch,
+    WaterbagBunch,
+)
+from .scene.bunches import LatticeBunch  # noqa: E402
+from .scene.elements import (  # noqa: E402
+    CavityElement,
+    ConstantFocusingElement,
+    DipoleElement,
+    GapElement,
+    MapElement,
+    QuadrupoleElement,
+    SolenoidElement,
+    UniformElement,
+)
+from .scene.motion import Leapfrog, NoMotion, RandomWalk  # noqa: E402
+from .scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen  # noqa: E402
+from .scene.refinement import (  # noqa: E402
+    AllRule,
+    AnyRule,
+    CallableRule,
+    ChargeDensityRule,
+    FieldStrengthRule,
+    MomentumRule,
+    ParticlesRule,
+    PotentialRule,
+    RadiusRule,
+    Refinement,
+    StaticRule,
+)
 from .scene.scene import Scene  # noqa: E402
 from .scene.solver_options import SolverOptions  # noqa: E402
+from .scene.thermal_bunch import ThermalBunch  # noqa: E402
 from .stages.poisson import PoissonSolver, SolveReport  # noqa: E402
 
+open = Results.open
+
 __all__ = [
+    "AllRule",
+    "AmrpicError",
+    "AnyRule",
+    "ArrayBunch",
+    "CallableRule",
+    "CavityElement",
+    "ChargeDensityRule",
+    "ConstantFocusingElement",
+    "DipoleElement",
     "Domain",
+    "EllipticAperture",
     "Field",
+    "FieldStrengthRule",
+    "GapElement",
+    "GaussianBunch",
+    "HaloBunch",
     "Hierarchy",
+    "HierarchyError",
+    "HollowBunch",
+    "InputError",
+    "KVBunch",
+    "LatticeBunch",
+    "Leapfrog",
+    "MapElement",
+    "MomentumRule",
+    "NoMotion",
+    "OpenPMDBunch",
+    "OutputError",
+    "ParabolicBunch",
+    "ParticleError",
     "Particles",
+    "ParticlesRule",
     "PoissonSolver",
+    "PotentialRule",
+    "QuadrupoleElement",
+    "RadiusRule",
+    "RandomWalk",
+    "RectangularAperture",
+    "Refinement",
+    "Results",
+    "RoundAperture",
     "Scene",
+    "SceneError",
+    "Screen",
     "Simulation",
+    "SolenoidElement",
     "SolveReport",
+    "SolverError",
     "SolverOptions",
     "Species",
     "SpeciesTable",
+    "SphereBunch",
+    "StaticRule",
+    "ThermalBunch",
+    "UniformElement",
     "VectorField",
+    "WaterbagBunch",
+    "open",
 ]

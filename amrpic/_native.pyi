@@ -24,6 +24,11 @@ def take_destinations() -> set[int]:
 def count_collective() -> None:
     """Count a collective call that Python makes."""
 
+def sums_and_largest(comm: int, summed: Sequence[float], compared: Sequence[float]) -> list[float]:
+    """
+    The sums over all ranks of some numbers, and behind them the largest of others, in one reduction.
+    """
+
 def exchange(
     comm: int, asked: Sequence[tuple[int, int]], wanted: Sequence[tuple[int, int]], pack: Callable
 ) -> list[list[float]]:
@@ -65,7 +70,8 @@ class Hierarchy:
         levels: Sequence[NDArray[numpy.int32]],
         max_grid_size: int,
         blocking_factor: int,
-        weights: Sequence[NDArray[numpy.float64]],
+        base: NDArray[numpy.int32],
+        earlier: Hierarchy | None,
     ) -> None: ...
     def seen_by(self, rank: int) -> Hierarchy:
         """The hierarchy of a virtual rank as another virtual rank has it."""
@@ -74,22 +80,32 @@ class Hierarchy:
     def levels(self) -> int: ...
     def boxes(self, level: int) -> NDArray[numpy.int32]: ...
     def owners(self, level: int) -> NDArray[numpy.int32]: ...
+    def metadata_bytes(self, level: int) -> int:
+        """
+        What the boxes of a level take on each rank, which levels with the same boxes share.
+        """
+
+    def same_boxes(self, other: Hierarchy, level: int) -> bool: ...
     def local_boxes(self, level: int) -> list[int]: ...
     def cells(self, level: int) -> int: ...
     def covered(self, level: int, box: int) -> NDArray[numpy.int8]: ...
+    def cells_around(self, points: NDArray[numpy.float64], radius: NDArray[numpy.float64]) -> tuple:
+        """
+        Starts and numbers of the uncovered cells within a radius of each point.
+        """
 
 class Field:
     def __init__(self, hierarchy: Hierarchy, zero: bool = True) -> None: ...
     def level(self, level: int) -> NDArray[numpy.float64]: ...
     def average_down(self) -> None: ...
-    def integral(self) -> float: ...
-    def integral_with(self, other: Field) -> float: ...
+    def own_integral(self) -> float: ...
+    def own_integral_with(self, other: Field) -> float: ...
     def sample(self, points: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
 
 class ElectricField:
     def __init__(self, x: Field, y: Field, z: Field) -> None: ...
     def write(self, x: Field, y: Field, z: Field) -> None: ...
-    def integral_of_square(self) -> float: ...
+    def own_integral_of_square(self) -> float: ...
 
 def cluster(blocks: NDArray[numpy.int32], efficiency: float) -> NDArray[numpy.int32]: ...
 def refine(
@@ -101,6 +117,24 @@ def refine(
     nesting: int,
     efficiency: float,
 ) -> list: ...
+
+class BoxTable:
+    """Disjoint boxes of a level, and a look-up by cells."""
+
+    def __init__(self, boxes: NDArray[numpy.int32]) -> None: ...
+    def meeting(self, lower: Sequence[int], upper: Sequence[int]) -> NDArray[numpy.int32]:
+        """Ascending numbers of the boxes that have cells of a region."""
+
+    def meets(self, regions: NDArray[numpy.int32]) -> NDArray[numpy.uint8]:
+        """Whether a box has a cell of each region, a byte per region."""
+
+    def find(self, cells: NDArray[numpy.int32]) -> NDArray[numpy.int32]:
+        """The box that holds each cell, -1 if none does."""
+
+    @property
+    def outer_faces(self) -> int:
+        """Number of cell faces on the surface of the union of the boxes."""
+
 def carry_over(from_: Field, to: Field) -> None: ...
 
 class EngeFringe:
@@ -218,32 +252,65 @@ def kernel_table_bytes() -> int:
 
 class FreeSpace:
     def __init__(
+        self, hierarchy: Hierarchy, acceptance: float = 0.5, lattice_limit: float = 10.0, separation: float = 1.25
+    ) -> None: ...
+    def walls(self, density: Field) -> list:
+        """
+        Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + side; cells (n, 3); and values (n,), all of free space. Collective.
+        """
+
+class OpenWallPlans:
+    def __init__(self, hierarchy: Hierarchy, first_boxes: Sequence[Sequence[int]] = []) -> None:
+        """
+        What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. Local.
+        """
+
+    def counts(self, rank: int, charged: Sequence[Sequence[Sequence[float]]] = []) -> dict:
+        """
+        Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions `far` and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, upper) in cells of the base, or everywhere. Local.
+        """
+
+def gmls_exponents(dimension: int, order: int) -> NDArray[numpy.int32]:
+    """
+    Exponents of the monomials, (n, dimension), in the order of their coefficients.
+    """
+
+class GmlsProblem:
+    """Stencils of generalized moving least squares; amrpic.gmls makes it."""
+
+    def __init__(
         self,
-        comm: int,
-        lower: Sequence[float],
-        spacing: Sequence[float],
-        cells: Sequence[int],
-        acceptance: float = 0.5,
-        lattice_limit: float = 10.0,
-        separation: float = 1.25,
+        order: int,
+        components: int,
+        basis: NDArray[numpy.float64],
+        weight: int,
+        parameters: Sequence[float],
+        aspect: Sequence[float],
+        targets: NDArray[numpy.float64],
+        reach: NDArray[numpy.float64],
+        start: NDArray[numpy.int64],
+        index: NDArray[numpy.int32],
+        sites: NDArray[numpy.float64],
+        samples: object | None,
+        wanted: object,
+        exact: object | None,
     ) -> None: ...
-    def set_charges(
-        self, positions: NDArray[numpy.float64], charges: NDArray[numpy.float64], levels: NDArray[numpy.int32]
-    ) -> None: ...
-    def set_box(self, level: int, lower: Sequence[int], charges: NDArray[numpy.float64]) -> None:
-        """This rank's charges as one box of cells, x fastest."""
+    def solve(
+        self,
+        residual_bound: float,
+        sum_bound: float,
+        portable: bool,
+        weights: NDArray[numpy.float64],
+        exact_weights: NDArray[numpy.float64],
+        path: NDArray[numpy.int8],
+        judgements: NDArray[numpy.float64],
+    ) -> None:
+        """Stencils of all targets, into arrays that are given."""
 
-    def set_density(self, density: Field) -> None:
+    def equations(self, target: int) -> tuple:
         """
-        The charges of a density, over all levels; what it holds in covered cells does not count.
+        Weighted rows of a target's samples (m, n), roots of their weights, and the targets (n, rows wanted): weights are root * z with rows.T @ z = targets.
         """
-
-    def wall_planes(self, open: Sequence[bool]) -> list:
-        """
-        Per face an array (upper axis, lower axis), or None for walls that are not open.
-        """
-
-    def potential(self, positions: NDArray[numpy.float64], levels: NDArray[numpy.int32]) -> NDArray[numpy.float64]: ...
 
 def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
     """
@@ -253,6 +320,47 @@ def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
 def refusal_of_places(places: int, level: int, rank: int) -> str:
     """
     What is wrong with so many padded cells of a level on a rank; empty if nothing is.
+    """
+
+class LevelWork:
+    @property
+    def level(self) -> int:
+        """0: the base; negative below it."""
+
+    @property
+    def cells(self) -> int:
+        """Of this rank."""
+
+    @property
+    def stored(self) -> int:
+        """Cells with copies of others'."""
+
+    @property
+    def relaxed(self) -> float:
+        """Cells relaxed; without copies, cells times sweeps."""
+
+    @property
+    def sweeps(self) -> int: ...
+    @property
+    def neighbours(self) -> int:
+        """Ranks with which this one exchanges values."""
+
+    @property
+    def messages(self) -> int: ...
+    @property
+    def bytes(self) -> int: ...
+    @property
+    def collectives(self) -> int: ...
+
+def cycle_work(
+    hierarchy: Hierarchy,
+    pre_sweeps: int,
+    post_sweeps: int,
+    screening: float = 0.0,
+    stretch: Sequence[float] = [1.0, 1.0, 1.0],
+) -> list[LevelWork]:
+    """
+    What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.
     """
 
 class CompositeLaplacian:
@@ -297,6 +405,16 @@ class CompositeLaplacian:
         self, potential: Field, walls: Sequence[NDArray[numpy.float64]], covered: CoveredField
     ) -> ElectricField: ...
     @property
+    def sent_by_residual(self) -> list[int]:
+        """
+        Messages and bytes that this rank, which may be virtual, sends for a residual, besides its norm.
+        """
+
+    @property
+    def sent_by_add(self) -> list[int]:
+        """The same for a correction that is added."""
+
+    @property
     def bytes(self) -> int: ...
 
 class LevelOperators:
@@ -327,10 +445,34 @@ class ParticleMesh:
     @property
     def slots(self) -> int: ...
 
+class RemoteBricks:
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        """None."""
+
+    @property
+    def bricks(self) -> NDArray[numpy.int32]:
+        """Level, box, and number in the box, of each; int (n, 3)."""
+
+    @property
+    def cells(self) -> NDArray[numpy.int32]:
+        """Those of each, in the indices of its level; int (n, 6)."""
+
+    def __len__(self) -> int: ...
+
+def brick_windows(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: bool) -> tuple:
+    """
+    What passes because of bricks, given by rows of level, box and number in it, where others serve them than own the cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's owner and the server exchange a component each way. From the boxes alone, whoever owns them.
+    """
+
+END_OF_CURVE: int = 9223372036854775807
+
+PLACES_PER_BRICK: int = 2097152
+
 class Migration:
     def __init__(
         self,
         mesh: ParticleMesh,
+        servers: NDArray[numpy.int64],
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
@@ -341,14 +483,18 @@ class Migration:
     def lost(self) -> NDArray[numpy.int64]: ...
     @property
     def arriving(self) -> int: ...
+    @property
+    def bricks(self) -> int: ...
     def finish(
         self,
         position: NDArray[numpy.float64],
         momentum: NDArray[numpy.float64],
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
-        starts: NDArray[numpy.int64],
     ) -> bool: ...
+    @property
+    def starts(self) -> NDArray[numpy.int64]: ...
+    def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
 
 class Hole(enum.Enum):
     ellipse = 0
@@ -374,7 +520,8 @@ def crossings(
     start_offset: Sequence[float],
     end_offset: Sequence[float],
 ) -> tuple: ...
-def count_per_box(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> list: ...
+def count_per_brick(hierarchy: Hierarchy, position: NDArray[numpy.float64]) -> tuple:
+    """Places on the curve, ascending, and numbers of particles."""
 
 class Shape(enum.Enum):
     nearest_grid_point = 0
@@ -385,6 +532,7 @@ class Shape(enum.Enum):
 
 def deposit(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     position: NDArray[numpy.float64],
@@ -397,6 +545,7 @@ def deposit(
 ) -> None: ...
 def gather(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,
@@ -415,6 +564,7 @@ class Pusher(enum.Enum):
 
 def push(
     mesh: ParticleMesh,
+    remote: RemoteBricks,
     shape: Shape,
     matched: bool,
     field: ElectricField,
@@ -529,7 +679,7 @@ def amplitude_quantiles(
     mass: NDArray[numpy.float64],
     later: NDArray[numpy.float64],
     share: float,
-    parts: BeamParts,
+    layers: Sequence[BeamParts],
     centres: Sequence[Sequence[float]],
     forms: Sequence[Sequence[Sequence[float]]],
     typical: Sequence[Sequence[float]],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import singledispatch
 from typing import Self
 
@@ -42,6 +42,7 @@ Kind = (
     | _native.PillboxField
     | _native.MapField
 )
+Maps = Mapping[tuple[str, int | None], field_maps.FieldMap]  # by file and iteration
 EVERYWHERE = (-math.inf, math.inf)
 
 
@@ -53,26 +54,28 @@ class ExternalFields:
         elements: Sequence[Element] = (),
         species: Species | None = None,
         momentum: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        maps: Maps | None = None,
     ) -> None:
         """Make the fields of elements; wave numbers of focusing refer to a species and its mean momentum in kg m/s.
 
-        Maps are read from their files. Raises InputError if one cannot be used.
+        Maps that are not given are read from their files. Raises InputError if one cannot be used.
         """
+        known = read_maps(elements) if maps is None else maps
         self.elements = [
             element.model_copy(update={"gradient": element.gradient_for(species, momentum), "wavenumber": None})
             if isinstance(element, ConstantFocusingElement) and element.wavenumber is not None and species is not None
             else element
             for element in elements
         ]
-        self.native = _native.ExternalFields([native_element(element) for element in self.elements])
+        self.native = _native.ExternalFields([native_element(element, known) for element in self.elements])
 
     @classmethod
-    def of_scene(cls, scene: Scene) -> Self:
+    def of_scene(cls, scene: Scene, maps: Maps | None = None) -> Self:
         """Return the fields of the elements of a scene."""
         first = scene.bunches[0] if scene.bunches else None
         if isinstance(first, DescribedBunch):
-            return cls(scene.elements, first.species, first.mean_momentum)
-        return cls(scene.elements)
+            return cls(scene.elements, first.species, first.mean_momentum, maps)
+        return cls(scene.elements, maps=maps)
 
     def seen_from(self, window: Window) -> Self:
         """Return the same fields in the coordinates of a window."""
@@ -123,10 +126,21 @@ class ExternalFields:
         return first, last, when, normal, ends
 
 
-def native_element(element: Element) -> _native.ExternalElement:
-    """Return an element as the kernels take it."""
+def read_maps(elements: Sequence[Element]) -> Maps:
+    """Return the maps of elements by file and iteration. Raises InputError if one cannot be used."""
+    wanted = {(element.file, element.iteration) for element in elements if isinstance(element, MapElement)}
+    return {source: field_maps.read(*source) for source in sorted(wanted, key=str)}
+
+
+def native_element(element: Element, maps: Maps) -> _native.ExternalElement:
+    """Return an element as the kernels take it; `maps` holds its map if it is one."""
+    if isinstance(element, MapElement):
+        given, omega = maps[element.file, element.iteration], 2 * math.pi * element.frequency
+        field = map_field(given, element.scale, omega, element.phase)
+    else:
+        field = kind(element)
     return _native.ExternalElement(
-        element.centre, axes(element.direction, element.roll), extent(element), kind(element), slopes(element)
+        element.centre, axes(element.direction, element.roll), extent(element), field, slopes(element)
     )
 
 
@@ -211,13 +225,6 @@ def _(element: GapElement) -> Kind:
 @kind.register
 def _(element: CavityElement) -> Kind:
     return _native.PillboxField(element.field, 2 * math.pi * element.frequency, element.phase)
-
-
-@kind.register
-def _(element: MapElement) -> Kind:
-    return map_field(
-        field_maps.read(element.file, element.iteration), element.scale, 2 * math.pi * element.frequency, element.phase
-    )
 
 
 def fringe(element: FringedElement) -> _native.EngeFringe:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
@@ -17,6 +18,23 @@ from .failure import BAD_INPUT, GRACE, Meeting, end_alone, end_scripts_together,
 
 class Communicator(MPI.Intracomm):
     """A communicator of the library's own: no message of the user's can be taken for one of ours, and calls are counted."""
+
+    def allreduce(self, sendobj: Any, op: Any = MPI.SUM) -> Any:
+        """Return a number or an array of numbers reduced over all ranks. Collective.
+
+        They pass as double precision, in one reduction; mpi4py's own method would pickle them, and reduce and broadcast them by
+        messages. Whole numbers stay so, to 2^53. Ranks may mix them with others, as an empty sum is one.
+        """
+        given = np.asarray(sendobj)
+        logical = op in (MPI.LAND, MPI.LOR)
+        kind = np.intc if logical else np.complex128 if given.dtype.kind == "c" else np.float64
+        values = np.array(given, dtype=kind, order="C")
+        self.Allreduce(MPI.IN_PLACE, values, op)
+        if logical:
+            values = values.astype(bool)
+        elif given.dtype.kind in "biu" and np.array_equal(values, np.rint(values)):
+            values = values.astype(np.int64)
+        return values if isinstance(sendobj, np.ndarray) else values.item()
 
 
 def _counted(name: str) -> Callable[..., Any]:
@@ -40,10 +58,15 @@ class VirtualRank:
 
     What follows from metadata alone is the same as on a real rank. What it sends is counted and goes nowhere, and what all
     ranks hold together is its own part alone: what a real rank does can be gone through for its traffic, with wrong numbers.
+    AmrpicError for what is not counted.
     """
 
     rank: int
     size: int
+
+    def py2f(self) -> tuple[int, int]:
+        """Return what native functions take in place of a communicator's handle."""
+        return self.rank, self.size
 
     def _count(self) -> None:
         if self.size > 1:
@@ -69,8 +92,13 @@ class VirtualRank:
     def Barrier(self) -> None:
         self._count()
 
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise AmrpicError(f"rank {self.rank} of {self.size} is virtual and has no {name}; run this under mpiexec")
 
-COLLECTIVES = ("allreduce", "Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
+
+COLLECTIVES = ("Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
 for _name in COLLECTIVES:
     setattr(Communicator, _name, _counted(_name))
 
@@ -93,6 +121,30 @@ def own(comm: MPI.Comm) -> Communicator:
         if mine.size > 1:
             end_scripts_together(Meeting(mine))
     return mine
+
+
+def world_by_default(method: Callable[..., T]) -> Callable[..., T]:
+    """Let a method's communicator, its first argument, be left out for that of all ranks."""
+
+    @functools.wraps(method)
+    def call(self: Any, *given: Any, **named: Any) -> T:
+        if "comm" not in named and not (given and isinstance(given[0], MPI.Comm | VirtualRank)):
+            given = (MPI.COMM_WORLD, *given)
+        return method(self, *given, **named)
+
+    return call
+
+
+_NODE = MPI.Comm.Create_keyval(delete_fn=lambda comm, key, node: node.Free())
+
+
+def node_of(comm: MPI.Comm) -> MPI.Intracomm:
+    """Return the ranks that share this one's memory, made at the first call and freed with the communicator. Collective."""
+    node = cast(MPI.Intracomm | None, comm.Get_attr(_NODE))
+    if node is None:
+        node = cast(MPI.Intracomm, comm.Split_type(MPI.COMM_TYPE_SHARED))
+        comm.Set_attr(_NODE, node)
+    return node
 
 
 @dataclass(frozen=True)
@@ -162,6 +214,18 @@ def call_together(comm: MPI.Comm, call: Callable[[], T], error: type[Exception],
     raise error(comm.bcast(message, root=int(first))) from failure
 
 
+def from_rank_0(comm: MPI.Comm, call: Callable[[], T], error: type[Exception] = AmrpicError) -> T:
+    """Return on all ranks what `call` gives on rank 0, which alone calls it, as to read a file. Collective.
+
+    An exception becomes `error` on all ranks, as in `together`.
+    """
+    value = None
+    with together(comm, error):
+        if comm.rank == 0:
+            value = call()
+    return cast(T, comm.bcast(value))
+
+
 def share(comm: MPI.Comm, count: int) -> tuple[int, int]:
     """Return where this rank's equal share of so many rows starts and stops."""
     return count * comm.rank // comm.size, count * (comm.rank + 1) // comm.size
@@ -174,5 +238,15 @@ def global_sum(comm: MPI.Comm, value: float) -> float:
 
 def global_max(comm: MPI.Comm, value: float) -> float:
     """Return the largest `value` of all ranks; nan if any rank holds nan. Collective."""
-    values = comm.allgather(float(value))
-    return float(np.max(values))
+    missing = bool(np.isnan(value))
+    values = np.array([-np.inf if missing else value, missing])
+    comm.Allreduce(MPI.IN_PLACE, values, MPI.MAX)
+    return float("nan") if values[1] else float(values[0])
+
+
+def global_sums_and_largest(
+    comm: MPI.Comm, summed: Mapping[str, float], compared: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the sum over all ranks of each of some numbers, and the largest of others, in one reduction. Collective."""
+    found = _native.sums_and_largest(comm.py2f(), list(summed.values()), list(compared.values()))
+    return dict(zip([*summed, *compared], found, strict=True))

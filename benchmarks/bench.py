@@ -66,6 +66,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
         *(Part("walls", "walls.py", ranks, options) for ranks in walls),
         Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
         *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
+        Part("least squares", "least_squares.py", 1, repeats_of_gamma),
         Part("agreement", "agreement.py", 1, small),
     ]
 

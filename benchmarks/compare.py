@@ -94,8 +94,11 @@ class Case:
 
     name: str
     times: dict[str, tuple[list[float], list[float]]] = field(default_factory=dict)
+    missing: set[tuple[str, str]] = field(default_factory=set)  # a work, and the build that does not have it
 
     def add(self, old: dict[str, float], new: dict[str, float]) -> None:
+        self.missing |= {(work, "old") for work in new.keys() - old.keys()}
+        self.missing |= {(work, "new") for work in old.keys() - new.keys()}
         for work in old.keys() & new.keys():
             for taken, value in zip(self.times.setdefault(work, ([], [])), (old[work], new[work]), strict=True):
                 taken.append(value)
@@ -148,6 +151,7 @@ def table(cases: Sequence[Case], threshold: float = THRESHOLD) -> list[tuple[str
             values = (f"{median(side):.3g} {unit}" for side in (old, new))
             ratio = (f"{1 + found.change:.3f}", f"{found.error:.3f}", str(found.turns))
             rows.append((name, *values, *ratio, found.verdict(threshold)))
+        rows += [(f"{case.name}: {work}", *5 * ("–",), f"missing in {side}") for work, side in sorted(case.missing)]
     return rows
 
 

@@ -10,6 +10,8 @@ from typing import Any
 
 from bases import base_of, base_ratio, is_base
 from gamma import CUBES, gamma_ratio, memory_ratio
+from least_squares import ORDERS
+from least_squares import record_name as stencil_record
 from measuring import Record
 from particles import OWN_B, SOLENOID, record_name
 from pic_step import IMPACTX_WALLS, step_name
@@ -106,9 +108,18 @@ def goals(records: Sequence[Record]) -> list[Goal]:
             particles,
             step,
             backends,
+            stencils,
         )
         for goal in topic(found)
     ]
+
+
+def stencils(found: Found) -> Iterator[Goal]:
+    for order in ORDERS:
+        mine, lattice, theirs = (stencil_record(order, kind) for kind in ("jittered", "lattice", "dgels"))
+        what = f"least squares of order {order}"
+        yield Goal(f"{what}, targets/s over LAPACK's dgels", found.ratio(theirs, mine), 5, 8, "×", at_least=True)
+        yield Goal(f"{what}, lattice over jittered", found.ratio(mine, lattice), 0.5, 0.8, "×", at_least=True)
 
 
 def solver(found: Found) -> Iterator[Goal]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import importlib
+import importlib.util
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,13 +16,12 @@ from measuring import Record, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
 
 import amrpic
-from amrpic.external import ExternalFields
+from amrpic.mesh.field import VectorField
 from amrpic.mesh.hierarchy import Hierarchy
 from amrpic.particles.arrays import empty_columns
 from amrpic.particles.clouds import SHAPES, Clouds, Shape
 from amrpic.particles.particles import Particles
 from amrpic.particles.species import SPECIES, SpeciesTable
-from amrpic.scene.elements import SolenoidElement
 from amrpic.stages.deposit import deposit
 from amrpic.stages.diagnostics import moments
 from amrpic.stages.gather import gather
@@ -70,9 +71,6 @@ def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell")
     step *= MOVE / cells / np.sqrt((step**2).sum(axis=0))
     moved = homes.replace(position=homes.position + step.T)
     pushed = push(efield, homes, DT / 2, DT / 2, DT, clouds)
-    between = empty_columns(particles)
-    coil = SolenoidElement(kind="solenoid", centre=(0.5, 0.5, 0.5), length=2.0, field=1e-3)
-    external = ExternalFields([coil]).native
     del step
 
     return {
@@ -80,10 +78,25 @@ def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell")
         "field": lambda: solver.deferred_field(phi),
         "gather": lambda: gather(efield, homes, clouds),
         "gather+push": lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds),
-        OWN_B: lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds, beta=(0, 0, 0.5), between=between),
-        SOLENOID: lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds, external=external, between=between),
+        **_stages_with_magnetic_fields(efield, homes, clouds),
         "migrate": lambda: migrate(moved, hierarchy),
         "moments": lambda: moments(hierarchy.comm, homes, pushed, 0.5),
+    }
+
+
+def _stages_with_magnetic_fields(
+    efield: VectorField, homes: Particles, clouds: Clouds
+) -> dict[str, Callable[[], object]]:
+    """Return two of `stages`; none for revisions before there were magnetic fields, which `compare.py` runs too."""
+    if importlib.util.find_spec("amrpic.external") is None:
+        return {}
+    external = importlib.import_module("amrpic.external")
+    elements = importlib.import_module("amrpic.scene.elements")
+    coil = elements.SolenoidElement(kind="solenoid", centre=(0.5, 0.5, 0.5), length=2.0, field=1e-3)
+    native, between = external.ExternalFields([coil]).native, empty_columns(len(homes))
+    return {
+        OWN_B: lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds, beta=(0, 0, 0.5), between=between),
+        SOLENOID: lambda: push(efield, homes, DT / 2, DT / 2, DT, clouds, external=native, between=between),
     }
 
 

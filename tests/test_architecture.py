@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 # ---- native: folder -> folders it may include ----
 NATIVE = {
     "base": set(),
+    "gmls": {"base"},
     "stencil": {"base"},
     "mesh": {"stencil", "base"},
     "operators": {"mesh", "stencil", "base"},
@@ -27,7 +28,18 @@ NATIVE = {
     "external": {"base"},
     "particle": {"external", "mesh", "stencil", "base"},
     "processor": set(),
-    "bind": {"solver", "matrixfree", "operators", "freespace", "particle", "external", "stencil", "mesh", "base"},
+    "bind": {
+        "solver",
+        "matrixfree",
+        "operators",
+        "freespace",
+        "particle",
+        "external",
+        "stencil",
+        "mesh",
+        "gmls",
+        "base",
+    },
 }
 
 # What may be named in some folders only.
@@ -50,12 +62,14 @@ ORDER = (
     "failure",
     "parallel",
     "mesh",
+    "gmls",
     "particles",
     "scene",
     "stages",
     "io",
     "external",
     "view",
+    "results",
     "run",
     "__init__",
     "scaling",

@@ -6,8 +6,11 @@ import argparse
 from collections.abc import Callable
 from typing import NoReturn
 
+from mpi4py import MPI
+
 from ..errors import InputError
-from ..scene.scene import Scene
+from ..parallel import from_rank_0, together
+from ..scene.scene import Scene, read_text
 
 Commands = argparse._SubParsersAction
 
@@ -49,9 +52,17 @@ def scene_arguments(command: argparse.ArgumentParser) -> None:
     )
 
 
-def scene_of(chosen: argparse.Namespace) -> Scene:
-    """Return the scene that the arguments name, with its overrides and output folder."""
-    scene = Scene.from_toml(chosen.scene, chosen.set)
+def scene_on_all_ranks(comm: MPI.Comm, chosen: argparse.Namespace) -> Scene:
+    """Return the same on all ranks; rank 0 alone reads the file. Collective; SceneError on all ranks."""
+    text = from_rank_0(comm, lambda: read_text(chosen.scene), InputError)
+    with together(comm, InputError):
+        scene = scene_of(chosen, text)
+    return scene
+
+
+def scene_of(chosen: argparse.Namespace, text: str | None = None) -> Scene:
+    """Return the scene that the arguments name, with its overrides and output folder; `text`: of its file, read before."""
+    scene = Scene.from_toml(chosen.scene, chosen.set, text)
     if getattr(chosen, "output", None) is None:
         return scene
     return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})

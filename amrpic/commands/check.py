@@ -7,7 +7,7 @@ import sys
 
 from ..failure import BAD_INPUT
 from ..run.limits import check_scene
-from ..scene.scene import RefusedScene
+from ..scene.complaints import RefusedScene
 from .arguments import Commands, command, count, scene_arguments, scene_of
 
 

@@ -6,6 +6,7 @@ import argparse
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib.metadata import version
 
 from mpi4py import MPI
 
@@ -31,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def parser() -> argparse.ArgumentParser:
     """Return the parser of all commands."""
     top = Parser(prog="amrpic", description="Self-fields of charged-particle bunches on adaptive meshes.")
+    top.add_argument("--version", action="version", version=f"amrpic {version('amrpic')}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add(commands)

@@ -11,6 +11,8 @@ from mpi4py import MPI
 from ..errors import InputError, OutputError
 from ..parallel import together
 from ..scene.units import to_metres
+from ..view.draw import plot as plot_fields
+from ..view.views import OVERVIEW, View, with_options
 from .arguments import Commands, command
 
 
@@ -66,15 +68,13 @@ def _plot(chosen: argparse.Namespace) -> int:
 
 
 def _draw_fields(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
-    from ..view.plot import OVERVIEW, View, plot, with_options  # matplotlib takes long to import
-
     views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
     views = views or [view for view in OVERVIEW if chosen.kind in (None, view.kind)]
-    return plot(Path(chosen.path), folder, with_options(views, **_given(chosen)))
+    return plot_fields(Path(chosen.path), folder, with_options(views, **_given(chosen)))
 
 
 def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
-    from ..view.phase_space import OVERVIEW, plot
+    from ..view.phase_space import OVERVIEW, plot  # matplotlib takes long to import
 
     given = _given(chosen)
     group = given.pop("group", "all")

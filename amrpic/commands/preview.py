@@ -11,30 +11,31 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import InputError, OutputError
 from ..io import vtkhdf_writer
+from ..io.field_reader import LiveDump
 from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import together
 from ..particles.particles import Particles, concatenate
 from ..run.adapt import follow, make_base
+from ..run.folder import prepare
 from ..run.initial_particles import make_bunches
 from ..run.limits import machine_memory
 from ..run.memory import MIB, run_memory
-from ..run.output import prepare
 from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
-from ..run.restart import about
+from ..run.restart import about, writers_of
 from ..scene.motion import RandomWalk
 from ..scene.refinement import CallableRule, ChargeDensityRule, Combination, FieldStrengthRule, PotentialRule, RuleKind
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate
 from ..stages.push import random_walk
-from ..stages.tag import cells_of_particles
+from ..stages.tag import living
 from ..units import quantity
-from .arguments import Commands, command, count, scene_arguments, scene_of
+from ..view.draw import draw
+from ..view.views import View
+from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks
 from .text_table import columns
 
 FILE = "preview.vtkhdf"
@@ -60,11 +61,11 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int) -> str:
         notes.append(f"{lost} of {made} particles lie outside the domain and would be lost")
     paragraphs = [
         [scene.summary()],
-        _levels(fields.particles, fields.hierarchy),
+        _levels(fields.particles_per_cell),
         _bunches(comm, scene, bunches[1:], fields.hierarchy),
         _memory(fields, made, ranks),
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
-        list(map(str, _pictures(comm, scene, fields.rho))),
+        list(map(str, _pictures(scene, fields.rho))),
     ]
     return "\n\n".join("\n".join(lines) for lines in paragraphs if lines)
 
@@ -103,11 +104,12 @@ def _without_field(rule: RuleKind, asked: list[str]) -> RuleKind:
 LEVELS = ("level", "boxes", "cells", "cell width", "particles", "mean in a cell", "median", "most")
 
 
-def _levels(particles: Particles, hierarchy: Hierarchy) -> list[str]:
+def _levels(particles_per_cell: Field) -> list[str]:
     """Return the table of levels; mean, median and most are over the cells that hold particles. Collective."""
+    hierarchy = particles_per_cell.hierarchy
     rows: list[Sequence[object]] = [LEVELS]
-    for level, (_, cells) in enumerate(cells_of_particles(particles, hierarchy)):
-        held = Histogram.of(hierarchy.comm, np.unique(cells, return_counts=True)[1])
+    for level, numbers in enumerate(living(particles_per_cell)):
+        held = Histogram.of(hierarchy.comm, numbers[numbers > 0].astype(np.int64))
         rows.append(
             [
                 level,
@@ -226,17 +228,12 @@ def _widths(spacing: np.ndarray) -> str:
 # ---- pictures ----
 
 
-def _pictures(comm: MPI.Comm, scene: Scene, rho: Field) -> list[Path]:
+def _pictures(scene: Scene, rho: Field) -> list[Path]:
     """Write mesh and charge density as a field file, draw them along the three axes, and return the paths. Collective."""
     path = scene.directory / FILE
-    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene))
-    drawn: list[Path] = []
-    with together(comm, OutputError):
-        if comm.rank == 0:
-            from ..view.plot import View, plot
-
-            drawn = plot(path, views=[View("rho", "projection", axis) for axis in range(len(AXES))])
-    return comm.bcast([path, *drawn])
+    vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene))
+    dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0)
+    return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
 
 
 # ---- the command ----
@@ -254,8 +251,7 @@ def add(commands: Commands) -> None:
 
 def _preview(chosen: argparse.Namespace) -> int:
     comm = MPI.COMM_WORLD
-    with together(comm, InputError):
-        scene = scene_of(chosen)
+    scene = scene_on_all_ranks(comm, chosen)
     text = preview(comm, scene, chosen.ranks or comm.size)
     if comm.rank == 0:
         print(text)

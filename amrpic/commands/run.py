@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from mpi4py import MPI
 
 from ..errors import InputError
-from ..io.checkpoint_reader import find_latest_valid
+from ..io.checkpoint_manifest import UnreadableCheckpoint
+from ..io.checkpoint_reader import candidates
 from ..parallel import together
+from ..run.folder import prepare
 from ..run.log import RunLog
-from ..run.output import prepare
 from ..run.simulation import Simulation
 from ..scene.scene import Scene
 from ..scene.units import to_seconds
-from .arguments import Commands, command, scene_arguments, scene_of
+from .arguments import Commands, command, scene_arguments, scene_on_all_ranks
 
 STOPPED = 75  # "try again later": stopped by a signal or the clock after a checkpoint, to be resubmitted
 
@@ -35,18 +35,23 @@ def add(commands: Commands) -> None:
 
 def _run(chosen: argparse.Namespace) -> int:
     comm = MPI.COMM_WORLD
+    scene = scene_on_all_ranks(comm, chosen)
     with together(comm, InputError):
-        scene = scene_of(chosen)
         walltime = None if chosen.walltime is None else to_seconds(chosen.walltime)
+        if walltime is not None and walltime <= 0:
+            raise InputError(f"--walltime {chosen.walltime} leaves no time; give more than 0 s")
     prepare(comm, scene)
-    path = _checkpoint(comm, scene, chosen.restart)
-    simulation = Simulation(comm, scene) if path is None else Simulation.restart(comm, path, scene)
-    return 0 if simulation.run(walltime) is None else STOPPED
+    simulation = _begin(comm, scene, chosen.restart)
+    return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 
-def _checkpoint(comm: MPI.Comm, scene: Scene, restart: str | None) -> Path | None:
-    """Return the checkpoint to go on from."""
-    if restart == "auto":
-        with RunLog(comm, scene.schedule.last_step):  # warns of broken ones
-            return find_latest_valid(comm, scene.directory)
-    return None if restart is None else Path(restart)
+def _begin(comm: MPI.Comm, scene: Scene, restart: str | None) -> Simulation:
+    """Return the run at its start or at a checkpoint, with "auto" the newest one that is whole; rank 0 warns of others."""
+    if restart is not None and restart != "auto":
+        return Simulation.restart(comm, restart, scene)
+    for path in candidates(comm, scene.directory) if restart else ():
+        try:
+            return Simulation.restart(comm, path, scene)
+        except UnreadableCheckpoint as error:
+            RunLog(comm, scene.schedule.last_step).warn(str(error))
+    return Simulation(comm, scene)

@@ -1,14 +1,20 @@
 """The layout of a checkpoint, and its manifest: what the state is, where its arrays lie, and their checksums.
 
 checkpoint_00001200/
-    manifest.json      everything small: step, time, scene, boxes, owners; size and checksum of each part
-    part_0000.h5       the cells and particles of a group of ranks, in the order of ranks
+    manifest.json      everything small: step, time, scene, boxes, owners; what each part holds and where
+    part_0000.h5       the cells and particles of a group of ranks, in the order of ranks; in `index` the rows of each of them
+                       and a checksum of each piece of its rows, `piece_bytes` long at most
+
+Datasets are contiguous, so a restart reads rows at their places in the file, and checks them piece by piece. The checksum of
+the index is in the manifest, that of the manifest's content in itself.
 """
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -23,11 +29,15 @@ from .provenance import Provenance
 from .writer_ranks import one_line
 
 FORMAT = "amrpic checkpoint"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 MANIFEST = "manifest.json"
 REMEDY = "restart from another checkpoint"
 
 Array = NDArray[Any]
+
+
+class UnreadableCheckpoint(InputError):
+    """A checkpoint that is incomplete, damaged or foreign; another one may do."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +49,22 @@ class Header:
     domain: Mapping[str, Any]
     boxes: Sequence[Array]  # per level (n, 6): lower x, y, z, upper x, y, z, inclusive
     owners: Sequence[Array]  # per level (n,): rank of each box
-    weights: Sequence[Array] = ()  # per level: work per box that led to the owners; empty: their cells
     about: Provenance = field(default_factory=Provenance)
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What the rows of an array are, which is the same in all parts."""
+
+    name: str  # of the dataset
+    dtype: str
+    shape: Sequence[int]  # of a row
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of a row."""
+        return np.dtype(self.dtype).itemsize * math.prod(self.shape)
 
 
 @dataclass(frozen=True)
@@ -52,7 +75,11 @@ class Part:
     first_rank: int
     end_rank: int
     bytes: int
-    sha256: str
+    rows: Mapping[str, int]  # per table
+    offsets: Sequence[int]  # of the first byte of each array; 0 of empty ones
+    rows_offset: int  # of the rows of each array on each rank, (ranks, arrays) int64
+    digests_offset: int  # of the checksums of the pieces, by rank, then by array
+    sha256: str  # of these two
 
 
 @dataclass(frozen=True)
@@ -62,13 +89,18 @@ class Manifest:
     header: Header
     fields: Sequence[str]
     tables: Mapping[str, Sequence[str]]  # their columns
-    rows: Mapping[str, Sequence[int]]  # per table the rows of each rank that wrote
+    arrays: Sequence[Kind]  # of which the parts hold rows
+    piece_bytes: int
     parts: Sequence[Part]
 
     @property
     def ranks(self) -> int:
         """Number of ranks that wrote."""
         return self.parts[-1].end_rank
+
+    def rows(self, table: str) -> list[int]:
+        """Return the rows of a table in each part."""
+        return [part.rows[table] for part in self.parts]
 
     def places(self, level: int) -> tuple[Array, Array]:
         """Return the part that holds the cells of each box of a level, and the row of its first cell there."""
@@ -92,40 +124,48 @@ def _plain(value: Any) -> Any:
     """Return `value` with arrays and NumPy numbers as what JSON knows."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+    if isinstance(value, np.ndarray):  # as bytes: there may be a million boxes
+        text = base64.b64encode(value.tobytes()).decode()
+        return {"dtype": value.dtype.str, "shape": value.shape, "base64": text}
+    if isinstance(value, np.generic):
+        return value.item()
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
 
 
 def decode(path: Path) -> Manifest:
-    """Return the manifest of a checkpoint directory; raises InputError if it is not one or is damaged."""
+    """Return the manifest of a checkpoint directory; raises UnreadableCheckpoint if it is not one or is damaged."""
     try:
         envelope = json.loads((path / MANIFEST).read_text())
         if envelope["format"] != FORMAT:
             raise KeyError("format")
         version, content, digest = int(envelope["format_version"]), envelope["content"], envelope["sha256"]
     except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path} is not a checkpoint: it has no {MANIFEST}; {REMEDY}") from None
+        raise UnreadableCheckpoint(f"{path} is not a checkpoint: it has no {MANIFEST}; {REMEDY}") from None
     except OSError as error:
-        raise InputError(f"{path} cannot be read: {one_line(error)}; {REMEDY}") from None
+        raise UnreadableCheckpoint(f"{path} cannot be read: {one_line(error)}; {REMEDY}") from None
     except (ValueError, KeyError, TypeError):
-        raise InputError(f"{path / MANIFEST} is damaged or foreign; {REMEDY}") from None
+        raise UnreadableCheckpoint(f"{path / MANIFEST} is damaged or foreign; {REMEDY}") from None
     if version != FORMAT_VERSION:
-        raise InputError(
+        raise UnreadableCheckpoint(
             f"{path} has checkpoint format {version}, this version reads {FORMAT_VERSION}; use what wrote it"
         )
     if hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest() != digest:
-        raise InputError(f"{path / MANIFEST} is damaged: its checksum is wrong; {REMEDY}")
+        raise UnreadableCheckpoint(f"{path / MANIFEST} is damaged: its checksum is wrong; {REMEDY}")
     return _manifest(content)
 
 
 def _manifest(content: Mapping[str, Any]) -> Manifest:
     header = dict(content["header"])
-    header["boxes"] = [np.array(boxes, dtype=np.int64).reshape(-1, 6) for boxes in header["boxes"]]
-    header["owners"] = [np.array(owners, dtype=np.int64) for owners in header["owners"]]
-    header["weights"] = [np.array(weights, dtype=np.float64) for weights in header["weights"]]
-    parts = [Part(**part) for part in content["parts"]]
+    for name in ("boxes", "owners"):
+        header[name] = [_array(packed) for packed in header[name]]
+    header.pop("weights", None)  # of older checkpoints: work per box, by which boxes were shared out
     header["about"] = Provenance(**header["about"])
-    return Manifest(Header(**header), content["fields"], content["tables"], content["rows"], parts)
+    kinds, parts = [Kind(**one) for one in content["arrays"]], [Part(**one) for one in content["parts"]]
+    return Manifest(Header(**header), content["fields"], content["tables"], kinds, int(content["piece_bytes"]), parts)
+
+
+def _array(packed: Mapping[str, Any]) -> Array:
+    values = np.frombuffer(base64.b64decode(packed["base64"]), packed["dtype"])
+    return values.reshape(packed["shape"]).copy()  # which may be written to

@@ -7,20 +7,33 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-import h5py
 import numpy as np
 from mpi4py import MPI
 
 from ..errors import OutputError
-from ..mesh.boxes import cells_of
 from ..parallel import together
-from .atomic_files import REPLACED, TEMPORARY, Hdf5Writer, publish, remove, sha256, sync, temporary
-from .checkpoint_manifest import MANIFEST, Array, Header, Manifest, Part, encode
-from .writer_ranks import Attempts, Interleaved, Rows, collect, group_of, writer_groups
+from . import writer_ranks
+from .atomic_files import REPLACED, TEMPORARY, Hdf5Writer, publish, remove, sync, temporary
+from .checkpoint_index import DIGEST_BYTES, DIGESTS, ROWS, Index, digest, pieces_of
+from .checkpoint_manifest import MANIFEST, Array, Header, Kind, Manifest, Part, encode
+from .shared_file import write_rows
+from .writer_ranks import (
+    BY_SIZE,
+    Attempts,
+    Interleaved,
+    Load,
+    Rows,
+    Writers,
+    collect,
+    group_of,
+    row_bytes,
+    rows_per_piece,
+    said_to_first,
+)
 
 NAME = re.compile(rf"checkpoint_\d+({re.escape(REPLACED)})?$")
 
@@ -43,29 +56,38 @@ def path_of(directory: Path, step: int) -> Path:
     return Path(directory) / f"checkpoint_{step:08d}"
 
 
-def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: int = 1) -> None:
+def write(comm: MPI.Comm, path: Path, state: Snapshot, writers: Writers = BY_SIZE) -> None:
     """Write a state into the new directory `path`: there whole and synced on return, or not at all. Collective.
 
-    Ranks form `writers` groups (0: each its own); the first of a group writes what it receives from one rank at a time,
-    in small pieces. Raises OutputError on all ranks.
+    Ranks form groups; the first of each writes what it receives from the others in small pieces. Every rank makes the
+    checksums of its own rows. Raises OutputError on all ranks.
     """
     path = Path(path)
     attempts = Attempts(f"cannot write checkpoint {path}", "free some space or choose another output folder")
     if comm.rank == 0:
         attempts.attempt(_start, path)
     attempts.settle(comm)
-    groups = writer_groups(comm.size, writers)
-    rows = {name: comm.allgather(_row_count(table)) for name, table in state.tables.items()}
-    part = _write_part(comm, path, state, rows, groups[group_of(groups, comm.rank)], attempts)
-    parts = [p for p in comm.gather(part) or [] if p is not None]
-    if attempts.message is None and comm.rank == 0 and len(parts) == len(groups):
-        attempts.attempt(_finish, path, _manifest(state, rows, parts))
+    arrays = _arrays(state)
+    groups = writers.groups(comm.size, comm.allreduce(sum(rows.shape[0] * row_bytes(rows) for rows in arrays.values())))
+    part = _write_part(comm, path, arrays, list(state.tables), group_of(groups, comm.rank), attempts)
+    parts = said_to_first(comm, part, groups)
+    if comm.rank == 0 and None not in parts:
+        attempts.attempt(_finish, path, _manifest(state, arrays, [part for part in parts if part is not None]))
     try:
         attempts.settle(comm)
     finally:
         if comm.rank == 0:
             with contextlib.suppress(OSError):
                 remove(temporary(path))  # it is gone already unless an attempt failed
+
+
+def loads(rows: Array, bytes_of_rows: Sequence[int], writers: Writers = BY_SIZE) -> list[Load]:
+    """Return what each writer of a checkpoint does, given the rows (ranks, arrays) of each array on each rank."""
+    sizes = [rows_per_piece(n) for n in bytes_of_rows]
+    digests = pieces_of(rows, sizes).sum(axis=1, keepdims=True)
+    groups = writers.groups(len(rows), int((rows * np.asarray(bytes_of_rows)).sum()))
+    with_digests = np.hstack([rows, digests])
+    return writer_ranks.writer_loads(groups, with_digests, [*bytes_of_rows, DIGEST_BYTES], announced=rows.shape[1])
 
 
 def prune(comm: MPI.Comm, directory: Path, keep: int) -> None:
@@ -108,39 +130,40 @@ def _start(path: Path) -> None:
     temporary(path).mkdir()
 
 
-def _row_count(table: Mapping[str, Array]) -> int:
+def _require_equal_lengths(table: Mapping[str, Array]) -> None:
     lengths = {len(column) for column in table.values()}
     if len(lengths) > 1:
         raise ValueError(f"columns of one table have {sorted(lengths)} rows; give one length")
-    return lengths.pop() if lengths else 0
 
 
 def _write_part(
-    comm: MPI.Comm, path: Path, state: Snapshot, rows: Mapping[str, Sequence[int]], group: range, attempts: Attempts
+    comm: MPI.Comm, path: Path, arrays: Mapping[str, Rows], tables: Sequence[str], group: range, attempts: Attempts
 ) -> Part | None:
     """Write the rows of a group of ranks on its first rank and return what became of them there."""
     file = temporary(path) / f"part_{group.start:04d}.h5"
     writes = comm.rank == group.start
     writer = attempts.attempt(Hdf5Writer, file) if writes else None
-    for name, array, counts in _arrays(comm, state, rows):
-        dataset = attempts.attempt(_create, writer, name, array, sum(counts[r] for r in group)) if writes else None
-        collect(comm, group, counts, array, partial(attempts.attempt, _store, dataset))
+    made: list[bytes] = []
+    table = write_rows(comm, group, arrays, writer, attempts, seen=lambda piece: made.append(digest(piece)))
+    sizes = [rows_per_piece(row_bytes(rows)) for rows in arrays.values()]
+    own = np.frombuffer(b"".join(made), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
+    numbers = pieces_of(table, sizes).sum(axis=1).tolist()
+    digests = np.empty((sum(numbers) if writes else 0, DIGEST_BYTES), dtype=np.uint8)
+    collect(comm, group, numbers, own, partial(_store, digests))
     if writer is None:
         return None
+    part = attempts.attempt(_index, writer, file, group, list(arrays), tables, Index(table, sizes, digests))
     attempts.always(writer.close)
-    return attempts.attempt(_describe, file, group)
+    return None if part is None else attempts.attempt(lambda: replace(part, bytes=file.stat().st_size))
 
 
-def _arrays(
-    comm: MPI.Comm, state: Snapshot, rows: Mapping[str, Sequence[int]]
-) -> list[tuple[str, Rows, Sequence[int]]]:
-    """Return name, this rank's array and the rows of every rank, for all that a part holds."""
-    out: list[tuple[str, Rows, Sequence[int]]] = []
-    for level, (boxes, owners) in enumerate(zip(state.header.boxes, state.header.owners, strict=True)):
-        counts = np.bincount(owners, weights=cells_of(boxes), minlength=comm.size).astype(np.int64).tolist()
-        out += [(f"level{level}/{name}", arrays[level], counts) for name, arrays in state.fields.items()]
+def _arrays(state: Snapshot) -> dict[str, Rows]:
+    """Return this rank's share of all arrays that parts hold, by the names of their datasets."""
+    levels = range(len(state.header.boxes))
+    out: dict[str, Rows] = {f"level{l}/{name}": arrays[l] for l in levels for name, arrays in state.fields.items()}
     for table, columns in state.tables.items():
-        out += [(f"{table}/{column}", _row_major(array), rows[table]) for column, array in columns.items()]
+        _require_equal_lengths(columns)
+        out |= {f"{table}/{column}": _row_major(array) for column, array in columns.items()}
     return out
 
 
@@ -149,21 +172,26 @@ def _row_major(array: Array) -> Rows:
     return Interleaved(list(array.T)) if array.ndim == 2 and not array.flags.c_contiguous else array
 
 
-def _create(writer: Hdf5Writer, name: str, rows: Rows, count: int) -> h5py.Dataset:
-    return writer.h5.create_dataset(name, shape=(count, *rows.shape[1:]), dtype=rows.dtype)
+def _store(all_of_them: Array, offset: int, piece: Array) -> None:
+    all_of_them[offset : offset + len(piece)] = piece
 
 
-def _store(dataset: h5py.Dataset, offset: int, piece: Array) -> None:
-    dataset[offset : offset + len(piece)] = piece
+def _index(
+    writer: Hdf5Writer, file: Path, group: range, names: Sequence[str], tables: Sequence[str], index: Index
+) -> Part:
+    """Add the index to a part whose arrays are written; return what the manifest says of it."""
+    writer.h5[ROWS], writer.h5[DIGESTS] = index.rows, index.digests
+    offsets = {name: writer.h5[name].id.get_offset() or 0 for name in (*names, ROWS, DIGESTS)}
+    total = dict(zip(names, index.rows.sum(axis=0).tolist(), strict=True))
+    rows = {table: next((n for name, n in total.items() if name.startswith(f"{table}/")), 0) for table in tables}
+    of_arrays = [offsets[name] for name in names]
+    return Part(file.name, group.start, group.stop, 0, rows, of_arrays, offsets[ROWS], offsets[DIGESTS], index.checksum)
 
 
-def _describe(file: Path, group: range) -> Part:
-    return Part(file.name, group.start, group.stop, file.stat().st_size, sha256(file))
-
-
-def _manifest(state: Snapshot, rows: Mapping[str, Sequence[int]], parts: Sequence[Part]) -> Manifest:
+def _manifest(state: Snapshot, arrays: Mapping[str, Rows], parts: Sequence[Part]) -> Manifest:
     tables = {name: list(columns) for name, columns in state.tables.items()}
-    return Manifest(state.header, list(state.fields), tables, rows, parts)
+    kinds = [Kind(name, rows.dtype.str, list(rows.shape[1:])) for name, rows in arrays.items()]
+    return Manifest(state.header, list(state.fields), tables, kinds, writer_ranks.PIECE_BYTES, parts)
 
 
 def _finish(path: Path, manifest: Manifest) -> None:

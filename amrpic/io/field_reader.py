@@ -1,19 +1,26 @@
-"""Reading the fields of dumps, box by box: of field files, and of checkpoints."""
+"""The fields of dumps, box by box: of field files, of checkpoints, and of a run itself, as its ranks hold them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
+from mpi4py import MPI
 from numpy.typing import NDArray
 
+from .. import _native
 from ..errors import InputError
-from ..mesh.boxes import cells_of
+from ..mesh.boxes import cells_of, table_of
 from ..mesh.domain import AXES
+from ..mesh.field import Field, VectorField
+from ..mesh.hierarchy import Hierarchy
 from .checkpoint_manifest import MANIFEST, decode
+from .shared_file import require_parts
 from .writer_ranks import one_line
 
 Array = NDArray[Any]
@@ -27,12 +34,20 @@ class Level:
     boxes: Array  # (n, 6): lower x, y, z, upper x, y, z, inclusive
     starts: Array  # (n,): row of the first cell of each box
 
+    @cached_property
+    def table(self) -> _native.BoxTable:
+        """A look-up of the boxes by their cells."""
+        return table_of(self.boxes)
+
 
 class Dump:
     """A field dump, open for reading; a context manager. Values are read when they are asked for.
 
+    Ranks of `comm` may share one: each has the boxes that are `here`. A file is not shared.
     Raises InputError if the file is missing, damaged, or something else.
     """
+
+    comm: MPI.Comm = MPI.COMM_SELF
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -46,9 +61,11 @@ class Dump:
         except (KeyError, AttributeError, TypeError, ValueError, OSError) as error:
             self._h5.close()
             raise self._refusal(f"it is no field dump of amrpic ({one_line(error)})") from None
-        except InputError:
+        try:
+            require_parts(self._h5, self.path.parent)
+        except ValueError as error:
             self._h5.close()
-            raise
+            raise self._refusal(str(error)) from None
 
     def _refusal(self, reason: str) -> InputError:
         return InputError(
@@ -62,24 +79,12 @@ class Dump:
         self.lower, self.upper = np.array(root.attrs["Origin"]), np.array(ours.attrs["upper"])  # m
         self.levels = [self._read_level(root[f"Level{l}"]) for l in range(sum(key.startswith("Level") for key in root))]
         self.units = {name: str(values.attrs["unit"]) for name, values in root["Level0/CellData"].items()}
-        if "parts" in ours:
-            for name, size in zip(ours["parts"].asstr()[:], ours["part_bytes"][:], strict=True):
-                self._check_part(name, int(size))
 
     @staticmethod
     def _read_level(group: h5py.Group) -> Level:
         boxes = group["AMRBox"][:].astype(np.int64)[:, [0, 2, 4, 1, 3, 5]]
         cells = cells_of(boxes)
         return Level(np.array(group.attrs["Spacing"]), boxes, np.cumsum(cells) - cells)
-
-    def _check_part(self, name: str, size: int) -> None:
-        # HDF5 would silently give nan for what is not there.
-        try:
-            found = (self.path.parent / name).stat().st_size
-        except OSError:
-            raise self._refusal(f"its part {name} is not beside it") from None
-        if found != size:
-            raise self._refusal(f"its part {name} has {found} bytes instead of {size}")
 
     def __enter__(self) -> Dump:
         return self
@@ -135,16 +140,36 @@ class Dump:
         corners = self.levels[level].boxes[box]
         return tuple(int(n) for n in corners[3:] - corners[:3] + 1)
 
-    def covered(self, level: int, box: int | np.integer[Any]) -> Array:
+    def is_vector(self, name: str) -> bool:
+        """Whether `values` gives vectors."""
+        return bool(self._h5[f"VTKHDF/Level0/CellData/{name}"].ndim == 2) if name in self.units else False
+
+    def here(self, level: int) -> Array:
+        """Return the numbers of those boxes of a level whose values this rank has."""
+        return np.arange(len(self.levels[level].boxes))
+
+    def total(self, values: Array) -> Array:
+        """Return the sum of arrays over the ranks that share the dump, on all of them; it takes their memory. Collective."""
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, values)
+        return values
+
+    def any(self, held: Array) -> Array:
+        """Return where any rank holds True, on all of them. Collective."""
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, held, MPI.LOR)
+        return held
+
+    def covered(self, level: int, box: int) -> Array:
         """Return where a finer level covers the cells of a box, bool (nx, ny, nz)."""
         lower, upper = self.levels[level].boxes[box, :3], self.levels[level].boxes[box, 3:]
         out = np.zeros(upper - lower + 1, dtype=bool)
         if level + 1 == len(self.levels):
             return out
-        finer = self.levels[level + 1].boxes
-        low, high = np.maximum(finer[:, :3] // 2, lower), np.minimum(finer[:, 3:] // 2, upper)
-        for b in np.flatnonzero(np.all(low <= high, axis=1)):
-            x, y, z = (slice(i, j + 1) for i, j in zip(low[b] - lower, high[b] - lower, strict=True))
+        finer = self.levels[level + 1]
+        for corners in finer.boxes[finer.table.meeting((2 * lower).tolist(), (2 * upper + 1).tolist())]:
+            first, last = np.maximum(corners[:3] // 2, lower) - lower, np.minimum(corners[3:] // 2, upper) - lower
+            x, y, z = (slice(i, j + 1) for i, j in zip(first, last, strict=True))
             out[x, y, z] = True
         return out
 
@@ -170,6 +195,9 @@ class CheckpointDump(Dump):
         vector = {"efield_x", "efield_y", "efield_z"} <= set(manifest.fields)
         self.units = {name: unit for name, unit in UNITS.items() if name in manifest.fields or (name == "E" and vector)}
 
+    def is_vector(self, name: str) -> bool:
+        return name == "E"
+
     def _open_part(self, name: str) -> h5py.File:
         try:
             return h5py.File(self.path / name, "r", locking=False)
@@ -190,6 +218,47 @@ class CheckpointDump(Dump):
         cells, start = self._size(level, box), int(self.levels[level].starts[box])
         rows = self._parts[self._part_of[level][box]][f"level{level}/{name}"]
         return rows[start : start + int(np.prod(cells))].reshape(cells, order="F")
+
+
+class LiveDump(Dump):
+    """Fields of a hierarchy, shared by its ranks, as their dump would show them. Values are those of the fields."""
+
+    def __init__(
+        self, path: Path, hierarchy: Hierarchy, fields: Mapping[str, Field | VectorField], step: int, time: float
+    ) -> None:
+        """`path` is that of the dump, whether it is written or not; `time` is in s."""
+        self.path, self.comm, self.step, self.time = Path(path), hierarchy.comm, step, time
+        self._hierarchy, self._fields = hierarchy, fields
+        self.lower, self.upper = np.array(hierarchy.domain.lower), np.array(hierarchy.domain.upper)
+        self.units = {name: field.unit for name, field in fields.items()}
+        self.levels = [self._level(level) for level in range(hierarchy.levels)]
+
+    def _level(self, level: int) -> Level:
+        """Return a level; rows are those of its own boxes on each rank."""
+        boxes = self._hierarchy.boxes(level).astype(np.int64)
+        cells = cells_of(boxes)
+        ends, first = np.cumsum(cells), self._hierarchy.local_boxes(level).start
+        return Level(
+            np.array(self._hierarchy.spacing(level)), boxes, ends - cells - (ends - cells)[first : first + 1].sum()
+        )
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def is_vector(self, name: str) -> bool:
+        return isinstance(self._fields.get(name), VectorField)
+
+    def here(self, level: int) -> Array:
+        return np.array(self._hierarchy.local_boxes(level), dtype=np.int64)
+
+    def covered(self, level: int, box: int) -> Array:
+        return self._hierarchy.native.covered(level, box).astype(bool)
+
+    def _values(self, name: str, level: int, box: int | np.integer[Any]) -> Array:
+        field, cells, start = self._fields[name], self._size(level, box), int(self.levels[level].starts[box])
+        parts = field.components if isinstance(field, VectorField) else (field,)
+        flat = [part.array(level)[start : start + int(np.prod(cells))].reshape(cells, order="F") for part in parts]
+        return np.stack(flat, axis=-1) if isinstance(field, VectorField) else flat[0]
 
 
 UNITS = {"rho": "C/m^3", "phi": "V", "E": "V/m"}  # of the fields of a checkpoint

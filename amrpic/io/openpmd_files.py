@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from ..errors import InputError
+from .shared_file import require_parts
 from .writer_ranks import one_line
 
 
@@ -19,6 +20,7 @@ def opened(path: Path, what: str, remedy: str) -> Iterator[h5py.File]:
     """Open a file for a while; whatever goes wrong becomes InputError, in words of `what` it is and a `remedy`."""
     try:
         with h5py.File(path, "r", locking=False) as h5:
+            require_parts(h5, Path(path).parent)
             yield h5
     except FileNotFoundError:
         raise InputError(

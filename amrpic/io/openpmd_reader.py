@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ..mesh.domain import AXES
 from ..particles.particles import Particles
 from ..particles.species import SPECIES, Species, SpeciesTable
 from .openpmd_files import base, chosen, opened, text
-from .openpmd_writer import ALIVE
+from .openpmd_writer import ALIVE, DEAD
 
 Array = NDArray[Any]
 
@@ -45,6 +46,34 @@ def groups(file: str | Path) -> list[str]:
     with _opened(Path(file)) as h5:
         particles = _particles(Path(file), h5, None)
         return [""] if "position" in particles else [name for name, one in particles.items() if "position" in one]
+
+
+@dataclass(frozen=True)
+class LossRecord:
+    """The lost particles of a species, as `openpmd_writer` writes them."""
+
+    species: str
+    id: Array  # (n,) int64
+    position: Array  # (n, 3) m, where they were lost
+    momentum: Array  # (n, 3) kg m/s
+    weight: Array  # (n,) real particles
+    time: Array  # (n,) s
+    cause: Array  # (n,) names of apertures or faces
+
+
+def records(file: str | Path) -> list[LossRecord]:
+    """Return the losses that a run wrote, by species. Raises InputError."""
+    path, out = Path(file), []
+    with _opened(path) as h5:
+        causes = np.array(h5["amrpic/causes"].asstr()[:])
+        for name, group in _particles(path, h5, None).items():
+            source = _Source(path, group)
+            columns = {key: source._values(key) for key in ("weighting", "time", "particleStatus")}
+            cause = causes[columns["particleStatus"].astype(int) - DEAD]
+            position, momentum = (source._vector(key).T for key in ("position", "momentum"))
+            id = group["id"][:].astype(np.int64)
+            out.append(LossRecord(name, id, position, momentum, columns["weighting"], columns["time"], cause))
+    return out
 
 
 def when(file: str | Path) -> tuple[int, float]:

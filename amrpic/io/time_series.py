@@ -7,8 +7,9 @@ Numbers are written so that they read back bit for bit.
 from __future__ import annotations
 
 import errno
+import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, OutputError
+from ..parallel import raise_together
 from ..units import Quantity
 from .atomic_files import publish, temporary
 from .provenance import Provenance
@@ -42,6 +44,7 @@ class Series:
     ) -> None:
         self.columns = tuple(columns)
         self._path, self._comm, self._descriptor = Path(path), comm, -1
+        self._adding = self._attempts()
         attempts = self._attempts()
         if comm.rank == 0:
             attempts.attempt(self._open, about, keep_to_step)
@@ -59,10 +62,18 @@ class Series:
 
     def append(self, *rows: Mapping[str, float | str]) -> None:
         """Add rows, those of rank 0; what one lacks is zero. Collective; raises OutputError."""
-        attempts = self._attempts()
+        self.add(*rows)
+        settle(self._comm, [self])
+
+    def add(self, *rows: Mapping[str, float | str]) -> None:
+        """Do the same without the other ranks, until `settle` tells them whether it failed. Local."""
         if self._comm.rank == 0:
-            attempts.attempt(self._write, "".join(_line(row, self.columns) for row in rows))
-        attempts.settle(self._comm)
+            self._adding.attempt(self._write, "".join(_line(row, self.columns) for row in rows))
+
+    @property
+    def problem(self) -> str | None:
+        """Why rows could not be added, on rank 0."""
+        return self._adding.message
 
     def _write(self, line: str) -> None:
         if os.write(self._descriptor, line.encode()) < len(line):
@@ -83,6 +94,11 @@ class Series:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
+
+
+def settle(comm: MPI.Comm, series: Iterable[Series]) -> None:
+    """Raise OutputError on all ranks if rows of one of the series could not be added. Collective."""
+    raise_together(comm, next((one.problem for one in series if one.problem is not None), None), OutputError)
 
 
 def write(
@@ -106,6 +122,25 @@ def write(
 def read(path: Path) -> NDArray[Any]:
     """Return the complete rows of a series as a structured array, a field per column. Raises InputError."""
     return _parsed(Path(path))[1]
+
+
+def scene_of(path: Path) -> dict[str, Any]:
+    """Return the resolved scene of the run that wrote a series. Raises InputError."""
+    return json.loads(_comment(path, "scene"))
+
+
+def units_of(path: Path) -> dict[str, str]:
+    """Return the unit of each column of a series. Raises InputError."""
+    return dict(zip(read(path).dtype.names or (), _comment(path, "units").split(","), strict=True))
+
+
+def _comment(path: Path, key: str) -> str:
+    """Return what the head of a series says after a key."""
+    try:
+        with open(path, encoding="utf-8") as lines:
+            return next(line for line in lines if line.startswith(f"# {key}: ")).partition(": ")[2].rstrip("\n")
+    except (OSError, UnicodeDecodeError, StopIteration) as error:
+        raise InputError(f"series {path} cannot be read: {one_line(error)}; give a file that a run wrote") from None
 
 
 def _type(column: Quantity) -> str:

@@ -1,9 +1,12 @@
-"""Rows of distributed arrays, handed to a few writers in pieces of bounded size."""
+"""Which ranks write a file, and how rows of distributed arrays come to them: in pieces of bounded size, some of them ahead."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -12,10 +15,15 @@ from numpy.typing import NDArray
 
 from ..errors import AmrpicError, OutputError
 from ..parallel import raise_together
+from ..scene.output import PART_BYTES
 
-PIECE_BYTES = 16 * 2**20  # memory of a writer beyond its own data
+PIECE_BYTES = 2**20  # what is sent, written and checked at once
+AHEAD = 8  # pieces that are under way to a writer while it writes
+MERGED_BYTES = 2**23  # of the rows that a writer puts in order at once
+RANKS_PER_WRITER = 128  # at most: a writer takes a few messages from each
 TAG = 731
 
+Array = NDArray[Any]
 Result = TypeVar("Result")
 
 
@@ -26,19 +34,242 @@ class Rows(Protocol):
     def dtype(self) -> np.dtype[Any]: ...
     @property
     def shape(self) -> tuple[int, ...]: ...
-    def __getitem__(self, rows: slice, /) -> NDArray[Any]: ...
+    def __getitem__(self, rows: slice, /) -> Array: ...
 
 
 class Interleaved:
     """Columns of equal length as the rows of one (n, columns) array, of which only slices are ever made."""
 
-    def __init__(self, columns: Sequence[NDArray[Any]]) -> None:
+    def __init__(self, columns: Sequence[Array]) -> None:
         self._columns = columns
         self.dtype = columns[0].dtype
         self.shape = (len(columns[0]), len(columns))
 
-    def __getitem__(self, rows: slice, /) -> NDArray[Any]:
+    def __getitem__(self, rows: slice, /) -> Array:
         return np.stack([column[rows] for column in self._columns], axis=1)
+
+
+# ---- the choice of writers ----
+
+
+@dataclass(frozen=True)
+class Writers:
+    """How many ranks write a file: so many (0: all of them); if None, one for each `part_bytes` of it, and for each
+    `RANKS_PER_WRITER` ranks at least.
+    """
+
+    number: int | None = None
+    part_bytes: int = PART_BYTES
+
+    def groups(self, ranks: int, total: int) -> list[range]:
+        """Return contiguous groups of about equally many ranks for a file of `total` bytes; the first of each writes."""
+        wanted = self.number
+        if wanted is None:
+            wanted = max(math.ceil(total / self.part_bytes), math.ceil(ranks / RANKS_PER_WRITER), 1)
+        groups = min(wanted, ranks) or ranks
+        edges = [ranks * g // groups for g in range(groups + 1)]
+        return [range(first, last) for first, last in itertools.pairwise(edges)]
+
+
+BY_SIZE = Writers()
+
+
+@dataclass(frozen=True)
+class Load:
+    """What the writer of a group does for a file."""
+
+    ranks: range  # of the group
+    bytes: int  # that it writes
+    received: int  # bytes that come from other ranks
+    messages: int  # in which they come
+
+
+def writer_loads(groups: Sequence[range], rows: Array, row_bytes: Sequence[int], announced: int) -> list[Load]:
+    """Return what each writer does by `collect_rows`, which announces so many of the arrays, and by `collect`: of `rows`
+    (ranks, arrays), of `row_bytes` each.
+    """
+    sizes, width = rows * np.asarray(row_bytes), np.array([rows_per_piece(n) for n in row_bytes], dtype=np.int64)
+    pieces = -(-rows // np.maximum(width, 1))
+    out = []
+    for group in groups:
+        others = slice(group.start + 1, group.stop)
+        received = int(sizes[others].sum()) + (len(group) - 1) * 8 * announced
+        messages = int(pieces[others].sum()) + len(group) - 1
+        out.append(Load(group, int(sizes[group.start : group.stop].sum()), received, messages))
+    return out
+
+
+def group_of(groups: Sequence[range], rank: int) -> range:
+    """Return the group that holds `rank`."""
+    return next(group for group in groups if rank in group)
+
+
+def row_bytes(rows: Rows) -> int:
+    """Return the bytes of a row."""
+    return rows.dtype.itemsize * math.prod(rows.shape[1:])
+
+
+def rows_per_piece(bytes_of_row: int) -> int:
+    """Return how many rows make a piece."""
+    return max(1, PIECE_BYTES // max(1, bytes_of_row))
+
+
+def buffer_bytes(ranks: int, merges: bool) -> int:
+    """Return the bytes that a group of so many ranks holds at once for `collect`, or for `merge` as well, beyond its rows."""
+    under_way = (AHEAD + 1) * PIECE_BYTES if ranks > 1 else 0
+    # Of each rank a piece and the one that arrives meanwhile; those that are ready, and the same in order.
+    merged = 4 * MERGED_BYTES if merges else 0
+    return max(under_way, merged) + 2 * PIECE_BYTES * ranks
+
+
+# ---- the way of the rows ----
+
+
+def said_to_first(comm: MPI.Comm, value: Result, groups: Sequence[range]) -> list[Result]:
+    """Return the small values of all writers on rank 0, which is one, and an empty list elsewhere. Collective over them."""
+    if comm.rank == 0:
+        return [value, *(comm.recv(source=group.start, tag=TAG) for group in groups[1:])]
+    if any(comm.rank == group.start for group in groups):
+        comm.send(value, 0, tag=TAG)
+    return []
+
+
+def collect_rows(comm: MPI.Comm, group: range, arrays: Sequence[Rows]) -> Array:
+    """Return the numbers of rows of arrays on each rank of a group, (ranks, arrays), on its first; elsewhere (1, arrays) its
+    own. Collective over the group.
+    """
+    mine = np.array([[rows.shape[0] for rows in arrays]], dtype=np.int64)
+    if comm.rank != group.start:
+        comm.Send(mine, group.start, TAG)
+        return mine
+    table = np.repeat(mine, len(group), axis=0)
+    for row, rank in zip(table[1:], group[1:], strict=True):
+        comm.Recv(row, rank, TAG)
+    return table
+
+
+def collect(
+    comm: MPI.Comm,
+    group: range,
+    counts: Sequence[int],
+    rows: Rows,
+    write: Callable[[int, Array], object],
+    seen: Callable[[Array], object] = lambda piece: None,
+) -> None:
+    """Hand the rows of every rank of `group` to `write(offset, piece)` on its first rank, where they lie in the order of ranks.
+
+    Collective over the group. `counts` are the rows of each of its ranks, which the first one knows. Every rank hands its own
+    rows to `seen(piece)`, in order, in whole pieces but for the last. `write` and `seen` must not raise, because the others
+    wait: see `Attempts`.
+    """
+    size = rows_per_piece(row_bytes(rows))
+    if comm.rank != group.start:
+        return _send(comm, group.start, _pieces(rows, size), seen)
+    lengths = [(rank, n) for rank, count in zip(group[1:], counts[1:], strict=True) for n in _lengths(count, size)]
+    arriving = _arriving(comm, lengths, rows, AHEAD)
+    offset = 0
+    for piece in _pieces(rows, size):  # while the first of the others' are under way
+        seen(piece)
+        write(offset, piece)
+        offset += len(piece)
+    for piece in arriving:
+        write(offset, piece)
+        offset += len(piece)
+
+
+def merge(
+    comm: MPI.Comm,
+    group: range,
+    counts: Sequence[int],
+    rows: Rows,
+    order: Sequence[str],
+    write: Callable[[int, Array], object],
+) -> None:
+    """Hand the rows of every rank of `group` to `write(offset, piece)` on its first rank, in the order of some columns.
+
+    Collective over the group. Rows are of a structured type and are in `order` on each rank: by the first of these columns,
+    those that are equal there by the next. `counts` and `write` are as for `collect`.
+    """
+    size = max(1, MERGED_BYTES // (len(group) * row_bytes(rows)))
+    if comm.rank != group.start:
+        return _send(comm, group.start, _pieces(rows, size), lambda piece: None)
+    others = zip(group[1:], counts[1:], strict=True)
+    streams = [_pieces(rows, size)]
+    streams += [_arriving(comm, [(rank, n) for n in _lengths(count, size)], rows, 1) for rank, count in others]
+    heads = [next(stream, None) for stream in streams]
+    offset = 0
+    while any(head is not None for head in heads):
+        # What is still to come of a stream lies behind the last row of its head.
+        last = min(tuple(head[-1][list(order)]) for head in heads if head is not None)
+        ends = [0 if head is None else _end_of(head, order, last) for head in heads]
+        runs = [head[:end] for head, end in zip(heads, ends, strict=True) if head is not None and end > 0]
+        ready = runs[0] if len(runs) == 1 else _in_order(np.concatenate(runs), order)
+        write(offset, ready)
+        offset += len(ready)
+        for i, (head, end) in enumerate(zip(heads, ends, strict=True)):
+            if head is not None:
+                heads[i] = head[end:] if end < len(head) else next(streams[i], None)
+
+
+def _in_order(rows: Array, order: Sequence[str]) -> Array:
+    return rows[np.lexsort([rows[column] for column in reversed(order)])]
+
+
+def _end_of(ordered: Array, order: Sequence[str], last: Sequence[Any]) -> int:
+    """Return the number of ordered rows that do not lie behind `last`."""
+    start, stop = 0, len(ordered)
+    for column, value in zip(order, last, strict=True):
+        values = ordered[column][start:stop]
+        start, stop = (start + int(np.searchsorted(values, value, side)) for side in ("left", "right"))
+    return stop
+
+
+def _pieces(rows: Rows, size: int) -> Iterator[Array]:
+    return (np.ascontiguousarray(rows[start : start + size]) for start in range(0, rows.shape[0], size))
+
+
+def _lengths(count: int, size: int) -> Iterator[int]:
+    return (min(size, count - start) for start in range(0, count, size))
+
+
+def _send(comm: MPI.Comm, to: int, pieces: Iterable[Array], seen: Callable[[Array], object]) -> None:
+    """Send pieces to a rank, where `_arriving` takes them; the next one is made meanwhile."""
+    before = MPI.REQUEST_NULL
+    for piece in pieces:
+        # Synchronous: what the other rank does not take yet waits here, not in its message buffers.
+        request = comm.Issend([piece, MPI.BYTE], to, TAG)
+        seen(piece)
+        before.Wait()
+        before = request
+    before.Wait()
+
+
+def _arriving(comm: MPI.Comm, lengths: Sequence[tuple[int, int]], like: Rows, ahead: int) -> Iterator[Array]:
+    """Return the pieces that ranks send, given as (rank, rows), in order. The first `ahead` are asked for now; whoever takes
+    one is done with the one before, whose memory serves for another.
+    """
+    slots = min(ahead + 1, len(lengths))
+    buffers = np.empty((slots, max((n for _, n in lengths), default=0), *like.shape[1:]), like.dtype)
+
+    def ask(number: int) -> tuple[MPI.Request, Array]:
+        rank, length = lengths[number]
+        piece = buffers[number % slots, :length]
+        return comm.Irecv([piece, MPI.BYTE], rank, TAG), piece
+
+    asked = deque(ask(number) for number in range(min(ahead, len(lengths))))
+
+    def take() -> Iterator[Array]:
+        for number in range(ahead, len(lengths) + ahead):
+            request, piece = asked.popleft()
+            if number < len(lengths):
+                asked.append(ask(number))
+            request.Wait()
+            yield piece
+
+    return take()
+
+
+# ---- failures ----
 
 
 class Attempts:
@@ -76,45 +307,3 @@ def one_line(error: BaseException) -> str:
     """Return the reason of an exception as part of one sentence."""
     text = str(error.strerror if isinstance(error, OSError) and error.strerror else error)
     return " ".join(text.split()).rstrip(".") or type(error).__name__
-
-
-def writer_groups(ranks: int, writers: int) -> list[range]:
-    """Return contiguous groups of ranks, `writers` of them (0: one per rank); the first rank of each writes for it."""
-    groups = min(writers, ranks) or ranks
-    edges = [ranks * g // groups for g in range(groups + 1)]
-    return [range(first, last) for first, last in itertools.pairwise(edges)]
-
-
-def group_of(groups: Sequence[range], rank: int) -> int:
-    """Return the index of the group that holds `rank`."""
-    return next(index for index, group in enumerate(groups) if rank in group)
-
-
-def collect(
-    comm: MPI.Comm, group: range, counts: Sequence[int], rows: Rows, write: Callable[[int, NDArray[Any]], object]
-) -> None:
-    """Hand the rows of every rank of `group` to `write(offset, piece)` on its first rank, in the order of ranks.
-
-    Collective over the group. `counts[rank]` is the number of rows of each rank of the communicator. `write` must
-    not raise, because the others wait: see `Attempts`.
-    """
-    row_bytes = rows.dtype.itemsize * int(np.prod(rows.shape[1:], dtype=np.int64))
-    piece_rows = max(1, PIECE_BYTES // max(1, row_bytes))
-    if comm.rank != group.start:
-        for start in range(0, counts[comm.rank], piece_rows):
-            # Synchronous: a rank's rows wait where they are, not in the writer's message buffers.
-            comm.Ssend([np.ascontiguousarray(rows[start : start + piece_rows]), MPI.BYTE], group.start, TAG)
-        return
-    longest = min(piece_rows, max((counts[rank] for rank in group if rank != comm.rank), default=0))
-    buffer = np.empty((longest, *rows.shape[1:]), rows.dtype)
-    offset = 0
-    for rank in group:
-        for start in range(0, counts[rank], piece_rows):
-            length = min(piece_rows, counts[rank] - start)
-            if rank == comm.rank:
-                piece = rows[start : start + length]
-            else:
-                piece = buffer[:length]
-                comm.Recv([piece, MPI.BYTE], rank, TAG)
-            write(offset, piece)
-            offset += length

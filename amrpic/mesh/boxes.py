@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import _native
+
 Array = NDArray[Any]
 
 
@@ -28,33 +30,11 @@ def scaled_cells(cells: tuple[int, int, int], factor: float, block: int) -> tupl
     return tuple(max(step * round(n * factor / step), step, 2) for n, step in zip(cells, steps, strict=True))  # type: ignore[return-value]
 
 
-def outer_faces(boxes: Array, block: int) -> int:
-    """Return the number of cell faces on the surface of the union of disjoint boxes.
-
-    They are aligned to blocks of so many cells, except that those at the domain's upper faces may end with shorter ones.
-    """
-    if len(boxes) == 0:
-        return 0
-    corners = boxes.astype(np.int64) // block
-    corners = corners - np.tile(corners[:, :3].min(axis=0), 2) + 1
-    # to the next block along x, y and z, none beyond an edge
-    strides = np.cumprod([1, *(corners.max(axis=0)[3:5] + 2)])
-    blocks = np.concatenate([_numbers(box, strides) for box in corners])
-    sizes = np.concatenate([_sizes(box, block) for box in boxes.astype(np.int64)])
-    total = 0
-    for axis, stride in enumerate(strides):
-        faces = sizes[:, axis - 1] * sizes[:, axis - 2]  # a block has as many there as its neighbour
-        total += 2 * int(faces.sum() - faces[np.isin(blocks + stride, blocks, assume_unique=True)].sum())
-    return total
+def rows_of(boxes: Array) -> Array:
+    """Return boxes, or cells, as native functions take them."""
+    return np.ascontiguousarray(boxes, dtype=np.int32)
 
 
-def _numbers(box: Array, strides: Array) -> Array:
-    x, y, z = (np.arange(box[d], box[3 + d] + 1) * strides[d] for d in range(3))
-    return (x[:, None, None] + y[:, None] + z).ravel()
-
-
-def _sizes(box: Array, block: int) -> Array:
-    """Return the cells of the blocks of a box along each axis, (blocks, 3)."""
-    starts = [np.arange(box[d], box[3 + d] + 1, block) for d in range(3)]
-    sizes = [np.minimum(block, box[3 + d] + 1 - starts[d]) for d in range(3)]
-    return np.stack(np.meshgrid(*sizes, indexing="ij"), axis=-1).reshape(-1, 3)
+def table_of(boxes: Array) -> _native.BoxTable:
+    """Return a look-up of disjoint boxes by their cells, for questions to all of them that do not compare all with all."""
+    return _native.BoxTable(rows_of(boxes))

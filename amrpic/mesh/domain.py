@@ -22,8 +22,9 @@ BoundarySpec = str | Mapping[str, str | Sequence[str]]
 class Domain:
     """A cuboid in metres, cut into `cells` base cells, with a boundary condition per face.
 
-    `boundary` is one name for all faces, or a mapping from axis to a name or to a pair of names (lower, upper);
-    kept as ((x lower, x upper), (y lower, y upper), (z lower, z upper)). Axes that a mapping leaves out are open.
+    Corners and cells are three values each, or one for all axes. `boundary` is one name for all faces, or a mapping from axis
+    to a name or to a pair of names (lower, upper); kept as ((x lower, x upper), (y lower, y upper), (z lower, z upper)). Axes
+    that a mapping leaves out are open.
 
     Raises HierarchyError for an unknown name, a box without volume, or fewer than two cells along an axis.
     """
@@ -35,9 +36,9 @@ class Domain:
 
     def __init__(
         self,
-        lower: Sequence[float],
-        upper: Sequence[float],
-        cells: Sequence[int],
+        lower: Sequence[float] | float,
+        upper: Sequence[float] | float,
+        cells: Sequence[int] | int,
         boundary: BoundarySpec | Faces = "open",
     ) -> None:
         set_ = object.__setattr__
@@ -73,12 +74,12 @@ class Domain:
         return all(face in ("neumann", "periodic") for faces in self.boundary for face in faces)
 
 
-def _three(values: Sequence[Any], kind: Callable[[Any], Any], what: str) -> tuple:
+def _three(given: Sequence[Any] | float, kind: Callable[[Any], Any], what: str) -> tuple:
     try:
-        x, y, z = (kind(value) for value in values)
+        x, y, z = (kind(value) for value in ((given,) * 3 if np.ndim(given) == 0 else given))  # type: ignore[union-attr]
     except (TypeError, ValueError, OverflowError):
         whole = "whole " if kind is operator.index else ""
-        raise HierarchyError(f"{what} is {values!r}; give three {whole}numbers, for x, y and z") from None
+        raise HierarchyError(f"{what} is {given!r}; give one {whole}number, or three, for x, y and z") from None
     return x, y, z
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mpi4py import MPI
@@ -12,8 +13,14 @@ from numpy.typing import ArrayLike
 
 from .. import _native
 from ..errors import HierarchyError, InputError
-from ..parallel import global_max
+from ..parallel import global_max, global_sum
+from . import exports
+from .domain import AXES
 from .hierarchy import Hierarchy
+
+if TYPE_CHECKING:
+    import pyvista
+    import xarray
 
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray | float]
 
@@ -100,11 +107,11 @@ class Field:
         self.locked = True
         vars(self).pop("patches", None)
 
-    def fill(self, function: Function) -> Field:
-        """Set every cell of every level to `function(x, y, z)` at its centre (m, broadcastable arrays); return self."""
+    def fill(self, function: Function | float) -> Field:
+        """Set every cell to a number, or to `function(x, y, z)` at its centre (m, broadcastable arrays); return self."""
         self._require_unlocked()
         for patch in self.patches:
-            patch.data[...] = function(*patch.centres())
+            patch.data[...] = function(*patch.centres()) if callable(function) else function
         return self
 
     def copy(self) -> Field:
@@ -131,18 +138,127 @@ class Field:
 
         Raises HierarchyError if the other field lives on another hierarchy.
         """
+        return global_sum(self.comm, self.own_integral(times))
+
+    def own_integral(self, times: Field | None = None) -> float:
+        """Part of this rank's cells in `integral`."""
         if times is None:
-            return self.native.integral()
+            return self.native.own_integral()
         if times.hierarchy is not self.hierarchy:
             raise HierarchyError(
                 "the fields of a product live on two hierarchies; carry one of them over to the other's"
             )
-        return self.native.integral_with(times.native)
+        return self.native.own_integral_with(times.native)
 
     def max_abs(self) -> float:
         """Largest magnitude over uncovered cells; nan if one of them is. Collective."""
         here = [np.abs(p.data).max(where=~p.covered, initial=0.0) for p in self.patches]
         return global_max(self.comm, np.max(here, initial=0.0))
+
+    def min(self) -> float:
+        """Smallest value over uncovered cells; nan if one of them is. Collective."""
+        return -(-self).max()
+
+    def max(self) -> float:
+        """Largest value over uncovered cells; nan if one of them is. Collective."""
+        here = [p.data.max(where=~p.covered, initial=-np.inf) for p in self.patches]
+        return global_max(self.comm, np.max(here, initial=-np.inf))
+
+    def sum(self) -> float:
+        """Sum over uncovered cells. Collective."""
+        return global_sum(self.comm, float(sum(p.data.sum(where=~p.covered) for p in self.patches)))
+
+    def norm(self, kind: str = "l2") -> float:
+        """Return the norm over uncovered cells: "max", or "l1" or "l2" weighted by volume. Collective; InputError."""
+        if kind == "max":
+            return self.max_abs()
+        if kind == "l1":
+            return abs(self).integral()
+        if kind == "l2":
+            return float(np.sqrt(self.integral(self)))
+        raise InputError(f"{kind!r} is no norm; use l1, l2 or max")
+
+    # ---- for other packages, which are to be installed; InputError if they are not ----
+
+    def _gathered(self) -> exports.Gathered:
+        """The field with the boxes of all ranks. Collective."""
+        mine = [(p.level, p.box, exports.Part(p.level, p.lower, np.array(p.data), p.covered)) for p in self.patches]
+        everyones = [one for rank in self.comm.allgather(mine) for one in rank]
+        parts = [part for _, _, part in sorted(everyones, key=lambda one: one[:2])]
+        return exports.Gathered(self.hierarchy, self.unit, parts)
+
+    def to_xarray(self, level: int = 0, name: str = "field") -> xarray.DataArray:
+        """Return a level as an array (x, y, z) with coordinates in m, whole on every rank; nan where it has no cells.
+
+        Collective. Raises HierarchyError if there is no such level.
+        """
+        return exports.to_xarray(self._gathered(), level, name)
+
+    def to_yt(self, name: str = "field") -> Any:
+        """Return the field as a data set of yt, whole on every rank, for its slices and projections. Collective."""
+        return exports.to_yt({name: self._gathered()})
+
+    def to_pyvista(self, name: str = "field") -> pyvista.MultiBlock:
+        """Return the field as one PyVista image per box, covered cells hidden, whole on every rank. Collective."""
+        return exports.to_pyvista({name: self._gathered()})
+
+    # ---- arithmetic, cell by cell; with numbers, and with fields of the same hierarchy ----
+
+    def _combined(self, other: Field | float, operation: Callable[..., np.ndarray], unit: str) -> Field:
+        if isinstance(other, Field) and other.hierarchy is not self.hierarchy:
+            raise HierarchyError("the two fields live on two hierarchies; carry one of them over to the other's")
+        out = Field.unset(self.hierarchy, unit)
+        for level in range(self.hierarchy.levels):
+            second = other.array(level) if isinstance(other, Field) else other
+            operation(self.array(level), second, out=out.array(level))
+        return out
+
+    def _same_unit(self, other: Field | float) -> str:
+        if isinstance(other, Field) and other.unit != self.unit and self.unit and other.unit:
+            raise InputError(f"a field in {self.unit} and one in {other.unit} cannot be added; convert one of them")
+        return self.unit or (other.unit if isinstance(other, Field) else "")
+
+    def __add__(self, other: Field | float) -> Field:
+        return self._combined(other, np.add, self._same_unit(other)) if _fits(other) else NotImplemented
+
+    def __sub__(self, other: Field | float) -> Field:
+        return self._combined(other, np.subtract, self._same_unit(other)) if _fits(other) else NotImplemented
+
+    def __mul__(self, other: Field | float) -> Field:
+        unit = " ".join(filter(None, (self.unit, getattr(other, "unit", ""))))
+        return self._combined(other, np.multiply, unit) if _fits(other) else NotImplemented
+
+    def __truediv__(self, other: Field | float) -> Field:
+        below = getattr(other, "unit", "")
+        unit = f"{self.unit}/({below})" if below and below != self.unit else "" if below else self.unit
+        return self._combined(other, np.divide, unit) if _fits(other) else NotImplemented
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __rsub__(self, other: float) -> Field:
+        return -self + other
+
+    def __neg__(self) -> Field:
+        return -1.0 * self
+
+    def __abs__(self) -> Field:
+        return self._combined(0.0, lambda values, _, out: np.abs(values, out=out), self.unit)
+
+    def _root(self, unit: str) -> Field:
+        return self._combined(0.0, lambda values, _, out: np.sqrt(values, out=out), unit)
+
+    def __repr__(self) -> str:
+        cells = " + ".join(str(self.hierarchy.cells(level)) for level in range(self.hierarchy.levels))
+        here = [
+            (p.data.min(where=~p.covered, initial=np.inf), p.data.max(where=~p.covered, initial=-np.inf))
+            for p in self.patches
+        ]
+        low, high = np.min([one[0] for one in here], initial=np.inf), np.max([one[1] for one in here], initial=-np.inf)
+        range_ = (
+            f"{low:.4g} to {high:.4g}{' ' * bool(self.unit)}{self.unit}" if low <= high else "none of its cells here"
+        )
+        where = f" on rank {self.comm.rank}" if self.comm.size > 1 else ""
+        return f"Field({range_}{where}; {cells} cells on {self.hierarchy.levels} levels)"
 
     def sample(self, points: ArrayLike) -> np.ndarray:
         """Values at points (n, 3) in m, (n,) on every rank: trilinear in the finest cells there. Collective.
@@ -152,6 +268,11 @@ class Field:
         """
         points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
         return self.native.sample(points)
+
+
+def _fits(other: object) -> bool:
+    """Whether a field can be added to it, or multiplied by it."""
+    return isinstance(other, Field | int | float | np.integer | np.floating)
 
 
 class VectorField:
@@ -213,7 +334,28 @@ class VectorField:
 
     def integral_of_square(self) -> float:
         """Volume integral of the square over uncovered cells. Collective."""
-        return self.native.integral_of_square()
+        return global_sum(self.hierarchy.comm, self.own_integral_of_square())
+
+    def own_integral_of_square(self) -> float:
+        """Part of this rank's cells in `integral_of_square`."""
+        return self.native.own_integral_of_square()
+
+    def magnitude(self) -> Field:
+        """Its length in each cell."""
+        x, y, z = self.components
+        return (x * x + y * y + z * z)._root(self.unit)
+
+    def to_yt(self, name: str = "E") -> Any:
+        """Return the components, as `name`_x and so on, as a data set of yt, whole on every rank. Collective."""
+        return exports.to_yt(
+            {f"{name}_{axis}": one._gathered() for axis, one in zip(AXES, self.components, strict=True)}
+        )
+
+    def to_pyvista(self, name: str = "E") -> pyvista.MultiBlock:
+        """Return the components as one PyVista image per box, whole on every rank. Collective."""
+        return exports.to_pyvista(
+            {f"{name}_{axis}": one._gathered() for axis, one in zip(AXES, self.components, strict=True)}
+        )
 
     def sample(self, points: ArrayLike) -> np.ndarray:
         """Values at points (n, 3) in m, (n, 3) on every rank. Collective."""

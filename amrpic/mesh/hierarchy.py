@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from .. import _native
 from ..errors import HierarchyError
-from ..parallel import Communicator, VirtualRank, own
+from ..parallel import Communicator, VirtualRank, own, world_by_default
+from .boxes import cells_of
 from .domain import BOUNDARIES, Domain
 
 
@@ -37,17 +38,22 @@ class Hierarchy:
     """The levels of a refined mesh, coarse to fine; immutable. Collective to make.
 
     `levels[k]` lists the boxes of level k + 1 as pairs of inclusive corner indices in that level's own index space, or is
-    an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. `weights[l]`,
-    if given, holds the work per box of level l (default: its cells) and only steers which rank owns which box.
+    an (n, 6) array of them. Boxes may exceed `max_grid_size` and are cut; cells of level 0 cover the domain. Each level is
+    shared out over the ranks by its cells. Where whole boxes leave a rank with more than 1.1 times the mean, those across
+    the borders of ranks are halved, down to 8 cells per axis. With `base`, the boxes of level 0, all boxes are taken as they
+    are, in their order: so those that were stored come back.
 
-    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face.
+    Boxes start on multiples of the blocking factor and have a multiple of it, or end at the domain's upper face. Levels with
+    the boxes of an `earlier` hierarchy share what is known of them, and are not checked again.
 
     With a VirtualRank in place of the communicator nothing is collective: boxes, owners and plans of exchanges are those
     that this rank of so many would have, and all that would be sent is only counted.
 
-    Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not aligned so, or do not nest.
+    `comm` may be left out: all ranks. Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not
+    aligned so, or do not nest.
     """
 
+    @world_by_default
     def __init__(
         self,
         comm: MPI.Comm | VirtualRank,
@@ -55,16 +61,16 @@ class Hierarchy:
         levels: Sequence[Sequence[Sequence[Sequence[int]]] | np.ndarray] = (),
         max_grid_size: int = 24,
         blocking_factor: int = 8,
-        weights: Sequence[np.ndarray] | None = None,
+        base: np.ndarray | None = None,
+        earlier: Hierarchy | None = None,
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
-        loads = [np.asarray(w, dtype=np.float64) for w in weights or ()]
-        is_virtual = isinstance(comm, VirtualRank)
-        self.comm = cast(Communicator, comm) if is_virtual else own(cast(MPI.Comm, comm))
+        self.comm = cast(Communicator, comm) if isinstance(comm, VirtualRank) else own(comm)
+        shared = None if earlier is None else earlier.native
         try:
-            self.native = _native.Hierarchy(
-                (self.comm.rank, self.comm.size) if is_virtual else self.comm.py2f(),
+            self.native: _native.Hierarchy = _native.Hierarchy(
+                self.comm.py2f(),
                 domain.lower,
                 domain.upper,
                 domain.cells,
@@ -72,14 +78,14 @@ class Hierarchy:
                 boxes,
                 max_grid_size,
                 blocking_factor,
-                loads,
+                _index_boxes(0, np.empty((0, 6), dtype=np.int32) if base is None else base),
+                shared,
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
         self.domain = domain
         self.max_grid_size = int(max_grid_size)
         self.blocking_factor = int(blocking_factor)
-        self.weights = loads  # as given; none: the cells of each box
 
     def seen_by(self, rank: int) -> Hierarchy:
         """Return the hierarchy of a virtual rank as another virtual rank of as many has it. Local.
@@ -126,12 +132,18 @@ class Hierarchy:
         first, last = self.native.local_boxes(self._checked(level))
         return range(first, last)
 
+    @property
+    def own_cells(self) -> int:
+        """Number of this rank's cells of all levels."""
+        own = ((self.boxes(level), self.local_boxes(level)) for level in range(self.levels))
+        return sum(int(cells_of(boxes[local.start : local.stop]).sum()) for boxes, local in own)
+
     def same_mesh(self, other: Hierarchy) -> bool:
         """Whether both have the same domain and boxes; owners may differ."""
         return (
             self.domain == other.domain
             and self.levels == other.levels
-            and all(np.array_equal(self.boxes(l), other.boxes(l)) for l in range(self.levels))
+            and all(self.native.same_boxes(other.native, l) for l in range(self.levels))
         )
 
     def _checked(self, level: int) -> int:

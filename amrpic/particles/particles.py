@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from mpi4py import MPI
 
+from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import AT_REST, Window
@@ -20,13 +21,21 @@ from .species import SpeciesTable
 
 @dataclass(frozen=True)
 class Sorting:
-    """How particles are sorted: by level, box and brick of 8³ cells of a hierarchy.
+    """How particles are sorted: by slot and brick of 8³ cells of a hierarchy.
 
-    `starts[s]` is where the particles of this rank's box number s start, boxes counted level by level; one value more.
+    The slots are this rank's boxes, level by level, and then bricks of other ranks' boxes that hold particles of this rank.
     """
 
     hierarchy: Hierarchy
-    starts: np.ndarray
+    starts: np.ndarray  # where the particles of each slot start; one value more
+    remote: _native.RemoteBricks  # of the last slots
+    servers: np.ndarray  # where each rank's part of the curve of bricks starts, int64 (ranks + 1,)
+
+    @property
+    def levels(self) -> np.ndarray:
+        """Level of each slot."""
+        own = [np.full(len(self.hierarchy.local_boxes(level)), level) for level in range(self.hierarchy.levels)]
+        return np.concatenate([*own, self.remote.bricks[:, 0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +199,12 @@ class Particles:
 
     def total_charge(self, comm: MPI.Comm) -> float:
         """Charge on all ranks in C. Collective."""
-        return global_sum(comm, float((self.weight * self.charge).sum()))
+        return global_sum(comm, self.own_charge)
+
+    @property
+    def own_charge(self) -> float:
+        """Charge of this rank's particles in C."""
+        return float((self.weight * self.charge).sum())
 
 
 def concatenate(parts: Sequence[Particles]) -> Particles:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from functools import cached_property
 from typing import Any, Self
 
@@ -13,22 +14,34 @@ from ..errors import ParticleError
 from ..units import ALPHA_MASS, DEUTERON_MASS, ELECTRON_MASS, ELEMENTARY_CHARGE, PROTON_MASS
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Species:
-    """One real particle; momentum and weight of the macroparticles refer to it.
+    """One real particle; momentum and weight of the macroparticles refer to it. `Species("electron")` is known by its name.
 
-    Raises ParticleError for a charge that is not finite, or a mass that is not positive.
+    Raises ParticleError for a charge that is not finite, a mass that is not positive, and an unknown name without them.
     """
 
     name: str = ""  # in the outputs
-    charge: float  # C
-    mass: float  # kg; motion divides by it
+    _: KW_ONLY
+    charge: float = math.nan  # C
+    mass: float = math.nan  # kg; motion divides by it
 
     def __post_init__(self) -> None:
+        if math.isnan(self.charge) and math.isnan(self.mass):
+            self._become_known()
         if not np.isfinite(self.charge):
             raise ParticleError(f"the charge of a species is {self.charge} C; give a finite number")
         if not 0 < self.mass < np.inf:
             raise ParticleError(f"the mass of a species is {self.mass} kg; give a positive number")
+
+    def _become_known(self) -> None:
+        known = SPECIES.get(self.name)
+        if known is None:
+            raise ParticleError(
+                f'the species "{self.name}" has neither charge nor mass; give both, or one of the names {", ".join(SPECIES)}'
+            )
+        object.__setattr__(self, "charge", known.charge)
+        object.__setattr__(self, "mass", known.mass)
 
     def weight(self, charge: float, count: int) -> float:
         """Real particles that each of `count` macroparticles stands for if they carry `charge` (C) together."""

@@ -1,15 +1,14 @@
-"""The mesh follows the particles: the base level at first, refined as the scene's rule asks, its boxes distributed by work."""
+"""The mesh follows the particles: the base level at first, refined as the scene's rule asks."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..mesh.hierarchy import Hierarchy
-from ..stages.migrate import particles_per_box
-from ..stages.regrid import Regridding, balance, regrid
-from ..stages.tag import Tags, cells_of_particles, tagged
+from ..stages.regrid import Regridding, regrid
+from ..stages.tag import Tags, living, tagged
 from .limits import require_room
-from .memory import base_boxes
+from .memory import Share, base_boxes
 from .particle_fields import ParticleFields
 from .plan import Plan
 from .tagging_rules import apart, index_boxes, tags_of
@@ -45,15 +44,15 @@ def outrun(fields: ParticleFields) -> bool:
         return False
     with plan.clock("regrid"):
         tags = tags_of(refinement.rule, fields)
-        where = cells_of_particles(fields.particles, fields.hierarchy)[: refinement.levels]
-        slow = sum(int(np.count_nonzero(tags[level][cells])) for level, (_, cells) in enumerate(where))
+        numbers = living(fields.particles_per_cell)[: refinement.levels]
+        slow = int(sum(held[tags[level]].sum() for level, held in enumerate(numbers)))
         behind, all_ = plan.comm.allreduce(np.array([slow, len(fields.particles)]))
     return bool(behind > refinement.regrid_outrun * all_)
 
 
 def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
-    """Return the hierarchy that the rule asks for, its boxes shared out by cells and particles. Collective."""
-    plan, hierarchy, refinement = fields.plan, fields.hierarchy, fields.plan.scene.refinement
+    """Return the hierarchy that the rule asks for. Collective."""
+    hierarchy, refinement = fields.hierarchy, fields.plan.scene.refinement
     rule, static = apart(refinement.rule)
     tags = [] if rule is None else tags_of(rule, fields)
     kept = [] if rule is None or hysteresis == 1 else tags_of(rule, fields, hysteresis)
@@ -63,9 +62,16 @@ def _refined(fields: ParticleFields, hysteresis: float) -> Hierarchy:
     made = regrid(hierarchy, tags, settings, index_boxes(static, hierarchy.domain), kept)
     if made is hierarchy:
         return hierarchy
+    _require_room(made, fields)
+    return made
+
+
+def _require_room(made: Hierarchy, fields: ParticleFields) -> None:
+    """Raise SceneError on all ranks if a rank's machine cannot hold its cells of a new hierarchy and its particles."""
+    plan, particles = fields.plan, fields.particles
     boxes = [made.boxes(level) for level in range(made.levels)]
-    require_room(plan.comm, plan.scene, boxes, fields.particles.global_count(plan.comm), "the refined hierarchy")
-    return balance(made, particles_per_box(fields.particles, made))
+    held = Share(plan.comm.rank, made.own_cells, len(particles))
+    require_room(plan.comm, plan.scene, boxes, particles.global_count(plan.comm), "the refined hierarchy", held)
 
 
 def _remark_on_tags(tags: Tags, fields: ParticleFields) -> None:

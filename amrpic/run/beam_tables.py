@@ -80,13 +80,18 @@ class BeamTables:
     def _is_due(self, step: int) -> bool:
         return self._every > 0 and step % self._every == 0
 
+    @property
+    def series(self) -> list[Series]:
+        """The files; rows that are added to them are to be settled."""
+        return list(self._series.values())
+
     def record(self, state: State) -> None:
-        """Add the rows of a state if they are due."""
+        """Add the rows of a state if they are due; the caller settles."""
         if self._is_due(state.step):
             self.record_now(state)
 
     def record_now(self, state: State) -> None:
-        """Add the rows of a state unless they are there."""
+        """Add the rows of a state unless they are there; the caller settles."""
         if self._every == 0 or self._last == state.step:
             return
         self._last = state.step
@@ -102,7 +107,7 @@ class BeamTables:
         lost = group_losses(comm, state.lost.particles, groups)
         at: dict[str, float | str] = {"step": state.step, "time": state.time, "s": state.course.path}
         named = list(zip(groups.names, groups.members, strict=True))
-        self._series[BEAM].append(
+        self._series[BEAM].add(
             *(
                 {
                     **at,
@@ -114,7 +119,7 @@ class BeamTables:
         )
         if SLICES in self._series:
             slices = group_slices(comm, beam, groups, moments, self._slices)
-            self._series[SLICES].append(
+            self._series[SLICES].add(
                 *(
                     {**at, "group": name, "slice": number, **_row(slice_values(one))}
                     for name, members in named
@@ -133,7 +138,7 @@ class BeamTables:
                 f'the diagnostic "{name}" gives other values at step {state.step} than before; give the same ones in the same '
                 "shapes each time"
             )
-        series.append({"step": state.step, "time": state.time, "s": state.course.path, **values})
+        series.add({"step": state.step, "time": state.time, "s": state.course.path, **values})
 
     def sync(self) -> None:
         """Force all rows to storage. Collective; raises OutputError."""

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from mpi4py import MPI
 
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..particles.particles import Particles, Sorting
+from ..particles.particles import Particles, concatenate
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.encounters import Encounters, Flights
-from ..stages.migrate import migrate_without
+from ..stages.migrate import migrate, migrate_without, share_out, weights
 from .leapfrog import kick
 from .plan import Plan
 from .records import Record
 from .state import State
 
+PORTION = 2**15  # particles of a rank that it sends to their servers at a time
 NONE = np.zeros(0, dtype=np.int64)
 NOTHING = Encounters(NONE, NONE, np.zeros(0), np.zeros((0, 3)), NONE)
 
@@ -29,14 +31,44 @@ def causes(scene: Scene) -> tuple[str, ...]:
     return (*FACES, *aperture_names(scene.apertures))
 
 
-def place(made: Particles, base: Hierarchy, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
-    """Return the particles of a scene at their start, and records of losses, of those outside, and of screens. Collective."""
-    scene, species = plan.scene, made.species
-    particles, outside = migrate_without(made, base, NONE)
-    left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
-    momentum = window.to_laboratory(made.momentum[outside])
-    lost = _record(left, momentum, made, np.zeros(len(left)), causes(scene))
+def place(bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
+    """Return the particles of bunches at their start, and records of losses, of those outside, and of screens. Collective.
+
+    It is known who serves which before any particle moves. They go there in portions, for which the list is emptied, so that no
+    rank holds many more than its part at any time.
+    """
+    scene, species = plan.scene, bunches[0].species
+    counted = [weights(bunch, base) for bunch in bunches]
+    servers = share_out(plan.comm, *(np.concatenate(column) for column in zip(*counted, strict=True)))
+    lost, portions = Record.empty(species, causes(scene)), []
+    for made in _portions(plan.comm, bunches):
+        here, outside = migrate_without(made, base, NONE, servers)
+        portions.append(here)
+        left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
+        momentum = window.to_laboratory(made.momentum[outside])
+        lost = lost.joined(_record(left, momentum, made, np.zeros(len(left)), causes(scene)))
+        del made, here  # else they live beside what follows
+    particles = portions[0]
+    if len(portions) > 1:
+        particles = concatenate(portions)
+        portions.clear()
+        particles, _ = migrate(particles, base, servers)
     return particles, lost, Record.empty(species, [screen.name for screen in scene.screens])
+
+
+def _portions(comm: MPI.Comm, bunches: list[Particles]) -> Iterator[Particles]:
+    """Yield the particles of bunches in portions, as many on all ranks; on one rank by itself all at once. Collective."""
+    counts = comm.allreduce(np.array([len(bunch) for bunch in bunches])) // comm.size
+    most, waiting, count = PORTION if comm.size > 1 else int(counts.sum()) + 1, [], 0
+    for of_bunch in counts.tolist():
+        waiting.append(bunches.pop(0))
+        count += of_bunch
+        if count >= most or not bunches:
+            made = waiting[0] if len(waiting) == 1 else concatenate(waiting)
+            waiting.clear()
+            portions, count = count // most + 1, 0
+            for n in range(portions):
+                yield made.select(slice(len(made) * n // portions, len(made) * (n + 1) // portions))
 
 
 def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:
@@ -48,7 +80,8 @@ def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Par
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
-    particles, outside = migrate_without(moved, hierarchy, stopped.flight)
+    servers = state.particles.sorted_on(hierarchy).servers
+    particles, outside = migrate_without(moved, hierarchy, stopped.flight, servers, evenly=True)
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:
         lost = lost.joined(flights.exits(outside))
@@ -83,8 +116,8 @@ def _momenta(state: State, plan: Plan, chosen: np.ndarray) -> np.ndarray:
         return few.momentum
     if staggered.between is not None:
         return staggered.between[chosen]
-    starts = np.searchsorted(chosen, state.particles.sorted_on(state.hierarchy).starts)
-    few = Particles(*few.arrays, few.species, Sorting(state.hierarchy, starts))
+    sorting = state.particles.sorted_on(state.hierarchy)
+    few = replace(few, sorting=replace(sorting, starts=np.searchsorted(chosen, sorting.starts)))
     return kick(state.solution, few, staggered, plan).momentum
 
 

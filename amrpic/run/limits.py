@@ -11,9 +11,10 @@ from mpi4py import MPI
 
 from ..errors import SceneError
 from ..mesh.boxes import Array, cells_of
+from ..parallel import global_max, global_sum, node_of, raise_together
 from ..scene.domain import LARGEST_INDEX
 from ..scene.scene import Scene
-from .memory import base_boxes, run_memory
+from .memory import Share, base_boxes, rank_memory, run_memory
 
 
 def available_memory() -> int:
@@ -25,10 +26,8 @@ def available_memory() -> int:
 
 def machine_memory(comm: MPI.Comm) -> int:
     """Return the bytes that all ranks together may use, what they hold already included. Collective."""
-    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    free = available_memory() if node.rank == 0 else 0
-    node.Free()
-    return comm.allreduce(free + _resident())
+    free = available_memory() if node_of(comm).rank == 0 else 0
+    return int(global_sum(comm, free + _resident()))
 
 
 def memory_error(
@@ -68,9 +67,27 @@ def check_scene(scene: Scene, ranks: int, available: int | None = None) -> None:
     _refuse(scene, base_boxes(scene), scene.particle_count(), ranks, available, "domain.cells")
 
 
-def require_room(comm: MPI.Comm, scene: Scene, boxes: Sequence[Array], particles: int, where: str) -> None:
-    """Raise SceneError on all ranks if the machines cannot hold these boxes per level and particles. Collective."""
-    _refuse(scene, boxes, particles, comm.size, machine_memory(comm), where)
+def require_room(
+    comm: MPI.Comm, scene: Scene, boxes: Sequence[Array], particles: int, where: str, held: Share | None = None
+) -> None:
+    """Raise SceneError on all ranks if a rank's machine cannot hold what its ranks will. Collective.
+
+    `boxes` are those of each level, `particles` those of all ranks; `held` is what this rank will have of them, an equal share
+    if nothing is known. The message names the rank that needs most where memory falls short.
+    """
+    if held is None:
+        held = Share(comm.rank, math.ceil(_cells(boxes) / comm.size), math.ceil(particles / comm.size))
+    node, need = node_of(comm), rank_memory(scene, boxes, particles, comm.size, held)
+    free = available_memory() if node.rank == 0 else 0
+    needs, room = (global_sum(node, value) for value in (need, free + _resident()))
+    problem = rank_cells_error(_cells(boxes), comm.size, where)
+    if problem is None and needs > room and need == global_max(node, need):
+        problem = (
+            f"{where}: rank {comm.rank} takes about {need / 2**30:.3g} GiB of memory for {held.cells} cells and "
+            f"{held.particles} particles; the {node.size} ranks of its machine take {needs / 2**30:.3g} GiB, of which "
+            f"{room / 2**30:.3g} GiB are free; use more machines, or fewer cells or particles"
+        )
+    raise_together(comm, None if problem is None else f"{scene.name}: {problem}", SceneError)
 
 
 def _refuse(

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import warnings
 from collections import Counter
 from collections.abc import Mapping
 from datetime import timedelta
 from types import TracebackType
-from typing import TextIO
+from typing import Literal, TextIO
 
 from mpi4py import MPI
 
+Log = Literal["print", "logging", "silent"]
+LOGGER = logging.getLogger("amrpic.run")
 MEMORY_OF_PACE = 0.2  # weight of the newest step in the smoothed seconds per step
 
 
 class RunLog:
-    """Prints on rank 0 and is silent on all others. A context manager, in which Python's warnings come here as well.
+    """Speaks on rank 0 and is silent on all others. A context manager, in which Python's warnings come here as well.
 
-    Plain lines in any case: under MPI every rank believes that it writes to a terminal. Steps go to `out`, warnings to
-    `err`, which are standard output and standard error by default.
+    Plain lines in any case: under MPI every rank believes that it writes to a terminal. If they are printed, steps go to `out`
+    and warnings to `err`, which are standard output and standard error by default.
     """
 
-    def __init__(self, comm: MPI.Comm, last_step: int, out: TextIO | None = None, err: TextIO | None = None) -> None:
-        self._prints = comm.rank == 0
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        last_step: int,
+        out: TextIO | None = None,
+        err: TextIO | None = None,
+        how: Log = "print",
+    ) -> None:
+        self._speaks = comm.rank == 0 and how != "silent"
+        self._logs = how == "logging"
         self._last_step = last_step
         self._out, self._err = out, err
         self._pace = 0.0  # s per step
@@ -43,7 +54,7 @@ class RunLog:
         self._catching.__exit__(kind, value, trace)
         for text, times in self._warned.items():
             if times > 1:
-                self._print(f"warning, {times} times in all: {text}", self._err or sys.stderr)
+                self._say(f"warning, {times} times in all: {text}", logging.WARNING)
 
     def step(self, row: Mapping[str, float]) -> None:
         """Print the line of a step, from its row of the time series."""
@@ -53,21 +64,25 @@ class RunLog:
         self._pace += weight * (seconds - self._pace)
         self._lines += 1
         left = max(self._last_step - int(row["step"]), 0) * self._pace
-        self._print(step_line(row, self._last_step, left), self._out or sys.stdout)
+        self._say(step_line(row, self._last_step, left))
 
     def note(self, text: str) -> None:
         """Print a line that belongs to no step."""
-        self._print(text, self._out or sys.stdout)
+        self._say(text)
 
     def warn(self, text: str) -> None:
         """Print a warning when it comes up first; the end reports how often it did."""
         self._warned[text] += 1
         if self._warned[text] == 1:
-            self._print(f"warning: {text}", self._err or sys.stderr)
+            self._say(f"warning: {text}", logging.WARNING)
 
-    def _print(self, line: str, stream: TextIO) -> None:
-        if self._prints:
-            print(line, file=stream, flush=True)
+    def _say(self, line: str, level: int = logging.INFO) -> None:
+        if self._speaks and self._logs:
+            LOGGER.log(level, line.removeprefix("warning: "))
+        elif self._speaks and level == logging.WARNING:
+            print(line, file=self._err or sys.stderr, flush=True)
+        elif self._speaks:
+            print(line, file=self._out or sys.stdout, flush=True)
 
 
 def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> str:

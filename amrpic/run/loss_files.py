@@ -7,16 +7,14 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import OutputError
 from ..io import openpmd_writer, time_series
-from ..io.atomic_files import remove
 from ..io.provenance import Provenance
-from ..parallel import together
+from ..results.run_results import LOSSES
 from ..scene.scene import Scene
 from ..stages.loss_map import COLUMNS, loss_map
+from .restart import writers_of
 from .state import State
 
-LOSSES = "losses.h5"
 LOSS_MAP = "losses.csv"
 BINS = 100  # of the domain, if the scene gives no length
 
@@ -28,7 +26,17 @@ def write_losses(comm: MPI.Comm, state: State, scene: Scene, about: Provenance) 
         return
     columns = {"time": lost.time, "direction": lost.direction, "particleStatus": lost.cause + openpmd_writer.DEAD}
     path = scene.directory / LOSSES
-    openpmd_writer.write(comm, path, lost.particles, state.step, state.time, about, columns=columns, causes=lost.names)
+    openpmd_writer.write(
+        comm,
+        path,
+        lost.particles,
+        state.step,
+        state.time,
+        about,
+        columns=columns,
+        causes=lost.names,
+        writers=writers_of(scene),
+    )
     lower, upper = domain.lower[2], domain.upper[2]
     width = scene.diagnostics.loss_bin or (upper - lower) / BINS
     rows = loss_map(comm, lost.particles, lost.cause, lost.names, lower, upper, width)
@@ -43,16 +51,10 @@ def write_screens(comm: MPI.Comm, state: State, scene: Scene, about: Provenance)
         here = np.flatnonzero(seen.cause == number)
         columns = {"time": seen.time[here], "direction": seen.direction[here]}
         path = screen_path(scene.directory, screen.name)
-        openpmd_writer.write(comm, path, seen.particles.select(here), state.step, state.time, about, columns=columns)
+        particles, writers = seen.particles.select(here), writers_of(scene)
+        openpmd_writer.write(comm, path, particles, state.step, state.time, about, columns=columns, writers=writers)
 
 
 def screen_path(directory: Path, name: str) -> Path:
     """Return where the record of a screen lies in a run's directory."""
     return Path(directory) / f"screen_{name}.h5"
-
-
-def remove_losses(comm: MPI.Comm, directory: Path) -> None:
-    """Delete the losses that an earlier run left. Collective; OutputError on all ranks."""
-    with together(comm, OutputError):
-        for name in (LOSSES, LOSS_MAP) if comm.rank == 0 else ():
-            remove(Path(directory) / name)

@@ -6,15 +6,19 @@ What is counted is what a whole run holds at once; the few numbers that were mea
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..mesh.boxes import Array, cells_of, outer_faces
+from ..io.writer_ranks import Writers, buffer_bytes
+from ..mesh.boxes import Array, cells_of, rows_of, table_of
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.motion import Leapfrog
 from ..scene.refinement import CallableRule, FieldStrengthRule, every_rule
 from ..scene.scene import Scene
+from ..view.raster import pixels_of
 
 MIB = 2**20
 PROCESS = 150 * MIB  # measured: interpreter, NumPy, SciPy, pydantic, HDF5, Open MPI and Trilinos
@@ -39,6 +43,15 @@ SWEPT, FACE_LISTS = 2 * 4 + 0.4 + 0.6, 16
 INTERFACE = 9 + (8 + 8) // 4
 
 
+@dataclass(frozen=True)
+class Share:
+    """What one rank holds."""
+
+    rank: int
+    cells: int
+    particles: int
+
+
 def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> dict[str, int]:
     """Return the bytes that a run takes over all ranks at its fullest, by what takes them.
 
@@ -50,8 +63,35 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
         **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, boxes),
         "fields": int((1 + IDLE) * NUMBER * _fields(scene, boxes)),
         "particles": particles * _particle(scene),
-        "pictures": DRAWING if "pictures" in scene.output.write else 0,
+        "files": _files(scene, boxes, particles, ranks),
+        "pictures": DRAWING + ranks * _rasters(scene) if "pictures" in scene.output.write else 0,
     }
+
+
+def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, held: Share) -> float:
+    """Return the bytes of `run_memory` that one rank takes which holds a share of cells and particles; rank 0 draws."""
+    parts = run_memory(scene, boxes, particles, ranks)
+    of_all = {
+        "processes": 1 / ranks,
+        "particles": held.particles / max(particles, 1),
+        "pictures": float(held.rank == 0),
+    }
+    cells = held.cells / max(sum(int(cells_of(level).sum()) for level in boxes), 1)
+    return sum(size * of_all.get(what, cells) for what, size in parts.items())
+
+
+def _files(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> int:
+    """Return the bytes of what is on its way into files."""
+    largest = NUMBER * max((2 + AXES) * sum(int(cells_of(level).sum()) for level in boxes), 9 * particles)
+    groups = Writers(scene.output.writers, scene.output.part_bytes).groups(ranks, largest)
+    merges = bool({"particles", "losses"} & set(scene.output.write)) and particles > 0
+    return sum(buffer_bytes(len(group), merges) for group in groups)
+
+
+def _rasters(scene: Scene) -> int:
+    """Return the bytes of a picture on each rank: its share of it, and the sum of all."""
+    cells = np.array(scene.domain.cells) * 2**scene.refinement.levels
+    return 2 * NUMBER * max(math.prod(pixels_of(np.delete(cells, axis))) for axis in range(AXES))
 
 
 def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
@@ -80,7 +120,7 @@ def _matrix_free(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
 
 def _faces(scene: Scene, boxes: Sequence[Array]) -> int:
     """Return the number of faces at the edges of refinement levels."""
-    return sum(outer_faces(level, scene.refinement.blocking_factor) for level in boxes[1:])
+    return sum(table_of(level).outer_faces for level in boxes[1:])
 
 
 def _all_copies(scene: Scene, boxes: Sequence[Array]) -> tuple[int, int, int]:
@@ -186,10 +226,7 @@ def _boundary_cells(scene: Scene, boxes: Sequence[Array]) -> int:
         parts = -(-sizes // scene.refinement.max_grid_size)
         inside = np.prod(np.maximum(sizes / parts - 2, 0) * parts, axis=1)
         if finer is not None:
-            parents = finer // 2
-            inside *= [
-                not np.any(np.all((box[:3] <= parents[:, 3:]) & (parents[:, :3] <= box[3:]), axis=1)) for box in level
-            ]
+            inside[table_of(finer // 2).meets(rows_of(level)) != 0] = 0
         total += int((cells_of(level) - inside).sum())
     return total
 

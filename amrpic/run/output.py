@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import os
-import re
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import TracebackType
 
 from mpi4py import MPI
 
 from .. import isa
-from ..errors import OutputError, SolverError
+from ..errors import SolverError
 from ..io import checkpoint_writer, openpmd_writer, vtkhdf_writer
-from ..io.time_series import Series
+from ..io.field_reader import LiveDump
+from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
-from ..parallel import together
-from ..scene.scene import Scene
+from ..results.run_results import SERIES
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
+from ..view.draw import draw
 from .beam_tables import BeamTables, Diagnostic
 from .flight import kicked
-from .log import RunLog
-from .loss_files import remove_losses, write_losses, write_screens
+from .folder import set_aside
+from .log import Log, RunLog
+from .loss_files import write_losses, write_screens
 from .plan import Plan
-from .restart import about, snapshot
+from .restart import about, snapshot, writers_of
 from .state import State
 
-SERIES = "series.csv"
 RESIDUALS = "residuals.csv"
-NUMBERED = re.compile(r"(?:checkpoint|fields|particles)_(\d+)")  # what the files of a step begin with
 HISTORY = (  # of the solves: a row for each guess and each cycle
     Quantity("step", counts=True),
     Quantity("time", "s"),
@@ -41,34 +38,6 @@ HISTORY = (  # of the solves: a row for each guess and each cycle
 )
 
 
-def prepare(comm: MPI.Comm, scene: Scene) -> None:
-    """Make the folder that a scene writes into. Collective; OutputError on all ranks if that is not possible."""
-    directory = scene.directory
-    problem = None
-    if comm.rank == 0:
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            trial = directory / f".trial_{os.getpid()}"
-            trial.touch()
-            trial.unlink()
-        except OSError as reason:
-            problem = reason.strerror
-    problem = comm.bcast(problem)
-    if problem is not None:
-        raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
-
-
-def left_behind(directory: Path, last_step: int) -> str | None:
-    """Return a sentence on what an earlier run left of steps that a run up to `last_step` does not come to, if anything."""
-    steps = [int(found[1]) for path in directory.iterdir() if (found := NUMBERED.match(path.name))]
-    if max(steps, default=0) <= last_step:
-        return None
-    return (
-        f"{directory} holds files of an earlier run, up to step {max(steps)}; those beyond step {last_step} stay as they are: "
-        "remove them, or choose another folder by --output"
-    )
-
-
 class Recorder:
     """Writes the states of one run into its folder; a context manager. Collective to make, and in all that it does.
 
@@ -76,7 +45,13 @@ class Recorder:
     """
 
     def __init__(
-        self, comm: MPI.Comm, state: State, plan: Plan, resumed: bool, own: Mapping[str, Diagnostic] | None = None
+        self,
+        comm: MPI.Comm,
+        state: State,
+        plan: Plan,
+        resumed: bool,
+        own: Mapping[str, Diagnostic] | None = None,
+        log: Log = "print",
     ) -> None:
         scene = plan.scene
         self._comm, self._scene, self._plan, self._clock = comm, scene, plan, plan.clock
@@ -86,20 +61,18 @@ class Recorder:
         self._written: dict[str, int] = {}  # the latest step of each kind of output
         self._warned: set[str] = set()
         self._since = time.perf_counter() - sum(state.seconds.values())
-        prepare(comm, scene)
+        earlier = None if resumed or not self._wanted else set_aside(comm, scene.directory)
         self._state_is(state)
         keep = state.step if resumed else None
         self._series = self._open(SERIES, quantities(self._levels), keep)
         self._residuals = self._open(RESIDUALS, HISTORY, keep)
         self._beam = BeamTables(comm, state, scene, self._about, keep, own or {}) if "series" in self._wanted else None
-        self._log = RunLog(comm, scene.schedule.last_step)
+        self._log = RunLog(comm, scene.schedule.last_step, how=log)
         self._log.note(f"kernels: {isa.description()}")
         for note in () if resumed else plan.notes:
             self._log.note(note)
-        if "losses" in self._wanted and not resumed:
-            remove_losses(comm, scene.directory)
-        if comm.rank == 0 and not resumed and (sentence := left_behind(scene.directory, scene.schedule.last_step)):
-            self._log.warn(sentence)
+        if earlier is not None:
+            self._log.note(earlier)
 
     def _open(self, name: str, columns: Sequence[Quantity], keep_to_step: int | None) -> Series | None:
         if "series" not in self._wanted:
@@ -115,6 +88,7 @@ class Recorder:
     ) -> None:
         if kind is not None and issubclass(kind, SolverError):  # on all ranks, and of interest most of all
             self._write_history(self._step + 1, self._next)
+            settle(self._comm, self._all_series())
         for series in (self._series, self._residuals):
             if series is not None:
                 series.close()
@@ -127,11 +101,13 @@ class Recorder:
         with self._clock("output"):
             row = self._row(state)
             if self._series is not None:
-                self._series.append(row)
+                self._series.add(row)
             self._state_is(state)
             self._write_history(state.step, state.time)
             if self._beam is not None:
                 self._beam.record(state)
+            if series := self._all_series():
+                settle(self._comm, series)
             self._log.step(row)
             if row["particles"] == 0 and row["lost_particles"] > 0:
                 self._log.warn(
@@ -158,7 +134,8 @@ class Recorder:
         """Write what the end of a run leaves; the momenta are to be of its time."""
         if self._beam is not None:
             self._beam.record_now(state)
-        if self._wanted & {"fields", "pictures"}:
+            settle(self._comm, self._beam.series)
+        if "fields" in self._wanted:
             self._write_fields(state)
         self._write_particles(state)
         self._write_records(state)
@@ -171,6 +148,10 @@ class Recorder:
         self._write_records(state)
         self._write_checkpoint(state)
         self._log.warn(f"stopped at step {state.step}: {reason}; go on with --restart auto")
+
+    def _all_series(self) -> list[Series]:
+        own = [series for series in (self._series, self._residuals) if series is not None]
+        return [*own, *(self._beam.series if self._beam is not None else [])]
 
     def _state_is(self, state: State) -> None:
         self._step, self._next = state.step, state.time + state.flight
@@ -198,7 +179,7 @@ class Recorder:
     def _write_history(self, step: int, now: float) -> None:
         solves = enumerate(self._plan.take_solves())
         if self._residuals is not None:
-            self._residuals.append(
+            self._residuals.add(
                 *(
                     {"step": step, "time": now, "solve": solve, "cycle": cycle, "residual": residual}
                     for solve, report in solves
@@ -210,20 +191,15 @@ class Recorder:
         if self._written.get("fields") == state.step:
             return
         self._written["fields"] = state.step
-        content: dict[str, Field | VectorField] = {
-            "rho": state.rho,
-            "phi": state.phi,
-            "E": state.efield.with_components(),
-        }
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
         vtkhdf_writer.write(
             path,
             state.hierarchy,
-            content,
+            _shown(state),
             state.step,
             state.time,
             self._about,
-            self._scene.output.writers,
+            writers_of(self._scene),
             state.window,
         )
 
@@ -232,7 +208,16 @@ class Recorder:
             return
         self._written["particles"] = state.step
         path = openpmd_writer.path_of(self._scene.directory, state.step)
-        openpmd_writer.write(self._comm, path, state.synchronized, state.step, state.time, self._about, state.window)
+        openpmd_writer.write(
+            self._comm,
+            path,
+            state.synchronized,
+            state.step,
+            state.time,
+            self._about,
+            state.window,
+            writers=writers_of(self._scene),
+        )
 
     def _write_records(self, state: State) -> None:
         if "losses" not in self._wanted or self._written.get("losses") == state.step:
@@ -242,12 +227,9 @@ class Recorder:
         write_screens(self._comm, state, self._scene, self._about)
 
     def _draw(self, state: State) -> None:
-        """Draw the field dump of a state."""
-        with together(self._comm, OutputError):
-            if self._comm.rank == 0:
-                from ..view.plot import plot
-
-                plot(vtkhdf_writer.path_of(self._scene.directory, state.step))
+        """Draw what a field dump of a state shows, or would show."""
+        path = vtkhdf_writer.path_of(self._scene.directory, state.step)
+        draw(LiveDump(path, state.hierarchy, _shown(state), state.step, state.time), path.parent)
 
     def _write_checkpoint(self, state: State) -> None:
         if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:
@@ -260,5 +242,10 @@ class Recorder:
             self._beam.sync()
         directory, output = self._scene.directory, self._scene.output
         path = checkpoint_writer.path_of(directory, state.step)
-        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), output.writers)
+        checkpoint_writer.write(self._comm, path, snapshot(state, self._plan), writers_of(self._scene))
         checkpoint_writer.prune(self._comm, directory, output.keep)
+
+
+def _shown(state: State) -> dict[str, Field | VectorField]:
+    """Return what dumps and pictures show of a state."""
+    return {"rho": state.rho, "phi": state.phi, "E": state.efield.with_components()}

@@ -9,7 +9,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
 from ..stages.deposit import deposit
-from ..stages.migrate import migrate
+from ..stages.migrate import migrate, shared_out_by_work
 from ..stages.regrid import carry_over
 from ..stages.tag import count
 from .plan import Plan
@@ -37,7 +37,7 @@ class ParticleFields:
     def on(self, hierarchy: Hierarchy) -> ParticleFields:
         """Return the fields of the same particles on another hierarchy. Collective."""
         with self.plan.clock("migrate"):
-            particles, _ = migrate(self.particles, hierarchy)
+            particles, _ = migrate(self.particles, hierarchy, shared_out_by_work(self.particles, hierarchy))
         return ParticleFields(particles, hierarchy, self.plan, self.known, self.frames)
 
     @cached_property

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError, SolverError
-from ..external import ExternalFields
+from ..external import ExternalFields, Maps, read_maps
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import own
+from ..parallel import from_rank_0, own
 from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of, spread
 from ..particles.frame import FEW, LABORATORY, Frame
 from ..particles.particles import Particles
+from ..scene.elements import MapElement
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
@@ -40,7 +42,7 @@ class Plan:
         self.notes: list[str] = []  # what the run settled by itself, for its log
         self._solves: list[SolveReport] = []
         self._solvers: dict[Frame, PoissonSolver] = {}
-        self.external = ExternalFields.of_scene(scene)
+        self.external = ExternalFields.of_scene(scene, self._maps())
         self.apertures = [native_aperture(aperture) for aperture in scene.apertures]
         self.fields = FieldFunctions(self.comm, fields)
         if fields and not isinstance(scene.motion, Leapfrog):
@@ -49,6 +51,12 @@ class Plan:
             )
         self._wall_field: VectorField | None = None
         self._potential, self._slope = scene.domain.wall_functions()
+
+    def _maps(self) -> Maps:
+        """Return the field maps of the scene, which rank 0 reads. Collective; InputError on all ranks."""
+        if not any(isinstance(element, MapElement) for element in self.scene.elements):
+            return {}
+        return from_rank_0(self.comm, partial(read_maps, self.scene.elements), InputError)
 
     def frames(
         self,

@@ -14,9 +14,10 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..io.checkpoint_manifest import Header
-from ..io.checkpoint_reader import read, verify
+from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..io.provenance import Provenance
+from ..io.writer_ranks import Writers
 from ..mesh.domain import AXES, FACES, Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
@@ -31,6 +32,7 @@ from ..scene.scene import Scene
 from ..stages.encounters import Flights
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
+from ..stages.regrid import carry_over
 from .course import Course
 from .field_functions import FieldFunction
 from .limits import require_room
@@ -52,6 +54,11 @@ def about(scene: Scene) -> Provenance:
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
 
 
+def writers_of(scene: Scene) -> Writers:
+    """Return how many ranks write a file of a run."""
+    return Writers(scene.output.writers, scene.output.part_bytes)
+
+
 def snapshot(state: State, plan: Plan) -> Snapshot:
     """Return the whole state as a checkpoint takes it: arrays shared, not copied; of fields from Python the names."""
     hierarchy, particles, report, scene = state.hierarchy, state.synchronized, state.report, plan.scene
@@ -64,7 +71,6 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
         domain=scene.domain.model_dump(mode="json"),
         boxes=[hierarchy.boxes(level) for level in range(hierarchy.levels)],
         owners=[hierarchy.owners(level) for level in range(hierarchy.levels)],
-        weights=hierarchy.weights,
         about=about(scene),
         extra={
             "species": particles.species.to_dict(),
@@ -74,6 +80,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "dt": plan.dt,
             "course": state.course.to_dict(),
             "fields": list(plan.fields.names),
+            "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
     )
@@ -89,37 +96,45 @@ def load(
 
     `scene` may replace that of the checkpoint if its mesh is the same.
     """
-    manifest = verify(comm, path)
+    manifest = read_manifest(comm, path)
     header = manifest.header
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
     _require_same_mesh(scene, header, path)
-    require_room(comm, scene, header.boxes, sum(manifest.rows["particles"]), f"checkpoint {path}")
+    require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
     refinement = scene.refinement
     sizes = refinement.max_grid_size, refinement.blocking_factor
-    hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, header.weights or None)
-    held = read(comm, path, owners=lambda _: [hierarchy.owners(level) for level in range(hierarchy.levels)])
+    stored = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, base=header.boxes[0])
+    owners = [stored.owners(level) for level in range(stored.levels)]
+    held = read(comm, path, lambda _: owners, manifest)
+    hierarchy = stored  # whose boxes are halved for as many ranks as wrote them
+    if manifest.ranks != comm.size:
+        hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes)
     plan = Plan(comm, scene, fields)
     made_with = header.extra.get("fields", [])
     for remark in _remarks(scene, header.about.scene) + _remarks_on_fields(plan.fields.names, made_with):
         plan.remark(remark)
-    return _state(plan, held, hierarchy), plan
+    return _state(plan, held, stored, hierarchy), plan
 
 
-def _state(plan: Plan, held: Snapshot, hierarchy: Hierarchy) -> State:
+def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> State:
     extra = held.header.extra
     species, columns, lag = SpeciesTable.from_dict(extra["species"]), held.tables["particles"], extra.get("lag", 0.0)
     if lag > 0 and isinstance(plan.scene.motion, Leapfrog):
         columns = {**columns, "momentum": columns["lagging_momentum"]}
     else:
         lag = 0.0
-    particles, _ = migrate(_particles(columns, species), hierarchy)
+    servers = np.array(extra.get("servers", ()), dtype=np.int64)  # of the ranks that wrote the checkpoint
+    same_ranks = len(servers) == plan.comm.size + 1
+    particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks else None)
     units = {"rho": "C/m^3", "phi": "V"}
-    fields = {name: Field(hierarchy, units.get(name, "V/m")) for name in held.fields}
+    fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
+    if hierarchy is not stored:
+        fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
     efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
     frames = _frames(extra)
     magnetic: VectorField | None = None

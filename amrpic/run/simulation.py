@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Self
 
@@ -17,18 +18,21 @@ from ..io.openpmd_writer import write as write_particles
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..parallel import together
+from ..parallel import together, world_by_default
 from ..particles.particles import Particles
+from ..results.run_results import Results
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from .beam_tables import Diagnostic
 from .course import Reference
 from .field_functions import FieldFunction
 from .flight import kicked
+from .folder import STOP, Claim, prepare
+from .log import Log
 from .output import Recorder
 from .plan import Plan
 from .records import Record
-from .restart import about, load, snapshot
+from .restart import about, load, snapshot, writers_of
 from .state import State
 from .step import advance, begin, with_momenta
 from .stop import Stop
@@ -37,11 +41,14 @@ from .stop import Stop
 class Simulation:
     """A scene in motion on the ranks of a communicator. Collective to make: the first field is solved then.
 
-    The attributes are those of the present state; they are values, and a later step makes new ones.
+    The attributes are those of the present state; they are values, and a later step makes new ones. `run` writes what the scene
+    asks for; `advance`, and a loop over the simulation, write nothing.
     """
 
+    @world_by_default
     def __init__(self, comm: MPI.Comm, scene: Scene, fields: Sequence[FieldFunction] = ()) -> None:
-        """`fields` are external fields, added to those of the scene's elements: functions (x, y, z, t) -> (E, B).
+        """`comm` may be left out: all ranks. `fields` are external fields besides those of the scene's elements, functions
+        (x, y, z, t) -> (E, B).
 
         x, y, z (n,) in m are the places of a rank's particles, t in s is their time. E in V/m and B in T have three components
         each, along x, y, z, each an array (n,) or one number. All are in the laboratory. A function is called on all ranks,
@@ -57,22 +64,24 @@ class Simulation:
         self._plan = plan
         self._callbacks: list[Callable[[Simulation], None]] = []
         self._diagnostics: dict[str, Diagnostic] = {}
-        self._recorded = False  # whether the outputs hold the present state already
+        self._begun = False  # whether the files of this run are there
+        self._recorded = False  # whether they hold the present state already
 
     @classmethod
+    @world_by_default
     def restart(
         cls, comm: MPI.Comm, path: str | Path, scene: Scene | None = None, fields: Sequence[FieldFunction] = ()
     ) -> Self:
         """Return the run that a checkpoint holds, on any number of ranks. Collective; InputError on all ranks.
 
-        `scene` takes the place of the one in the checkpoint, to go on for longer or write something else; its domain and box
-        sizes must be those of the checkpoint. `fields` are as for a new run: a checkpoint holds their names alone. On as many
-        ranks as wrote it, the run goes on bit by bit as it would have.
+        `comm` may be left out: all ranks. `scene` takes the place of the one in the checkpoint, to go on for longer or write
+        something else; its domain and box sizes must be those of the checkpoint. `fields` are as for a new run: a checkpoint
+        holds their names alone. On as many ranks as wrote it, the run goes on bit by bit as it would have.
         """
         state, plan = load(comm, Path(path), scene, fields)
         run = cls.__new__(cls)
         run._hold(plan, state)
-        run._recorded = True
+        run._begun = run._recorded = True
         return run
 
     def on_step(self, callback: Callable[[Simulation], None]) -> None:
@@ -101,37 +110,65 @@ class Simulation:
             raise InputError(f'the diagnostic "{name}" names a file; use letters, digits, _, + and - alone')
         self._diagnostics[name] = diagnostic
 
-    def run(self, walltime: float | None = None) -> str | None:
-        """Go on to the last step of the scene and write what it asks for. Collective.
+    def advance(self, steps: int = 1) -> State:
+        """Take so many steps, also beyond the last one of the scene, and return the state then. Collective."""
+        for _ in range(steps):
+            self.state = advance(self.state, self._plan)
+            self._recorded = False
+            for callback in self._callbacks:
+                callback(self)
+        return self.state
 
-        Return None at the end; or, when a signal came or `walltime` (s since the start of the process) is nearly over, why
-        the run stopped after a checkpoint.
+    def __iter__(self) -> Iterator[State]:
+        """Step by step to the last one of the scene; yields the state after each. Collective."""
+        while self.step < self.scene.schedule.last_step:
+            yield self.advance()
+
+    def run(self, walltime: float | None = None, log: Log = "print") -> Results:
+        """Go on to the last step of the scene, write what it asks for, and return it, to be read back. Collective.
+
+        When a signal came or `walltime` (s since the start of the process) is nearly over, the run stops after a checkpoint,
+        and `stopped` of what is returned says why. A line per step and warnings are printed, given to Python's `logging` (as
+        "amrpic.run"), or left out by `log="silent"`.
         """
-        resumed, self._recorded = self._recorded, True
+        return Results(self.comm, self.scene.directory, self._run(walltime, log))
+
+    def _run(self, walltime: float | None, log: Log) -> str | None:
+        begun, self._begun = self._begun, True
         with (
-            Stop(self.comm, walltime) as stop,
-            Recorder(self.comm, self.state, self._plan, resumed, self._diagnostics) as record,
+            self._claim(),
+            Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
+            Recorder(self.comm, self.state, self._plan, begun, self._diagnostics, log) as record,
         ):
-            if not resumed:
-                record.state(self.state, self.remarks)
+            if not self._recorded:
+                self._record(record)
             while self.step < self.scene.schedule.last_step:
                 if (reason := stop.reason()) is not None:
                     self.state = kicked(self.state, self._plan)
                     record.stopped(self.state, reason)
                     return reason
-                self.state = advance(self.state, self._plan)
-                for callback in self._callbacks:
-                    callback(self)
-                record.state(self.state, self.remarks)
+                self.advance()
+                self._record(record)
             self.state = kicked(self.state, self._plan)
             record.end(self.state)
         return None
+
+    def _claim(self) -> AbstractContextManager[object]:
+        """Hold the folder, if anything is written into it. Collective."""
+        if not self.scene.output.write:
+            return nullcontext()
+        prepare(self.comm, self.scene)
+        return Claim(self.comm, self.scene.directory)
+
+    def _record(self, record: Recorder) -> None:
+        record.state(self.state, self.remarks)
+        self._recorded = True
 
     def checkpoint(self, path: str | Path) -> None:
         """Write the whole state into the new directory `path`. Collective; OutputError on all ranks."""
         state = kicked(self.state, self._plan)
         content = snapshot(state, self._plan)
-        checkpoint_writer.write(self.comm, Path(path), content, self.scene.output.writers)
+        checkpoint_writer.write(self.comm, Path(path), content, writers_of(self.scene))
 
     def write_particles(self, path: str | Path) -> None:
         """Write all particles into the openPMD file `path` for BeamPhysics and others, in the laboratory.
@@ -140,7 +177,14 @@ class Simulation:
         """
         state = kicked(self.state, self._plan)
         write_particles(
-            self.comm, Path(path), state.synchronized, state.step, state.time, about(self.scene), state.window
+            self.comm,
+            Path(path),
+            state.synchronized,
+            state.step,
+            state.time,
+            about(self.scene),
+            state.window,
+            writers=writers_of(self.scene),
         )
 
     @property

@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from ..particles.energy_bins import EVERY
-from ..particles.particles import Particles, concatenate
+from ..particles.particles import Particles
 from ..scene.motion import Leapfrog, RandomWalk
 from ..stages.push import random_walk
 from .adapt import follow, make_base, outrun
@@ -48,8 +48,8 @@ def begin(plan: Plan) -> State:
     with plan.clock("beam"):
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
         plan.settle_interface(bunches)
-        made = concatenate(bunches)
-        particles, lost, screens = place(made, base, course.window, plan)
+        made = plan.comm.allreduce(sum(map(len, bunches)))
+        particles, lost, screens = place(bunches, base, course.window, plan)
     _require_some_inside(plan.comm, particles, made)
     fields = follow(ParticleFields(particles, base, plan))
     settle_time_step(plan, fields.particles, fields.solution, course)
@@ -110,7 +110,6 @@ def _moved(state: State, plan: Plan) -> Particles:
     return state.particles
 
 
-def _require_some_inside(comm: MPI.Comm, inside: Particles, made: Particles) -> None:
-    total, left = made.global_count(comm), inside.global_count(comm)
-    if total > 0 and left == 0:
-        raise InputError(f"all {total} particles of the scene lie outside the domain; move the bunches or enlarge it")
+def _require_some_inside(comm: MPI.Comm, inside: Particles, made: int) -> None:
+    if made > 0 and inside.global_count(comm) == 0:
+        raise InputError(f"all {made} particles of the scene lie outside the domain; move the bunches or enlarge it")

@@ -6,6 +6,7 @@ import contextlib
 import os
 import signal
 import time
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any
 
@@ -14,25 +15,31 @@ from mpi4py import MPI
 SIGNALS = (
     signal.SIGUSR1,  # a batch system's warning ahead of time
     signal.SIGTERM,  # seconds before it kills; also what mpiexec makes of Ctrl-C
+    signal.SIGHUP,  # the terminal was closed
     signal.SIGINT,  # Ctrl-C without mpiexec; the second one interrupts at once
 )
+BY_CLOCK, BY_FILE = 100, 101  # why to stop, above the numbers of all signals
 MARGIN = 1.5  # a step may take so much longer than the longest one so far
 
 
 class Stop:
-    """Remembers signals, and knows how long the run may still last. To be entered before the first step.
+    """Remembers signals, looks for a file that asks to stop, and knows how long the run may still last.
 
-    Under Open MPI a TERM leaves the ranks one second only; ask batch systems for USR1 some minutes early.
+    To be entered before the first step. Under Open MPI a TERM leaves the ranks one second only, unless its parameter
+    odls_base_sigkill_timeout is longer; ask batch systems for USR1 some minutes early.
     """
 
-    def __init__(self, comm: MPI.Comm, walltime: float | None = None) -> None:
-        """`walltime` is in s from the start of this process; SLURM_JOB_END_TIME counts as well."""
-        self._comm = comm
+    def __init__(self, comm: MPI.Comm, walltime: float | None = None, file: Path | None = None) -> None:
+        """`walltime` is in s from the start of this process; SLURM_JOB_END_TIME counts as well, if it is a time.
+
+        A run that a `file` stops takes it away.
+        """
+        self._comm, self._file = comm, file
         self._signal = 0
         self._old: dict[int, Any] = {}
         ends = [_process_start() + walltime] if walltime is not None else []
-        if text := os.environ.get("SLURM_JOB_END_TIME", ""):
-            ends.append(float(text))
+        with contextlib.suppress(ValueError):  # "Unknown", or none
+            ends.append(float(os.environ.get("SLURM_JOB_END_TIME", "")))
         self._end = min(ends, default=float("inf"))
         self._last = time.time()
         self._longest = 0.0
@@ -54,10 +61,22 @@ class Stop:
         now = time.time()
         self._longest, self._last = max(self._longest, now - self._last), now
         out_of_time = now + MARGIN * self._longest > self._end
-        number = self._comm.allreduce(max(self._signal, int(out_of_time)), op=MPI.MAX)
-        if number > 1:
-            return f"signal {signal.Signals(number).name}"
-        return "the time given is nearly over" if number else None
+        reasons = self._signal, BY_CLOCK * out_of_time, BY_FILE * self._asked_by_file()
+        number = self._comm.allreduce(max(reasons), op=MPI.MAX)
+        if number == BY_FILE:
+            return f"the file {self._file} asks for it"
+        if number == BY_CLOCK:
+            return "the time given is nearly over"
+        return f"signal {signal.Signals(number).name}" if number else None
+
+    def _asked_by_file(self) -> bool:
+        if self._file is None or self._comm.rank != 0:
+            return False
+        try:
+            self._file.unlink()
+        except OSError:
+            return False
+        return True
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._signal = number

@@ -12,10 +12,10 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..mesh.domain import AXES
 from ..mesh.hierarchy import Hierarchy
+from ..parallel import from_rank_0
 from ..particles.clouds import Clouds
 from ..particles.energy_bins import Frames
 from ..particles.particles import Particles
-from ..scene.elements import Element
 from ..scene.motion import Leapfrog
 from ..stages.deposit import deposit
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
@@ -104,12 +104,13 @@ def processes(plan: Plan, particles: Particles, solution: Solution, course: Cour
         yield Process("cell", what, _time(width, speed), PER_CELL, LEAST_PER_CELL)
     omega = plasma_frequency(particles, solution.rho.hierarchy, plan.clouds, solution.frames)
     yield Process("plasma", "plasma period", _time(2 * math.pi, omega), PER_PLASMA_PERIOD, LEAST_PER_PLASMA_PERIOD)
-    for number, element in enumerate(plan.external.elements):
-        yield from _processes_in(element, element.name or f"elements.{number}", fast)
+    elements = plan.external.elements
+    strengths = from_rank_0(plan.comm, lambda: [strength(element) for element in elements], InputError)  # reads maps
+    for number, (element, of) in enumerate(zip(elements, strengths, strict=True)):
+        yield from _processes_in(of, element.name or f"elements.{number}", fast)
 
 
-def _processes_in(element: Element, name: str, fast: Fastest) -> Iterator[Process]:
-    of = strength(element)
+def _processes_in(of: Strength, name: str, fast: Fastest) -> Iterator[Process]:
     for what, omega in (("betatron", betatron(of, fast)), ("cyclotron", cyclotron(of, fast))):
         period = _time(2 * math.pi, omega)
         yield Process("element", f"{what} period in {name}", period, PER_PERIOD, LEAST_PER_PERIOD)

@@ -23,7 +23,7 @@ class OpenPMDBunch(Bunch):
     starts. Each rank reads its share of the particles only.
     """
 
-    distribution: Literal["openpmd"]
+    distribution: Literal["openpmd"] = "openpmd"
     file: str = Field(description="The file; a relative path starts at the scene file.")
     iteration: int | None = Field(
         default=None, ge=0, description="Which iteration of the file; needed if it holds several."
@@ -50,7 +50,7 @@ class ArrayBunch(DescribedBunch):
     The arrays themselves are no part of the resolved scene, which keeps their number and digest instead.
     """
 
-    distribution: Literal["arrays"]
+    distribution: Literal["arrays"] = "arrays"
     file: str | None = Field(
         default=None, description="An .npz file with position, and momentum and weight if need be."
     )

@@ -125,7 +125,7 @@ class SizedBunch(Train):
 class GaussianBunch(SizedBunch):
     """Normal distribution along all axes of phase space."""
 
-    distribution: Literal["gaussian"]
+    distribution: Literal["gaussian"] = "gaussian"
 
     def unit(self, u: np.ndarray) -> np.ndarray:
         return distributions.gaussian(u)
@@ -134,7 +134,7 @@ class GaussianBunch(SizedBunch):
 class SphereBunch(Train):
     """Constant density in a sphere, whose rms size per axis is its radius / √5; normal momenta."""
 
-    distribution: Literal["sphere"]
+    distribution: Literal["sphere"] = "sphere"
     radius: Length = Field(description="Radius, m; 0 is legal.")
 
     @model_validator(mode="after")
@@ -154,7 +154,7 @@ class SphereBunch(Train):
 class WaterbagBunch(SizedBunch):
     """Constant density in a six-dimensional ellipsoid of phase space, which ends at √8 sigma."""
 
-    distribution: Literal["waterbag"]
+    distribution: Literal["waterbag"] = "waterbag"
 
     def unit(self, u: np.ndarray) -> np.ndarray:
         return distributions.waterbag(u)
@@ -166,7 +166,7 @@ class KVBunch(SizedBunch):
     Its transverse self-force is linear, so that it keeps its shape. Momenta along z are normal.
     """
 
-    distribution: Literal["kv"]
+    distribution: Literal["kv"] = "kv"
     profile: Literal["uniform", "gaussian"] = Field(
         default="uniform", description="Density along z: uniform ends at √3 sigma, as the idea of a long beam wants it."
     )
@@ -178,7 +178,7 @@ class KVBunch(SizedBunch):
 class ParabolicBunch(SizedBunch):
     """Density 1 - r² in an ellipsoid, which ends at √7 sigma; normal momenta."""
 
-    distribution: Literal["parabolic"]
+    distribution: Literal["parabolic"] = "parabolic"
 
     def unit(self, u: np.ndarray) -> np.ndarray:
         return distributions.parabolic(u)
@@ -191,7 +191,7 @@ class HollowBunch(SizedBunch):
     and √3 sigma along z.
     """
 
-    distribution: Literal["hollow"]
+    distribution: Literal["hollow"] = "hollow"
     inner: float = Field(ge=0, lt=1, description="Inner radius as a part of the outer one; 0 is a full ellipsoid.")
     form: Literal["shell", "tube"] = Field(
         default="shell", description="shell: hollow on all sides; tube: open at its two ends along z."
@@ -207,7 +207,7 @@ class HaloBunch(SizedBunch):
     The core's size is that of the whole divided by √(1 + tail_share (tail_size² - 1)).
     """
 
-    distribution: Literal["halo"]
+    distribution: Literal["halo"] = "halo"
     tail_share: float = Field(gt=0, lt=1, description="Share of the particles that are in the tail.")
     tail_size: float = Field(gt=1, description="Rms size of the tail over that of the core.")
 

@@ -168,7 +168,7 @@ class Train(DescribedBunch):
 class LatticeBunch(DescribedBunch):
     """Particles on a regular lattice that fills the domain, shifted by a sine wave: a cold plasma without noise."""
 
-    distribution: Literal["lattice"]
+    distribution: Literal["lattice"] = "lattice"
     per_axis: Index3 = Field(description="Particles per axis; a multiple of the cells gives each cell as many.")
     displacement: Length3 = Field(
         default=(0.0, 0.0, 0.0),

@@ -3,11 +3,28 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
+
+from ..errors import SceneError
+
+
+class RefusedScene(SceneError):
+    """A scene, or a part of one, with mistakes: the message names the first, `problems` has a sentence for each."""
+
+    def __init__(self, message: str, problems: Sequence[str] = ()) -> None:
+        super().__init__(message)
+        self.problems = list(problems) or [message]
+
+
+def refusal(refused: ValidationError, source: str, model: type[BaseModel]) -> RefusedScene:
+    """Return the error that says why a model refused what `source` gave it."""
+    problems = sentences(refused, source, model)
+    more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
+    return RefusedScene(problems[0] + more, problems)
 
 
 def close_match(word: str, known: Iterable[str]) -> str:

@@ -51,6 +51,14 @@ class DomainSection(Section):
         "potential; the flux of E out of the face is minus this. Faces without one have none.",
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_domain(cls, data: Any) -> Any:
+        if not isinstance(data, Domain):
+            return data
+        boundary = dict(zip(AXES, data.boundary, strict=True))
+        return {"lower": data.lower, "upper": data.upper, "cells": data.cells, "boundary": boundary}
+
     @model_validator(mode="after")
     def _sound(self) -> Self:
         try:

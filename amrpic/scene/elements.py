@@ -72,7 +72,7 @@ class PossiblyEverywhere(Element):
 class UniformElement(PossiblyEverywhere):
     """Uniform fields."""
 
-    kind: Literal["uniform"]
+    kind: Literal["uniform"] = "uniform"
     electric_field: FieldStrength3 = Field(default=(0.0, 0.0, 0.0), description="Along its x, y, z, V/m.")
     magnetic_field: MagneticField3 = Field(default=(0.0, 0.0, 0.0), description="Along its x, y, z, T.")
 
@@ -87,7 +87,7 @@ def gradient_of(wavenumber: float, species: Species, momentum: tuple[float, floa
 class ConstantFocusingElement(PossiblyEverywhere):
     """Linear focusing: the electric field -(gx x, gy y, gz z)."""
 
-    kind: Literal["constant-focusing"]
+    kind: Literal["constant-focusing"] = "constant-focusing"
     gradient: ElectricGradient3 | None = Field(
         default=None, description="gx, gy, gz in V/m²; positive ones focus positive particles."
     )
@@ -160,7 +160,7 @@ class QuadrupoleElement(FringedElement):
     """A quadrupole: B = (G y, G x, 0) inside."""
 
     usual = ENGE_OF_QUADRUPOLES
-    kind: Literal["quadrupole"]
+    kind: Literal["quadrupole"] = "quadrupole"
     gradient: MagneticGradient = Field(
         description="G in T/m; a positive one focuses positive particles that move along +z in x."
     )
@@ -174,7 +174,7 @@ class DipoleElement(FringedElement):
     """
 
     usual = ENGE_OF_DIPOLES
-    kind: Literal["dipole"]
+    kind: Literal["dipole"] = "dipole"
     field: MagneticField = Field(
         description="B_y in T; a positive one turns positive particles that move along +z to -x."
     )
@@ -189,7 +189,7 @@ class DipoleElement(FringedElement):
 class SolenoidElement(Element):
     """A solenoid: B = (0, 0, field) inside."""
 
-    kind: Literal["solenoid"]
+    kind: Literal["solenoid"] = "solenoid"
     length: Length = Field(gt=0, description="From end to end, m.")
     field: MagneticField = Field(description="B_z in T; of a coil as if it were very long.")
     fringe: Literal["hard", "sheet"] = Field(
@@ -227,7 +227,7 @@ class OscillatingElement(Element):
 class GapElement(OscillatingElement):
     """An accelerating gap: on the axis E_z has the profile (1 - (2z/length)²)⁴, of 0.4 lengths at half its height."""
 
-    kind: Literal["rf-gap"]
+    kind: Literal["rf-gap"] = "rf-gap"
     length: Length = Field(gt=0, description="Of all of the field, m.")
     voltage: Potential = Field(description="Integral of E_z along the axis at the crest, V.")
 
@@ -235,7 +235,7 @@ class GapElement(OscillatingElement):
 class CavityElement(OscillatingElement):
     """A pillbox cavity in its mode TM010, between two plates and out to the radius 2.405 c / (2π frequency)."""
 
-    kind: Literal["cavity"]
+    kind: Literal["cavity"] = "cavity"
     length: Length = Field(gt=0, description="From plate to plate, m.")
     field: FieldStrength = Field(description="E_z on the axis at the crest, V/m.")
 
@@ -255,7 +255,7 @@ class MapElement(OscillatingElement):
     amplitudes of E cos and of -B sin, for which curl E = 2π frequency B.
     """
 
-    kind: Literal["map"]
+    kind: Literal["map"] = "map"
     file: str = Field(description="The file; a relative path starts at the scene file.")
     iteration: int | None = Field(
         default=None, ge=0, description="Which iteration of the file; needed if it holds several."

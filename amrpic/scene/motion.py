@@ -37,7 +37,7 @@ def _step(value: Any) -> float | str:
 class Leapfrog(Section):
     """Particles move in their own field, relativistically."""
 
-    kind: Literal["leapfrog"]
+    kind: Literal["leapfrog"] = "leapfrog"
     form: Literal["kick-drift-kick", "drift-kick-drift"] = Field(
         default="kick-drift-kick",
         description="What a step is made of. drift-kick-drift: the run starts with half a drift, and what it writes of step "
@@ -83,5 +83,5 @@ class Leapfrog(Section):
 class RandomWalk(Section):
     """Each coordinate of each particle takes a uniform random step: the reference benchmark's motion."""
 
-    kind: Literal["random-walk"]
+    kind: Literal["random-walk"] = "random-walk"
     amplitude: Length = Field(ge=0, description="Largest change per step and axis, m.")

@@ -46,21 +46,21 @@ class Aperture(Obstacle):
 class RoundAperture(Aperture):
     """A round hole."""
 
-    kind: Literal["round"]
+    kind: Literal["round"] = "round"
     radius: Length = Field(gt=0, description="Of the hole, m.")
 
 
 class EllipticAperture(Aperture):
     """An elliptic hole."""
 
-    kind: Literal["elliptic"]
+    kind: Literal["elliptic"] = "elliptic"
     half_widths: tuple[HalfWidth, HalfWidth] = Field(description="Half axes of the hole along x and y, m.")
 
 
 class RectangularAperture(Aperture):
     """A rectangular hole."""
 
-    kind: Literal["rectangular"]
+    kind: Literal["rectangular"] = "rectangular"
     half_widths: tuple[HalfWidth, HalfWidth] = Field(description="Of the hole along x and y, m.")
 
 

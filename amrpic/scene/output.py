@@ -8,6 +8,8 @@ from pydantic import Field
 
 from .section import Section
 
+PART_BYTES = 2**30
+
 
 class Output(Section):
     """What a run writes."""
@@ -24,8 +26,16 @@ class Output(Section):
     keep: int = Field(
         default=2, ge=1, description="Newest checkpoints kept: two, so that one remains if a disk fails the last."
     )
-    writers: int = Field(
-        default=1, ge=0, description="Ranks that write a checkpoint, each a part of its own; 0 lets all of them."
+    writers: int | None = Field(
+        default=None,
+        ge=0,
+        description="Ranks that write a checkpoint, field or particle file, each a part of its own; 0 lets all of them. If not "
+        "given, one for each `part_bytes` of the file, and for each 128 ranks.",
+    )
+    part_bytes: int = Field(
+        default=PART_BYTES,
+        ge=1,
+        description="Bytes of a file from which on one more rank writes, if `writers` is not given.",
     )
     fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
     particles_every: int = Field(

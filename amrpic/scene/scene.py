@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -18,7 +18,7 @@ from . import toml
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import DescribedBunch, LatticeBunch
-from .complaints import complaint, sentences
+from .complaints import complaint, refusal
 from .diagnostics import Diagnostics
 from .domain import LARGEST_INDEX, DomainSection
 from .elements import AnyElement, ConstantFocusingElement
@@ -36,12 +36,14 @@ MOST_BINS = 1_000_000  # of a map of losses
 LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
 
 
-class RefusedScene(SceneError):
-    """A scene with mistakes: the message names the first, `problems` has a sentence for each."""
-
-    def __init__(self, message: str, problems: Sequence[str] = ()) -> None:
-        super().__init__(message)
-        self.problems = list(problems) or [message]
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return the text of a scene file. Raises SceneError in one sentence."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError as reason:
+        raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
+    except UnicodeDecodeError as reason:
+        raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
 
 
 class Scene(Section):
@@ -259,17 +261,16 @@ class Scene(Section):
             )
 
     @classmethod
-    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = ()) -> Self:
+    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = (), text: str | None = None) -> Self:
         """Return the scene of a TOML file, with `key.path=value` overrides.
 
-        Raises SceneError in one sentence; paths in the file are relative to it.
+        `text` is what the file holds, where `read_text` read it before: on rank 0 alone, for all. Raises SceneError in one
+        sentence; paths in the file are relative to it.
         """
         path = Path(path)
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as reason:
-            raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
+            data = tomllib.loads(read_text(path) if text is None else text)
+        except tomllib.TOMLDecodeError as reason:
             raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
         toml.override(data, overrides)
         data.setdefault("name", path.stem)
@@ -282,9 +283,7 @@ class Scene(Section):
         try:
             return cls.model_validate(data)
         except ValidationError as refused:
-            problems = sentences(refused, source, cls)
-            more = f" (and {len(problems) - 1} more: see `amrpic check`)" if len(problems) > 1 else ""
-            raise RefusedScene(problems[0] + more, problems) from None
+            raise refusal(refused, source, cls) from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the resolved scene, all defaults filled in, as plain values; `from_dict` gives the scene back."""

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self, cast
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, model_validator
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema
 
-from .complaints import close_match, complaint
+from .complaints import close_match, complaint, refusal
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
 
 
 def _number(value: Any) -> Any:
@@ -31,8 +36,18 @@ def _without_coercion(schema: Any) -> Any:
     return {key: _without_coercion(member) for key, member in schema.items()}
 
 
-class Section(BaseModel):
-    """A part of the scene: frozen, and strict about its keys."""
+class _Sentences(ModelMetaclass):
+    """What Python gives a section is refused by the same sentences as what a file has."""
+
+    def __call__(cls, *given: Any, **named: Any) -> Any:
+        try:
+            return super().__call__(*given, **named)
+        except ValidationError as refused:
+            raise refusal(refused, cls.__name__, cast(type[BaseModel], cls)) from None
+
+
+class Section(BaseModel, metaclass=_Sentences):
+    """A part of the scene: frozen, and strict about its keys. Raises SceneError for a value that it cannot have."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
@@ -50,6 +65,11 @@ class Section(BaseModel):
                         "is an unknown key", close_match(str(key), cls.model_fields), path=str(key), found=data[key]
                     )
         return data
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the same with other values of some keys. Raises SceneError as when it is made."""
+        given = {name: getattr(self, name) for name in self.model_fields_set}
+        return type(self)(**{**given, **changes})
 
 
 def refuse_negative(path: str, value: float, unit: str) -> None:

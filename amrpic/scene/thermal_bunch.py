@@ -29,7 +29,7 @@ class ThermalBunch(Train):
     too, have no such equilibrium here.
     """
 
-    distribution: Literal["thermal"]
+    distribution: Literal["thermal"] = "thermal"
     gradient: ElectricGradient | None = Field(
         default=None, description="Of the focusing in V/m², as of a constant-focusing element; for beams at rest, too."
     )

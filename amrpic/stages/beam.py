@@ -1,7 +1,7 @@
 """Bunches of particles from distributions, on lattices, and from arrays.
 
 Particle number i of a bunch is made from the seed and its id alone, so a bunch is the same on any number of ranks. Each rank
-makes a contiguous run of ids, wherever these particles lie; `migrate` sends them to the ranks that own their boxes.
+makes a contiguous run of ids, wherever these particles lie; `migrate` sends them to the ranks that serve them.
 """
 
 from __future__ import annotations

@@ -199,18 +199,15 @@ def group_quantiles(
 
     Exact: each is the amplitude of a particle. No rank holds all of them.
     """
-    out: dict[frozenset[int], Quantiles] = {}
-    for layer in layers(groups.distinct):
+    distinct, parts = layers(groups.distinct), []
+    for layer in distinct:
         zeros = [0.0] * len(layer)
-        parts = _native.BeamParts(groups.starts, _place_of_runs(layer, len(groups.starts)), zeros, zeros, 1)
-        frames = [_frame(moments[members]) for members in layer]
-        centres, forms, typical = zip(*frames, strict=True)
-        flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, centres, forms, typical, FRACTIONS)
-        found = np.array(flat).reshape(len(layer), 5, len(FRACTIONS))
-        out |= {
-            members: Quantiles(values[:3], values[3], values[4]) for members, values in zip(layer, found, strict=True)
-        }
-    return out
+        parts.append(_native.BeamParts(groups.starts, _place_of_runs(layer, len(groups.starts)), zeros, zeros, 1))
+    order = [members for layer in distinct for members in layer]
+    centres, forms, typical = zip(*(_frame(moments[members]) for members in order), strict=True)
+    flat = _native.amplitude_quantiles(comm.py2f(), *beam.arguments, parts, centres, forms, typical, FRACTIONS)
+    found = np.array(flat).reshape(len(order), 5, len(FRACTIONS))
+    return {members: Quantiles(values[:3], values[3], values[4]) for members, values in zip(order, found, strict=True)}
 
 
 def _place_of_runs(layer: Sequence[frozenset[int]], runs: int) -> list[int]:

@@ -14,7 +14,7 @@ def deposit(particles: Particles, hierarchy: Hierarchy, clouds: Clouds = PLAIN) 
     """Return the charge density of the particles in C/m^3. Collective.
 
     Total charge is conserved to rounding, also across coarse-fine faces; what overhangs a wall is folded onto the wall cell.
-    Particles must live on the ranks that own their cells; `migrate` sees to that.
+    Particles must be sorted on the hierarchy; `migrate` sees to that.
     """
     sorting = particles.sorted_on(hierarchy)
     density = Field.unset(hierarchy, unit="C/m^3")
@@ -23,8 +23,18 @@ def deposit(particles: Particles, hierarchy: Hierarchy, clouds: Clouds = PLAIN) 
     if len(particles.species.kinds) > 1:
         weight, charge = weight * particles.charge, 1.0
     try:
-        mesh = hierarchy.particle_mesh
-        _native.deposit(mesh, *clouds.native, position, momentum, weight, id, sorting.starts, charge, density.native)
+        _native.deposit(
+            hierarchy.particle_mesh,
+            sorting.remote,
+            *clouds.native,
+            position,
+            momentum,
+            weight,
+            id,
+            sorting.starts,
+            charge,
+            density.native,
+        )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return density

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import resource
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from .. import _native
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import global_max
+from ..parallel import global_sums_and_largest
 from ..particles.particles import Particles
 from ..units import VACUUM_PERMITTIVITY, Quantity
 
@@ -64,23 +64,27 @@ def measure(
     have no entry.
     """
     hierarchy = rho.hierarchy
-    comm = hierarchy.comm
+    of_all = global_sums_and_largest(
+        hierarchy.comm,
+        {
+            "particles": len(particles),
+            "lost_particles": len(lost),
+            "charge": rho.own_integral(),
+            "lost_charge": lost.own_charge,
+            "field_energy": _energy_of_square(efield.own_integral_of_square()),
+            "potential_energy": _energy_of_product(rho.own_integral(phi)),
+        },
+        {**{f"seconds_{stage}": seconds.get(stage, 0.0) for stage in STAGES}, "memory": peak_memory()},
+    )
     return {
         **{f"cells_{level}": hierarchy.cells(level) for level in range(hierarchy.levels)},
         "boxes": box_count(hierarchy),
-        "particles": particles.global_count(comm),
-        "lost_particles": lost.global_count(comm),
-        "charge": rho.integral(),
-        "lost_charge": lost.total_charge(comm),
-        "field_energy": field_energy(efield),
-        "potential_energy": potential_energy(rho, phi),
+        **of_all,
         "kinetic_energy": beam.kinetic_energy,
         **{f"momentum_{axis}": beam.momentum[i] for i, axis in enumerate(AXES)},
         **{f"mean_{axis}": beam.mean[i] for i, axis in enumerate(AXES)},
         **{f"rms_{axis}": beam.rms[i] for i, axis in enumerate(AXES)},
         **{f"emittance_{axis}": beam.emittance[i] for i, axis in enumerate(AXES)},
-        "memory": peak_memory(comm),
-        **{f"seconds_{stage}": value for stage, value in slowest(comm, seconds, STAGES).items()},
     }
 
 
@@ -94,12 +98,20 @@ def field_energy(efield: VectorField) -> float:
 
     What the field holds outside an open domain is not in it.
     """
-    return 0.5 * VACUUM_PERMITTIVITY * efield.integral_of_square()
+    return _energy_of_square(efield.integral_of_square())
 
 
 def potential_energy(rho: Field, phi: Field) -> float:
     """Return ½ ∫ ρ φ dV in J, which in free space is the energy of the field in all of it. Collective."""
-    return 0.5 * rho.integral(phi)
+    return _energy_of_product(rho.integral(phi))
+
+
+def _energy_of_square(integral: float) -> float:
+    return 0.5 * VACUUM_PERMITTIVITY * integral
+
+
+def _energy_of_product(integral: float) -> float:
+    return 0.5 * integral
 
 
 @dataclass(frozen=True)
@@ -132,14 +144,6 @@ def moments(comm: MPI.Comm, particles: Particles, later: Particles | None = None
     return Moments(np.array(sums.mean_x), np.sqrt(xx), np.sqrt(np.maximum(xx * uu - xu**2, 0)), *totals)
 
 
-def peak_memory(comm: MPI.Comm) -> int:
-    """Return the most memory in bytes that any rank has used at a time. Collective."""
-    return int(global_max(comm, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024))
-
-
-def slowest(comm: MPI.Comm, seconds: Mapping[str, float], stages: Sequence[str]) -> dict[str, float]:
-    """Return for each stage the most seconds that any rank spent; zero for stages that did not run. Collective."""
-    mine = np.array([seconds.get(stage, 0.0) for stage in stages])
-    most = np.empty_like(mine)
-    comm.Allreduce(mine, most, op=MPI.MAX)
-    return dict(zip(stages, most.tolist(), strict=True))
+def peak_memory() -> int:
+    """Return the most memory in bytes that this process has used at a time."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -16,13 +16,21 @@ def gather(efield: VectorField, particles: Particles, clouds: Clouds = PLAIN) ->
     """Return the field at the particles, (n, 3) in the field's unit, with the clouds of the deposit. Collective.
 
     Beyond the edge of a level the field is trilinear from the coarser one, beyond a wall that of the wall cell. Matched clouds
-    ask for a field with `covered="difference"`. Particles must live on the ranks that own their cells; `migrate` sees to that.
+    ask for a field with `covered="difference"`. Particles must be sorted on the hierarchy; `migrate` sees to that.
     """
     hierarchy = efield.hierarchy
     sorting = particles.sorted_on(hierarchy)
     out = empty_columns(len(particles))
     try:
-        _native.gather(hierarchy.particle_mesh, *clouds.native, efield.native, *particles.arrays, sorting.starts, out)
+        _native.gather(
+            hierarchy.particle_mesh,
+            sorting.remote,
+            *clouds.native,
+            efield.native,
+            *particles.arrays,
+            sorting.starts,
+            out,
+        )
     except IndexError as moved:
         raise ParticleError(str(moved)) from None
     return out

@@ -1,6 +1,12 @@
-"""Migrate: particles to the ranks that own their boxes."""
+"""Migrate: particles to the ranks that serve them.
+
+A rank serves the particles of a part of a curve through all bricks of 8³ cells, whoever owns these cells; bricks with many
+particles are shared. Who serves a particle follows from its brick, its id and where the parts start.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -12,46 +18,110 @@ from ..parallel import raise_together
 from ..particles.particles import Particles, Sorting
 
 NONE = np.zeros(0, dtype=np.int64)
+BRICK_COST = 64  # particles that take as long as a brick by itself, about: its part of the field is brought to it
+MOST_SUMMED = 2**13  # numbers in a sum over ranks
+UNEVEN, FEW = 1.1, 4096  # the most work over its mean, and how many particles more than that do not matter
 
 
-def migrate(particles: Particles, hierarchy: Hierarchy) -> tuple[Particles, Particles]:
+def migrate(
+    particles: Particles, hierarchy: Hierarchy, servers: np.ndarray | None = None
+) -> tuple[Particles, Particles]:
     """Return this rank's particles, and those that it lost because they lie outside the domain. Collective.
 
-    Positions are wrapped along periodic axes. Each particle goes to the rank that owns the finest box around it, and is sorted
-    there by level, box and brick of 8³ cells. Those of a brick keep their order: by the rank and the place where they were, and
-    behind them those that came through a periodic face. Lost particles stay as they are, on the rank that held them. Raises
-    ParticleError on all ranks if a position or momentum is not finite.
+    Positions are wrapped along periodic axes. Each particle goes to its server, and is sorted there by slot and brick of 8³
+    cells (`Sorting`). Those of a brick keep their order: by the rank and the place where they were, and behind them those that
+    came through a periodic face. Lost particles stay as they are, on the rank that held them. `servers` as in `Sorting`; by
+    default equal parts of these particles. Raises ParticleError on all ranks if a position or momentum is not finite.
     """
-    arrived, lost = migrate_without(particles, hierarchy, NONE)
+    arrived, lost = migrate_without(particles, hierarchy, NONE, servers)
     return arrived, particles.select(lost)
 
 
-def migrate_without(particles: Particles, hierarchy: Hierarchy, gone: np.ndarray) -> tuple[Particles, np.ndarray]:
+def migrate_without(
+    particles: Particles,
+    hierarchy: Hierarchy,
+    gone: np.ndarray,
+    servers: np.ndarray | None = None,
+    evenly: bool = False,
+) -> tuple[Particles, np.ndarray]:
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices.
 
-    Collective.
+    `evenly`: servers of unequal work are replaced. Collective.
     """
-    weight = particles.one_weight(hierarchy.comm)
+    comm = hierarchy.comm
+    if servers is None:
+        servers = share_out(comm, *weights(particles, hierarchy))
+    weight = particles.one_weight(comm)
     given = particles if weight is not None else particles.with_own_weights()
-    plan = _native.Migration(hierarchy.particle_mesh, *given.arrays, gone)
+    plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
+    if evenly and _is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
+        servers = shared_out_by_work(particles, hierarchy)
+        plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
     here = Particles.allocate(plan.arriving, particles.species, weight)
-    starts = np.empty(hierarchy.particle_mesh.slots + 1, dtype=np.int64)
-    finite = plan.finish(*here.arrays, starts)
-    if not hierarchy.comm.allreduce(finite, MPI.LAND):
-        _refuse_not_finite(particles, hierarchy.comm)
-    arrived = Particles(*here.arrays, here.species, Sorting(hierarchy, starts))
-    return arrived, plan.lost
+    finite = plan.finish(*here.arrays)
+    if not comm.allreduce(finite, MPI.LAND):
+        _refuse_not_finite(particles, comm)
+    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
+    return Particles(*here.arrays, here.species, sorting), plan.lost
 
 
-def particles_per_box(particles: Particles, hierarchy: Hierarchy) -> list[np.ndarray]:
-    """Return the number of particles in each box, int64 (boxes,) per level, the same on all ranks. Collective.
+def _largest_and_sum(one: Any, other: Any, _: MPI.Datatype) -> None:
+    given, out = (np.frombuffer(values, dtype=np.int64).reshape(-1, 2) for values in (one, other))
+    out[:, 0] = np.maximum(given[:, 0], out[:, 0])
+    out[:, 1] += given[:, 1]
 
-    The particles may be sorted on another hierarchy, or not at all; those outside the domain are not counted.
+
+PAIR = MPI.INT64_T.Create_contiguous(2).Commit()  # so that no pair is cut in two
+LARGEST_AND_SUM = MPI.Op.Create(_largest_and_sum, commute=True)
+
+
+def _is_uneven(comm: MPI.Comm, work: int) -> bool:
+    """Return whether a rank has too much of the work of all, in particles. Collective."""
+    found = np.array([work, work], dtype=np.int64)
+    comm.Allreduce(MPI.IN_PLACE, [found, 1, PAIR], LARGEST_AND_SUM)
+    return bool(found[0] > UNEVEN * found[1] / comm.size + FEW)
+
+
+def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:
+    """Return servers, as in `Sorting`, that have equally much to do with particles that are sorted, about. Collective."""
+    return share_out(hierarchy.comm, *weights(particles, hierarchy, BRICK_COST))
+
+
+def weights(particles: Particles, hierarchy: Hierarchy, brick_cost: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places on the curve of the bricks that hold particles of this rank, int64 (n,), and their work, int64 (n,).
+
+    The particles may be sorted on another hierarchy, or not at all; those outside the domain do not count. A brick costs as
+    much as `brick_cost` particles, on each rank that has any.
     """
-    counts = _native.count_per_box(hierarchy.native, particles.position)
-    for level in counts:
-        hierarchy.comm.Allreduce(MPI.IN_PLACE, level)
-    return counts
+    if hierarchy.comm.size == 1:
+        return NONE, NONE
+    places, counts = _native.count_per_brick(hierarchy.native, particles.position)
+    return places, counts + brick_cost
+
+
+def share_out(comm: MPI.Comm, places: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return where each rank's part of the curve starts, int64 (ranks + 1,), so that all parts weigh the same. Collective.
+
+    `places` and `weights` (n,), int64, are those of this rank; others may have the same places. What lies within a brick is
+    taken as spread evenly.
+    """
+    bricks, member = np.unique(places, return_inverse=True)
+    heavy = np.bincount(member, weights, len(bricks)).astype(np.int64)
+    before = np.concatenate([[0], np.cumsum(heavy)])
+    wanted = comm.allreduce(int(before[-1])) * np.arange(1, comm.size) // comm.size
+    starts = np.zeros(comm.size - 1, dtype=np.int64)
+    # So many binary digits at a time, the last place before which there is not more than wanted: few sums of few numbers.
+    digits = next(d for d in (9, 7, 3, 1) if d == 1 or (2**d - 1) * comm.size <= MOST_SUMMED)
+    for shift in range(63 - digits, -1, -digits) if comm.size > 1 else ():
+        tried = starts[:, None] + (np.arange(1, 2**digits) << shift)
+        brick = np.maximum(np.searchsorted(bricks, tried, side="right") - 1, 0)
+        below = np.zeros_like(tried)
+        if len(bricks) > 0:
+            inside = np.clip(tried - bricks[brick], 0, _native.PLACES_PER_BRICK)
+            below = before[brick] + heavy[brick] * inside // _native.PLACES_PER_BRICK
+        comm.Allreduce(MPI.IN_PLACE, below)
+        starts += np.count_nonzero(below <= wanted[:, None], axis=1) << shift
+    return np.concatenate([[0], starts, [_native.END_OF_CURVE]])
 
 
 def _refuse_not_finite(particles: Particles, comm: MPI.Comm) -> None:

@@ -203,7 +203,7 @@ def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> Solve
             raise SolverError(f"options are given as well as {', '.join(choices)}; keep one of the two")
         return options
     try:
-        return SolverOptions(**{name: _plain(value) for name, value in choices.items()})
+        return SolverOptions.model_validate({name: _plain(value) for name, value in choices.items()})
     except ValidationError as refused:
         path, found, what, remedy = mistakes(refused, SolverOptions)[0]
         raise SolverError(f"{path} is {found!r}, which {what}; {remedy}") from None

@@ -57,6 +57,7 @@ def push(
     try:
         _native.push(
             hierarchy.particle_mesh,
+            sorting.remote,
             *clouds.native,
             efield.native,
             *particles.arrays,

@@ -1,4 +1,4 @@
-"""Regrid: a new hierarchy from tags, fields carried over to it, and its boxes balanced over the ranks."""
+"""Regrid: a new hierarchy from tags, and fields carried over to it."""
 
 from __future__ import annotations
 
@@ -57,11 +57,10 @@ def regrid(
             f"static boxes are given for level {len(static)}, but max_levels is {settings.max_levels}, the base "
             f"included; raise it to {len(static) + 1}"
         )
-    for level, boxes in enumerate(static, start=1):
-        for box in np.asarray(boxes).reshape(-1, 6):
-            if np.any(box[3:] < box[:3]):
-                raise HierarchyError(f"static box {box.tolist()} of level {level} is empty; swap its corners")
     fixed = [np.ascontiguousarray(boxes, dtype=np.int32).reshape(-1, 6) for boxes in static]
+    for level, boxes in enumerate(fixed, start=1):
+        if len(empty := boxes[np.any(boxes[:, 3:] < boxes[:, :3], axis=1)]):
+            raise HierarchyError(f"static box {empty[0].tolist()} of level {level} is empty; swap its corners")
     marks = _marks(tags, kept)
     try:
         levels = _native.refine(
@@ -69,7 +68,7 @@ def regrid(
         )
     except _native.HierarchyError as refused:
         raise HierarchyError(str(refused)) from None
-    made = Hierarchy(hierarchy.comm, hierarchy.domain, levels, hierarchy.max_grid_size, hierarchy.blocking_factor)
+    made = _like(hierarchy, levels)
     return hierarchy if made.same_mesh(hierarchy) else made
 
 
@@ -110,16 +109,7 @@ def carry_over(field: Field, hierarchy: Hierarchy) -> Field:
     return out
 
 
-def balance(hierarchy: Hierarchy, particles_per_box: Sequence[np.ndarray], cost_per_particle: float = 1.0) -> Hierarchy:
-    """Return the same boxes on the owners that share out cells and particles; itself if no owner changes. Collective.
-
-    `particles_per_box[l]` counts the particles of all ranks in each box of level l; the cost of one is in units of that
-    of a cell. Each level is shared out by itself.
-    """
-    boxes = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
-    weights = [cells_of(b) + cost_per_particle * np.asarray(p) for b, p in zip(boxes, particles_per_box, strict=True)]
-    made = Hierarchy(
-        hierarchy.comm, hierarchy.domain, boxes[1:], hierarchy.max_grid_size, hierarchy.blocking_factor, weights
-    )
-    same = all(np.array_equal(made.owners(level), hierarchy.owners(level)) for level in range(hierarchy.levels))
-    return hierarchy if same else made
+def _like(earlier: Hierarchy, levels: Sequence[np.ndarray]) -> Hierarchy:
+    """Return a hierarchy of other refined levels on the same domain, which shares the boxes that stay."""
+    sizes = earlier.max_grid_size, earlier.blocking_factor
+    return Hierarchy(earlier.comm, earlier.domain, levels, *sizes, earlier=earlier)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from .. import _native
 from ..errors import HierarchyError, InputError
 from ..mesh.domain import Domain
 from ..mesh.field import Field, VectorField
@@ -50,41 +51,30 @@ def exceeding(values: Sequence[np.ndarray], above: Sequence[float] | np.ndarray)
 
 
 # ---- by particles ----
-def cells_of_particles(particles: Particles, hierarchy: Hierarchy) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return for each level which of this rank's particles live on it, and their cells as places in `Field.array(level)`.
-
-    Particles must be sorted on the hierarchy.
-    """
-    starts, out, slot = particles.sorted_on(hierarchy).starts, [], 0
-    for level in range(hierarchy.levels):
-        local = hierarchy.local_boxes(level)
-        boxes = hierarchy.boxes(level)[local.start : local.stop].astype(np.int64)
-        sizes = boxes[:, 3:] - boxes[:, :3] + 1
-        offsets = np.cumsum([0, *sizes.prod(axis=1)])[:-1]
-        mine = np.arange(starts[slot], starts[slot + len(local)])
-        box = np.repeat(np.arange(len(local)), np.diff(starts[slot : slot + len(local) + 1]))
-        from_lower = particles.position[mine] - np.array(hierarchy.domain.lower)
-        cell = np.floor(from_lower / hierarchy.spacing(level)).astype(np.int64) - boxes[box, :3]
-        i, j, k = np.clip(cell, 0, sizes[box] - 1).T  # on a face, rounding may differ from that of the sorting
-        out.append((mine, offsets[box] + i + sizes[box, 0] * (j + sizes[box, 1] * k)))
-        slot += len(local)
-    return out
-
-
 def count(particles: Particles, hierarchy: Hierarchy, chosen: np.ndarray | None = None) -> Field:
     """Return how many macroparticles each cell holds, covered cells those of their children. Collective.
 
-    `chosen`, bool (n,), leaves the others out.
+    `chosen`, bool (n,), leaves the others out. Particles must be sorted on the hierarchy.
     """
-    numbers = Field(hierarchy)
-    for level, (mine, cells) in enumerate(cells_of_particles(particles, hierarchy)):
-        cells = cells if chosen is None else cells[chosen[mine]]
-        # Covered cells take means; powers of two make sums of them, exactly.
-        numbers.array(level)[:] = np.bincount(cells, minlength=numbers.array(level).size) * 8.0**level
-    numbers.average_down()
+    sorting, numbers = particles.sorted_on(hierarchy), Field.unset(hierarchy)
+    position, momentum, _, id = particles.arrays
+    weight = np.broadcast_to(1.0, len(particles)) if chosen is None else chosen.astype(float)
+    shape = _native.Shape.nearest_grid_point
+    arrays = position, momentum, weight, id, sorting.starts
+    _native.deposit(hierarchy.particle_mesh, sorting.remote, shape, False, *arrays, 1.0, numbers.native)
     for level in range(hierarchy.levels):
-        numbers.array(level)[:] /= 8.0**level
+        numbers.array(level)[:] = np.rint(numbers.array(level) * hierarchy.spacing(level).prod())
     return numbers
+
+
+def living(numbers: Field) -> list[np.ndarray]:
+    """Return how many macroparticles live in each cell of this rank, per level, in covered ones none; `numbers` by `count`."""
+    out = []
+    for level in range(numbers.hierarchy.levels):
+        patches = [patch for patch in numbers.patches if patch.level == level]
+        cells = [np.where(patch.covered, 0, patch.data).ravel(order="F") for patch in patches]
+        out.append(np.concatenate([np.zeros(0), *cells]))
+    return out
 
 
 def between(numbers: Field, at_least: float, at_most: float) -> Tags:
@@ -95,7 +85,9 @@ def between(numbers: Field, at_least: float, at_most: float) -> Tags:
 
 def largest_inside(size: np.ndarray, particles: Particles, hierarchy: Hierarchy) -> np.ndarray:
     """Return the largest of a value per particle, (n,), inside each level, over all ranks. Collective."""
-    on_level = largest(hierarchy.comm, [size[mine] for mine, _ in cells_of_particles(particles, hierarchy)])
+    sorting = particles.sorted_on(hierarchy)
+    level_of = np.repeat(sorting.levels, np.diff(sorting.starts))
+    on_level = largest(hierarchy.comm, [size[level_of == level] for level in range(hierarchy.levels)])
     return np.maximum.accumulate(on_level[::-1])[::-1]  # what lies on a level lies inside all coarser ones
 
 

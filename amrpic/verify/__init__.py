@@ -13,7 +13,19 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..scene import solver_options
 from ..scene.scene import Scene
-from . import backends, conservation, convergence, dynamics, hard, openboundary, pareto, peers, selfforce, stopping
+from . import (
+    backends,
+    conservation,
+    convergence,
+    dynamics,
+    hard,
+    least_squares,
+    openboundary,
+    pareto,
+    peers,
+    selfforce,
+    stopping,
+)
 from .chosen import backend as chosen_backend
 from .chosen import full_length
 from .draw import draw_curves
@@ -29,6 +41,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "hard-cases": hard.tables,
     "backends": backends.tables,
     "dynamics": dynamics.tables,
+    "least-squares": least_squares.tables,
 }
 
 

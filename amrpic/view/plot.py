@@ -1,9 +1,9 @@
-"""Pictures of a dump: slices, projections and profiles along a line, with the boxes drawn."""
+"""Figures of what pictures show, with the boxes drawn. Serial: for one rank."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, OutputError
 from ..io.atomic_files import publish, temporary
-from ..io.field_reader import Dump, open_dump
+from ..io.field_reader import Dump
 from ..io.writer_ranks import one_line
 from ..mesh.domain import AXES
 from ..units import prefix_of, quantity
-from .raster import Line, Raster, Spread, cut_by, line_through, line_values, projection, slice_through, spread_of
+from .raster import Line, Raster, Spread, cut_by, line_through
+from .views import View
 
 Array = NDArray[Any]
 Colouring = tuple[Normalize, Colormap]
@@ -37,99 +38,18 @@ ROUNDING = 1e-12  # of the mean charge per area
 DPI = 150
 
 
-@dataclass(frozen=True)
-class View:
-    """What a picture shows of a dump."""
-
-    quantity: str  # a field of the dump, or "|E|", "Ex", "Ey", "Ez"; profiles may be of several, with blanks between
-    kind: str = "slice"  # in a plane; or "projection": the integral along the axis; or "line": the profile along it
-    axis: int | None = None  # normal of slices, direction of the rest; None: z, and lines follow the charge
-    position: float | None = None  # of a slice along the axis, m; None: through the middle of the charge
-    level: int | None = None  # None: everywhere the finest cells
-    scale: str = "auto"  # or one of SCALES
-    boxes: bool = True  # whether they are outlined
-
-    @property
-    def normal(self) -> int:
-        return AXES.index("z") if self.axis is None else self.axis
-
-    @property
-    def name(self) -> str:
-        """A name for its file."""
-        axis, quantity = AXES[self.normal], self.quantity.strip("|").replace(" ", "_")
-        along = "" if self.axis is None else f"_along_{axis}"
-        names = {
-            "slice": f"{quantity}_{axis}",
-            "projection": f"{quantity}_along_{axis}",
-            "line": f"{quantity}_line{along}",
-        }
-        return names[self.kind] + ("" if self.level is None else f"_level{self.level}")
+def figure(dump: Dump, spread: Spread, view: View, shown: Raster | list[Array]) -> Figure:
+    """Return the picture of what a view shows. Raises InputError if that is nothing."""
+    if isinstance(shown, list):
+        line = line_through(dump, spread, view.axis)
+        return profiles(dump, line, dict(zip(view.quantity.split(), shown, strict=True)), view.level)
+    return _projection(dump, spread, view, shown) if view.kind == "projection" else _slice(dump, view, shown)
 
 
-OPTIONS = {  # of each kind of picture
-    "slice": ("axis", "position", "level", "scale", "boxes"),
-    "projection": ("axis", "level", "scale", "boxes"),
-    "line": ("axis", "level"),
-}
-OVERVIEW = (View("phi"), View("|E|"), View("rho", "projection"), View("phi E rho", "line"))
-
-
-def with_options(views: Sequence[View], **options: Any) -> list[View]:
-    """Return the views with those of the options that apply to them. Raises InputError for one that applies to none."""
-    for name in options:
-        if not any(name in OPTIONS[view.kind] for view in views):
-            raise _not_an_option(name, views[0])
-    return [
-        replace(view, **{name: value for name, value in options.items() if name in OPTIONS[view.kind]})
-        for view in views
-    ]
-
-
-def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVERVIEW) -> list[Path]:
-    """Draw a dump, or the latest one in the folder of a run, and return the pictures' paths. Serial: for one rank.
-
-    Pictures go beside the dump unless `directory` is given. Raises InputError for what is no dump or not in it, OutputError
-    if a picture cannot be written.
-    """
-    with open_dump(path) as dump:
-        spread = spread_of(dump)
-        folder = dump.path.parent if directory is None else Path(directory)
-        return [save(draw(dump, spread, view), folder / f"{dump.path.stem}_{view.name}.png") for view in views]
-
-
-def draw(dump: Dump, spread: Spread, view: View) -> Figure:
-    """Return a picture. Raises InputError if the dump does not hold what it shall show."""
-    for name in view.quantity.split():
-        dump.unit(name)
-    _require_level(dump, view.level)
-    for option in fields(View)[2:]:
-        if option.name not in OPTIONS[view.kind] and getattr(view, option.name) != option.default:
-            raise _not_an_option(option.name, view)
-    if view.kind == "line":
-        return profiles(dump, line_through(dump, spread, view.axis), view.quantity.split(), view.level)
-    return _projection(dump, spread, view) if view.kind == "projection" else _slice(dump, spread, view)
-
-
-def _not_an_option(name: str, view: View) -> InputError:
-    return InputError(f"{name} says nothing to a {view.kind}; leave it out, or choose another kind of picture")
-
-
-def _require_level(dump: Dump, level: int | None) -> None:
-    if level is not None and not 0 <= level < len(dump.levels):
-        raise InputError(f"level {level} does not exist in {dump.path}; it has levels 0 to {len(dump.levels) - 1}")
-
-
-def _slice(dump: Dump, spread: Spread, view: View) -> Figure:
+def _slice(dump: Dump, view: View, raster: Raster) -> Figure:
     """Return the picture of a field in a plane."""
-    axis = view.normal
-    position = float(spread.centre[axis]) if view.position is None else view.position
-    lower, upper = dump.lower[axis], dump.upper[axis]
-    if not lower <= position <= upper:
-        raise InputError(
-            f"position {position:g} m lies outside the domain of {dump.path}, {lower:g} to {upper:g} m along {AXES[axis]}; "
-            "choose one inside"
-        )
-    raster = slice_through(dump, view.quantity, axis, position, view.level)
+    axis, position = raster.axis, raster.position
+    assert position is not None
     if np.isnan(raster.values).all():
         raise InputError(
             f"level {view.level} of {dump.path} has no cells at {AXES[axis]} = {position:g} m; choose another position"
@@ -139,10 +59,9 @@ def _slice(dump: Dump, spread: Spread, view: View) -> Figure:
     return _picture(dump, raster, symbol, dump.unit(view.quantity), view, title)
 
 
-def _projection(dump: Dump, spread: Spread, view: View) -> Figure:
+def _projection(dump: Dump, spread: Spread, view: View, raster: Raster) -> Figure:
     """Return the picture of the integral of a field along an axis."""
-    axis = view.normal
-    raster = projection(dump, view.quantity, axis, view.level)
+    axis = raster.axis
     symbol = f"∫{SYMBOLS.get(view.quantity, view.quantity)} d{AXES[axis]}"
     unit = INTEGRALS.get(dump.unit(view.quantity), f"{dump.unit(view.quantity)} m")
     if view.quantity != "rho":
@@ -269,13 +188,12 @@ def _draw_boxes(panel: Axes, dump: Dump, raster: Raster, length: float, only: in
         panel.plot([], [], color=colour, label=f"level {level}")
 
 
-def profiles(dump: Dump, line: Line, quantities: Sequence[str], level: int | None = None) -> Figure:
-    """Return the profiles of fields along a line; of a vector, what points along it."""
+def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | None = None) -> Figure:
+    """Return the profiles of fields along a line, given by `line_values` of each; of a vector, what points along it."""
     length, length_prefix = prefix_of(float(np.abs(line.along).max()))
-    figure = Figure(figsize=(8, 2.5 * len(quantities) if len(quantities) > 1 else 3.6), layout="constrained")
-    panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
-    for panel, name in zip(panels, quantities, strict=True):
-        values = line_values(dump, name, line, level)
+    figure = Figure(figsize=(8, 2.5 * len(shown) if len(shown) > 1 else 3.6), layout="constrained")
+    panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+    for panel, (name, values) in zip(panels, shown.items(), strict=True):
         symbol = SYMBOLS.get(name, name)
         if values.ndim > 1:
             values, symbol = values @ line.direction, f"{symbol} along the line"

@@ -1,10 +1,12 @@
 """Numbers for pictures: planes, projections and lines through a field dump, always from the finest cells.
 
-Cell values are taken as they are, constant in each cell: what a picture shows is what was computed.
+Cell values are taken as they are, constant in each cell: what a picture shows is what was computed. Ranks that share a dump
+draw the boxes that each of them holds, and their sum is the picture: all here is collective over `dump.comm`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..io.field_reader import Dump
+from ..mesh.boxes import rows_of
 
 Array = NDArray[Any]
 
@@ -41,15 +44,11 @@ def slice_through(dump: Dump, name: str, axis: int, position: float, level: int 
 
     A plane between two cells shows the upper ones. Where a level has no cells, the raster holds nan.
     """
-    grid = _Pixels(dump, axis, level)
-    values = np.full(grid.shape, np.nan)
-    for number in range(len(dump.levels)) if level is None else [level]:
-        index = cell_at(dump, number, axis, position)
-        for box in cut_by(dump, number, axis, position):
-            cut = dump.values(name, number, box).take(index - dump.levels[number].boxes[box, axis], axis=axis)
-            pixels_of_box, inside = grid.locate(number, box)
-            values[pixels_of_box] = cut[inside]
-    return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
+
+    def cut(cells: Array, number: int, box: int) -> Array:
+        return cells.take(cell_at(dump, number, axis, position) - dump.levels[number].boxes[box, axis], axis=axis)
+
+    return _raster(dump, name, axis, position, level, lambda number: cut_by(dump, number, axis, position), cut)
 
 
 def projection(dump: Dump, name: str, axis: int, level: int | None = None) -> Raster:
@@ -57,18 +56,35 @@ def projection(dump: Dump, name: str, axis: int, level: int | None = None) -> Ra
 
     Where a level has no cells, the raster holds nan.
     """
+
+    def summed(cells: Array, number: int, box: int) -> Array:
+        return cells.sum(axis=axis) * dump.levels[number].spacing[axis]
+
+    return _raster(dump, name, axis, None, level, lambda number: np.arange(len(dump.levels[number].boxes)), summed)
+
+
+def _raster(
+    dump: Dump,
+    name: str,
+    axis: int,
+    position: float | None,
+    level: int | None,
+    boxes: Callable[[int], Array],
+    flat: Callable[[Array, int, int], Array],
+) -> Raster:
+    """Return the sum of what `flat(cells, level, box)` makes of some boxes of each level, cells under a finer level zero."""
     grid = _Pixels(dump, axis, level)
-    values = np.zeros(grid.shape)
-    covered = np.zeros(grid.shape, dtype=bool)
+    values, held = np.zeros(grid.shape), np.zeros(grid.shape, dtype=bool)
     for number in range(len(dump.levels)) if level is None else [level]:
-        for box in range(len(dump.levels[number].boxes)):
+        for box in np.intersect1d(boxes(number), dump.here(number)):
             cells = dump.values(name, number, box)
             if level is None:
                 cells = np.where(dump.covered(number, box), 0.0, cells)
-            pixels_of_box, inside = grid.locate(number, box)
-            values[pixels_of_box] += (cells.sum(axis=axis) * dump.levels[number].spacing[axis])[inside]
-            covered[pixels_of_box] = True
-    return Raster(grid.shown(np.where(covered, values, np.nan)), axis, grid.axes, None, *grid.corners)
+            pixels, inside = grid.locate(number, box)
+            values[pixels] += flat(cells, number, box)[inside]
+            held[pixels] = True
+    values = np.where(dump.any(held), dump.total(values), np.nan)
+    return Raster(grid.shown(values), axis, grid.axes, position, *grid.corners)
 
 
 def cut_by(dump: Dump, level: int, axis: int, position: float) -> Array:
@@ -85,16 +101,18 @@ def cell_at(dump: Dump, level: int, axis: int, position: float) -> int:
 
 
 class _Pixels:
-    """The pixels of the plane normal to an axis, over the whole domain."""
+    """The pixels of the plane normal to an axis, over the whole domain. Each shows the finest cell at its centre."""
 
     def __init__(self, dump: Dump, axis: int, level: int | None) -> None:
         self._dump = dump
         self._axes = list(others(axis))
+        self._finest = len(dump.levels) - 1 if level is None else level
         extent = (dump.upper - dump.lower)[self._axes]
         self.axes = others(axis) if extent[0] >= extent[1] else others(axis)[::-1]
-        finest = np.rint(extent / dump.levels[-1 if level is None else level].spacing[self._axes])
-        self.shape = tuple(np.maximum(finest * min(1.0, MOST_PIXELS / finest.max()), 1).astype(int))
-        self._widths = extent / self.shape
+        cells = np.rint(extent / dump.levels[self._finest].spacing[self._axes]).astype(np.int64)
+        self.shape = pixels_of(cells)
+        # A pixel on the face between two cells shows the upper one, on all levels.
+        self._cells = [(2 * np.arange(p) + 1) * n // (2 * p) for n, p in zip(cells, self.shape, strict=True)]
 
     def shown(self, values: Array) -> Array:
         """Return the values with the longer side of the domain first."""
@@ -105,19 +123,21 @@ class _Pixels:
         """Lower and upper corner of the plane in m, in the order of `axes`."""
         return self._dump.lower[list(self.axes)], self._dump.upper[list(self.axes)]
 
-    def locate(self, level: int, box: int | np.integer[Any]) -> tuple[tuple[slice, ...], tuple[Array, ...]]:
+    def locate(self, level: int, box: int) -> tuple[tuple[slice, ...], tuple[Array, ...]]:
         """Return the slices of pixels whose centres lie in a box, and for them the cells of the box to index."""
-        cells = self._dump.levels[level]
+        corners = self._dump.levels[level].boxes[box]
         pixels_of_box, inside = [], []
-        for k, axis in enumerate(self._axes):
-            first, last = cells.boxes[box, axis], cells.boxes[box, 3 + axis]
-            per_cell = cells.spacing[axis] / self._widths[k]
-            # Pixel p has its centre at p + 1/2 pixels. The rounding keeps exact hits on cell faces on one side.
-            start, stop = (int(np.ceil(round(edge * per_cell, 6) - 0.5)) for edge in (first, last + 1))
-            pixels = np.arange(max(start, 0), min(stop, self.shape[k]))
-            pixels_of_box.append(slice(max(start, 0), min(stop, self.shape[k])))
-            inside.append(np.clip(np.floor((pixels + 0.5) / per_cell).astype(int) - first, 0, last - first))
+        for axis, finest in zip(self._axes, self._cells, strict=True):
+            cells = finest >> (self._finest - level)
+            start, stop = np.searchsorted(cells, [corners[axis], corners[3 + axis] + 1])
+            pixels_of_box.append(slice(start, stop))
+            inside.append(cells[start:stop] - corners[axis])
         return tuple(pixels_of_box), np.ix_(*inside)
+
+
+def pixels_of(cells: Array) -> tuple[int, ...]:
+    """Return the numbers of pixels along the sides of a plane of so many finest cells."""
+    return tuple(np.maximum(cells * min(1.0, MOST_PIXELS / cells.max()), 1).astype(int).tolist())
 
 
 @dataclass(frozen=True)
@@ -137,19 +157,23 @@ class Line:
 def line_values(dump: Dump, name: str, line: Line, level: int | None = None) -> Array:
     """Return a field along a line, in the finest cells or those of one level: (n,), or (n, 3) of a vector; else nan."""
     points = line.points
-    vector = dump.values(name, 0, 0).ndim == 4
-    out = np.full((len(points), 3) if vector else len(points), np.nan)
+    held = np.zeros(len(points), dtype=bool)
+    out = np.zeros((len(points), 3) if dump.is_vector(name) else len(points))
     for number in range(len(dump.levels)) if level is None else [level]:
         description = dump.levels[number]
         shape = np.rint((dump.upper - dump.lower) / description.spacing).astype(np.int64)
         index = np.clip(np.floor((points - dump.lower) / description.spacing).astype(np.int64), 0, shape - 1)
-        first, last = index.min(axis=0), index.max(axis=0)
-        near = np.all((description.boxes[:, :3] <= last) & (first <= description.boxes[:, 3:]), axis=1)
-        for box in np.flatnonzero(near):
-            lower, upper = description.boxes[box, :3], description.boxes[box, 3:]
-            inside = np.all((index >= lower) & (index <= upper), axis=1)
-            if inside.any():
-                out[inside] = dump.values(name, number, box)[tuple((index[inside] - lower).T)]
+        holding = description.table.find(rows_of(index))
+        for box in np.intersect1d(holding[holding >= 0], dump.here(number)):
+            inside = np.flatnonzero(holding == box)
+            cells = tuple((index[inside] - description.boxes[box, :3]).T)
+            if level is None:
+                shown = ~dump.covered(number, box)[cells]
+                inside, cells = inside[shown], tuple(of_axis[shown] for of_axis in cells)
+            out[inside] = dump.values(name, number, box)[cells]
+            held[inside] = True
+    out, held = dump.total(out), dump.any(held)
+    out[~held] = np.nan
     return out
 
 
@@ -164,18 +188,18 @@ class Spread:
 
 def spread_of(dump: Dump, name: str = "rho") -> Spread:
     """Return where a density is, the middle of the domain if it is zero."""
-    charge, first, second = 0.0, np.zeros(3), np.zeros((3, 3))
+    charge, first, second = np.zeros(1), np.zeros(3), np.zeros((3, 3))
     middle = (dump.lower + dump.upper) / 2
     for level, description in enumerate(dump.levels):
         volume = float(np.prod(description.spacing))
-        for box, corners in enumerate(description.boxes):
-            cells = np.abs(dump.values(name, level, box)) * volume
-            cells[dump.covered(level, box)] = 0.0
+        for box in dump.here(level):
+            corners = description.boxes[box]
+            cells = np.where(dump.covered(level, box), 0.0, np.abs(dump.values(name, level, box)) * volume)
             axes = [
                 dump.lower[d] + (np.arange(corners[d], corners[3 + d] + 1) + 0.5) * description.spacing[d] - middle[d]
                 for d in range(3)
             ]
-            charge += float(cells.sum())
+            charge += cells.sum()
             sums = [cells.sum(axis=others(d)) for d in range(3)]
             first += [sums[d] @ axes[d] for d in range(3)]
             second += np.diag([sums[d] @ axes[d] ** 2 for d in range(3)])
@@ -183,10 +207,11 @@ def spread_of(dump: Dump, name: str = "rho") -> Spread:
                 mixed = axes[a] @ cells.sum(axis=3 - a - b) @ axes[b]
                 second[a, b] += mixed
                 second[b, a] += mixed
-    if charge == 0.0:
+    total, *moments = dump.total(np.concatenate([charge, first, second.ravel()]))
+    if total == 0.0:
         return Spread(0.0, middle, np.zeros((3, 3)))
-    mean = first / charge
-    return Spread(charge, middle + mean, second / charge - np.outer(mean, mean))
+    mean, square = np.array(moments[:3]) / total, np.reshape(moments[3:], (3, 3)) / total
+    return Spread(float(total), middle + mean, square - np.outer(mean, mean))
 
 
 LONG = 3.0  # variance along a train over that across it, from which on its own direction is taken

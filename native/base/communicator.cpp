@@ -10,8 +10,8 @@ namespace amrpic {
 
 namespace {
 
-constexpr int tag_values = 7101, tag_announcement = 7102;  ///< and the next one
-constexpr std::size_t longest = std::size_t(1) << 30;      ///< elements of a message, which MPI counts with 31 bits
+constexpr int tag_values = 7101, tag_announcement = 7102 /* and the next one */, tag_lists = 7104;
+constexpr std::size_t longest = std::size_t(1) << 30;  ///< elements of a message, which MPI counts with 31 bits
 
 [[noreturn]] void end_job(MPI_Comm comm, std::string const& what) {
   int rank = 0, ranks = 1;
@@ -79,6 +79,12 @@ Communicator::Communicator(int rank, int ranks) : comm_(MPI_COMM_NULL), rank_(ra
                                 "; give one from 0 to " + std::to_string(ranks - 1));
 }
 
+void Communicator::count_sent(int rank, std::size_t bytes) const {
+  if (is_virtual()) destinations().insert(rank);
+  ++traffic().messages;
+  traffic().bytes += std::int64_t(bytes);
+}
+
 std::pair<Real, int> Communicator::largest_and_rank(Real value) const {
   struct {
     double value;
@@ -111,9 +117,7 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
   std::vector<std::pair<int, std::int64_t>> out;
   if (ranks_ == 1) return out;
   if (is_virtual()) {
-    for (auto const& [rank, count] : to) destinations().insert(rank);
-    traffic().messages += std::int64_t(to.size());
-    traffic().bytes += std::int64_t(to.size() * sizeof(std::int64_t));
+    for (auto const& [rank, count] : to) count_sent(rank, sizeof count);
     count_collective();
     return out;
   }
@@ -122,8 +126,7 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
   std::vector<MPI_Request> sending;
   for (auto const& [rank, count] : to) {
     MPI_Issend(&count, 1, MPI_INT64_T, rank, tag, comm_, &sending.emplace_back());
-    ++traffic().messages;
-    traffic().bytes += std::int64_t(sizeof count);
+    count_sent(rank, sizeof count);
   }
   count_collective();
   // A rank whose announcements have all arrived waits for the others to say so too; until then more may come.
@@ -151,6 +154,32 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
   return out;
 }
 
+void Communicator::send_list(void const* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
+                             MPI_Request& request) const {
+  if (count > longest)
+    throw std::length_error(std::to_string(count) + " elements in one message, more than MPI counts; use more ranks");
+  request = MPI_REQUEST_NULL;
+  if (!is_virtual()) MPI_Isend(values, int(count), type, rank, tag_lists, comm_, &request);
+  count_sent(rank, count * size);
+}
+
+std::size_t Communicator::wait_for_list(int rank, MPI_Datatype type, MPI_Message& message) const {
+  if (is_virtual()) return 0;
+  MPI_Status status;
+  int count = 0;
+  MPI_Mprobe(rank, tag_lists, comm_, &message, &status);
+  MPI_Get_count(&status, type, &count);
+  return std::size_t(count);
+}
+
+void Communicator::take_list(void* into, std::size_t count, MPI_Datatype type, MPI_Message& message) const {
+  if (!is_virtual()) MPI_Mrecv(into, int(count), type, &message, MPI_STATUS_IGNORE);
+}
+
+void Communicator::wait(std::vector<MPI_Request>& requests) {
+  for (MPI_Request& request : requests) MPI_Wait(&request, MPI_STATUS_IGNORE);
+}
+
 void Communicator::abort(std::string const& what) const {
   if (is_virtual()) throw std::logic_error(what);
   end_job(comm_, what.substr(0, what.find('\n')));
@@ -165,12 +194,8 @@ void Messages::post(Communicator const& comm, void* values, std::size_t count, s
       if (!comm.is_virtual()) MPI_Irecv(at, n, type, rank, tag_values, comm.handle(), &receiving_.emplace_back());
       continue;
     }
-    if (comm.is_virtual())
-      destinations().insert(rank);
-    else
-      MPI_Isend(at, n, type, rank, tag_values, comm.handle(), &sending_.emplace_back());
-    ++traffic().messages;
-    traffic().bytes += std::int64_t(n) * std::int64_t(size);
+    if (!comm.is_virtual()) MPI_Isend(at, n, type, rank, tag_values, comm.handle(), &sending_.emplace_back());
+    comm.count_sent(rank, std::size_t(n) * size);
   }
 }
 

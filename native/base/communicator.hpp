@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <map>
 #include <stdexcept>
 #include <string>
 #include <type_traits>
@@ -85,6 +86,25 @@ class Communicator {
   void largest_each(List& values) const {
     reduce(values.data(), values.size(), MPI_MAX);
   }
+  /// Each place of a list joined with those of the other ranks by `add`, in the order of ranks; the same on all ranks.
+  template <class T>
+  void add_each(std::vector<T>& values) const {
+    static MPI_Op const adding = [] {
+      MPI_Op made;
+      auto const add = [](void* of_lower, void* of_higher, int* count, MPI_Datatype*) {
+        for (int i = 0; i < *count; ++i) {
+          T sum = static_cast<T*>(of_lower)[i];
+          sum.add(static_cast<T*>(of_higher)[i]);
+          static_cast<T*>(of_higher)[i] = sum;
+        }
+      };
+      MPI_Op_create(add, false, &made);
+      return made;
+    }();
+    reduce(values.data(), values.size(), adding);
+  }
+  /// For each place the bits that any rank has set: the value itself where all others hold zeros.
+  void unite_each(std::vector<std::int64_t>& values) const { reduce(values.data(), values.size(), MPI_BOR); }
   /// The largest value and the lowest rank that holds it.
   std::pair<Real, int> largest_and_rank(Real value) const;
 
@@ -116,6 +136,27 @@ class Communicator {
   /// dynamic sparse data exchange", PPoPP 2010). In the order of ranks.
   std::vector<std::pair<int, std::int64_t>> announced(std::vector<std::pair<int, std::int64_t>> const& to) const;
 
+  /// What each rank of `from` sends this one, in that order, where only the senders know how much; `to`: what this one
+  /// sends, by rank. Empty lists travel too: whom a rank expects something from sends it.
+  template <class T>
+  std::vector<T> swapped(std::map<int, std::vector<T>> const& to, std::vector<int> const& from) const {
+    std::vector<MPI_Request> sending;
+    for (auto const& [rank, values] : to)
+      send_list(values.data(), values.size(), sizeof(T), datatype<T>(), rank, sending.emplace_back());
+    std::vector<T> out;
+    for (int rank : from) {
+      MPI_Message message;
+      std::size_t const count = wait_for_list(rank, datatype<T>(), message), before = out.size();
+      out.resize(before + count);
+      take_list(out.data() + before, count, datatype<T>(), message);
+    }
+    wait(sending);
+    return out;
+  }
+
+  /// Count a message to a rank in the traffic of this process. Local.
+  void count_sent(int rank, std::size_t bytes) const;
+
   /// End all ranks with one sentence, which says that this rank failed. Local; does not return.
   [[noreturn]] void abort(std::string const& what) const;
 
@@ -133,6 +174,11 @@ class Communicator {
     MPI_Allreduce(MPI_IN_PLACE, values, int(count), datatype<T>(), op, comm_);
   }
   std::vector<int> counts(std::size_t mine) const;
+  void send_list(void const* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
+                 MPI_Request& request) const;
+  std::size_t wait_for_list(int rank, MPI_Datatype type, MPI_Message& message) const;
+  void take_list(void* into, std::size_t count, MPI_Datatype type, MPI_Message& message) const;
+  static void wait(std::vector<MPI_Request>& requests);
   void count_collective() const {
     if (ranks_ > 1) ++traffic().collectives;
   }

@@ -1,5 +1,6 @@
 #include "mesh/cluster.hpp"
 
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/vector.h>
 
 #include "bind/bind.hpp"
@@ -44,6 +45,40 @@ void bind_cluster(nb::module_& m) {
         return out;
       },
       "hierarchy"_a, "tags"_a, "fixed"_a, "max_levels"_a, "buffer"_a, "nesting"_a, "efficiency"_a);
+
+  nb::class_<BoxTable>(m, "BoxTable", "Disjoint boxes of a level, and a look-up by cells.")
+      .def(
+          "__init__",
+          [](BoxTable* self, bind::IntRows boxes) {
+            auto rows = bind::to_boxes(boxes);
+            nb::gil_scoped_release release;
+            new (self) BoxTable(std::move(rows));
+          },
+          "boxes"_a)
+      .def(
+          "meeting",
+          [](BoxTable const& table, Index3 lower, Index3 upper) {
+            return bind::to_array(table.meeting({lower, upper}));
+          },
+          "lower"_a, "upper"_a, "Ascending numbers of the boxes that have cells of a region.")
+      .def(
+          "meets",
+          [](BoxTable const& table, bind::IntRows regions) {
+            std::vector<std::uint8_t> out;
+            for (Box const& region : bind::to_boxes(regions)) out.push_back(table.meets(region));
+            return bind::to_array(std::move(out));
+          },
+          "regions"_a, "Whether a box has a cell of each region, a byte per region.")
+      .def(
+          "find",
+          [](BoxTable const& table, bind::IntRows cells) {
+            std::vector<int> out;
+            for (std::size_t n = 0; n < cells.shape(0); ++n)
+              out.push_back(table.find({cells(n, 0), cells(n, 1), cells(n, 2)}));
+            return bind::to_array(std::move(out));
+          },
+          "cells"_a, "The box that holds each cell, -1 if none does.")
+      .def_prop_ro("outer_faces", &outer_faces, "Number of cell faces on the surface of the union of the boxes.");
 
   m.def("carry_over", &carry_over, nb::call_guard<nb::gil_scoped_release>(), "from_"_a, "to"_a);
 }

@@ -27,9 +27,9 @@ void bind_field(nb::module_& m) {
           "average_down", [](Field& field) { Transfer(field.share_hierarchy()).average_down({&field}); },
           nb::call_guard<nb::gil_scoped_release>())
       .def(
-          "integral", [](Field const& field) { return integral(field); }, nb::call_guard<nb::gil_scoped_release>())
+          "own_integral", [](Field const& field) { return integral(field); }, nb::call_guard<nb::gil_scoped_release>())
       .def(
-          "integral_with", [](Field const& field, Field const& other) { return integral(field, other); }, "other"_a,
+          "own_integral_with", [](Field const& field, Field const& other) { return integral(field, other); }, "other"_a,
           nb::call_guard<nb::gil_scoped_release>())
       .def(
           "sample",
@@ -62,6 +62,6 @@ void bind_field(nb::module_& m) {
           },
           "x"_a, "y"_a, "z"_a)
       .def(
-          "integral_of_square", [](ElectricField const& field) { return integral_of_square(field); },
+          "own_integral_of_square", [](ElectricField const& field) { return integral_of_square(field); },
           nb::call_guard<nb::gil_scoped_release>());
 }

@@ -1,6 +1,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <complex>
@@ -10,6 +11,8 @@
 #include "freespace/density.hpp"
 #include "freespace/free_space.hpp"
 #include "freespace/lattice_green.hpp"
+#include "freespace/wall_counts.hpp"
+#include "operators/walls.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -18,16 +21,77 @@ using namespace amrpic::freespace;
 
 namespace {
 
-using Ints = nb::ndarray<int const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Values = nb::ndarray<double const, nb::ndim<3>, nb::f_contig, nb::device::cpu>;
 using Moments = nb::ndarray<std::complex<double> const, nb::shape<harmonic_count>, nb::c_contig, nb::device::cpu>;
-
-Point point(bind::RealRows const& rows, std::size_t n) { return {rows(n, 0), rows(n, 1), rows(n, 2)}; }
 
 nb::ndarray<nb::numpy, std::complex<double>> from_moments(Harmonics<double> const& moments) {
   std::vector<std::complex<double>> out;
   for (auto const& m : moments) out.emplace_back(m.re, m.im);
   return bind::to_array(std::move(out));
+}
+
+/// The free space around a mesh, with the faces behind which its potential is wanted.
+struct OpenWalls {
+  struct AtLevel {
+    std::vector<int> faces, cells;
+    std::vector<std::size_t> places;
+  };
+  FreeSpace space;
+  std::shared_ptr<WallPlan const> plan;
+  std::vector<AtLevel> levels;
+
+  OpenWalls(std::shared_ptr<Hierarchy const> const& mesh, double acceptance, double lattice_limit, double separation)
+      : space(mesh->comm(), wall_mesh(*mesh).lattice, {acceptance, lattice_limit, Options{}.dropped, separation}),
+        plan(space.plan(wall_mesh(*mesh))) {
+    for (int l = 0; l < mesh->level_count(); ++l) {
+      AtLevel& at = levels.emplace_back();
+      for (auto const& face : find_walls(mesh->domain(), mesh->level(l)).faces) {
+        if (face.kind != Boundary::open) continue;
+        at.faces.push_back(2 * face.axis + face.side);
+        at.cells.insert(at.cells.end(), face.cell.begin(), face.cell.end());
+        at.places.push_back(plan->place(at.faces.back(), l, face.cell));
+      }
+    }
+  }
+  std::vector<double> values(Field const& density) {
+    return space.walls(*plan, charges_of(density, density.hierarchy(), 1.0));
+  }
+};
+
+/// The levels of a mesh as they would be on so many ranks; `first_boxes`: where the runs of each begin, or none.
+WallMesh shared_out(Hierarchy const& mesh, std::vector<std::vector<int>> const& first_boxes) {
+  WallMesh out = wall_mesh(mesh);
+  for (std::size_t l = 0; l < first_boxes.size(); ++l) {
+    Level const& level = out.level(int(l));
+    out.levels[l] = std::make_shared<Level const>(level.domain(), level.periodic(), level.spacing(), level.boxes(),
+                                                  first_boxes[l], 0);
+  }
+  return out;
+}
+
+nb::dict to_dict(WallCounts const& counts) {
+  nb::dict out;
+  out["patches"] = counts.patches;
+  out["far"] = counts.far;
+  out["near"] = counts.near;
+  out["nodes_received"] = counts.nodes_received;
+  out["leaves_received"] = counts.leaves_received;
+  std::int64_t messages = 0, bytes = 0;
+  auto const add = [&](char const* name, WallCounts::Sent const& sent) {
+    out[name] = std::array<std::int64_t, 2>{sent.messages, sent.bytes};
+    messages += sent.messages;
+    bytes += sent.bytes;
+  };
+  add("parts", counts.parts);
+  add("joins", counts.joins);
+  add("families", counts.families);
+  add("leaves", counts.leaves);
+  add("down", counts.down);
+  add("walls", counts.walls);
+  out["messages"] = messages;
+  out["bytes"] = bytes;
+  out["received_messages"] = counts.received_messages;
+  out["collectives"] = counts.collectives;
+  return out;
 }
 
 }  // namespace
@@ -74,77 +138,64 @@ void bind_freespace(nb::module_& m) {
   m.def("kernel_table_bytes", &kernel_table_bytes,
         "Bytes of the tables of near fields that are alive in this process.");
 
-  nb::class_<FreeSpace>(m, "FreeSpace")
+  nb::class_<OpenWalls>(m, "FreeSpace")
+      .def(nb::init<std::shared_ptr<Hierarchy const>, double, double, double>(), "hierarchy"_a,
+           "acceptance"_a = Options{}.acceptance, "lattice_limit"_a = Options{}.lattice_limit,
+           "separation"_a = Options{}.separation, nb::call_guard<nb::gil_scoped_release>())
       .def(
-          "__init__",
-          [](FreeSpace* self, int comm, Point lower, Point spacing, Cell cells, double acceptance, double lattice_limit,
-             double separation) {
-            Options options;
-            options.acceptance = acceptance;
-            options.lattice_limit = lattice_limit;
-            options.separation = separation;
-            new (self) FreeSpace(Communicator(MPI_Comm_f2c(comm)), Lattice{lower, spacing, cells}, options);
-          },
-          "comm"_a, "lower"_a, "spacing"_a, "cells"_a, "acceptance"_a = Options{}.acceptance,
-          "lattice_limit"_a = Options{}.lattice_limit, "separation"_a = Options{}.separation)
-      .def(
-          "set_charges",
-          [](FreeSpace& self, bind::RealRows positions, bind::Reals charges, Ints levels) {
-            nb::gil_scoped_release release;
-            std::vector<PointCharge> local(charges.size());
-            for (std::size_t n = 0; n < local.size(); ++n) local[n] = {point(positions, n), charges(n), levels(n)};
-            self.set_charges(local);
-          },
-          "positions"_a, "charges"_a, "levels"_a)
-      .def(
-          "set_box",
-          [](FreeSpace& self, int level, Cell lower, Values charges) {
-            nb::gil_scoped_release release;
-            Cell upper;
-            for (int d = 0; d < 3; ++d) upper[d] = lower[d] + int(charges.shape(d)) - 1;
-            self.set_charges(std::vector<ChargeBox>{{level, lower, upper, charges.data(), 1.0}});
-          },
-          "level"_a, "lower"_a, "charges"_a, "This rank's charges as one box of cells, x fastest.")
-      .def(
-          "set_density",
-          [](FreeSpace& self, Field const& density) {
-            self.set_charges(charges_of(density, density.hierarchy(), 1.0));
-          },
-          "density"_a, nb::call_guard<nb::gil_scoped_release>(),
-          "The charges of a density, over all levels; what it holds in covered cells does not count.")
-      .def(
-          "wall_planes",
-          [](FreeSpace const& self, std::array<bool, 6> open) {
-            std::array<std::vector<double>, 6> planes;
-            {
-              nb::gil_scoped_release release;
-              planes = self.wall_planes(open);
-            }
-            nb::list out;
-            for (int face = 0; face < 6; ++face) {
-              if (!open[face]) {
-                out.append(nb::none());
-                continue;
-              }
-              Cell const& cells = self.lattice().cells;
-              auto const axes = tangential_axes(face / 2);
-              out.append(
-                  bind::to_array(std::move(planes[face]), {std::size_t(cells[axes[1]]), std::size_t(cells[axes[0]])}));
-            }
-            return out;
-          },
-          "open"_a, "Per face an array (upper axis, lower axis), or None for walls that are not open.")
-      .def(
-          "potential",
-          [](FreeSpace const& self, bind::RealRows positions, Ints levels) {
+          "walls",
+          [](OpenWalls& self, Field const& density) {
             std::vector<double> values;
             {
               nb::gil_scoped_release release;
-              std::vector<PointTarget> local(levels.size());
-              for (std::size_t n = 0; n < local.size(); ++n) local[n] = {point(positions, n), levels(n)};
-              values = self.potential(local);
+              values = self.values(density);
             }
-            return bind::to_array(std::move(values));
+            nb::list out;
+            for (OpenWalls::AtLevel const& at : self.levels) {
+              std::vector<double> of_level;
+              for (std::size_t place : at.places) of_level.push_back(values[place]);
+              std::size_t const n = at.faces.size();
+              out.append(nb::make_tuple(bind::to_array(std::vector<int>(at.faces)),
+                                        bind::to_array(std::vector<int>(at.cells), {n, 3}),
+                                        bind::to_array(std::move(of_level))));
+            }
+            return out;
           },
-          "positions"_a, "levels"_a);
+          "density"_a,
+          "Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis "
+          "+ "
+          "side; cells (n, 3); and values (n,), all of free space. Collective.");
+
+  nb::class_<WallGeometry>(m, "OpenWallPlans")
+      .def(
+          "__init__",
+          [](WallGeometry* self, std::shared_ptr<Hierarchy const> const& mesh,
+             std::vector<std::vector<int>> const& first_boxes) {
+            new (self) WallGeometry(shared_out(*mesh, first_boxes), Options{});
+          },
+          "hierarchy"_a, "first_boxes"_a = std::vector<std::vector<int>>{}, nb::call_guard<nb::gil_scoped_release>(),
+          "What all ranks know of the open walls of a mesh. `first_boxes`: per level, where the run of each rank "
+          "begins, ranks + 1 values, for ranks that need not exist; else those of the mesh. Local.")
+      .def(
+          "counts",
+          [](WallGeometry const& self, int rank, std::vector<std::array<Point, 2>> const& charged) {
+            if (rank < 0 || rank >= self.mesh.ranks())
+              throw std::invalid_argument("rank is " + std::to_string(rank) + "; it must be one of 0 to " +
+                                          std::to_string(self.mesh.ranks() - 1));
+            WallCounts found;
+            {
+              nb::gil_scoped_release release;
+              std::vector<ChargedRegion> regions;
+              for (auto const& [lower, upper] : charged) regions.push_back({lower, upper});
+              std::shared_ptr<WallGeometry const> const shared(&self, [](WallGeometry const*) {});
+              found = count(WallPlan(shared, rank), Options{}, regions);
+            }
+            return to_dict(found);
+          },
+          "rank"_a, "charged"_a = std::vector<std::array<Point, 2>>{},
+          "Counts of one solve on a rank, by the plan that a solve follows: patches evaluated, their interactions "
+          "`far` "
+          "and `near`, nodes and leaves received; messages and bytes sent, of each kind and of all; messages received; "
+          "bytes of each collective. Where charge is, blocks are taken to be full: in the regions `charged`, (lower, "
+          "upper) in cells of the base, or everywhere. Local.");
 }

@@ -2,30 +2,18 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
-#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include "base/error.hpp"
 #include "bind/bind.hpp"
+#include "bind/communicator.hpp"
 #include "bind/convert.hpp"
 #include "mesh/array_on_box.hpp"
+#include "mesh/cells_around.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
 using namespace nb::literals;
-
-namespace {
-
-/// The Fortran handle of a communicator, or a virtual rank and the number of ranks.
-using Ranks = std::variant<int, std::array<int, 2>>;
-
-Communicator communicator(Ranks const& ranks) {
-  if (auto const* handle = std::get_if<int>(&ranks)) return Communicator(MPI_Comm_f2c(*handle));
-  auto const& [rank, count] = std::get<1>(ranks);
-  return Communicator(rank, count);
-}
-
-}  // namespace
 
 void bind_hierarchy(nb::module_& m) {
   nb::exception<HierarchyError>(m, "HierarchyError");
@@ -34,20 +22,19 @@ void bind_hierarchy(nb::module_& m) {
   nb::class_<Hierarchy>(m, "Hierarchy")
       .def(
           "__init__",
-          [](Hierarchy* self, Ranks comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
-             std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor,
-             std::vector<bind::Reals> weights) {
+          [](Hierarchy* self, bind::Ranks comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
+             std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor, bind::IntRows base,
+             Hierarchy const* earlier) {
             Domain domain{lower, upper, cells, {}};
             for (int face = 0; face < 6; ++face) domain.boundary[face / 2][face % 2] = Boundary(boundary[face]);
             std::vector<std::vector<Box>> boxes;
             for (auto const& level : levels) boxes.push_back(bind::to_boxes(level));
-            std::vector<std::vector<Real>> loads;
-            for (auto const& w : weights) loads.emplace_back(w.data(), w.data() + w.size());
             nb::gil_scoped_release release;
-            new (self) Hierarchy(communicator(comm), domain, boxes, max_grid_size, blocking_factor, loads);
+            new (self) Hierarchy(bind::communicator(comm), domain, boxes, max_grid_size, blocking_factor,
+                                 bind::to_boxes(base), earlier);
           },
           "comm"_a, "lower"_a, "upper"_a, "cells"_a, "boundary"_a, "levels"_a, "max_grid_size"_a, "blocking_factor"_a,
-          "weights"_a)
+          "base"_a, "earlier"_a.none())
       .def(
           "seen_by", [](Hierarchy const& h, int rank) { return std::const_pointer_cast<Hierarchy>(h.seen_by(rank)); },
           "rank"_a, "The hierarchy of a virtual rank as another virtual rank has it.")
@@ -62,6 +49,16 @@ void bind_hierarchy(nb::module_& m) {
             return bind::to_array(std::move(out));
           },
           "level"_a)
+      .def(
+          "metadata_bytes", [](Hierarchy const& h, int level) { return h.level(level).share_table()->bytes(); },
+          "level"_a, "What the boxes of a level take on each rank, which levels with the same boxes share.")
+      .def(
+          "same_boxes",
+          [](Hierarchy const& h, Hierarchy const& other, int level) {
+            Level const &a = h.level(level), &b = other.level(level);
+            return a.share_table() == b.share_table() || a.boxes() == b.boxes();
+          },
+          "other"_a, "level"_a)
       .def(
           "local_boxes",
           [](Hierarchy const& h, int level) {
@@ -86,5 +83,18 @@ void bind_hierarchy(nb::module_& m) {
             nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<std::int8_t>*>(p); });
             return nb::ndarray<nb::numpy, std::int8_t>(kept->data(), 3, shape, owner, strides);
           },
-          "level"_a, "box"_a);
+          "level"_a, "box"_a)
+      .def(
+          "cells_around",
+          [](Hierarchy const& h, bind::RealRows points, bind::Reals radius) {
+            CellsAround found;
+            {
+              nb::gil_scoped_release release;
+              std::vector<Real3> places(points.shape(0));
+              for (std::size_t p = 0; p < places.size(); ++p) places[p] = {points(p, 0), points(p, 1), points(p, 2)};
+              found = cells_around(h, places, {radius.data(), radius.data() + radius.size()});
+            }
+            return nb::make_tuple(bind::to_array(std::move(found.start)), bind::to_array(std::move(found.cell)));
+          },
+          "points"_a, "radius"_a, "Starts and numbers of the uncovered cells within a radius of each point.");
 }

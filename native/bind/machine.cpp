@@ -11,10 +11,23 @@
 #include "base/destinations.hpp"
 #include "base/runtime.hpp"
 #include "bind/bind.hpp"
+#include "bind/communicator.hpp"
 #include "mesh/exchange.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
+
+namespace {
+
+/// A number that is added to those of other ranks, or of which the largest counts.
+struct Number {
+  amrpic::Real value;
+  amrpic::Real by_largest;
+
+  void add(Number const& other) { value = by_largest > 0 ? std::max(value, other.value) : value + other.value; }
+};
+
+}  // namespace
 
 void bind_machine(nb::module_& m) {
   m.def(
@@ -32,6 +45,22 @@ void bind_machine(nb::module_& m) {
       "The ranks that virtual ranks of this process have sent messages to since the last call.");
   m.def(
       "count_collective", [] { ++amrpic::traffic().collectives; }, "Count a collective call that Python makes.");
+  m.def(
+      "sums_and_largest",
+      [](amrpic::bind::Ranks comm, std::vector<amrpic::Real> const& summed, std::vector<amrpic::Real> const& compared) {
+        std::vector<Number> numbers;
+        for (amrpic::Real value : summed) numbers.push_back({value, 0});
+        for (amrpic::Real value : compared) numbers.push_back({value, 1});
+        {
+          nb::gil_scoped_release release;
+          amrpic::bind::communicator(comm).add_each(numbers);
+        }
+        std::vector<amrpic::Real> out;
+        for (Number const& number : numbers) out.push_back(number.value);
+        return out;
+      },
+      "comm"_a, "summed"_a, "compared"_a,
+      "The sums over all ranks of some numbers, and behind them the largest of others, in one reduction.");
   m.def(
       "exchange",
       [](int comm, std::vector<std::pair<int, std::int64_t>> const& asked,

@@ -8,6 +8,7 @@
 #include "bind/convert.hpp"
 #include "matrixfree/capacity.hpp"
 #include "matrixfree/composite.hpp"
+#include "matrixfree/cycle.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -124,6 +125,27 @@ void bind_matrixfree(nb::module_& m) {
       "boxes"_a, "halo"_a, "The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.");
   m.def("refusal_of_places", &matrixfree::refusal_of_places, "places"_a, "level"_a, "rank"_a,
         "What is wrong with so many padded cells of a level on a rank; empty if nothing is.");
+  nb::class_<matrixfree::LevelWork>(m, "LevelWork")
+      .def_ro("level", &matrixfree::LevelWork::level, "0: the base; negative below it.")
+      .def_ro("cells", &matrixfree::LevelWork::cells, "Of this rank.")
+      .def_ro("stored", &matrixfree::LevelWork::stored, "Cells with copies of others'.")
+      .def_ro("relaxed", &matrixfree::LevelWork::relaxed, "Cells relaxed; without copies, cells times sweeps.")
+      .def_ro("sweeps", &matrixfree::LevelWork::sweeps)
+      .def_ro("neighbours", &matrixfree::LevelWork::neighbours, "Ranks with which this one exchanges values.")
+      .def_prop_ro("messages", [](matrixfree::LevelWork const& w) { return w.traffic.messages; })
+      .def_prop_ro("bytes", [](matrixfree::LevelWork const& w) { return w.traffic.bytes; })
+      .def_prop_ro("collectives", [](matrixfree::LevelWork const& w) { return w.traffic.collectives; });
+  m.def(
+      "cycle_work",
+      [](std::shared_ptr<Hierarchy const> hierarchy, int pre_sweeps, int post_sweeps, Real screening,
+         Real3 const& stretch) {
+        nb::gil_scoped_release release;
+        auto const stretched = hierarchy->stretched(stretch);
+        return matrixfree::Cycle(stretched->comm(), *stretched, screening * screening, {pre_sweeps, post_sweeps})
+            .work();
+      },
+      "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
+      "What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.");
   nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")
       .def(
           "__init__",
@@ -175,5 +197,17 @@ void bind_matrixfree(nb::module_& m) {
             return laplacian.electric_field(std::move(potential), data, covered);
           },
           "potential"_a, "walls"_a, "covered"_a)
+      .def_prop_ro(
+          "sent_by_residual",
+          [](CompositeLaplacian const& l) {
+            return std::array{l.of_residual().messages, l.of_residual().bytes};
+          },
+          "Messages and bytes that this rank, which may be virtual, sends for a residual, besides its norm.")
+      .def_prop_ro(
+          "sent_by_add",
+          [](CompositeLaplacian const& l) {
+            return std::array{l.of_add().messages, l.of_add().bytes};
+          },
+          "The same for a correction that is added.")
       .def_prop_ro("bytes", &CompositeLaplacian::bytes);
 }

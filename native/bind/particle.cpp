@@ -4,14 +4,17 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include "bind/bind.hpp"
+#include "bind/communicator.hpp"
 #include "bind/convert.hpp"
 #include "particle/apertures.hpp"
 #include "particle/array_pool.hpp"
 #include "particle/beam_amplitudes.hpp"
 #include "particle/beam_moments.hpp"
+#include "particle/count_per_brick.hpp"
 #include "particle/deposit.hpp"
 #include "particle/gather.hpp"
 #include "particle/migrate.hpp"
@@ -82,28 +85,89 @@ void bind_particle(nb::module_& m) {
       .def(nb::init<std::shared_ptr<Hierarchy const>>(), "hierarchy"_a, nb::call_guard<nb::gil_scoped_release>())
       .def_prop_ro("slots", [](ParticleMesh const& mesh) { return mesh.boxes().size(); });
 
+  nb::class_<RemoteBricks>(m, "RemoteBricks")
+      .def(
+          "__init__",
+          [](RemoteBricks* self, std::shared_ptr<Hierarchy const> hierarchy) {
+            new (self) RemoteBricks(std::move(hierarchy), {});
+          },
+          "hierarchy"_a, "None.")
+      .def_prop_ro(
+          "bricks",
+          [](RemoteBricks const& self) {
+            std::vector<int> out;
+            for (Home const& brick : self.bricks()) out.insert(out.end(), {brick.level, brick.box, brick.brick});
+            return bind::to_array(std::move(out), {self.bricks().size(), 3});
+          },
+          nb::rv_policy::automatic, "Level, box, and number in the box, of each; int (n, 3).")
+      .def_prop_ro(
+          "cells",
+          [](RemoteBricks const& self) {
+            std::vector<Box> out;
+            for (Home const& brick : self.bricks()) out.push_back(cells_of(self.hierarchy(), brick));
+            return bind::from_boxes(out);
+          },
+          nb::rv_policy::automatic, "Those of each, in the indices of its level; int (n, 6).")
+      .def("__len__", [](RemoteBricks const& self) { return self.bricks().size(); });
+
+  m.def(
+      "brick_windows",
+      [](std::shared_ptr<Hierarchy const> hierarchy, bind::IntRows bricks, bool matched) {
+        BrickCurve const curve(hierarchy->domain());
+        std::vector<std::int64_t> places, parts;
+        for (std::size_t n = 0; n < bricks.shape(0); ++n) {
+          BrickWindows const of = windows_of(*hierarchy, {bricks(n, 0), bricks(n, 1), bricks(n, 2)}, matched);
+          places.push_back(curve.place(of.home.level, of.cells.lower));
+          for (Window const& window : of.windows)
+            for (Window::Part const& part : window.parts)
+              parts.insert(parts.end(), {std::int64_t(n), window.level, part.box, part.cells.cells()});
+        }
+        std::size_t const rows = parts.size() / 4;
+        return nb::make_tuple(bind::to_array(std::move(places)), bind::to_array(std::move(parts), {rows, 4}));
+      },
+      "hierarchy"_a, "bricks"_a, "matched"_a,
+      "What passes because of bricks, given by rows of level, box and number in it, where others serve them than own "
+      "the "
+      "cells: the place of each on the curve, and rows of brick, level, box and number of cells, of which the box's "
+      "owner "
+      "and the server exchange a component each way. From the boxes alone, whoever owns them.");
+
+  m.attr("END_OF_CURVE") = nb::int_(BrickCurve::end);
+  m.attr("PLACES_PER_BRICK") = nb::int_(BrickCurve::per_brick);
+
   nb::class_<Migration>(m, "Migration")
       .def(
           "__init__",
-          [](Migration* self, ParticleMesh& mesh, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
-             Row<std::int64_t const> id, Row<std::int64_t const> gone) {
+          [](Migration* self, ParticleMesh& mesh, Row<std::int64_t const> servers, ConstColumns position,
+             ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> gone) {
             nb::gil_scoped_release release;
             ParticleList const without{gone.data(), gone.data() + gone.shape(0)};
-            new (self) Migration(mesh, view(position, momentum, weight, id), without);
+            std::vector<std::int64_t> first(servers.data(), servers.data() + servers.shape(0));
+            Hierarchy const& hierarchy = mesh.hierarchy();
+            new (self) Migration(mesh, Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
+                                 view(position, momentum, weight, id), without);
           },
-          "mesh"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, nb::keep_alive<1, 2>(),
-          nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
+          "mesh"_a, "servers"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, nb::keep_alive<1, 2>(),
+          nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>(), nb::keep_alive<1, 7>())
       .def_prop_ro(
           "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
       .def_prop_ro("arriving", &Migration::arriving)
+      .def_prop_ro("bricks", &Migration::bricks)
       .def(
           "finish",
-          [](Migration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id,
-             Row<std::int64_t> starts) {
+          [](Migration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
             nb::gil_scoped_release release;
-            return self.finish(view(position, momentum, weight, id), starts.data());
+            return self.finish(view(position, momentum, weight, id));
           },
-          "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a);
+          "position"_a, "momentum"_a, "weight"_a, "id"_a)
+      .def_prop_ro(
+          "starts", [](Migration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
+      .def(
+          "remote",
+          [](Migration const& self, std::shared_ptr<Hierarchy const> hierarchy) {
+            return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote());
+          },
+          "hierarchy"_a);
 
   nb::enum_<Aperture::Hole>(m, "Hole")
       .value("ellipse", Aperture::Hole::ellipse)
@@ -131,19 +195,18 @@ void bind_particle(nb::module_& m) {
       "planes"_a, "start"_a, "end"_a, "start_offset"_a, "end_offset"_a);
 
   m.def(
-      "count_per_box",
+      "count_per_brick",
       [](std::shared_ptr<Hierarchy const> hierarchy, ConstColumns position) {
-        std::vector<std::vector<std::int64_t>> counts;
+        std::vector<std::int64_t> places, counts;
         {
           nb::gil_scoped_release release;
           Locator locator(std::move(hierarchy));
-          counts = count_per_box(locator, columns(position), std::int64_t(position.shape(0)));
+          for (BrickCount const& brick : count_per_brick(locator, columns(position), std::int64_t(position.shape(0))))
+            places.push_back(brick.place), counts.push_back(brick.count);
         }
-        nb::list out;
-        for (auto& level : counts) out.append(bind::to_array(std::move(level)));
-        return out;
+        return nb::make_tuple(bind::to_array(std::move(places)), bind::to_array(std::move(counts)));
       },
-      "hierarchy"_a, "position"_a);
+      "hierarchy"_a, "position"_a, "Places on the curve, ascending, and numbers of particles.");
 
   nb::enum_<Shape>(m, "Shape")
       .value("nearest_grid_point", Shape::nearest_grid_point)
@@ -152,34 +215,37 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "deposit",
-      [](ParticleMesh& mesh, Shape shape, bool matched, ConstColumns position, ConstColumns momentum,
-         OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts, Real charge,
-         Field& density) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ConstColumns position,
+         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
+         Real charge, Field& density) {
         nb::gil_scoped_release release;
-        deposit(mesh, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
+        deposit(mesh, remote, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
       },
-      "mesh"_a, "shape"_a, "matched"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "charge"_a,
-      "density"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
+      "charge"_a, "density"_a);
 
   m.def(
       "gather",
-      [](ParticleMesh& mesh, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
-         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         Columns out) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field,
+         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
-        gather(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), columns(out));
+        gather(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(),
+               columns(out));
       },
-      "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a, "out"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
+      "starts"_a, "out"_a);
 
   nb::enum_<Pusher>(m, "Pusher").value("boris", Pusher::boris).value("higuera_cary", Pusher::higuera_cary);
 
   m.def(
       "push",
-      [](ParticleMesh& mesh, Shape shape, bool matched, ElectricField const& field, ConstColumns position,
-         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after, Real flight, Pusher pusher,
-         Real3 beta, std::optional<ConstColumns> electric, std::optional<ConstColumns> magnetic, Columns momentum_out,
-         Columns position_out, std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field,
+         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         Row<std::int64_t const> starts, OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after,
+         Real flight, Pusher pusher, Real3 beta, std::optional<ConstColumns> electric,
+         std::optional<ConstColumns> magnetic, Columns momentum_out, Columns position_out,
+         std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
         nb::gil_scoped_release release;
         auto const if_given = [](auto const& array) { return array ? columns(*array) : std::array<Real*, 3>{}; };
         Motion const motion{charge.data(),
@@ -194,13 +260,13 @@ void bind_particle(nb::module_& m) {
                             external,
                             time,
                             shift};
-        push(mesh, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
+        push(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
              {columns(momentum_out), columns(position_out), if_given(between)});
       },
-      "mesh"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a, "electric"_a.none(),
-      "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(), "external"_a.none(), "time"_a,
-      "shift"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
+      "starts"_a, "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a,
+      "electric"_a.none(), "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(),
+      "external"_a.none(), "time"_a, "shift"_a);
   m.def(
       "push_one",
       [](Real3 position, Real3 momentum, Real charge, Real mass, Real before, Real after, Real flight, Pusher pusher,
@@ -224,12 +290,12 @@ void bind_particle(nb::module_& m) {
       .def_ro("xu", &BeamSums<Real>::xu);
   m.def(
       "beam_sums",
-      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          OnePerParticle mass, ConstColumns later, Real share) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
-        return beam_sums(Communicator(MPI_Comm_f2c(comm)), beam);
+        return beam_sums(bind::communicator(comm), beam);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
 
@@ -251,19 +317,19 @@ void bind_particle(nb::module_& m) {
       .def_ro("highest", &BeamMoments::highest);
   m.def(
       "beam_moments",
-      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
-        return beam_moments(Communicator(MPI_Comm_f2c(comm)), beam, parts);
+        return beam_moments(bind::communicator(comm), beam, parts);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a);
   m.def("joined_moments", &joined_moments, "parts"_a);
   m.def(
       "amplitude_quantiles",
-      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts,
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+         OnePerParticle mass, ConstColumns later, Real share, std::vector<BeamParts> const& layers,
          std::vector<std::array<Real, 6>> const& centres, std::vector<std::array<Real3, 3>> const& forms,
          std::vector<std::array<Real, amplitude_kinds>> const& typical, std::vector<Real> const& fractions) {
         nb::gil_scoped_release release;
@@ -272,9 +338,9 @@ void bind_particle(nb::module_& m) {
         std::vector<AmplitudeFrame> frames;
         for (std::size_t part = 0; part < centres.size(); ++part)
           frames.push_back({centres[part], forms[part], typical[part]});
-        return amplitude_quantiles(Communicator(MPI_Comm_f2c(comm)), beam, parts, frames, fractions);
+        return amplitude_quantiles(bind::communicator(comm), beam, layers, frames, fractions);
       },
-      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a, "centres"_a,
+      "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "layers"_a, "centres"_a,
       "forms"_a, "typical"_a, "fractions"_a);
 
   m.def(

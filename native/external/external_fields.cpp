@@ -121,15 +121,38 @@ void add_one(Of const& of, Slab const& extent, Flight<V> const& flight, Turn con
   if constexpr (Of::has_edges) add_edges(of, extent, flight, segment, to_laboratory, to.edges);
 }
 
+/// Whether a field is the same all over its extent.
+template <class Of>
+bool is_uniform(Of const&) {
+  return false;
+}
+bool is_uniform(Uniform const&) { return true; }
+bool is_uniform(Dipole const& of) { return of.is_hard(); }
+bool is_uniform(Solenoid const& of) { return of.is_hard(); }
+
+/// Add one field at places that all lie inside its extent, whose axes are those of the laboratory.
+template <class Of>
+void add_inside(Of const& of, Frame const& frame, Real time, Places& at) {
+  Fields<Lanes> there;
+  for (std::size_t n = 0; n < at.count; ++n) {
+    if (n == 0 || !is_uniform(of)) there = field(of, place_seen_from(frame, false, at.x[n]), time);
+    if (of.electric()) at.E[n] = sum(at.E[n], there.E);
+    if (of.magnetic()) at.B[n] = sum(at.B[n], there.B);
+  }
+}
+
 /// Add one field at places of which z lies in an interval. Return whether any is nearer to a hard end than `reach`.
 template <class Of>
 bool add_at(Of const& of, Element const& element, Interval const& z, bool turned, Real time, Real reach, Places& at) {
   Slab const &extent = element.extent, around = extent.grown(reach), inside = extent.grown(-reach);
   Real const origin = element.frame.origin[2];
-  bool const whole =
-      extent.everywhere() || (!turned && extent.is_straight() && z.lower >= origin + inside.lower.place &&
-                              z.upper < origin + inside.upper.place);
-  bool const ends = of.is_hard() && !whole;
+  bool const whole = extent.everywhere() || (extent.is_straight() && z.lower >= origin + inside.lower.place &&
+                                             z.upper < origin + inside.upper.place);
+  if (whole && !turned) {
+    add_inside(of, element.frame, time, at);
+    return false;
+  }
+  bool const ends = of.is_hard() && !extent.everywhere();
   Lanes any_near{};
   for (std::size_t n = 0; n < at.count; ++n) {
     Vector3<Lanes> const x = place_seen_from(element.frame, turned, at.x[n]);
@@ -140,7 +163,7 @@ bool add_at(Of const& of, Element const& element, Interval const& z, bool turned
     }
     auto const add = [&](Vector3<Lanes>& sums, Vector3<Lanes> const& own) {
       Vector3<Lanes> const more = turned ? in_laboratory(element.frame, own) : own;
-      for (std::size_t d = 0; d < 3; ++d) sums[d] += whole ? more[d] : zero_unless(contains(extent, x), more[d]);
+      for (std::size_t d = 0; d < 3; ++d) sums[d] += zero_unless(contains(extent, x), more[d]);
     };
     auto const there = field(of, x, time);
     if (of.electric()) add(at.E[n], there.E);

@@ -157,16 +157,25 @@ Harmonics<double> moments_about_centre(BlockCharges const& charges, Leaf const& 
 
 }  // namespace
 
+void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to) {
+  BlockPart const part{block_of(box.level, first), &box, first, last};
+  BlockCharges block{};
+  fill(part, block);
+  for (int k = first[2]; k <= last[2]; ++k)
+    for (int j = first[1]; j <= last[1]; ++j)
+      to = std::copy_n(block.data() + place_in_block({first[0], j, k}), last[0] - first[0] + 1, to);
+}
+
 void ChargeBlocks::clear() {
   leaves_.clear();
   place_.clear();
   charges_.clear();
 }
 
-bool ChargeBlocks::is_kept(BlockKey const& key) const {
+bool is_near_wall(Lattice const& lattice, Cell const& near, BlockKey const& key) {
   for (int d = 0; d < 3; ++d) {
-    int const first = key.place[d] * block_edge, end = lattice_.cells[d] << key.level;
-    if (first < kept_[d] || first + block_edge > end - kept_[d]) return true;
+    int const first = key.place[d] * block_edge, end = lattice.cells[d] << key.level;
+    if (first < near[d] || first + block_edge > end - near[d]) return true;
   }
   return false;
 }
@@ -176,38 +185,21 @@ void ChargeBlocks::add(BlockKey const& key, BlockCharges const& charges) {
   if (leaf.magnitude == 0) return;
   leaves_.push_back({leaf, moments_about_centre(charges, leaf, shape_)});
   place_.push_back(-1);
-  if (!is_kept(key)) return;
+  if (!is_near_wall(lattice_, kept_, key)) return;
   place_.back() = int(charges_.size());
   charges_.push_back(charges);
 }
 
-void ChargeBlocks::assign(std::vector<PointCharge> const& charges) {
-  struct Item {
-    BlockKey key;
-    int place;
-    double charge;
-  };
-  std::vector<Item> items;
-  for (PointCharge const& charge : charges) {
-    if (charge.charge == 0) continue;
-    Cell const cell = lattice_.cell_at(charge.position, charge.level);
-    items.push_back({block_of(charge.level, cell), place_in_block(cell), charge.charge});
-  }
-  std::stable_sort(items.begin(), items.end(), [](Item const& a, Item const& b) { return a.key < b.key; });
-  clear();
-  for (auto first = items.begin(); first != items.end();) {
-    BlockKey const key = first->key;
-    BlockCharges block{};
-    for (; first != items.end() && first->key == key; ++first) block[first->place] += first->charge;
-    add(key, block);
-  }
-}
-
-void ChargeBlocks::assign(std::vector<ChargeBox> const& boxes) {
+void ChargeBlocks::assign(std::vector<ChargeBox> const& boxes, std::vector<BlockKey> const& foreign) {
+  auto const is_foreign = [&](BlockKey const& key) { return std::binary_search(foreign.begin(), foreign.end(), key); };
   std::vector<BlockPart> whole, shared;  // blocks of one box, and of several perhaps
   for (ChargeBox const& box : boxes)
     for_each_part(box, [&](BlockPart const& part) {
-      if (has_uncovered(part)) (part.is_whole() ? whole : shared).push_back(part);
+      if (!has_uncovered(part)) return;
+      if (part.is_whole())
+        whole.push_back(part);
+      else if (!is_foreign(part.key))
+        shared.push_back(part);
     });
   clear();
   BlockCharges block;

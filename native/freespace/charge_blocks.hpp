@@ -27,13 +27,6 @@ struct BlockKey {
   bool operator<(BlockKey const& o) const;
 };
 
-/// A charge at a cell centre of its level.
-struct PointCharge {
-  Point position;
-  double charge;
-  int level;
-};
-
 /// Charges of a box of cells of one level, x fastest: `factor` times `values`. Cells in `covered` do not count.
 struct ChargeBox {
   struct CellRange {
@@ -45,6 +38,9 @@ struct ChargeBox {
   double factor;
   std::vector<CellRange> covered{};
 };
+
+/// Write the charges of the cells `first` .. `last` of a box, which lie in one block, x fastest.
+void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to);
 
 /// A block with charge.
 struct Leaf {
@@ -65,16 +61,18 @@ struct LeafMoments {
   Harmonics<double> moments;  ///< about its centre
 };
 
-/// The blocks of this rank that hold charge. Boxes do not overlap; points at one place add up.
+/// Whether a block comes as near to a wall as `near` cells of its level.
+bool is_near_wall(Lattice const& lattice, Cell const& near, BlockKey const& key);
+
+/// The blocks of this rank that hold charge. Boxes do not overlap.
 class ChargeBlocks {
  public:
   /// Charges are kept in blocks that come as near to a wall as `kept` cells of their level.
   ChargeBlocks(Lattice const& lattice, Cell const& kept) : lattice_(lattice), shape_(lattice.shape()), kept_(kept) {}
 
-  void assign(std::vector<PointCharge> const& charges);
-  void assign(std::vector<ChargeBox> const& boxes);
+  /// What lies in the blocks `foreign`, ascending, belongs to other ranks and does not count.
+  void assign(std::vector<ChargeBox> const& boxes, std::vector<BlockKey> const& foreign);
 
-  /// With charge of this rank alone.
   std::vector<LeafMoments> const& leaves() const { return leaves_; }
   bool has_charges(std::size_t leaf) const { return place_[leaf] >= 0; }
   BlockCharges const& charges(std::size_t leaf) const { return charges_[std::size_t(place_[leaf])]; }
@@ -82,7 +80,6 @@ class ChargeBlocks {
  private:
   void clear();
   void add(BlockKey const& key, BlockCharges const& charges);
-  bool is_kept(BlockKey const& key) const;
 
   Lattice lattice_;
   Point shape_;

@@ -1,27 +1,32 @@
 #include "freespace/free_space.hpp"
 
 #include <algorithm>
-#include <stdexcept>
-
-#include "base/communicator.hpp"
-#include "base/error.hpp"
+#include <cmath>
+#include <cstring>
+#include <map>
 
 namespace amrpic::freespace {
 
 namespace {
 
-/// The patches of this rank: consecutive ones, with an equal part of the work.
-std::array<std::size_t, 2> patches_of_rank(Communicator const& comm, std::vector<Interactions> const& interactions) {
-  int const rank = comm.rank(), ranks = comm.ranks();
-  double total = 0;
-  for (Interactions const& of_patch : interactions) total += of_patch.cost();
-  std::array<std::size_t, 2> out{interactions.size(), interactions.size()};
-  double before = 0;
-  for (std::size_t p = 0; p < interactions.size(); ++p) {
-    for (int end : {0, 1})
-      if (before >= total * (rank + end) / ranks && rank + end < ranks) out[end] = std::min(out[end], p);
-    before += interactions[p].cost();
+/// Call f(found, gift) for blocks found on this rank that are among some gifts; both are ascending.
+template <class F>
+void for_each_gift(OctreeBuilder const& builder, std::vector<Gift> const& gifts, F&& f) {
+  auto found = std::vector<OctreeBuilder::Found>::const_iterator();
+  int grid = -1;
+  for (Gift const& gift : gifts) {
+    auto const& of_grid = builder.found(gift.block.grid);
+    if (gift.block.grid != grid) found = of_grid.begin(), grid = gift.block.grid;
+    while (found != of_grid.end() && by_place(found->place, gift.block.place)) ++found;
+    if (found != of_grid.end() && found->place == gift.block.place) f(*found, gift);
   }
+}
+
+/// A list for each rank that expects one.
+template <class T>
+std::map<int, std::vector<T>> lists_for(std::vector<int> const& ranks) {
+  std::map<int, std::vector<T>> out;
+  for (int rank : ranks) out[rank];
   return out;
 }
 
@@ -31,111 +36,199 @@ FreeSpace::FreeSpace(Communicator const& comm, Lattice const& lattice, Options c
     : comm_(comm),
       lattice_(lattice),
       options_(options),
-      charges_{ChargeBlocks(lattice, near_cells(lattice, options)), {}, {}},
       evaluate_(std::make_unique<TreePotential const>(lattice, 0, options)) {}
 
-void FreeSpace::set_charges(std::vector<PointCharge> const& local) {
-  bool outside = false;
-  for (PointCharge const& charge : local) {
-    Cell const cell = lattice_.cell_at(charge.position, charge.level);
-    for (int d = 0; d < 3; ++d)
-      outside = outside || (charge.charge != 0 && (cell[d] < 0 || cell[d] >= (lattice_.cells[d] << charge.level)));
+std::shared_ptr<WallPlan const> FreeSpace::plan(WallMesh const& mesh) const {
+  return std::make_shared<WallPlan const>(std::make_shared<WallGeometry const>(mesh, options_), comm_.rank());
+}
+
+std::vector<double> FreeSpace::walls(WallPlan const& plan, std::vector<ChargeBox> const& local) {
+  ChargeBlocks const blocks = own_charges(plan, local);
+  OctreeBuilder builder = leaves_of(plan, blocks);
+  join_upwards(plan, builder);
+  auto const near = leaves_of_others(plan, builder, blocks);
+  Octree const tree = builder.finish(children_of_others(plan, builder));
+  std::vector<double> values;
+  try {
+    values = evaluate_->at({tree, blocks, near}, plan.patches, plan.is_own);
+  } catch (std::exception const& e) {
+    if (comm_.ranks() == 1) throw;
+    comm_.abort(e.what());
   }
-  if (comm_.any(outside))
-    throw SolverError("open boundary: a charge lies outside the domain; remove lost particles before the solve");
-  charges_.blocks.assign(local);
-  build_tree();
+  interpolate_down(plan, values);
+  return at_own_walls(plan, values);
 }
 
-void FreeSpace::set_charges(std::vector<ChargeBox> const& local) {
-  charges_.blocks.assign(local);
-  build_tree();
+/// The blocks of this rank, with what other ranks hold of them.
+ChargeBlocks FreeSpace::own_charges(WallPlan const& plan, std::vector<ChargeBox> local) const {
+  std::vector<double> received;
+  std::vector<Parcel> asked, wanted;
+  std::vector<std::size_t> first;
+  for (LeafPart const& part : plan.parts_out) asked.push_back({part.rank, part.cells.cells()});
+  for (LeafPart const& part : plan.parts_in) {
+    wanted.push_back({part.rank, part.cells.cells()});
+    first.push_back(received.size());
+    received.resize(received.size() + std::size_t(part.cells.cells()));
+  }
+  Exchange<double> const exchange(comm_, asked, wanted);
+  exchange.update(
+      [&](std::size_t n, double* to) {
+        LeafPart const& part = plan.parts_out[n];
+        copy_charges(local[std::size_t(part.box)], part.cells.lower, part.cells.upper, to);
+      },
+      [&](std::size_t n, double const* from) {
+        std::copy_n(from, plan.parts_in[n].cells.cells(), received.data() + first[n]);
+      });
+  for (std::size_t n = 0; n < first.size(); ++n) {
+    LeafPart const& part = plan.parts_in[n];
+    local.push_back({part.key.level, part.cells.lower, part.cells.upper, received.data() + first[n], 1.0});
+  }
+  ChargeBlocks out(lattice_, near_cells(lattice_, options_));
+  out.assign(local, plan.foreign);
+  return out;
 }
 
-void FreeSpace::build_tree() {
-  Point const shape = lattice_.shape();
-  charges_.leaves = agree_on_leaves(comm_, charges_.blocks, shape, options_.dropped);
-  charges_.tree = build_octree(charges_.leaves, shape);
-  int const finest = charges_.leaves.empty() ? 0 : charges_.leaves.back().leaf.key.level;
+/// The leaves that count. The weakest do not while they sum to less than `dropped` of all |q|: by whole octaves of
+/// magnitude, since a choice between leaves that differ only by rounding would depend on the number of ranks.
+OctreeBuilder FreeSpace::leaves_of(WallPlan const& plan, ChargeBlocks const& blocks) {
+  std::vector<double> sums(octaves + most_levels, 0.0);
+  for (auto const& [leaf, moments] : blocks.leaves()) {
+    sums[std::size_t(std::ilogb(leaf.magnitude) - lowest_octave)] += leaf.magnitude;
+    sums[std::size_t(octaves + leaf.key.level)] += 1;
+  }
+  comm_.sum_each(sums);
+  double total = 0;
+  for (int n = 0; n < octaves; ++n) total += sums[std::size_t(n)];
+  int weakest = 0;
+  for (double sum = 0; weakest < octaves && (sum += sums[std::size_t(weakest)]) < options_.dropped * total;) ++weakest;
+  int finest = 0;
+  for (int level = 0; level < most_levels; ++level)
+    if (sums[std::size_t(octaves + level)] > 0) finest = level;
   if (evaluate_->finest() < finest) evaluate_ = std::make_unique<TreePotential const>(lattice_, finest, options_);
-}
 
-std::array<std::vector<double>, 6> FreeSpace::wall_planes(std::array<bool, 6> const& open) const {
-  std::array<std::vector<double>, 6> out;
-  std::vector<GhostBlock> blocks;
-  auto const count = [](int cells) { return (cells + patch_points - 1) / patch_points; };
-  for (int face = 0; face < 6; ++face) {
-    if (!open[face]) continue;
-    auto const [u, v] = plane_axes(face / 2);
-    out[face].resize(std::size_t(lattice_.cells[u]) * lattice_.cells[v]);
-    for (int j = 0; j < count(lattice_.cells[v]); ++j)
-      for (int i = 0; i < count(lattice_.cells[u]); ++i) blocks.push_back({face, 0, {i, j}});
-  }
-  auto const values = ghosts(blocks);
-  for (std::size_t b = 0; b < blocks.size(); ++b) {
-    auto const [u, v] = plane_axes(blocks[b].face / 2);
-    int const width = lattice_.cells[u], i = blocks[b].place[0] * patch_points;
-    for (int row = 0; row < patch_points; ++row) {
-      int const j = blocks[b].place[1] * patch_points + row;
-      if (j >= lattice_.cells[v]) break;
-      std::copy_n(values.data() + b * patch_values + row * patch_points, std::min(patch_points, width - i),
-                  out[blocks[b].face].data() + std::size_t(width) * j + i);
-    }
+  std::vector<int> order;
+  for (std::size_t n = 0; n < blocks.leaves().size(); ++n)
+    if (weakest == octaves || std::ilogb(blocks.leaves()[n].leaf.magnitude) >= lowest_octave + weakest)
+      order.push_back(int(n));
+  std::sort(order.begin(), order.end(), [&](int a, int b) {
+    return blocks.leaves()[std::size_t(a)].leaf.key < blocks.leaves()[std::size_t(b)].leaf.key;
+  });
+  BlockGrids const& grids = plan.geometry().grids;
+  OctreeBuilder out(grids, blocks.leaves().size());
+  Point const shape = lattice_.shape();
+  for (int n : order) {
+    LeafMoments const& part = blocks.leaves()[std::size_t(n)];
+    out.add_leaf(grids.leaves(part.leaf.key.level), part.leaf.key.place, leaf_member(part, n, shape));
   }
   return out;
 }
 
-std::vector<double> FreeSpace::potential(std::vector<PointTarget> const& local) const {
-  struct NumberedGhost {
-    GhostBlock block;
-    int number;  ///< in the block
+/// Join blocks grid by grid at the ranks they belong to, then what is known everywhere.
+void FreeSpace::join_upwards(WallPlan const& plan, OctreeBuilder& builder) const {
+  WallGeometry const& geometry = plan.geometry();
+  for (int grid = 0; grid < geometry.grids.count(); ++grid) {
+    BlockGrid const& of = geometry.grids[grid];
+    if (of.is_leaf() && grid != geometry.top) continue;
+    auto to = lists_for<NodeRecord>(plan.joins[std::size_t(grid)].to);
+    std::vector<NodeRecord> received;
+    auto const is_away = [&](Block const& child) {
+      auto const& away = plan.upwards[std::size_t(child.grid)];
+      auto const place = std::lower_bound(away.begin(), away.end(), Gift{child, -1});
+      return place != away.end() && place->block == child;
+    };
+    if (!of.is_leaf()) {
+      for (int child : {of.finer, of.own})
+        if (child >= 0)
+          for_each_gift(builder, plan.upwards[std::size_t(child)], [&](auto const& found, Gift const& gift) {
+            to[gift.rank].push_back({gift.block, packed(builder.member(found))});
+          });
+      received = comm_.swapped(to, plan.joins[std::size_t(grid)].from);
+      builder.join(grid, received, [&](Block const& child) { return !is_away(child); });
+    }
+    if (grid == geometry.top && comm_.ranks() > 1) builder.add_found(grid, known_on_all(geometry, builder));
+  }
+}
+
+/// The nodes of all blocks of the top.
+std::vector<NodeRecord> FreeSpace::known_on_all(WallGeometry const& geometry, OctreeBuilder const& builder) const {
+  constexpr std::size_t words = sizeof(NodeRecord::Content) / sizeof(std::int64_t);
+  int const top = geometry.top;
+  Cell const extent = geometry.grids.extent(top);
+  auto const number = [&](Cell const& p) { return std::size_t(p[0] + extent[0] * (p[1] + extent[1] * p[2])); };
+  std::vector<std::int64_t> all(std::size_t(extent[0] * extent[1] * extent[2]) * words, 0);
+  for (auto const& found : builder.found(top)) {
+    auto const content = packed(builder.member(found));
+    std::memcpy(all.data() + words * number(found.place), &content, sizeof content);
+  }
+  comm_.unite_each(all);
+  std::vector<NodeRecord> out;
+  Cell place;
+  for (place[2] = 0; place[2] < extent[2]; ++place[2])
+    for (place[1] = 0; place[1] < extent[1]; ++place[1])
+      for (place[0] = 0; place[0] < extent[0]; ++place[0]) {
+        NodeRecord record{{top, place}, {}};
+        std::memcpy(&record.content, all.data() + words * number(place), sizeof record.content);
+        if (record.content.magnitude > 0) out.push_back(record);
+      }
+  return out;
+}
+
+/// The children of blocks of other ranks that patches of this one may look into.
+std::vector<NodeRecord> FreeSpace::children_of_others(WallPlan const& plan, OctreeBuilder const& builder) const {
+  auto to = lists_for<NodeRecord>(plan.family_ranks.to);
+  for_each_gift(builder, plan.families, [&](auto const& found, Gift const& gift) {
+    builder.append_children(gift.block.grid, found, to[gift.rank]);
+  });
+  return comm_.swapped(to, plan.family_ranks.from);
+}
+
+/// The charges of leaves of other ranks that patches of this one may have to sum one by one.
+std::vector<LeafRecord> FreeSpace::leaves_of_others(WallPlan const& plan, OctreeBuilder const& builder,
+                                                    ChargeBlocks const& blocks) const {
+  auto to = lists_for<LeafRecord>(plan.leaf_ranks.to);
+  for_each_gift(builder, plan.leaves, [&](auto const& found, Gift const& gift) {
+    auto const leaf = std::size_t(builder.member(found).node.leaf);
+    if (blocks.has_charges(leaf)) to[gift.rank].push_back({blocks.leaves()[leaf].leaf.key, blocks.charges(leaf)});
+  });
+  return comm_.swapped(to, plan.leaf_ranks.from);
+}
+
+/// Add to the values of each patch what those of its parent are there, from the widest ones down.
+void FreeSpace::interpolate_down(WallPlan const& plan, std::vector<double>& values) const {
+  PatchInterpolation interpolation;
+  auto const at = [&values](int patch) { return values.data() + std::size_t(patch) * patch_values; };
+  auto const add = [&](int patch, double const* of_parent) {
+    GhostPatch const& child = plan.patches[std::size_t(patch)];
+    interpolation.add(plan.patches[std::size_t(child.parent)], of_parent, child, at(patch));
   };
-  std::vector<NumberedGhost> places;
-  std::vector<GhostBlock> mine;
-  bool is_no_ghost = false;
-  for (PointTarget const& target : local) {
-    places.push_back({});
-    auto& [block, number] = places.back();
-    Cell const cell = lattice_.cell_at(target.position, target.level);
-    block.level = target.level;
-    block.face = -1;
-    for (int d = 0; d < 3; ++d)
-      for (int side : {0, 1})
-        if (cell[d] == (side == 0 ? -1 : lattice_.cells[d] << target.level)) block.face = 2 * d + side;
-    if (block.face < 0) {
-      is_no_ghost = true;
-      break;
-    }
-    auto const [u, v] = plane_axes(block.face / 2);
-    block.place = {cell[u] / patch_points, cell[v] / patch_points};
-    number = cell[u] % patch_points + patch_points * (cell[v] % patch_points);
-    if (mine.empty() || !(mine.back() == block)) mine.push_back(block);
+  for (std::size_t generation = 1; generation < plan.down.size(); ++generation) {
+    Transfer const& step = plan.down[generation];
+    Exchange<double> const exchange(comm_, step.asked, step.wanted);
+    exchange.start([&](std::size_t n, double* to) { std::copy_n(at(step.give[n]), patch_values, to); });
+    for (int patch : plan.generations[generation])
+      if (plan.is_own[std::size_t(patch)] && plan.is_own[std::size_t(plan.patches[std::size_t(patch)].parent)])
+        add(patch, at(plan.patches[std::size_t(patch)].parent));
+    exchange.finish([&](std::size_t n, double const* from) { add(step.take[n], from); });
+    exchange.settle();
   }
-  if (comm_.any(is_no_ghost)) throw std::invalid_argument("FreeSpace: a target is no ghost behind a wall");
-  auto blocks = comm_.gather(mine).values;
-  std::sort(blocks.begin(), blocks.end());
-  blocks.erase(std::unique(blocks.begin(), blocks.end()), blocks.end());
-  auto const values = ghosts(blocks);
-  std::vector<double> out;
-  for (auto const& [block, number] : places) {
-    auto const b = std::size_t(std::lower_bound(blocks.begin(), blocks.end(), block) - blocks.begin());
-    out.push_back(values[b * patch_values + number]);
-  }
+}
+
+/// The values of blocks of ghosts, from whoever evaluated them to the owners of the cells before them; in V.
+std::vector<double> FreeSpace::at_own_walls(WallPlan const& plan, std::vector<double> const& values) const {
+  double const scale = 1 / (12.566370614359172954 * lattice_.unit());  // 4 pi, and lengths in units of the smallest
+  std::vector<double> out(plan.wall_blocks.size() * patch_values);
+  auto const put = [&](double const* from, int block) {
+    double* const to = out.data() + std::size_t(block) * patch_values;
+    for (int n = 0; n < patch_values; ++n) to[n] = scale * from[n];
+  };
+  for (auto const& [patch, block] : plan.kept_blocks) put(values.data() + std::size_t(patch) * patch_values, block);
+  Exchange<double> const exchange(comm_, plan.blocks.asked, plan.blocks.wanted);
+  exchange.update(
+      [&](std::size_t n, double* to) {
+        std::copy_n(values.data() + std::size_t(plan.blocks.give[n]) * patch_values, patch_values, to);
+      },
+      [&](std::size_t n, double const* from) { put(from, plan.blocks.take[n]); });
   return out;
 }
-
-/// Potential at all ghosts of each block, which all ranks give in the same order, sorted. Collective.
-std::vector<double> FreeSpace::ghosts(std::vector<GhostBlock> const& blocks) const {
-  auto const patches = patches_around(lattice_, blocks);
-  auto const interactions = evaluate_->interactions(charges_.tree, patches);
-  auto const [first, last] = patches_of_rank(comm_, interactions);
-  auto values = comm_.gather(evaluate_->at(comm_, charges_, patches, interactions, first, last)).values;
-  interpolate_down(patches, values);
-  values.resize(blocks.size() * patch_values);
-  for (double& value : values) value *= scale();
-  return values;
-}
-
-double FreeSpace::scale() const { return 1 / (12.566370614359172954 * lattice_.unit()); }
 
 }  // namespace amrpic::freespace

@@ -7,43 +7,41 @@
 
 #include "base/communicator.hpp"
 #include "freespace/tree_potential.hpp"
+#include "freespace/wall_plan.hpp"
 
 namespace amrpic::freespace {
 
-/// A place where the potential is wanted: the centre of a ghost cell of its level, behind one wall.
-struct PointTarget {
-  Point position;
-  int level;
-};
-
 /// Potential phi of -Laplace phi = charge density on the infinite lattice: about q / (4 pi r), with 0 at infinity.
 ///
-/// All functions are collective. Results depend on how the charges are distributed only by rounding.
+/// The charge of a mesh is joined to ever wider blocks up to a top that all ranks know. Each rank evaluates its share
+/// of the patches of ghosts with what it sees of the tree, whoever owns the walls.
 class FreeSpace {
  public:
   FreeSpace(Communicator const& comm, Lattice const& lattice, Options const& options = {});
   Lattice const& lattice() const { return lattice_; }
 
-  /// The charges of the uncovered cells of this rank. One exchange: which leaves there are, with their moments.
-  void set_charges(std::vector<PointCharge> const& local);
-  void set_charges(std::vector<ChargeBox> const& local);
+  /// Who does what on a mesh of this lattice. Local.
+  std::shared_ptr<WallPlan const> plan(WallMesh const& mesh) const;
 
-  /// Potential at the ghost centres of the base level behind each open wall, face = 2 * axis + side, lower of the two
-  /// axes fastest; empty for walls that are not open. The same on all ranks, which share the work.
-  std::array<std::vector<double>, 6> wall_planes(std::array<bool, 6> const& open) const;
-
-  /// Potential at this rank's targets. All ranks share the work.
-  std::vector<double> potential(std::vector<PointTarget> const& local) const;
+  /// Potential at the ghost centres behind this rank's open walls, on all levels: see `WallPlan::place`. `local`: the
+  /// boxes of this rank, level by level. Results do not depend on the ranks. Collective: two small reductions, else
+  /// messages between the ranks of the plan.
+  std::vector<double> walls(WallPlan const& plan, std::vector<ChargeBox> const& local);
 
  private:
-  void build_tree();
-  std::vector<double> ghosts(std::vector<GhostBlock> const& blocks) const;
-  double scale() const;  ///< of 4 pi times the potential, lengths in units of the smallest spacing
+  ChargeBlocks own_charges(WallPlan const& plan, std::vector<ChargeBox> local) const;
+  OctreeBuilder leaves_of(WallPlan const& plan, ChargeBlocks const& blocks);
+  void join_upwards(WallPlan const& plan, OctreeBuilder& builder) const;
+  std::vector<NodeRecord> known_on_all(WallGeometry const& geometry, OctreeBuilder const& builder) const;
+  std::vector<NodeRecord> children_of_others(WallPlan const& plan, OctreeBuilder const& builder) const;
+  std::vector<LeafRecord> leaves_of_others(WallPlan const& plan, OctreeBuilder const& builder,
+                                           ChargeBlocks const& blocks) const;
+  void interpolate_down(WallPlan const& plan, std::vector<double>& values) const;
+  std::vector<double> at_own_walls(WallPlan const& plan, std::vector<double> const& values) const;
 
   Communicator comm_;
   Lattice lattice_;
   Options options_;
-  ChargeTree charges_;
   std::unique_ptr<TreePotential const> evaluate_;
 };
 

@@ -10,18 +10,8 @@ namespace amrpic::freespace {
 
 namespace {
 
-/// Row i: weights of the points of the parent for point i of the child.
-using Weights = std::array<std::array<double, patch_points>, patch_points>;
-
-/// Lagrange's weights along an axis, for a child whose first ghost is `offset` behind that of its parent.
-Weights interpolation_weights(int parent_extent, int extent, int offset) {
-  Weights out;
-  auto const nodes = chebyshev_points(parent_extent), points = chebyshev_points(extent);
-  for (int i = 0; i < patch_points; ++i) out[i] = lagrange_weights(nodes, offset + points[i]);
-  return out;
-}
-
 /// Add U values V^T.
+template <class Weights>
 void add_interpolant(Weights const& u, Weights const& v, double const* values, double* to) {
   Lanes columns[patch_points];  // of U^T
   for (int n = 0; n < patch_points; ++n) {
@@ -104,38 +94,48 @@ std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<Ghost
   return out;
 }
 
-PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch) : normal(patch.face / 2) {
-  Point const shape = lattice.shape();
+PatchBox::PatchBox(Cell const& cells, Point const& shape, GhostPatch const& patch) {
+  int const normal = patch.face / 2;
   auto const axes = plane_axes(normal);
   double const ghost = std::ldexp(0.5 * shape[normal], -patch.level);
-  place = patch.face % 2 == 0 ? -ghost : lattice.cells[normal] * shape[normal] + ghost;
+  centre[normal] = patch.face % 2 == 0 ? -ghost : cells[normal] * shape[normal] + ghost;
+  half[normal] = 0;
+  for (int t = 0; t < 2; ++t) {
+    double const spacing = std::ldexp(shape[axes[t]], -patch.level);
+    centre[axes[t]] = (patch.first[t] + 0.5 * patch.extent[t]) * spacing;
+    half[axes[t]] = 0.5 * (patch.extent[t] - 1) * spacing;
+    if (patch.extent[t] > patch_points) width = std::max(width, half[axes[t]]);
+  }
+  radius = std::hypot(half[axes[0]], half[axes[1]]);
+}
+
+PatchPoints::PatchPoints(Lattice const& lattice, GhostPatch const& patch)
+    : normal(patch.face / 2), box(lattice.cells, lattice.shape(), patch) {
+  Point const shape = lattice.shape();
+  auto const axes = plane_axes(normal);
+  place = box.centre[normal];
   for (int t = 0; t < 2; ++t) {
     double const spacing = std::ldexp(shape[axes[t]], -patch.level);
     auto const cells = chebyshev_points(patch.extent[t]);
     for (int i = 0; i < patch_points; ++i) along[t][i] = (patch.first[t] + cells[i] + 0.5) * spacing;
-    centre[t] = (patch.first[t] + 0.5 * patch.extent[t]) * spacing;
-    half[t] = 0.5 * (patch.extent[t] - 1) * spacing;
-    if (patch.extent[t] > patch_points) width = std::max(width, half[t]);
   }
 }
 
-void interpolate_down(std::vector<GhostPatch> const& patches, std::vector<double>& values) {
-  std::map<std::array<int, 3>, Weights> made;  // there are few
-  auto const weights = [&made](int parent_extent, int extent, int offset) -> Weights const& {
-    auto const [entry, is_new] = made.try_emplace({parent_extent, extent, offset});
-    if (is_new) entry->second = interpolation_weights(parent_extent, extent, offset);
-    return entry->second;
+void PatchInterpolation::add(GhostPatch const& parent, double const* values, GhostPatch const& child, double* to) {
+  auto const along = [&](int t) -> Weights const& {
+    return weights(parent.extent[t], child.extent[t], child.first[t] - parent.first[t]);
   };
-  for (std::size_t p = patches.size(); p-- > 0;) {
-    GhostPatch const& patch = patches[p];
-    if (patch.parent < 0) continue;
-    GhostPatch const& parent = patches[patch.parent];
-    auto const along = [&](int t) -> Weights const& {
-      return weights(parent.extent[t], patch.extent[t], patch.first[t] - parent.first[t]);
-    };
-    add_interpolant(along(0), along(1), values.data() + std::size_t(patch.parent) * patch_values,
-                    values.data() + p * patch_values);
+  add_interpolant(along(0), along(1), values, to);
+}
+
+/// Lagrange's weights along an axis, for a child whose first ghost is `offset` behind that of its parent.
+PatchInterpolation::Weights const& PatchInterpolation::weights(int parent_extent, int extent, int offset) {
+  auto const [entry, is_new] = made_.try_emplace({parent_extent, extent, offset});
+  if (is_new) {
+    auto const nodes = chebyshev_points(parent_extent), points = chebyshev_points(extent);
+    for (int i = 0; i < patch_points; ++i) entry->second[i] = lagrange_weights(nodes, offset + points[i]);
   }
+  return entry->second;
 }
 
 }  // namespace amrpic::freespace

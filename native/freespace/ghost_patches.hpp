@@ -5,7 +5,10 @@
 // to the smallest ones, of which the points are all ghosts.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
+#include <map>
 #include <vector>
 
 #include "freespace/interpolation.hpp"
@@ -41,18 +44,47 @@ struct GhostPatch {
 /// sorted.
 std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks);
 
-/// Where the points of a patch are, smallest base spacing = 1.
+/// The ghosts of a patch as a box, flat along the normal; smallest base spacing = 1.
+struct PatchBox {
+  PatchBox(Cell const& cells, Point const& shape, GhostPatch const& patch);  ///< of the base lattice
+
+  Point centre, half;
+  double radius;     ///< half its diagonal
+  double width = 0;  ///< half of it, of what is interpolated over
+
+  /// Squared distance from another box.
+  double distance2(Point const& there, Point const& half_there) const {
+    double out = 0;
+    for (int d = 0; d < 3; ++d) {
+      double const g = std::max(0.0, std::abs(centre[d] - there[d]) - half[d] - half_there[d]);
+      out += g * g;
+    }
+    return out;
+  }
+};
+
+/// Where the points of a patch are.
 struct PatchPoints {
   PatchPoints(Lattice const& lattice, GhostPatch const& patch);
 
   int normal;
   double place;                                           ///< along the normal
   std::array<std::array<double, patch_points>, 2> along;  ///< along the axes of the plane
-  std::array<double, 2> centre, half;                     ///< of the ghosts
-  double width = 0;                                       ///< half of it, of what is interpolated over
+  PatchBox box;
 };
 
-/// Add to the values of each patch what those of its parent are there; `values`: 64 of each patch.
-void interpolate_down(std::vector<GhostPatch> const& patches, std::vector<double>& values);
+/// Adds to the values of patches what those of their parents are there.
+class PatchInterpolation {
+ public:
+  /// 64 values of each.
+  void add(GhostPatch const& parent, double const* values, GhostPatch const& child, double* to);
+
+ private:
+  /// Row i: weights of the points of the parent for point i of the child.
+  using Weights = std::array<std::array<double, patch_points>, patch_points>;
+  Weights const& weights(int parent_extent, int extent, int offset);
+
+  std::map<std::array<int, 3>, Weights> made_;  ///< there are few
+};
 
 }  // namespace amrpic::freespace

@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "freespace/interpolation.hpp"
-#include "freespace/leaves.hpp"
+#include "freespace/leaf_charges.hpp"
 #include "freespace/octree.hpp"
 
 namespace amrpic::freespace {

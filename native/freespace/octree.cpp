@@ -8,40 +8,6 @@ namespace amrpic::freespace {
 
 namespace {
 
-/// A node that has no parent yet, and the block it lies in at the present depth.
-struct Root {
-  Cell place;
-  int number;  ///< among all nodes made
-};
-
-bool by_place(Root const& a, Root const& b) {
-  return std::tie(a.place[2], a.place[1], a.place[0]) < std::tie(b.place[2], b.place[1], b.place[0]);
-}
-
-struct Member {
-  TreeNode node;
-  Harmonics<double> moments;
-};
-
-Member leaf_member(LeafMoments const& part, int number, Point const& shape) {
-  auto const& [leaf, moments] = part;
-  double const scale = std::ldexp(1.0, -leaf.key.level);
-  TreeNode node{};
-  node.centre = leaf.centre(shape);
-  for (int d = 0; d < 3; ++d) node.half[d] = 0.5 * (leaf.extent[d] - 1) * shape[d] * scale;
-  node.radius = std::hypot(node.half[0], node.half[1], node.half[2]);
-  node.coarsest = scale;
-  node.magnitude = leaf.magnitude;
-  auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
-  node.lattice.charge = moments[0].re * scale * scale;
-  node.lattice.dipole = {2 * second.re * scale * scale, 2 * second.im * scale * scale, first.re * scale * scale};
-  node.level = leaf.key.level;
-  node.first = leaf.corner();
-  node.extent = leaf.extent;
-  node.leaf = number;
-  return {node, moments};
-}
-
 /// The cells of a node, if its children have charge of one level alone.
 void set_cells(TreeNode& node, Member const* first, Member const* last) {
   TreeNode const& one = first->node;
@@ -103,128 +69,193 @@ Harmonics<double> join_moments(TreeNode const& parent, Member const* first, Memb
       out[n].im += sum_of(moved[n].im);
     }
   }
+  for (int l = 0; l <= order; ++l) out[harmonic_index(l, 0)].im = 0;  // rounding alone
   return out;
-}
-
-class Builder {
- public:
-  std::vector<Root> roots;
-
-  void add(Cell const& place, Member const& member) {
-    roots.push_back({place, int(made_.size())});
-    made_.push_back(member);
-  }
-
-  /// Make the blocks twice as wide along some axes.
-  void widen(std::array<bool, 3> const& doubled) {
-    for (Root& root : roots)
-      for (int d = 0; d < 3; ++d) root.place[d] >>= doubled[d] ? 1 : 0;
-  }
-
-  /// Give a common parent to those of one place. A single node stays a root.
-  void join() {
-    std::stable_sort(roots.begin(), roots.end(), by_place);
-    std::vector<Root> const children = std::move(roots);
-    roots.clear();
-    for (auto first = children.begin(); first != children.end();) {
-      auto last = first + 1;
-      while (last != children.end() && last->place == first->place) ++last;
-      if (last - first == 1)
-        roots.push_back(*first);
-      else
-        add(first->place, parent_of(&*first, &*first + (last - first)));
-      first = last;
-    }
-  }
-
-  Octree finish() {
-    for (Root const& root : roots) keep(made_[std::size_t(root.number)]);
-    return std::move(tree_);
-  }
-
- private:
-  Member parent_of(Root const* first, Root const* last) {
-    children_.clear();
-    for (; first != last; ++first) children_.push_back(made_[std::size_t(first->number)]);
-    Member const *from = children_.data(), *to = from + children_.size();
-    Member out{enclose(from, to), {}};
-    out.node.first_child = int(tree_.nodes.size());
-    out.moments = join_moments(out.node, from, to);
-    for (Member const& child : children_) keep(child);
-    return out;
-  }
-
-  void keep(Member const& member) {
-    tree_.nodes.push_back(member.node);
-    tree_.moments.push_back(member.moments);
-    tree_.expansions.push_back(to_expansion(member.moments));
-  }
-
-  std::vector<Member> made_, children_;
-  Octree tree_;
-};
-
-using Axes = std::array<bool, 3>;
-
-/// Which axes to double next, so that blocks stay about as long as wide also where cells are not cubes.
-Axes axes_to_double(Point const& width) {
-  double const shortest = std::min({width[0], width[1], width[2]});
-  return {width[0] < 1.5 * shortest, width[1] < 1.5 * shortest, width[2] < 1.5 * shortest};
-}
-
-/// The axes to double, one time after the other, until blocks of cells become as wide as they are long.
-std::vector<Axes> steps_to_widest(Point const& shape) {
-  double const longest = std::max({shape[0], shape[1], shape[2]});
-  std::vector<Axes> out;
-  for (Point width = shape;;) {
-    Axes doubled = axes_to_double(width);
-    for (int d = 0; d < 3; ++d) doubled[d] = doubled[d] && 2 * width[d] <= longest;
-    if (doubled == Axes{}) return out;
-    for (int d = 0; d < 3; ++d) width[d] *= doubled[d] ? 2 : 1;
-    out.push_back(doubled);
-  }
 }
 
 }  // namespace
 
-Cell widest_blocks(Point const& shape) {
-  Cell out{block_edge, block_edge, block_edge};
-  for (Axes const& doubled : steps_to_widest(shape))
-    for (int d = 0; d < 3; ++d) out[d] *= doubled[d] ? 2 : 1;
+Member leaf_member(LeafMoments const& part, int number, Point const& shape) {
+  auto const& [leaf, moments] = part;
+  double const scale = std::ldexp(1.0, -leaf.key.level);
+  TreeNode node{};
+  node.centre = leaf.centre(shape);
+  for (int d = 0; d < 3; ++d) node.half[d] = 0.5 * (leaf.extent[d] - 1) * shape[d] * scale;
+  node.radius = std::hypot(node.half[0], node.half[1], node.half[2]);
+  node.coarsest = scale;
+  node.magnitude = leaf.magnitude;
+  auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
+  node.lattice.charge = moments[0].re * scale * scale;
+  node.lattice.dipole = {2 * second.re * scale * scale, 2 * second.im * scale * scale, first.re * scale * scale};
+  node.level = leaf.key.level;
+  node.first = leaf.corner();
+  node.extent = leaf.extent;
+  node.leaf = number;
+  return {node, moments};
+}
+
+NodeRecord::Content packed(Member const& member) {
+  TreeNode const& node = member.node;
+  NodeRecord::Content out{};
+  out.centre = node.centre;
+  out.half = node.half;
+  out.magnitude = node.magnitude;
+  out.lattice = node.lattice;
+  out.first = node.first;
+  out.extent = node.extent;
+  out.level = node.level;
+  out.depth = std::int16_t(-std::ilogb(node.coarsest));
+  out.is_leaf = node.leaf >= 0;
+  double* to = out.moments.data();
+  for (int l = 0; l <= order; ++l)
+    for (int m = 0; m <= l; ++m) {
+      auto const& moment = member.moments[harmonic_index(l, m)];
+      *to++ = moment.re;
+      if (m > 0) *to++ = moment.im;
+    }
   return out;
 }
 
-Octree build_octree(std::vector<LeafMoments> const& leaves, Point const& shape) {
-  Builder builder;
-  int const finest = leaves.empty() ? 0 : leaves.back().leaf.key.level;
-  auto last = int(leaves.size());
-  auto const steps = steps_to_widest(shape);
-  for (int level = finest; level >= 0; --level) {
-    std::vector<Root> finer;
-    finer.swap(builder.roots);
-    int first = last;
-    while (first > 0 && leaves[first - 1].leaf.key.level == level) --first;
-    for (int n = first; n < last; ++n) builder.add(leaves[n].leaf.key.place, leaf_member(leaves[n], n, shape));
-    last = first;
-    for (Axes const& doubled : steps) {
-      builder.widen(doubled);
-      builder.join();
+Member unpacked(NodeRecord::Content const& content, int leaf) {
+  Member out{};
+  TreeNode& node = out.node;
+  node.centre = content.centre;
+  node.half = content.half;
+  node.radius = std::hypot(node.half[0], node.half[1], node.half[2]);
+  node.coarsest = std::ldexp(1.0, -content.depth);
+  node.magnitude = content.magnitude;
+  node.lattice = content.lattice;
+  node.level = content.level;
+  node.first = content.first;
+  node.extent = content.extent;
+  node.leaf = content.is_leaf ? leaf : -1;
+  double const* from = content.moments.data();
+  for (int l = 0; l <= order; ++l)
+    for (int m = 0; m <= l; ++m) {
+      auto& moment = out.moments[harmonic_index(l, m)];
+      moment.re = *from++;
+      if (m > 0) moment.im = *from++;
     }
-    finer.insert(finer.end(), builder.roots.begin(), builder.roots.end());
-    builder.roots = std::move(finer);
-    builder.join();
-    if (level > 0) builder.widen({true, true, true});
+  return out;
+}
+
+OctreeBuilder::OctreeBuilder(BlockGrids const& grids, std::size_t own_leaves)
+    : grids_(grids), found_(std::size_t(grids.count())), children_(found_.size()), next_leaf_(int(own_leaves)) {
+  members_.reserve(own_leaves + own_leaves / 4);
+}
+
+int OctreeBuilder::keep(NodeRecord const& record) {
+  auto const& [block, node] = record;
+  if (!node.is_leaf) return keep(unpacked(node, -1));
+  Cell place;
+  for (int d = 0; d < 3; ++d) place[d] = node.first[d] / block_edge;
+  Found const* const own = find({grids_.leaves(node.level), place});  // it may come back as all of a wider block
+  return keep(unpacked(node, own ? member(*own).node.leaf : next_leaf_++));
+}
+
+void OctreeBuilder::join_sorted(int grid) {
+  auto& children = children_[std::size_t(grid)];
+  auto const is_own = [&](Child const& c) { return c.block.grid == grids_[grid].own; };
+  std::sort(children.begin(), children.end(), [&](Child const& a, Child const& b) {
+    if (!(a.parent == b.parent)) return by_place(a.parent, b.parent);
+    if (a.block.grid != b.block.grid) return is_own(b);
+    return by_place(a.block.place, b.block.place);
+  });
+  for (std::size_t first = 0, last; first < children.size(); first = last) {
+    for (last = first + 1; last < children.size() && children[last].parent == children[first].parent;) ++last;
+    int const member = last - first == 1 ? children[first].member
+                                         : keep(parent_of(&children[first], &children[first] + (last - first)));
+    found_[std::size_t(grid)].push_back({children[first].parent, member, int(first), int(last)});
   }
-  Cell const widest = widest_blocks(shape);
-  Point width;
-  for (int d = 0; d < 3; ++d) width[d] = shape[d] * widest[d];
-  while (builder.roots.size() > 1) {
-    Axes const doubled = axes_to_double(width);
-    for (int d = 0; d < 3; ++d) width[d] *= doubled[d] ? 2 : 1;
-    builder.widen(doubled);
-    builder.join();
+}
+
+Member OctreeBuilder::parent_of(Child const* first, Child const* last) {
+  together_.clear();
+  for (; first != last; ++first) together_.push_back(members_[std::size_t(first->member)]);
+  Member const *from = together_.data(), *to = from + together_.size();
+  Member out{enclose(from, to), {}};
+  out.moments = join_moments(out.node, from, to);
+  return out;
+}
+
+void OctreeBuilder::add_found(int grid, std::vector<NodeRecord> const& all) {
+  std::vector<Found> const mine = std::move(found_[std::size_t(grid)]);
+  auto& found = found_[std::size_t(grid)];
+  found.clear();
+  auto own = mine.begin();
+  for (NodeRecord const& record : all)
+    if (own != mine.end() && own->place == record.block.place)
+      found.push_back(*own++);
+    else
+      found.push_back({record.block.place, keep(record)});
+}
+
+void OctreeBuilder::append_children(int grid, Found const& block, std::vector<NodeRecord>& to) const {
+  auto const& children = children_[std::size_t(grid)];
+  for (int c = block.first; c < block.last; ++c) {
+    Child const& child = children[std::size_t(c)];
+    to.push_back({child.block, packed(members_[std::size_t(child.member)])});
   }
-  return builder.finish();
+}
+
+/// A block, should this rank have found it.
+OctreeBuilder::Found const* OctreeBuilder::find(Block const& block) const {
+  auto const& found = found_[std::size_t(block.grid)];
+  auto const place = std::lower_bound(found.begin(), found.end(), block.place,
+                                      [](Found const& a, Cell const& b) { return by_place(a.place, b); });
+  return place != found.end() && place->place == block.place ? &*place : nullptr;
+}
+
+Octree OctreeBuilder::finish(std::vector<NodeRecord> const& received) {
+  Octree out;
+  int const last = grids_.count() - 1;
+  if (found_[std::size_t(last)].empty()) return out;
+
+  struct Family {
+    Block parent;
+    Child child;
+  };
+  std::vector<Family> others;  // in the order of each family
+  for (NodeRecord const& record : received) {
+    Block const parent = grids_.parent(record.block);
+    others.push_back({parent, {parent.place, record.block, keep(record), -1}});
+  }
+  std::stable_sort(others.begin(), others.end(), [](Family const& a, Family const& b) { return a.parent < b.parent; });
+  std::vector<Child> others_in_order;
+  for (Family const& family : others) others_in_order.push_back(family.child);
+
+  auto const children_of = [&](Child const& parent) -> std::pair<Child const*, Child const*> {
+    Found const* const here =
+        parent.found >= 0 ? &found_[std::size_t(parent.block.grid)][std::size_t(parent.found)] : find(parent.block);
+    if (here && here->first < here->last) {
+      Child const* const all = children_[std::size_t(parent.block.grid)].data();
+      return {all + here->first, all + here->last};
+    }
+    auto const [from, to] = std::equal_range(others.begin(), others.end(), Family{parent.block, {}},
+                                             [](Family const& a, Family const& b) { return a.parent < b.parent; });
+    return {others_in_order.data() + (from - others.begin()), others_in_order.data() + (to - others.begin())};
+  };
+  auto const add = [&](Child const& child) {
+    Member const& member = members_[std::size_t(child.member)];
+    out.nodes.push_back(member.node);
+    out.nodes.back().first_child = out.nodes.back().children = 0;
+    out.moments.push_back(member.moments);
+    out.expansions.push_back(to_expansion(member.moments));
+  };
+  std::vector<Child> nodes{{{}, {last, {0, 0, 0}}, found_[std::size_t(last)].front().member, 0}};
+  add(nodes.front());
+  for (std::size_t n = 0; n < nodes.size(); ++n) {
+    if (out.nodes[n].leaf >= 0) continue;
+    auto [from, to] = children_of(nodes[n]);
+    while (to - from == 1) std::tie(from, to) = children_of(*from);  // the same node
+    out.nodes[n].first_child = int(nodes.size());
+    out.nodes[n].children = int(to - from);
+    for (; from != to; ++from) {
+      add(*from);
+      nodes.push_back(*from);
+    }
+  }
+  return out;
 }
 
 }  // namespace amrpic::freespace

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <stdexcept>
 
 #include "freespace/lattice_green.hpp"
 #include "freespace/near_field.hpp"
@@ -16,17 +17,14 @@ constexpr double lattice_negligible = 64;  ///< cells from a charge where its la
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
 constexpr double order_tolerance = 2e-6;  ///< fraction of a box's potential that orders left out may add
-/// A factor of limits: places on a lattice often lie at a limit exactly, and rounding must not choose.
-constexpr double past_ties = 1 + 1e-9;
-
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
 double near_distance(Point const& shape, Options const& options) {
   Cell const widest = widest_blocks(shape);
   Point half;
   for (int d = 0; d < 3; ++d) half[d] = 0.5 * (widest[d] - 1) * shape[d];
-  double const longest = std::max({shape[0], shape[1], shape[2]});
-  return std::max(options.lattice_limit * longest, std::hypot(half[0], half[1], half[2]) / options.acceptance);
+  return std::max(options.lattice_limit * longest_spacing(shape),
+                  std::hypot(half[0], half[1], half[2]) / options.acceptance);
 }
 
 /// Cells that the kernel tables must reach: from a node's charges to the ghosts that it is near to, and along long
@@ -69,6 +67,22 @@ double smoothing_distance(double distance, double spacing, double aspect) {
 
 double gap(double distance, double half) { return std::max(0.0, std::abs(distance) - half); }
 
+/// Squared distances of a patch's centre, and of its points, from the centre of a node, and of these from its charges.
+double between_centres2(PatchBox const& box, TreeNode const& node) {
+  double out = 0;
+  for (int d = 0; d < 3; ++d) out += (box.centre[d] - node.centre[d]) * (box.centre[d] - node.centre[d]);
+  return out;
+}
+double to_centre2(PatchBox const& box, TreeNode const& node) { return box.distance2(node.centre, {0, 0, 0}); }
+double to_charges2(PatchBox const& box, TreeNode const& node) {
+  double out = 0;
+  for (int d = 0; d < 3; ++d) {
+    double const g = gap(box.centre[d] - node.centre[d], box.half[d] + node.half[d]);
+    out += g * g;
+  }
+  return out;
+}
+
 /// The points of a patch, row after row.
 struct Rows {
   std::array<std::array<Lanes, 3>, patch_points> at;
@@ -107,65 +121,11 @@ void add_lattice(TreeNode const& node, Rows const& rows, Point const& h2, std::a
   });
 }
 
-/// The leaves below some nodes.
-void mark_leaves(Octree const& tree, std::vector<int> nodes, std::vector<char>& marks) {
-  std::vector<char> is_visited(tree.nodes.size(), 0);
-  while (!nodes.empty()) {
-    int const n = nodes.back();
-    nodes.pop_back();
-    if (is_visited[std::size_t(n)]) continue;
-    is_visited[std::size_t(n)] = 1;
-    TreeNode const& node = tree.nodes[std::size_t(n)];
-    if (node.leaf >= 0) marks[std::size_t(node.leaf)] = 1;
-    for (int c = 0; c < node.children; ++c) nodes.push_back(node.first_child + c);
-  }
-}
-
 void add_lanes(Lanes const& value, double* to) {
   for (int t = 0; t < lane_count; ++t) to[t] += value[t];
 }
 
 }  // namespace
-
-/// The ghosts of a patch as a box, flat along the normal.
-struct TreePotential::PatchBox {
-  Point centre, half;
-  double radius;
-
-  explicit PatchBox(PatchPoints const& points) {
-    auto const axes = plane_axes(points.normal);
-    centre[points.normal] = points.place;
-    half[points.normal] = 0;
-    for (int t = 0; t < 2; ++t) {
-      centre[axes[t]] = points.centre[t];
-      half[axes[t]] = points.half[t];
-    }
-    radius = std::hypot(points.half[0], points.half[1]);
-  }
-
-  /// Squared distances between the centres, from the centre of a node, and from the box of its charges.
-  double between_centres2(TreeNode const& node) const {
-    double out = 0;
-    for (int d = 0; d < 3; ++d) out += (centre[d] - node.centre[d]) * (centre[d] - node.centre[d]);
-    return out;
-  }
-  double to_centre2(TreeNode const& node) const {
-    double out = 0;
-    for (int d = 0; d < 3; ++d) {
-      double const g = gap(centre[d] - node.centre[d], half[d]);
-      out += g * g;
-    }
-    return out;
-  }
-  double to_charges2(TreeNode const& node) const {
-    double out = 0;
-    for (int d = 0; d < 3; ++d) {
-      double const g = gap(centre[d] - node.centre[d], half[d] + node.half[d]);
-      out += g * g;
-    }
-    return out;
-  }
-};
 
 /// What the charges nearby make at the points of one patch.
 class TreePotential::NearPatch {
@@ -292,17 +252,16 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       finest_(finest),
       options_(options),
       shape_(lattice.shape()),
-      longest_spacing_(std::max({shape_[0], shape_[1], shape_[2]})),
+      longest_spacing_(longest_spacing(shape_)),
       widest_(widest_blocks(shape_)),
       kernels_(shape_, table_reach(lattice, finest, options)) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
-  return past_ties *
-         std::max(options_.lattice_limit * longest_spacing_ * node.coarsest, node.radius / options_.acceptance);
+  return freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
 }
 
-std::vector<Interactions> TreePotential::interactions(Octree const& tree,
-                                                      std::vector<GhostPatch> const& patches) const {
+std::vector<Interactions> TreePotential::interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
+                                                      std::vector<char> const& is_own) const {
   std::vector<Interactions> out(patches.size());
   if (tree.empty()) return out;
   std::vector<double> limits;
@@ -311,32 +270,36 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree,
   std::vector<int> stack;
   for (std::size_t p = patches.size(); p-- > 0;) {
     GhostPatch const& patch = patches[p];
-    PatchPoints const points(lattice_, patch);
-    PatchBox const patch_box(points);
-    double const separation = options_.separation * points.width;
+    PatchBox const box(lattice_.cells, shape_, patch);
+    double const separation = options_.separation * box.width;
     if (patch.parent < 0)
-      stack.assign(1, tree.root());
+      stack.assign(1, 0);
     else
-      stack = left[patch.parent];
+      stack = left[std::size_t(patch.parent)];
     while (!stack.empty()) {
       int const n = stack.back();
       stack.pop_back();
-      TreeNode const& node = tree.nodes[n];
+      TreeNode const& node = tree.nodes[std::size_t(n)];
+      double const limit2 = limits[std::size_t(n)] * limits[std::size_t(n)];
       auto const width = summed_width(node);
-      double const distance2 = patch_box.to_centre2(node);
-      bool const is_far = distance2 > limits[n] * limits[n];
-      bool const is_mostly_near = !is_far && patch_box.between_centres2(node) < 0.5 * limits[n] * limits[n];
-      if (is_far && patch_box.to_charges2(node) >= separation * separation)
-        out[p].far.push_back(multipole(tree, n, distance2));
-      else if (!is_far && is_summed(node, patch_box, points.width))
-        out[p].mixed.push_back(n);
-      else if (!is_far && node.leaf < 0 &&
-               (width ? *width > points.width : node.radius > patch_box.radius || is_mostly_near))
+      double const distance2 = to_centre2(box, node);
+      bool const is_far = distance2 > limit2;
+      bool const is_mostly_near = !is_far && between_centres2(box, node) < mostly_near2 * limit2;
+      if (is_far && to_charges2(box, node) >= separation * separation) {
+        if (is_own[p]) out[p].far.push_back(multipole(tree, n, distance2));
+      } else if (!is_far && is_summed(node, box)) {
+        if (is_own[p]) out[p].mixed.push_back(n);
+      } else if (!is_far && node.leaf < 0 &&
+                 (width ? *width > box.width : node.radius > box.radius || is_mostly_near)) {
+        // What is closed on this rank has nothing that its own patches, here or below, are near to.
+        if (is_own[p] && node.is_closed())
+          throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
         for (int c = node.children; c-- > 0;) stack.push_back(node.first_child + c);
-      else if (patch.is_block())
-        out[p].mixed.push_back(n);
-      else
+      } else if (patch.is_block()) {
+        if (is_own[p]) out[p].mixed.push_back(n);
+      } else {
         left[p].push_back(n);
+      }
     }
   }
   return out;
@@ -356,10 +319,10 @@ std::optional<double> TreePotential::summed_width(TreeNode const& node) const {
 
 /// Whether the charges of a node are summed one by one at the points of a patch: where both are as far from each other
 /// as the interpolation over their half widths asks for, also where the lattice counts.
-bool TreePotential::is_summed(TreeNode const& node, PatchBox const& patch_box, double patch_width) const {
+bool TreePotential::is_summed(TreeNode const& node, PatchBox const& patch_box) const {
   auto const width = summed_width(node);
   if (!width) return false;
-  double const apart = options_.separation * std::max(*width, patch_width);
+  double const apart = options_.separation * std::max(*width, patch_box.width);
   double distance2 = 0;
   for (int d = 0; d < 3; ++d) {
     double const spacing = shape_[d] * node.coarsest;
@@ -425,7 +388,6 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   std::vector<Visit> stack;
   Rows const rows(points);
-  PatchBox const patch_box(points);
   for (int row = 0; row < patch_points; ++row) {
     auto const& at = rows.at[row];
     Lanes sum{};
@@ -447,43 +409,43 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         }
         unsigned const rest = active & ~far;
         if (!rest) continue;
-        if (node.leaf >= 0 || is_summed(node, patch_box, points.width))
+        if (node.leaf >= 0 || is_summed(node, points.box)) {
           near.push_back({patch, row, rest, n});
-        else
-          for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
+          continue;
+        }
+        if (node.is_closed()) throw std::logic_error("TreePotential: a node near a wall is not known on its rank");
+        for (int c = node.children; c-- > 0;) stack.push_back({node.first_child + c, rest});
       }
     }
     add_lanes(sum, values + row * patch_points);
   }
 }
 
-std::vector<double> TreePotential::at(Communicator const& comm, ChargeTree const& charges,
-                                      std::vector<GhostPatch> const& patches,
-                                      std::vector<Interactions> const& interactions, std::size_t first,
-                                      std::size_t last) const {
-  std::vector<double> out((last - first) * patch_values, 0.0);
+std::vector<double> TreePotential::at(Charges const& charges, std::vector<GhostPatch> const& patches,
+                                      std::vector<char> const& is_own) const {
+  Octree const& tree = charges.tree;
+  auto const found = interactions(tree, patches, is_own);
+  std::vector<double> out(patches.size() * patch_values, 0.0);
   std::vector<NearRow> near;
-  for (std::size_t p = first; p < last; ++p) {
+  for (std::size_t p = 0; p < patches.size(); ++p) {
+    if (!is_own[p]) continue;
     PatchPoints const points(lattice_, patches[p]);
-    double* const values = out.data() + (p - first) * patch_values;
-    add_far(charges.tree, interactions[p].far, points, values);
-    add_mixed(charges.tree, interactions[p].mixed, points, p, values, near);
+    double* const values = out.data() + p * patch_values;
+    add_far(tree, found[p].far, points, values);
+    add_mixed(tree, found[p].mixed, points, p, values, near);
   }
-  std::vector<char> wanted(charges.leaves.size(), 0);
   std::vector<int> nodes;
   for (NearRow const& row : near) nodes.push_back(row.node);
-  mark_leaves(charges.tree, std::move(nodes), wanted);
-  comm.largest_each(wanted);
   auto const across = axes_of_rows(shape_);
-  LeafCharges const fetched(comm, charges.blocks, charges.leaves, wanted, across);
-  ChargesOfNodes of_nodes(charges.tree, fetched, across);
+  LeafCharges const leaves(tree, charges.own, charges.received, std::move(nodes), across);
+  ChargesOfNodes of_nodes(tree, leaves, across);
   for (std::size_t n = 0; n < near.size();) {
     std::size_t const p = near[n].patch;
     std::map<int, std::array<unsigned, patch_points>> masks;  // by node
     for (; n < near.size() && near[n].patch == p; ++n) masks[near[n].node][std::size_t(near[n].row)] |= near[n].points;
     NearPatch patch(*this, patches[p]);
     for (auto const& [node, points] : masks)
-      patch.add(node, charges.tree.nodes[std::size_t(node)], points, of_nodes, out.data() + (p - first) * patch_values);
+      patch.add(node, tree.nodes[std::size_t(node)], points, of_nodes, out.data() + p * patch_values);
   }
   kernels_.trim();
   return out;

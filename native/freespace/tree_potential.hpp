@@ -5,30 +5,21 @@
 #include <optional>
 #include <vector>
 
-#include "base/communicator.hpp"
+#include "freespace/acceptance.hpp"
 #include "freespace/ghost_patches.hpp"
 #include "freespace/kernel_table.hpp"
-#include "freespace/leaves.hpp"
-#include "freespace/octree.hpp"
+#include "freespace/leaf_charges.hpp"
 
 namespace amrpic::freespace {
-
-struct Options {
-  double acceptance =
-      0.5;  ///< a box is a multipole from where its radius looks smaller than this fraction of the distance
-  double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
-  double dropped = 1e-7;      ///< fraction of all |q| that may be left out with the weakest boxes
-  double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
-};
 
 /// So many cells from a wall, of their level, charges may have to be summed one by one.
 Cell near_cells(Lattice const& lattice, Options const& options);
 
 /// Charges as the evaluation needs them.
-struct ChargeTree {
-  ChargeBlocks blocks;              ///< of this rank
-  std::vector<LeafMoments> leaves;  ///< of all ranks, as the tree
-  Octree tree;
+struct Charges {
+  Octree const& tree;
+  ChargeBlocks const& own;
+  std::vector<LeafRecord> const& received;  ///< of other ranks
 };
 
 /// Which nodes of the tree count on a patch of ghosts.
@@ -40,8 +31,6 @@ struct Interactions {
   };
   std::vector<Far> far;    ///< as multipoles at all points
   std::vector<int> mixed;  ///< too near to some of the points for that: charge by charge there
-
-  double cost() const { return double(far.size()) + 4.0 * double(mixed.size()); }
 };
 
 class TreePotential {
@@ -50,13 +39,14 @@ class TreePotential {
   TreePotential(Lattice const& lattice, int finest, Options const& options);
   int finest() const { return finest_; }
 
-  /// For each patch; with what it takes from its parent all charge counts just once.
-  std::vector<Interactions> interactions(Octree const& tree, std::vector<GhostPatch> const& patches) const;
+  /// For each patch that `is_own`; with what it takes from its parent all charge counts just once.
+  std::vector<Interactions> interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
+                                         std::vector<char> const& is_own) const;
 
-  /// 4 pi times the potential that its interactions make at the points of each patch first .. last - 1, lengths in
-  /// units of the smallest spacing; a value depends on nothing but the tree and its patch. Collective.
-  std::vector<double> at(Communicator const& comm, ChargeTree const& charges, std::vector<GhostPatch> const& patches,
-                         std::vector<Interactions> const& interactions, std::size_t first, std::size_t last) const;
+  /// 4 pi times the potential that its interactions make at the 64 points of each patch that `is_own`, lengths in units
+  /// of the smallest spacing; a value depends on nothing but charge and its patch.
+  std::vector<double> at(Charges const& charges, std::vector<GhostPatch> const& patches,
+                         std::vector<char> const& is_own) const;
 
  private:
   /// A node that is near to some of one row of points.
@@ -67,10 +57,9 @@ class TreePotential {
     int node;
   };
   class NearPatch;
-  struct PatchBox;
   double far_limit(TreeNode const& node) const;
   std::optional<double> summed_width(TreeNode const& node) const;
-  bool is_summed(TreeNode const& node, PatchBox const& patch_box, double patch_width) const;
+  bool is_summed(TreeNode const& node, PatchBox const& patch_box) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
   void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
                double* values) const;

@@ -19,29 +19,34 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
                                 fine.stencil().weight(), coarse.stencil().weight());
 }
 
-/// Whether on all ranks the parents of each own block make up the own block of the same number. Collective.
+/// Whether on all ranks the parents of each own block make up the own block of the same number. Local: where the
+/// coarser level's boxes are the parents of the finer one's, box by box, they make up the same larger ones.
 bool Coarsening::keeps_children_together() const {
-  Layout const &fine = fine_.layout(), &coarse = coarse_.layout();
   Level const &level = fine_.level(), &coarser = coarse_.level();
-  bool together = fine.own_blocks() == coarse.own_blocks() && coarser.ranks() == level.ranks();
-  for (std::size_t b = 0; together && b < fine.own_blocks(); ++b) {
-    Box const& box = fine.blocks()[b].box;
-    together = box.coarsen(ratio_).intersect(coarser.domain()) == coarse.blocks()[b].box;
-    for (int d = 0; d < 3; ++d) together = together && box.lower[d] % ratio_[d] == 0;
+  if (coarser.ranks() != level.ranks() || coarser.box_count() != level.box_count()) return false;
+  for (int r = 0; r <= level.ranks(); ++r)
+    if (coarser.first_box(r) != level.first_box(r)) return false;
+  for (int b = 0; b < level.box_count(); ++b) {
+    Box const& box = level.box(b);
+    if (!(box.coarsen(ratio_).intersect(coarser.domain()) == coarser.box(b))) return false;
+    for (int d = 0; d < 3; ++d)
+      if (box.lower[d] % ratio_[d] != 0) return false;
   }
-  return level.ranks() > 1 ? comm_.all(together) : together;
+  // blocks end at seams, which the two levels may have at places of their own
+  return !fine_.layout().has_seam() && !coarse_.layout().has_seam();
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
 void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
-  std::vector<Copied> local;
+  std::vector<Copied> local, local_targets;
   std::size_t size = 0;
   sources_.reserve(layout.own_blocks());
   if (in_place_) targets_.reserve(layout.own_blocks());
   coarse_patches_.reserve(layout.own_blocks());
-  int const reach = refines_ ? 2 : 1;  // the ghosts' fits reach one cell further
+  int const reach = refines_ ? 2 : 1;   // the ghosts' fits reach one cell further
+  int const beside = refines_ ? 1 : 0;  // cells that take fluxes
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const &box = layout.blocks()[b].box, parents = box.coarsen(ratio_);
     CoarsePatch patch{parents.grow(reach), {}};
@@ -55,6 +60,11 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
         Placement copy = patch.cells;
         copy.origin = patch.place(part.lower);
         local.push_back({n, part.shift_back(shift), copy});
+        Box const target = part.intersect(parents.grow(beside));
+        if (!target.empty() && !in_place_) {
+          copy.origin = patch.place(target.lower);
+          local_targets.push_back({n, target.shift_back(shift), copy});
+        }
       }
       known.fill(part, 1);
     });
@@ -80,12 +90,16 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach past it
   Level const& level = fine_.level();
-  auto const across = copies_across_ranks(
-      level, coarser, [&](Box const& o) { return o.grow(reach).refine(ratio_); },
-      [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(reach)); });
-  parents_ = RectangleExchange(comm, coarse_.layout(), local, across, [this](Box const& box, Part const& f) {
-    for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
-  });
+  auto const exchange = [&](std::vector<Copied> const& copied, int around) {
+    auto const across = copies_across_ranks(
+        level, coarser, [&](Box const& o) { return o.grow(around).refine(ratio_); },
+        [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); });
+    return RectangleExchange(comm, coarse_.layout(), copied, across, [this](Box const& box, Part const& f) {
+      for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
+    });
+  };
+  parents_ = exchange(local, reach);
+  if (!in_place_) targets_of_residuals_ = exchange(local_targets, beside);
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.
@@ -157,7 +171,7 @@ void Coarsening::add_to_coarse_level() {
   if (in_place_) return;
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
-  parents_.add(values_.data(), r.data());
+  targets_of_residuals_.add(values_.data(), r.data());
   if (gathers_) comm_.sum_each(r);
 }
 
@@ -165,23 +179,32 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   parents_.update(coarse_.correction().data(), values_.data());
   for (Copy const& c : ghosts_) values_[std::size_t(c.to)] = c.factor * values_[std::size_t(c.from)];
   interface_.subtract_coarse(values_, fine_.right_hand_side());
-  auto const prolong = [this, into](std::size_t b, int k) {
-    fine_.sweep().prolong(b, k, sources_[b], values_, into == Into::place, fine_.right_hand_side(), fine_.correction());
+  auto const prolong = [this, into](std::size_t b, int k, RowChoice const& rows) {
+    fine_.sweep().prolong(b, k, rows, sources_[b], values_, into == Into::place, fine_.right_hand_side(),
+                          fine_.correction());
   };
   // What others copy comes first, so that it is under way while the rest is swept. Nothing is left to the sweeps before
   // a restriction that takes the same values for its own sums.
   Layout const& layout = fine_.layout();
   bool const all_now = into == Into::place && !in_place_;
-  auto const is_first = [&layout, all_now](std::size_t b, int k) { return all_now || layout.is_copied(b, k); };
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const& box = layout.blocks()[b].box;
     for (int k = box.lower[2]; k <= box.upper[2]; ++k)
-      if (is_first(b, k)) prolong(b, k);
+      prolong(b, k, all_now ? RowChoice{} : layout.rows_by_copies(b, k, true));
   }
   fine_.exchange_corrections(refines_);
-  return {[&layout, is_first, prolong](std::size_t b, int k) {
-    if (b < layout.own_blocks() && !is_first(b, k)) prolong(b, k);
+  if (all_now) return {};
+  return {[&layout, prolong](std::size_t b, int k) {
+    if (b < layout.own_blocks()) prolong(b, k, layout.rows_by_copies(b, k, false));
   }};
+}
+
+Traffic Coarsening::of_restriction(bool of_residual) const {
+  Traffic out = of_residual && fine_.has_odd_ring() ? fine_.of_corrections(false) : Traffic{};
+  if (in_place_) return out;
+  out = out + targets_of_residuals_.of_add();
+  out.collectives += gathers_;
+  return out;
 }
 
 std::size_t Coarsening::bytes() const {

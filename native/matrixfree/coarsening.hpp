@@ -39,6 +39,11 @@ class Coarsening {
   enum class Into { sum, place };
   std::vector<PlaneStage> prolongation(Into into);
 
+  // What this rank sends in calls of these.
+  Traffic of_restriction(bool of_residual) const;
+  Traffic of_prolongation() const { return parents_.of_update() + fine_.of_corrections(refines_); }
+  std::set<int> const& neighbours() const { return parents_.neighbours(); }
+
   std::size_t bytes() const;
 
  private:
@@ -67,7 +72,8 @@ class Coarsening {
   std::vector<Parents> sources_;             ///< of each own block: parents in `values_`
   std::vector<Parents> targets_;             ///< the same on the coarser level, if `in_place_`
   std::vector<Copy> ghosts_;                 ///< in `values_`
-  RectangleExchange parents_;
+  RectangleExchange parents_;                ///< with all cells around them that corrections are read of
+  RectangleExchange targets_of_residuals_;   ///< with those that take fluxes; none if `in_place_`
   InterfaceCells interface_;
 };
 

@@ -84,6 +84,10 @@ class CompositeLaplacian {
     return field_.electric_field(std::move(potential), walls, covered);
   }
 
+  // What this rank sends in a call of `residual`, besides the norm, and of `add`.
+  Traffic of_residual() const { return mesh_.plan().of_residual(); }
+  Traffic of_add() const { return mesh_.plan().of_average(); }
+
   Hierarchy const& hierarchy() const { return mesh_.hierarchy(); }
   /// Of lists and buffers on this rank.
   std::size_t bytes() const {

@@ -246,6 +246,18 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   }
 }
 
+Traffic CompositePlan::of_residual() const {
+  Traffic out = cells.of_start();
+  for (auto const& l : levels) out = out + l.finer_fluxes.of_start();
+  return out;
+}
+
+Traffic CompositePlan::of_average() const {
+  Traffic out;
+  for (auto const& l : levels) out = out + l.finer_means.of_start();
+  return out;
+}
+
 std::size_t CompositePlan::bytes() const {
   std::size_t sum = cells.memory();
   for (auto const& l : levels)

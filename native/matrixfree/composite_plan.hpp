@@ -101,6 +101,10 @@ struct CompositePlan {
   static int behind_edges(int l) { return 2 * l + 1; }
   static int level_of(int purpose) { return purpose / 2; }
 
+  // What this rank sends for cells and fluxes, and for means.
+  Traffic of_residual() const;
+  Traffic of_average() const;
+
   std::size_t bytes() const;  ///< of this rank's lists
 };
 

@@ -111,7 +111,7 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
   level.swept->exchange_right_hand_sides();
   std::vector<PlaneStage> stages;
   if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
-  int const sweeps = level.local ? beside_local_cycle(relaxation_.pre_sweeps) : relaxation_.pre_sweeps;
+  int const sweeps = sweeps_beside(level, relaxation_.pre_sweeps);
   for (auto& stage : level.swept->relaxations(sweeps, guess == Guess::zero, 1)) stages.push_back(stage);
   level.coarsening->sweep_and_restrict(stages);
 }
@@ -120,7 +120,7 @@ void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
 /// comes here, where it also finds what the coarser correction brought in along the coarse axis.
 void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
-  int const sweeps = level.local ? beside_local_cycle(relaxation_.post_sweeps) : relaxation_.post_sweeps;
+  int const sweeps = sweeps_beside(level, relaxation_.post_sweeps);
   int const further = level.local ? 1 : 0;  // a residual is taken there
   for (auto& stage : level.swept->relaxations(sweeps, false, further)) stages.push_back(stage);
   if (level.local) stages = level.local->improve(stages);
@@ -150,6 +150,41 @@ void Cycle::solve_coarsest() {
   for_each_own_row([&](std::size_t place, std::size_t value, int n) {
     std::transform(&values_[value], &values_[value] + n, &e[place], [](Real v) { return float(v); });
   });
+}
+
+std::vector<LevelWork> Cycle::work() const {
+  std::vector<LevelWork> out;
+  for (std::size_t l = 0; l < levels_.size(); ++l) {
+    SweptLevel const& swept = *levels_[l].swept;
+    LevelWork work{int(l) - int(multigrid_.base), swept.level().local_cells(), 0, 0, 0, 0, {}};
+    for (CellBlock const& block : swept.layout().blocks()) work.stored += block.box.cells();
+    std::set<int> ranks = swept.neighbours();
+    if (l > 0) ranks.insert(levels_[l].coarsening->neighbours().begin(), levels_[l].coarsening->neighbours().end());
+    work.neighbours = int(ranks.size());
+    out.push_back(work);
+  }
+  auto const add = [&](std::size_t l, Traffic const& sent, int sweeps, int further) {
+    out[l].traffic = out[l].traffic + sent;
+    out[l].sweeps += sweeps;
+    out[l].relaxed += levels_[l].swept->relaxed_cells(sweeps, further);
+  };
+  run_cycle(multigrid_, {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
+                         [&](std::size_t l, Guess guess) {
+                           Coarsening const& c = *levels_[l].coarsening;
+                           Traffic const sent = levels_[l].swept->of_right_hand_sides() + c.of_restriction(true);
+                           add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent,
+                               sweeps_beside(levels_[l], relaxation_.pre_sweeps), 1);
+                         },
+                         [&](std::size_t l) {
+                           auto const& local = levels_[l].local;
+                           add(l, levels_[l].coarsening->of_prolongation(),
+                               sweeps_beside(levels_[l], relaxation_.post_sweeps), local ? 1 : 0);
+                           if (!local) return;
+                           out[l].traffic = out[l].traffic + local->traffic();
+                           out[l].relaxed += local->relaxed_cells();
+                         },
+                         [&] { out[0].traffic.collectives += multigrid_.levels.front()->ranks() > 1; }});
+  return out;
 }
 
 std::size_t Cycle::bytes() const {

@@ -11,6 +11,17 @@
 
 namespace amrpic::matrixfree {
 
+/// What one cycle takes of a rank on one level. It follows from the boxes, also for a virtual rank.
+struct LevelWork {
+  int level;            ///< 0: the base; negative below it
+  std::int64_t cells;   ///< of this rank
+  std::int64_t stored;  ///< with copies of others' cells
+  Real relaxed;         ///< cells relaxed, both colours being one; without copies: `cells` times the sweeps
+  std::int64_t sweeps;  ///< over the level, in all visits
+  int neighbours;       ///< ranks with which this one exchanges values
+  Traffic traffic;      ///< what this rank sends for the level, and for what passes to and from the next coarser one
+};
+
 /// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form, in single
 /// precision and without matrices.
 class Cycle {
@@ -20,6 +31,9 @@ class Cycle {
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();
+
+  /// The work of a cycle, by levels, the coarsest first. Local.
+  std::vector<LevelWork> work() const;
 
   SweptLevel& level(std::size_t l) { return *levels_[multigrid_.base + l].swept; }  ///< a refinement level, or the base
 
@@ -37,6 +51,9 @@ class Cycle {
   void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
   void prolong_and_post_smooth(CycleLevel& level);
   void solve_coarsest();
+  int sweeps_beside(CycleLevel const& level, int sweeps) const {
+    return level.local ? beside_local_cycle(sweeps) : sweeps;
+  }
 
   Communicator comm_;
   MultigridLevels multigrid_;

@@ -18,6 +18,10 @@ void Imports::plan(Communicator const& comm) {
     return out;
   };
   auto const asked = parcels(asked_), wanted = parcels(wanted_);
+  for (std::size_t n = 0; n < asked.size(); ++n) {
+    sent_.messages += n == 0 || asked[n].rank != asked[n - 1].rank;
+    sent_.bytes += std::int64_t(sizeof(Real)) * asked[n].values;
+  }
   exchange_ = Exchange<Real>(comm, asked, wanted);
   std::int32_t from = 0;
   for (auto const& [purpose, read] : wanted_) {

@@ -48,6 +48,8 @@ class Imports {
 
   Real const* values() const { return values_; }
 
+  Traffic of_start() const { return sent_; }  ///< what this rank sends, as its counters will say
+
   std::size_t memory() const;  ///< of plan and buffers on this rank, in bytes
 
  private:
@@ -64,6 +66,7 @@ class Imports {
   std::map<Key, Place> places_;
   Exchange<Real> exchange_;
   Real const* values_ = nullptr;
+  Traffic sent_;
 };
 
 /// The same reads in cells `ratio` times coarser.

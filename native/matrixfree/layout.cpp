@@ -23,17 +23,17 @@ int lanes_of(int cells) {
   return wide ? widest : narrowest;
 }
 
-/// How many steps to a neighbour lead from one box to another that it does not overlap, diagonal ones allowed.
+/// How many steps across faces of cells lead from one box to another.
 int apart(Box const& a, Box const& b) {
   int out = 0;
-  for (int d = 0; d < 3; ++d) out = std::max({out, a.lower[d] - b.upper[d], b.lower[d] - a.upper[d]});
+  for (int d = 0; d < 3; ++d) out += std::max({0, a.lower[d] - b.upper[d], b.lower[d] - a.upper[d]});
   return out;
 }
 
 }  // namespace
 
 Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
-    : domain_(level.domain()), first_box_(level.first_local_box()) {
+    : domain_(level.domain()), first_box_(level.first_local_box()), has_seam_(seam[0] || seam[1] || seam[2]) {
   // Across an odd number of cells two of one colour meet: there images are copies with colours of their own.
   for (int d = 0; d < 3; ++d) wraps_[d] = d < 2 && level.periodic()[d] && domain_.extent(d) % 2 == 0;
   auto const periods = [&](int d) { return wraps_[d] ? depth / domain_.extent(d) + 1 : 0; };
@@ -48,7 +48,8 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   auto const large = joined(split(own, seams), seams);
   for (Box const& box : large) add(box);
   own_blocks_ = blocks_.size();
-  for (CellBlock const& block : blocks_) planes_of_.emplace_back(std::size_t(block.box.extent(2)), 0);
+  for (CellBlock const& block : blocks_)
+    rows_of_.emplace_back(std::size_t(block.box.extent(1)) * std::size_t(block.box.extent(2)), 0);
 
   // One copy of a box (or image) holds all that any own block needs of it. Images of own cells across x and y are read
   // in place where they can; those across z are copied, because a plane is swept when the one at the other end is not
@@ -76,7 +77,7 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   for (CopiedRectangle const& r : across_ranks_.asked) mark_copied(r.cells);
   for (CopiedRectangle const& r : across_ranks_.wanted) copies.push_back(r.cells.shift(r.shift));
   for (Box const& box : joined(copies, seams)) add(box);
-  measure_halo();
+  measure_halo(depth);
   std::ptrdiff_t longest = 0;
   for (CellBlock const& block : blocks_) longest = std::max(longest, block.cells.pitch_y);
   zero_row_ = std::ptrdiff_t(size_);
@@ -104,19 +105,23 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
       plane_[std::size_t(k - first_plane_)].push_back(int(b));
 }
 
-/// Find how far the planes of the halo lie from own cells.
-void Layout::measure_halo() {
+/// Find how far the rows of the halo lie from own cells.
+void Layout::measure_halo(int halo) {
   first_halo_plane_ = std::numeric_limits<int>::max();
   for (std::size_t b = own_blocks_; b < blocks_.size(); ++b) {
-    Box plane = blocks_[b].box;
-    first_halo_plane_ = std::min(first_halo_plane_, plane.lower[2]);
-    auto& distances = planes_of_.emplace_back();
-    for (int k = blocks_[b].box.lower[2]; k <= blocks_[b].box.upper[2]; ++k) {
-      plane.lower[2] = plane.upper[2] = k;
-      int nearest = std::numeric_limits<std::int8_t>::max();
-      for (std::size_t own = 0; own < own_blocks_; ++own) nearest = std::min(nearest, apart(plane, blocks_[own].box));
-      distances.push_back(std::int8_t(nearest));
-    }
+    Box const& box = blocks_[b].box;
+    first_halo_plane_ = std::min(first_halo_plane_, box.lower[2]);
+    std::vector<Box> near;
+    for (std::size_t own = 0; own < own_blocks_; ++own)
+      if (!box.grow(halo).intersect(blocks_[own].box).empty()) near.push_back(blocks_[own].box);
+    auto& steps = rows_of_.emplace_back();
+    for (int k = box.lower[2]; k <= box.upper[2]; ++k)
+      for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
+        int nearest = std::numeric_limits<std::int8_t>::max();
+        for (Box const& own : near)
+          nearest = std::min(nearest, apart({{box.lower[0], j, k}, {box.upper[0], j, k}}, own));
+        steps.push_back(std::int8_t(nearest));
+      }
   }
 }
 
@@ -133,12 +138,15 @@ void Layout::add(Box const& box) {
   blocks_.push_back(block);
 }
 
-/// Mark the planes of own blocks with some of these cells.
+/// Mark the rows of own blocks with some of these cells.
 void Layout::mark_copied(Box const& cells) {
   for (std::size_t b = 0; b < own_blocks_; ++b) {
-    Box const part = cells.intersect(blocks_[b].box);
+    Box const &box = blocks_[b].box, part = cells.intersect(box);
     if (part.empty()) continue;
-    for (int k = part.lower[2]; k <= part.upper[2]; ++k) planes_of_[b][std::size_t(k - blocks_[b].box.lower[2])] = 1;
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      std::fill_n(&rows_of_[b][std::size_t(k - box.lower[2]) * std::size_t(box.extent(1)) +
+                               std::size_t(part.lower[1] - box.lower[1])],
+                  part.extent(1), std::int8_t(1));
   }
 }
 

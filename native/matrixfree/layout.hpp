@@ -31,6 +31,14 @@ struct CellBlock {
   int vectors() const { return int(cells.pitch_y) / lanes; }
 };
 
+/// Rows of a plane of a block, chosen by a number that each has.
+struct RowChoice {
+  std::int8_t const* number = nullptr;  ///< of each row; null: all rows
+  int least = 0, most = 0;
+
+  bool contains(int j) const { return number == nullptr || (number[j] >= least && number[j] <= most); }
+};
+
 /// Own cells of which a rank keeps a copy across a periodic boundary.
 struct Image {
   int box;       ///< of the level
@@ -61,14 +69,17 @@ class Layout {
   std::vector<CellBlock> const& blocks() const { return blocks_; }  ///< own ones first
   std::size_t own_blocks() const { return own_blocks_; }
   bool has_halo() const { return blocks_.size() > own_blocks_; }
+  bool has_seam() const { return has_seam_; }
   int first_halo_plane() const { return first_halo_plane_; }  ///< the lowest plane of z that holds some of it
-  /// How far a block's plane lies from the nearest own cells: 0 for own ones.
-  int distance(std::size_t block, int k) const {
-    return block < own_blocks_ ? 0 : planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])];
+  /// The rows of a plane with cells from which so many steps across faces of cells lead to own ones: all rows of own
+  /// blocks.
+  RowChoice rows_in_reach(std::size_t block, int k, int steps) const {
+    return block < own_blocks_ ? RowChoice{} : RowChoice{rows(block, k), 0, steps};
   }
-  /// Whether other ranks, or this one outside the domain, may have copies of cells of an own block's plane.
-  bool is_copied(std::size_t block, int k) const {
-    return planes_of_[block][std::size_t(k - blocks_[block].box.lower[2])] != 0;
+  /// The rows of a plane of an own block of which other ranks, or this one outside the domain, have copies of some
+  /// cells, or those of which they have none.
+  RowChoice rows_by_copies(std::size_t block, int k, bool copied) const {
+    return {rows(block, k), copied ? 1 : 0, copied ? 1 : 0};
   }
   std::vector<Image> const& images() const { return copied_images_; }      ///< that are copied
   CopiesAcrossRanks const& across_ranks() const { return across_ranks_; }  ///< what passes between ranks for the halo
@@ -118,19 +129,24 @@ class Layout {
   std::vector<int> near(int lower_plane, int upper_plane) const;
   void add(Box const& box);
   void mark_copied(Box const& cells);
-  void measure_halo();
+  void measure_halo(int halo);
+  std::int8_t const* rows(std::size_t block, int k) const {
+    CellBlock const& b = blocks_[block];
+    return &rows_of_[block][std::size_t(k - b.box.lower[2]) * std::size_t(b.box.extent(1))];
+  }
 
   Box domain_;
   std::array<bool, 3> wraps_;   ///< whether images across the axis are read in place
   std::vector<Index3> images_;  ///< shifts of those within the sweeps' reach, none at all last
   int first_box_;
+  bool has_seam_;
   std::vector<CellBlock> blocks_;
   std::size_t own_blocks_ = 0, size_ = 0;
   std::ptrdiff_t zero_row_ = 0;
   std::vector<Image> copied_images_;
   CopiesAcrossRanks across_ranks_;
   int first_halo_plane_ = 0;
-  std::vector<std::vector<std::int8_t>> planes_of_;  ///< of each block: see `is_copied` and `distance`
+  std::vector<std::vector<std::int8_t>> rows_of_;  ///< of each block: whether a row is copied, or the steps from it
   std::vector<Placement> boxes_;
   int first_plane_ = 0;
   std::vector<std::vector<int>> plane_;

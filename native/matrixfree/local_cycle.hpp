@@ -23,6 +23,10 @@ class LocalCycle {
   /// Collective.
   std::vector<PlaneStage> improve(std::vector<PlaneStage> const& stages);
 
+  // What this rank sends, and the cells that it relaxes, in a call with the stages that it returns.
+  Traffic traffic() const;
+  Real relaxed_cells() const;
+
   std::unique_ptr<LocalCycle>& next() { return next_; }
   SweptLevel& swept() { return swept_; }
   std::size_t bytes() const { return swept_.bytes() + coarsening_.bytes() + (next_ ? next_->bytes() : 0); }

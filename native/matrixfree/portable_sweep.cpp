@@ -51,6 +51,7 @@ void for_each_row(Plane const& p, float const* e, F const& f) {
   std::size_t const bytes = 4 * Scratch::shmem_size(std::size_t(nx));
   Kokkos::parallel_for("rows", policy(p).set_scratch_size(0, Kokkos::PerTeam(int(bytes))), [&](Member const& team) {
     int const j = team.league_rank();
+    if (!p.rows.contains(j)) return;
     RowStencil const& s = stencil_of(p, j);
     std::array<float const*, 4> beside;
     for (std::size_t side = 0; side < 4; ++side)
@@ -72,6 +73,7 @@ void relax_from_zero(Plane const& p, int colour, float const* r, float* e) {
   int const k = p.number();
   Kokkos::parallel_for("relax from zero", policy(p), [&](Member const& team) {
     int const j = team.league_rank();
+    if (!p.rows.contains(j)) return;
     std::ptrdiff_t const row = p.block.cells.place(0, j, k);
     float const* const step =
         p.stencil.step(stencil_of(p, j).coefficients, p.block.cells.pitch_y, parity(p, j, colour));
@@ -152,6 +154,7 @@ void prolong(Plane const& p, Parents const& parents, float const* coarse, bool s
   std::array<std::ptrdiff_t, 3> const stride{1, parents.cells.pitch_y, parents.cells.pitch_z};
   Kokkos::parallel_for("prolong", policy(p), [&](Member const& team) {
     int const j = team.league_rank();
+    if (!p.rows.contains(j)) return;
     float* const row = e + p.block.cells.place(0, j, k);
     Kokkos::parallel_for(Kokkos::TeamVectorRange(team, p.block.box.extent(0)), [&](int i) {
       int const cell[3] = {i, j, k};

@@ -13,7 +13,8 @@ struct Plane {
   CellBlock const& block;
   BlockStencil const& ghosts;
   Stencil const& stencil;
-  int k;  ///< in the level's indices
+  int k;           ///< in the level's indices
+  RowChoice rows;  ///< that are relaxed or take corrections
 
   int number() const { return k - block.box.lower[2]; }  ///< in the block
 };

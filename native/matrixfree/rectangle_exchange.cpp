@@ -69,12 +69,17 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
   local_.shrink_to_fit();
   asked_ = packed(across.asked, false, own);
   wanted_ = packed(across.wanted, true, copies);
-  auto parcels = [](std::vector<CopiedRectangle> const& rectangles) {
+  auto parcels = [this](std::vector<CopiedRectangle> const& rectangles, Traffic& sent) {
     std::vector<Parcel> out;
-    for (CopiedRectangle const& r : rectangles) out.push_back({r.rank, r.cells.cells()});
+    for (CopiedRectangle const& r : rectangles) {
+      sent.messages += out.empty() || out.back().rank != r.rank;
+      sent.bytes += std::int64_t(sizeof(float)) * r.cells.cells();
+      neighbours_.insert(r.rank);
+      out.push_back({r.rank, r.cells.cells()});
+    }
     return out;
   };
-  exchange_ = Exchange<float>(comm, parcels(across.asked), parcels(across.wanted));
+  exchange_ = Exchange<float>(comm, parcels(across.asked, sent_by_update_), parcels(across.wanted, sent_by_add_));
 }
 
 /// Where the cells of each rectangle lie; `shifted`: as copies, else as they are owned.

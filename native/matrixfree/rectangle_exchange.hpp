@@ -1,6 +1,7 @@
 #pragma once
 
 #include <functional>
+#include <set>
 
 #include "base/communicator.hpp"
 #include "matrixfree/layout.hpp"
@@ -45,6 +46,11 @@ class RectangleExchange {
   /// Add the copies to the cells. Collective.
   void add(float const* copies, float* cells) const;
 
+  // What this rank sends in a call of either, as its counters will say; the ranks that it exchanges values with.
+  Traffic of_update() const { return sent_by_update_; }
+  Traffic of_add() const { return sent_by_add_; }
+  std::set<int> const& neighbours() const { return neighbours_; }
+
  private:
   /// Values of a rectangle in two places.
   struct Pair {
@@ -58,6 +64,8 @@ class RectangleExchange {
   static std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
                                     ForEachPart const& for_each_part);
 
+  Traffic sent_by_update_, sent_by_add_;
+  std::set<int> neighbours_;
   std::vector<Pair> local_;  ///< cells, and the copy
   std::vector<Packed> asked_, wanted_;
   Exchange<float> exchange_;

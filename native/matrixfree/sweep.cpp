@@ -36,9 +36,9 @@ float const* Sweep::composed(BlockStencil const& stencil, std::int32_t beside, f
   return buffer.data();
 }
 
-/// Call f(row, j, its stencil) for the rows of a plane.
+/// Call f(row, j, its stencil) for rows of a plane.
 template <class F>
-void Sweep::for_each_row(std::size_t block, int k, float* e, F&& f) const {
+void Sweep::for_each_row(std::size_t block, int k, RowChoice const& rows, float* e, F&& f) const {
   CellBlock const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
   int const ny = b.box.extent(1), plane = k - b.box.lower[2];
@@ -48,6 +48,7 @@ void Sweep::for_each_row(std::size_t block, int k, float* e, F&& f) const {
   row.last = (b.box.extent(0) - 1) % b.lanes;
   row.here = e + b.cells.place(0, 0, plane);
   for (int j = 0; j < ny; ++j, ++at, row.here += b.cells.pitch_y) {
+    if (!rows.contains(j)) continue;
     for (std::size_t side = 0; side < 4; ++side) row.beside[side] = e + at->beside[side];
     if ((at->beside[0] | at->beside[1] | at->beside[2] | at->beside[3]) < 0)
       for (std::size_t side = 0; side < 4; ++side)
@@ -77,29 +78,32 @@ int parity(CellBlock const& b, int j, int k, int colour) {
 
 }  // namespace
 
-void Sweep::relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
+void Sweep::relax_from_zero(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r,
+                            Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
-  if (kernels_ == Kernels::portable) return portable::relax_from_zero({b, s, stencil_, k}, colour, r.data(), e.data());
+  if (kernels_ == Kernels::portable)
+    return portable::relax_from_zero({b, s, stencil_, k, rows}, colour, r.data(), e.data());
   int const plane = k - b.box.lower[2];
   int const ny = b.box.extent(1);
-  RowStencil const* const rows = &s.rows[std::size_t(ny * plane)];
+  RowStencil const* const at = &s.rows[std::size_t(ny * plane)];
   with_kind(b.lanes, true, [&](auto n, auto) {
     for (int j = 0; j < ny; ++j) {
+      if (!rows.contains(j)) continue;
       std::ptrdiff_t const place = b.cells.place(0, j, plane);
       matrixfree::relax_from_zero<n()>(e.data() + place, r.data() + place,
-                                       stencil_.step(rows[j].coefficients, b.cells.pitch_y, parity(b, j, k, colour)),
+                                       stencil_.step(at[j].coefficients, b.cells.pitch_y, parity(b, j, k, colour)),
                                        b.vectors());
     }
   });
 }
 
-void Sweep::relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const {
+void Sweep::relax(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::relax({b, stencil_.block(block), stencil_, k}, colour, r.data(), e.data());
+    return portable::relax({b, stencil_.block(block), stencil_, k, rows}, colour, r.data(), e.data());
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, e.data(), [&](CorrectionRow const& row, int j, RowStencil const& s) {
+    for_each_row(block, k, rows, e.data(), [&](CorrectionRow const& row, int j, RowStencil const& s) {
       int const odd = parity(b, j, k, colour);
       matrixfree::relax<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - e.data()),
                                           stencil_.step(s.coefficients, b.cells.pitch_y, odd), stencil_.keep(), odd);
@@ -140,12 +144,12 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
                               float weight, Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::restrict_residual({b, stencil_.block(block), stencil_, k}, r.data(), e.data(), parents, weight,
+    return portable::restrict_residual({b, stencil_.block(block), stencil_, k, {}}, r.data(), e.data(), parents, weight,
                                        coarse.data());
   float* const left = line_of(parents);
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
-    for_each_row(block, k, values, [&](CorrectionRow const& row, int j, RowStencil const& s) {
+    for_each_row(block, k, {}, values, [&](CorrectionRow const& row, int j, RowStencil const& s) {
       residual<n(), isotropic()>(row, stencil_.weight(), r.data() + (row.here - values),
                                  stencil_.diagonal(s.coefficients), left);
       restrict_row<n()>(b, j, k, are_pairs(b, parents) ? left : in_pairs(b, parents, left), parents, weight, coarse);
@@ -157,7 +161,7 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
                                      Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k}, r.data(), parents, weight,
+    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k, {}}, r.data(), parents, weight,
                                               coarse.data());
   with_kind(b.lanes, true, [&](auto n, auto) {
     float* const line = line_of(parents);
@@ -172,16 +176,17 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
   });
 }
 
-void Sweep::prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
-                    Vector& e) const {
+void Sweep::prolong(std::size_t block, int k, RowChoice const& rows, Parents const& parents, Vector const& coarse,
+                    bool set, Vector const& r, Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
   if (kernels_ == Kernels::portable)
-    return portable::prolong({b, stencil_.block(block), stencil_, k}, parents, coarse.data(), set, e.data());
+    return portable::prolong({b, stencil_.block(block), stencil_, k, rows}, parents, coarse.data(), set, e.data());
   int const plane = k - b.box.lower[2], nx = b.box.extent(0), z = parents.toward(2, plane);
   // a fine row lies between its parents' row and the next one on its own side
   auto weight = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };
   with_kind(b.lanes, true, [&](auto n, auto) {
     for (int j = 0; j < b.box.extent(1); ++j) {
+      if (!rows.contains(j)) continue;
       int const y = parents.toward(1, j);
       float const* const here = coarse.data() + parents.cells.place(0, parents.parent(1, j), parents.parent(2, plane));
       CoarseRows from;

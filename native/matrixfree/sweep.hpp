@@ -55,8 +55,8 @@ class Sweep {
   Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels);
 
   /// One colour (0 or 1: the parity of i + j + k) relaxed from zero; the other becomes zero.
-  void relax_from_zero(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
-  void relax(std::size_t block, int k, int colour, Vector const& r, Vector& e) const;
+  void relax_from_zero(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const;
+  void relax(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const;
 
   /// What a plane adds to the coarse right-hand side: `weight` times the sum of the children's residuals, or of their
   /// right-hand sides. The first of the planes that share parents sets, the others add.
@@ -68,8 +68,8 @@ class Sweep {
 
   /// Set e to the coarse correction, interpolated trilinearly along the axes of ratio 2, or add this; ghost
   /// cells of the block's parents must be filled. Sweeps that follow read r.
-  void prolong(std::size_t block, int k, Parents const& parents, Vector const& coarse, bool set, Vector const& r,
-               Vector& e) const;
+  void prolong(std::size_t block, int k, RowChoice const& rows, Parents const& parents, Vector const& coarse, bool set,
+               Vector const& r, Vector& e) const;
 
  private:
   template <int lanes>
@@ -78,7 +78,7 @@ class Sweep {
   float const* in_pairs(CellBlock const& block, Parents const& parents, float* line) const;
   float* line_of(Parents const& parents) const { return buffer_[4].data() + 16 + parents.odd[0]; }
   template <class F>
-  void for_each_row(std::size_t block, int k, float* e, F&& f) const;
+  void for_each_row(std::size_t block, int k, RowChoice const& rows, float* e, F&& f) const;
   float const* composed(BlockStencil const& stencil, std::int32_t beside, float const* e, Vector& buffer) const;
 
   Layout const& layout_;

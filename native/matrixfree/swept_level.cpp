@@ -54,15 +54,33 @@ std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int 
     for (int colour : {0, 1}) {
       bool const fresh = from_zero && s == 0 && colour == 0;
       out.push_back([this, colour, fresh, reach](std::size_t b, int k) {
-        if (layout_.distance(b, k) > reach) return;
+        RowChoice const rows = layout_.rows_in_reach(b, k, reach);
         if (fresh)
-          sweep_.relax_from_zero(b, k, colour, r_, e_);
+          sweep_.relax_from_zero(b, k, colour, rows, r_, e_);
         else
-          sweep_.relax(b, k, colour, r_, e_);
+          sweep_.relax(b, k, colour, rows, r_, e_);
       });
       --reach;
     }
   return out;
+}
+
+Real SweptLevel::relaxed_cells(int sweeps, int further) const {
+  std::int64_t cells = 0;
+  for (int reach = further; reach < further + 2 * sweeps; ++reach)
+    for (std::size_t b = 0; b < layout_.blocks().size(); ++b) {
+      Box const& box = layout_.blocks()[b].box;
+      for (int k = box.lower[2]; k <= box.upper[2]; ++k) {
+        RowChoice const rows = layout_.rows_in_reach(b, k, reach);
+        for (int j = 0; j < box.extent(1); ++j) cells += rows.contains(j) ? box.extent(0) : 0;
+      }
+    }
+  return Real(cells) / 2;
+}
+
+Traffic SweptLevel::of_corrections(bool boundary_changed) const {
+  if (!has_halo()) return {};
+  return boundary_changed ? halo_.of_update() + edge_halo_.of_update() : halo_.of_update();
 }
 
 void SweptLevel::run(std::vector<PlaneStage> const& stages) {

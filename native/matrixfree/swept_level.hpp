@@ -48,6 +48,13 @@ class SweptLevel {
   /// alone. Collective.
   void exchange_corrections(bool boundary_changed);
 
+  // What this rank does in calls of these: messages and bytes that it sends, cells that it relaxes, both colours being
+  // one.
+  Traffic of_right_hand_sides() const { return has_halo() ? halo_.of_update() : Traffic{}; }
+  Traffic of_corrections(bool boundary_changed) const;
+  Real relaxed_cells(int sweeps, int further) const;
+  std::set<int> const& neighbours() const { return halo_.neighbours(); }
+
   Level const& level() const { return *level_; }
   Layout const& layout() const { return layout_; }
   LevelFaces const& faces() const { return faces_; }  ///< of the layout's blocks

@@ -26,6 +26,8 @@ class BoundaryCells {
   /// Number of an own cell of the level, which must be a boundary cell. `box`, any to begin with, is where the next
   /// search starts.
   LocalIndex number(LocalIndex place, std::size_t& box) const;
+  /// Of one of box b, counted from the box's first one; -1: inside, where nothing is stored.
+  LocalIndex number(int b, Index3 const& cell) const;
   LocalIndex number(LocalIndex place) const {
     std::size_t box = 0;
     return number(place, box);
@@ -47,8 +49,6 @@ class BoundaryCells {
   }
 
  private:
-  LocalIndex number(int b, Index3 const& cell) const;  ///< cell counted from the box's first one; -1: inside
-
   std::vector<Index3> extent_;          ///< of each box
   std::vector<char> whole_;             ///< each box
   std::vector<LocalIndex> first_;       ///< boxes + 1 values

@@ -107,6 +107,34 @@ void ElectricField::write_plane(int level, int b, int k, std::array<Real*, 3> co
   });
 }
 
+void ElectricField::write_part(int level, int b, Box const& cells, Real* out) const {
+  Box const& box = this->box(level, b);
+  std::ptrdiff_t const step[3] = {box.stride(0), box.stride(1), box.stride(2)};
+  auto const copy_boundary = [&](LocalIndex number, int count) {
+    out = std::copy_n(at_boundary(level) + components_per_cell * std::ptrdiff_t(number), components_per_cell * count,
+                      out);
+  };
+  for (int k = cells.lower[2]; k <= cells.upper[2]; ++k)
+    for (int j = cells.lower[1]; j <= cells.upper[1]; ++j)
+      for (int i = cells.lower[0], count = 1; i <= cells.upper[0]; i += count) {
+        std::ptrdiff_t const place = first_cell(level, b) + box.offset({i, j, k});
+        Index3 const from_lower{i - box.lower[0], j - box.lower[1], k - box.lower[2]};
+        LocalIndex const number = potential_ ? boundary(level).number(b, from_lower) : -1;
+        bool const in_row = j == box.lower[1] || j == box.upper[1] || k == box.lower[2] || k == box.upper[2];
+        count = number >= 0 && (in_row || boundary(level).is_whole(b)) ? cells.upper[0] - i + 1 : 1;
+        if (number >= 0) {
+          copy_boundary(number, count);
+        } else if (potential_) {
+          Real const* phi = potential_->level(level).data() + place;
+          count = std::min(cells.upper[0] + 1, box.upper[0]) - i;  // the last cell of a row is stored
+          for (int n = 0; n < count; ++n, ++phi)
+            for (int d = 0; d < 3; ++d) *out++ = field_between(factor(level)[d], phi[-step[d]], phi[step[d]]);
+        } else {
+          for (int d = 0; d < 3; ++d) *out++ = component(d).level(level)[std::size_t(place)];
+        }
+      }
+}
+
 void ElectricField::write(std::array<Field*, 3> const& components) const {
   for_each_plane([&](int l, int b, int k, std::ptrdiff_t place) {
     write_plane(l, b, k,

@@ -44,6 +44,9 @@ class ElectricField {
   /// Write plane k of a box.
   void write_plane(int level, int b, int k, std::array<Real*, 3> const& plane) const;
 
+  /// Write the components of some cells of a box, in its level's indices, side by side, x fastest.
+  void write_part(int level, int b, Box const& cells, Real* out) const;
+
   /// Write all cells.
   void write(std::array<Field*, 3> const& components) const;
 

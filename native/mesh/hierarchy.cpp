@@ -4,6 +4,7 @@
 #include <limits>
 #include <numeric>
 #include <string>
+#include <utility>
 
 #include "base/error.hpp"
 #include "mesh/array_on_box.hpp"
@@ -36,6 +37,14 @@ std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor) 
 }
 
 namespace {
+
+constexpr int smallest_piece = 8;     ///< cells along an axis: thinner boxes cost more than they balance
+constexpr Real most_imbalance = 1.1;  ///< cells of the fullest rank over the mean
+
+GlobalIndex cells_of(std::vector<Box> const& boxes) {
+  return std::accumulate(boxes.begin(), boxes.end(), GlobalIndex(0),
+                         [](GlobalIndex sum, Box const& box) { return sum + box.cells(); });
+}
 
 /// Whether point a comes before point b in Morton order (z the most significant axis); coordinates are not negative.
 bool morton_less(Index3 const& a, Index3 const& b) {
@@ -83,8 +92,7 @@ void check_disjoint(int number, Level const& level) {
 void check_nesting(int number, Level const& level, Level const& coarser) {
   for (int b = 0; b < level.box_count(); ++b) {
     Box const region = coarser.cut_at_walls(level.box(b).coarsen(refinement_ratio).grow(1));
-    GlobalIndex inside = 0;
-    coarser.for_each_overlap(region, [&](int, Box const& part, Index3 const&) { inside += part.cells(); });
+    GlobalIndex const inside = coarser.cells_in(region);
     if (inside != region.cells())
       throw HierarchyError(where(number, level.box(b)) + " does not nest: level " + std::to_string(number - 1) +
                            " must surround it by at least one cell, corners included, but lacks " +
@@ -128,35 +136,111 @@ void check_domain(Domain const& domain, int max_grid_size, int blocking_factor) 
   }
 }
 
+/// The boxes of a level of an earlier hierarchy, if there is such a level and they are the given ones.
+std::shared_ptr<BoxTable const> same_boxes(Hierarchy const* earlier, std::size_t l, Box const& domain,
+                                           std::array<bool, 3> const& periodic, std::vector<Box> const& boxes) {
+  if (!earlier || l >= std::size_t(earlier->level_count())) return nullptr;
+  Level const& level = earlier->level(int(l));
+  bool const same = level.domain() == domain && level.periodic() == periodic && level.boxes() == boxes;
+  return same ? level.share_table() : nullptr;
+}
+
 }  // namespace
 
 void sort_along_curve(std::vector<Box>& boxes) {
-  std::sort(boxes.begin(), boxes.end(),
-            [](Box const& a, Box const& b) { return morton_less(twice_centre(a), twice_centre(b)); });
+  // Places are counted in mean extents of a box first, else eight boxes after each other would make up a cube only if
+  // their extents were powers of two.
+  std::array<std::int64_t, 3> extent{0, 0, 0};
+  for (Box const& box : boxes)
+    for (int d = 0; d < 3; ++d) extent[d] += box.extent(d);
+  auto const place = [&](Box const& box) {
+    Index3 out;
+    for (int d = 0; d < 3; ++d)
+      out[d] = int((std::int64_t(box.lower[d]) + box.upper[d] + 1) * std::int64_t(boxes.size()) / (2 * extent[d]));
+    return out;
+  };
+  std::vector<std::pair<Index3, Box>> placed;
+  for (Box const& box : boxes) placed.emplace_back(place(box), box);
+  std::sort(placed.begin(), placed.end(), [](auto const& a, auto const& b) {
+    return a.first != b.first ? morton_less(a.first, b.first)
+                              : morton_less(twice_centre(a.second), twice_centre(b.second));
+  });
+  std::transform(placed.begin(), placed.end(), boxes.begin(), [](auto const& p) { return p.second; });
 }
 
-std::vector<int> distribute(std::vector<Real> const& weights, int ranks) {
-  Real const total = std::accumulate(weights.begin(), weights.end(), Real(0));
-  std::vector<int> first(ranks + 1, int(weights.size()));
+std::vector<int> distribute(std::vector<Box> const& boxes, int ranks) {
+  GlobalIndex const total = cells_of(boxes);
+  std::vector<int> first(std::size_t(ranks) + 1, int(boxes.size()));
   first[0] = 0;
-  Real sum = 0;
+  GlobalIndex sum = 0;
   int rank = 1;
-  for (std::size_t b = 0; b < weights.size() && rank < ranks; ++b) {
+  for (std::size_t b = 0; b < boxes.size() && rank < ranks; ++b) {
     // a box goes to the rank in whose range its middle lies
-    while (rank < ranks && sum + weights[b] / 2 >= total * rank / ranks) first[rank++] = int(b);
-    sum += weights[b];
+    while (rank < ranks && (2 * sum + boxes[b].cells()) * ranks >= 2 * total * rank)
+      first[std::size_t(rank++)] = int(b);
+    sum += boxes[b].cells();
   }
   return first;
 }
 
+namespace {
+
+/// A box cut in halves along its longest axis, where both start on blocks and are thick enough; itself where none can
+/// be cut.
+std::vector<Box> halves(Box const& box, int blocking_factor) {
+  int axis = -1, below = 0;
+  for (int d = 2; d >= 0; --d) {  // in the order of the curve
+    int const half = box.extent(d) / blocking_factor / 2 * blocking_factor;
+    if (half < smallest_piece || box.extent(d) - half < smallest_piece) continue;
+    if (axis < 0 || box.extent(d) > box.extent(axis)) axis = d, below = half;
+  }
+  if (axis < 0) return {box};
+  Box lower = box, upper = box;
+  upper.lower[axis] += below;
+  lower.upper[axis] = upper.lower[axis] - 1;
+  return {lower, upper};
+}
+
+/// Halve those boxes of overfull ranks within which the border between the equal parts of two ranks lies. Returns
+/// whether there were any.
+bool relieve(std::vector<Box>& boxes, std::vector<int> const& first, int blocking_factor) {
+  GlobalIndex const total = cells_of(boxes), ranks = GlobalIndex(first.size()) - 1;
+  std::vector<Box> out;
+  GlobalIndex end = 0;  // cells up to the box
+  for (std::size_t r = 0; r + 1 < first.size(); ++r) {
+    std::vector<Box> const run(boxes.begin() + first[r], boxes.begin() + first[r + 1]);
+    bool const is_overfull = Real(cells_of(run)) * Real(ranks) > most_imbalance * Real(total);
+    for (Box const& box : run) {
+      GlobalIndex const border = end * ranks / total + 1;  // the next one, in parts
+      end += box.cells();
+      bool const lies_across = border * total < end * ranks;
+      for (Box const& piece : is_overfull&& lies_across ? halves(box, blocking_factor) : std::vector<Box>{box})
+        out.push_back(piece);
+    }
+  }
+  bool const any = out.size() > boxes.size();
+  boxes = std::move(out);
+  return any;
+}
+
+}  // namespace
+
+std::vector<int> share_out(std::vector<Box>& boxes, int ranks, int blocking_factor) {
+  sort_along_curve(boxes);
+  auto first = distribute(boxes, ranks);
+  while (relieve(boxes, first, blocking_factor)) first = distribute(boxes, ranks);
+  return first;
+}
+
 Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
-                     int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights)
+                     int max_grid_size, int blocking_factor, std::vector<Box> const& base, Hierarchy const* earlier)
     : comm_(comm), domain_(domain), max_grid_size_(max_grid_size), blocking_factor_(blocking_factor) {
   check_domain(domain, max_grid_size, blocking_factor);
   int const rank = comm.rank(), ranks = comm.ranks();
   std::array<bool, 3> const periodic{domain.periodic(0), domain.periodic(1), domain.periodic(2)};
   Box region{{0, 0, 0}, {domain.cells[0] - 1, domain.cells[1] - 1, domain.cells[2] - 1}};
   Real3 spacing{domain.spacing(0), domain.spacing(1), domain.spacing(2)};
+  bool is_known = true;  // the level before, and with it that this one nests if it is known too
 
   for (std::size_t l = 0; l <= refined.size(); ++l) {
     if (l > 0) {
@@ -168,34 +252,31 @@ Hierarchy::Hierarchy(Communicator const& comm, Domain const& domain, std::vector
       for (Real& h : spacing) h /= 2;
     }
     if (l == 0) check_cells("level 0", region, ranks);
-    std::vector<Box> asked = l == 0 ? std::vector<Box>{region} : refined[l - 1], boxes;
+    bool const as_given = !base.empty();
+    std::vector<Box> const asked = l > 0 ? refined[l - 1] : as_given ? base : std::vector<Box>{region};
+    std::vector<Box> boxes;
     if (asked.empty()) break;
     for (Box const& box : asked) {
       check_box(int(l), box, region, blocking_factor);
       check_cells(where(int(l), box), box, ranks);
-      auto pieces = cut(box, max_grid_size, blocking_factor);
+      auto const pieces = as_given ? std::vector<Box>{box} : cut(box, max_grid_size, blocking_factor);
       boxes.insert(boxes.end(), pieces.begin(), pieces.end());
     }
-    sort_along_curve(boxes);
-    std::vector<Real> load(boxes.size());
-    std::transform(boxes.begin(), boxes.end(), load.begin(), [](Box const& b) { return Real(b.cells()); });
-    if (l < weights.size() && !weights[l].empty()) {
-      if (weights[l].size() != boxes.size())
-        throw HierarchyError("level " + std::to_string(l) + " has " + std::to_string(boxes.size()) + " boxes but " +
-                             std::to_string(weights[l].size()) + " weights were given; give one per box");
-      load = weights[l];
-    }
-    auto level =
-        std::make_shared<Level const>(region, periodic, spacing, std::move(boxes), distribute(load, ranks), rank);
+    auto first = as_given ? distribute(boxes, ranks) : share_out(boxes, ranks, blocking_factor);
+    auto table = same_boxes(earlier, l, region, periodic, boxes);
+    bool const was_known = std::exchange(is_known, table != nullptr);
+    if (!table) table = std::make_shared<BoxTable const>(std::move(boxes));
+    auto level = std::make_shared<Level const>(region, periodic, spacing, std::move(table), std::move(first), rank);
     for (int r = 0; r < ranks; ++r)
       if (level->first_cell(r + 1) - level->first_cell(r) > std::numeric_limits<LocalIndex>::max())
         throw HierarchyError("level " + std::to_string(l) + " puts " +
                              std::to_string(level->first_cell(r + 1) - level->first_cell(r)) + " cells on rank " +
                              std::to_string(r) + ", more than 32-bit numbers count; use more ranks");
-    if (l > 0) {
-      check_disjoint(int(l), *level);
-      check_nesting(int(l), *level, *levels_.back());
-    }
+    if ((l > 0 || as_given) && !is_known) check_disjoint(int(l), *level);
+    if (l > 0 && !(is_known && was_known)) check_nesting(int(l), *level, *levels_.back());
+    if (l == 0 && level->cells() != region.cells())
+      throw HierarchyError("the boxes given for level 0 have " + std::to_string(level->cells()) + " of the domain's " +
+                           std::to_string(region.cells()) + " cells; they must cover it");
     levels_.push_back(std::move(level));
   }
 }

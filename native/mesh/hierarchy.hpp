@@ -11,16 +11,20 @@ namespace amrpic {
 
 constexpr Index3 refinement_ratio{2, 2, 2};
 
-/// The levels of a refined mesh, coarse to fine; immutable. Boxes and their order do not depend on the number of ranks.
+/// The levels of a refined mesh, coarse to fine; immutable. Which cells are refined does not depend on the number of
+/// ranks, nor do boxes where whole ones balance it.
 class Hierarchy {
  public:
-  /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself); `weights[l]`, if
-  /// given, holds one positive number per box of level l as it comes out of the cutting. Boxes start on multiples of
-  /// the blocking factor and have a multiple of it, except that those at the domain's upper faces may be shorter.
-  /// Throws HierarchyError, the same on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do
-  /// not nest.
+  /// Cut, order and distribute the boxes of the refined levels (level 0 covers the domain by itself), each level by its
+  /// cells (see share_out). Boxes start on multiples of the blocking factor and have a multiple of it, except that
+  /// those at the domain's upper faces may be shorter. With boxes of level 0 in `base` these and the refined ones are
+  /// taken as they are and in their order, neither cut nor halved: so boxes that were stored come back. Levels
+  /// with the boxes of an `earlier` hierarchy on the same domain share them, and are not checked again. Throws
+  /// HierarchyError, the same on all ranks, for boxes that overlap, leave the domain, are not aligned so, or do not
+  /// nest.
   Hierarchy(Communicator const& comm, Domain const& domain, std::vector<std::vector<Box>> const& refined,
-            int max_grid_size, int blocking_factor, std::vector<std::vector<Real>> const& weights = {});
+            int max_grid_size, int blocking_factor, std::vector<Box> const& base = {},
+            Hierarchy const* earlier = nullptr);
 
   Communicator const& comm() const { return comm_; }
   Domain const& domain() const { return domain_; }
@@ -60,7 +64,13 @@ std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor);
 /// Sort boxes along a space-filling curve (Morton order of their centres).
 void sort_along_curve(std::vector<Box>& boxes);
 
-/// Where each rank's run of boxes starts, ranks + 1 values, so that the runs carry about equal weight.
-std::vector<int> distribute(std::vector<Real> const& weights, int ranks);
+/// Where each rank's run of boxes starts, ranks + 1 values, so that the runs have about equally many cells.
+std::vector<int> distribute(std::vector<Box> const& boxes, int ranks);
+
+/// Sort the boxes of a level along the curve, and return where each rank's run of them starts. Where a rank would have
+/// more than 1.1 times the mean of cells, its boxes that lie across the border between the equal parts of two ranks are
+/// halved, on blocks, down to 8 cells, and the halves take their place: most boxes stay whole. The same on all ranks,
+/// from boxes alone.
+std::vector<int> share_out(std::vector<Box>& boxes, int ranks, int blocking_factor);
 
 }  // namespace amrpic

@@ -20,10 +20,10 @@ Real sum(LocalIndex count, Value const& value) {
   return parts[0];
 }
 
-/// Integral over the cells of all levels and ranks: `plane(level, box, k)`, all counted from the first one of this
-/// rank, gives a function of the places of cells in a plane.
+/// Integral over this rank's cells of all levels: `plane(level, box, k)`, all counted from its first one,
+/// gives a function of the places of cells in a plane.
 template <class Plane>
-Real integral_on_all(Hierarchy const& hierarchy, Plane const& plane) {
+Real integral_on_rank(Hierarchy const& hierarchy, Plane const& plane) {
   Real total = 0;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     LevelFaces const& boxes = hierarchy.faces(l);
@@ -43,7 +43,6 @@ Real integral_on_all(Hierarchy const& hierarchy, Plane const& plane) {
     }
     total += hierarchy.level(l).cell_volume() * on_level;
   }
-  total = hierarchy.comm().sum(total);
   return total;
 }
 
@@ -57,13 +56,13 @@ Real const* plane_of(Field const& field, int l, int b, int k) {
 }  // namespace
 
 Real integral(Field const& field) {
-  return integral_on_all(field.hierarchy(), [&](int l, int b, int k) {
+  return integral_on_rank(field.hierarchy(), [&](int l, int b, int k) {
     return [values = plane_of(field, l, b, k)](LocalIndex n) { return values[n]; };
   });
 }
 
 Real integral(Field const& one, Field const& other) {
-  return integral_on_all(one.hierarchy(), [&](int l, int b, int k) {
+  return integral_on_rank(one.hierarchy(), [&](int l, int b, int k) {
     return [first = plane_of(one, l, b, k), second = plane_of(other, l, b, k)](LocalIndex n) {
       return first[n] * second[n];
     };
@@ -72,7 +71,7 @@ Real integral(Field const& one, Field const& other) {
 
 Real integral_of_square(ElectricField const& field) {
   std::array<std::vector<Real>, 3> values;
-  return integral_on_all(field.hierarchy(), [&](int l, int b, int k) {
+  return integral_on_rank(field.hierarchy(), [&](int l, int b, int k) {
     Level const& level = field.hierarchy().level(l);
     Box const& box = level.box(level.first_local_box() + b);
     for (auto& component : values) component.resize(std::size_t(box.extent(0)) * std::size_t(box.extent(1)));

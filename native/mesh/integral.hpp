@@ -5,13 +5,13 @@
 
 namespace amrpic {
 
-/// Volume integral of a field over the cells that no finer level covers. Collective.
+/// Volume integral of a field over those of this rank's cells that no finer level covers. Local.
 Real integral(Field const& field);
 
-/// The same of the product of two fields on one hierarchy. Collective.
+/// The same of the product of two fields on one hierarchy. Local.
 Real integral(Field const& one, Field const& other);
 
-/// The same of the square of a vector field. Collective.
+/// The same of the square of a vector field. Local.
 Real integral_of_square(ElectricField const& field);
 
 }  // namespace amrpic

@@ -6,44 +6,20 @@ namespace amrpic {
 
 Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::vector<Box> boxes,
              std::vector<int> first_box, int rank)
+    : Level(domain, periodic, spacing, std::make_shared<BoxTable const>(std::move(boxes)), std::move(first_box), rank) {
+}
+
+Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::shared_ptr<BoxTable const> table,
+             std::vector<int> first_box, int rank)
     : domain_(domain),
       periodic_(periodic),
       spacing_(spacing),
-      boxes_(std::move(boxes)),
+      table_(std::move(table)),
       first_box_(std::move(first_box)),
-      offset_(boxes_.size() + 1, 0),
-      rank_(rank),
-      bin_{1, 1, 1} {
-  for (std::size_t b = 0; b < boxes_.size(); ++b) {
-    offset_[b + 1] = offset_[b] + boxes_[b].cells();
-    for (int d = 0; d < 3; ++d) bin_[d] = std::max(bin_[d], boxes_[b].extent(d));
-  }
-  for (int b = 0; b < box_count(); ++b)
-    for_each_cell(boxes_[b].coarsen(bin_), [&](Index3 const& c) { bins_[bin_key(c[0], c[1], c[2])].push_back(b); });
-}
+      rank_(rank) {}
 
 int Level::owner(int b) const {
   return int(std::upper_bound(first_box_.begin() + 1, first_box_.end(), b) - first_box_.begin()) - 1;
-}
-
-int Level::owner_of_cell(GlobalIndex cell) const {
-  int const b = int(std::upper_bound(offset_.begin() + 1, offset_.end(), cell) - offset_.begin()) - 1;
-  return owner(b);
-}
-
-int Level::find(Index3 const& cell) const {
-  auto const bin = bins_.find(
-      bin_key(floor_divide(cell[0], bin_[0]), floor_divide(cell[1], bin_[1]), floor_divide(cell[2], bin_[2])));
-  if (bin == bins_.end()) return -1;
-  for (int b : bin->second)
-    if (boxes_[b].contains(cell)) return b;
-  return -1;
-}
-
-std::int64_t Level::bin_key(int i, int j, int k) const {
-  // 21 bits each, offset so that bins left of the domain have keys of their own
-  constexpr std::int64_t half = 1 << 20;
-  return (i + half) | ((j + half) << 21) | ((k + half) << 42);
 }
 
 std::vector<Index3> Level::images(Box const& region) const {
@@ -61,22 +37,15 @@ std::vector<Index3> Level::images(Box const& region) const {
   return out;
 }
 
-std::vector<int> Level::boxes_near(Box const& region) const {
-  std::vector<int> out;
-  Box const inside = region.intersect(domain_);
-  if (inside.empty()) return out;
-  for_each_cell(inside.coarsen(bin_), [&](Index3 const& c) {
-    auto const bin = bins_.find(bin_key(c[0], c[1], c[2]));
-    if (bin != bins_.end()) out.insert(out.end(), bin->second.begin(), bin->second.end());
-  });
-  std::sort(out.begin(), out.end());
-  out.erase(std::unique(out.begin(), out.end()), out.end());
+GlobalIndex Level::cells_in(Box const& region) const {
+  GlobalIndex out = 0;
+  for (auto const& shift : images(region)) out += table_->cells_in(region.shift_back(shift).intersect(domain_));
   return out;
 }
 
 bool Level::same_as(Level const& other) const {
   return this == &other || (domain_ == other.domain_ && periodic_ == other.periodic_ && spacing_ == other.spacing_ &&
-                            boxes_ == other.boxes_ && first_box_ == other.first_box_);
+                            first_box_ == other.first_box_ && (table_ == other.table_ || boxes() == other.boxes()));
 }
 
 std::shared_ptr<Level const> Level::stretched(Real3 const& factor) const {

@@ -2,9 +2,9 @@
 
 #include <cstdint>
 #include <memory>
-#include <unordered_map>
 #include <vector>
 
+#include "mesh/box_table.hpp"
 #include "mesh/domain.hpp"
 
 namespace amrpic {
@@ -19,6 +19,9 @@ class Level {
   /// values).
   Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::vector<Box> boxes, std::vector<int> first_box,
         int rank);
+  /// The same with boxes that another level may share.
+  Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::shared_ptr<BoxTable const> table,
+        std::vector<int> first_box, int rank);
 
   Box const& domain() const { return domain_; }
   std::array<bool, 3> const& periodic() const { return periodic_; }
@@ -56,29 +59,30 @@ class Level {
   std::shared_ptr<Level const> seen_by(int rank) const;
   Real cell_volume() const { return spacing_[0] * spacing_[1] * spacing_[2]; }
 
-  int box_count() const { return int(boxes_.size()); }
-  std::vector<Box> const& boxes() const { return boxes_; }
-  Box const& box(int b) const { return boxes_[b]; }
+  int box_count() const { return table_->count(); }
+  std::vector<Box> const& boxes() const { return table_->boxes(); }
+  Box const& box(int b) const { return table_->box(b); }
+  std::shared_ptr<BoxTable const> const& share_table() const { return table_; }
   int ranks() const { return int(first_box_.size()) - 1; }
   int rank() const { return rank_; }
   int owner(int b) const;
-  int owner_of_cell(GlobalIndex cell) const;
+  int owner_of_cell(GlobalIndex cell) const { return owner(table_->box_of_cell(cell)); }
 
   /// Boxes of this rank: [first_local_box, last_local_box).
-  int first_local_box() const { return first_box_[rank_]; }
-  int last_local_box() const { return first_box_[rank_ + 1]; }
-  int first_box(int rank) const { return first_box_[rank]; }
+  int first_local_box() const { return first_box(rank_); }
+  int last_local_box() const { return first_box(rank_ + 1); }
+  int first_box(int rank) const { return first_box_[std::size_t(rank)]; }
 
-  GlobalIndex cells() const { return offset_.back(); }
-  GlobalIndex box_offset(int b) const { return offset_[b]; }                    ///< number of its first cell
-  GlobalIndex first_cell(int rank) const { return offset_[first_box_[rank]]; }  ///< first cell of a rank
+  GlobalIndex cells() const { return table_->cells(); }
+  GlobalIndex box_offset(int b) const { return table_->offset(b); }  ///< number of its first cell
+  GlobalIndex first_cell(int rank) const { return box_offset(first_box(rank)); }
   GlobalIndex first_local_cell() const { return first_cell(rank_); }
   bool owns(GlobalIndex cell) const { return cell >= first_cell(rank_) && cell < first_cell(rank_ + 1); }
   LocalIndex local_cells() const { return LocalIndex(first_cell(rank_ + 1) - first_cell(rank_)); }
-  LocalIndex local_offset(int b) const { return LocalIndex(offset_[b] - first_local_cell()); }  ///< of a local box
+  LocalIndex local_offset(int b) const { return LocalIndex(box_offset(b) - first_local_cell()); }  ///< of a local box
 
   /// Box that holds a cell inside the domain, or -1.
-  int find(Index3 const& cell) const;
+  int find(Index3 const& cell) const { return table_->find(cell); }
 
   /// Call `f(b, part, shift)` for each box b and periodic image that meets `region`: `part` is the common part in
   /// region's indices, and `part` minus `shift` lies inside box b. Images of non-periodic axes are not visited.
@@ -86,39 +90,28 @@ class Level {
   template <class F>
   void for_each_overlap(Box const& region, F&& f) const {
     for (auto const& shift : images(region)) {
-      Index3 const back{-shift[0], -shift[1], -shift[2]};
-      for (int b : boxes_near(region.shift(back))) {
-        Box const part = region.intersect(boxes_[b].shift(shift));
-        if (!part.empty()) f(b, part, shift);
-      }
+      for (int b : table_->meeting(region.shift_back(shift).intersect(domain_)))
+        f(b, region.intersect(box(b).shift(shift)), shift);
     }
   }
 
   /// Whether another level has the same cells on the same ranks, in the same space.
   bool same_as(Level const& other) const;
 
-  bool intersects(Box const& region) const {
-    bool any = false;
-    for_each_overlap(region, [&](int, Box const&, Index3 const&) { any = true; });
-    return any;
-  }
+  bool intersects(Box const& region) const { return cells_in(region) > 0; }
+  /// How many cells of a region the level has, periodic images counted each.
+  GlobalIndex cells_in(Box const& region) const;
 
  private:
   /// Shifts by whole domains under which `region` can meet the domain.
   std::vector<Index3> images(Box const& region) const;
-  /// Ascending numbers of boxes that may meet a region, without periodic images.
-  std::vector<int> boxes_near(Box const& region) const;
-  std::int64_t bin_key(int i, int j, int k) const;
 
   Box domain_;
   std::array<bool, 3> periodic_;
   Real3 spacing_;
-  std::vector<Box> boxes_;
-  std::vector<int> first_box_;
-  std::vector<GlobalIndex> offset_;  ///< boxes + 1 values
+  std::shared_ptr<BoxTable const> table_;
+  std::vector<int> first_box_;  ///< ranks + 1 values
   int rank_;
-  Index3 bin_;  ///< extent of a bin of the look-up, cells
-  std::unordered_map<std::int64_t, std::vector<int>> bins_;
 };
 
 }  // namespace amrpic

@@ -73,13 +73,16 @@ class Magnitude {
 
   /// The norm over all ranks; nan if a value is not finite. Collective.
   Real over(Communicator const& comm) const {
-    // the largest of all may drop a nan
-    bool bad = norm_ == Norm::max && !std::isfinite(largest_.value());
-    for (Real sum : sums_) bad = bad || !std::isfinite(sum);
-    if (comm.any(bad)) return std::numeric_limits<Real>::quiet_NaN();
+    constexpr Real nan = std::numeric_limits<Real>::quiet_NaN(), infinity = std::numeric_limits<Real>::infinity();
+    if (norm_ == Norm::max) {
+      Real const own = largest_.value();
+      Real const largest = comm.largest(std::isfinite(own) ? own : infinity);  // the largest of all may drop a nan
+      return std::isfinite(largest) ? largest : nan;
+    }
     std::array<Real, 3> sums = sums_;
-    if (norm_ == Norm::max) return comm.largest(largest_.value());
     comm.sum_each(sums);
+    for (Real sum : sums)
+      if (!std::isfinite(sum)) return nan;
     // what a range adds to the next larger one
     Real const step = norm_ == Norm::l1 ? down : down * down;
     if (sums[large] > 0) return root(sums[large] + step * sums[ordinary]) * up;

@@ -5,9 +5,14 @@
 #include <set>
 #include <vector>
 
+#include "base/communicator.hpp"
 #include "mesh/faces.hpp"
 
 namespace amrpic {
+
+inline Traffic operator+(Traffic const& a, Traffic const& b) {
+  return {a.messages + b.messages, a.bytes + b.bytes, a.collectives + b.collectives};
+}
 
 /// Cells of one box that another one reads.
 struct Read {

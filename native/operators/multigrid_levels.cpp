@@ -3,13 +3,16 @@
 #include <algorithm>
 #include <limits>
 
+#include "mesh/box_set.hpp"
+
 namespace amrpic {
 
 namespace {
 
-constexpr GlobalIndex bottom = 64;            ///< cells of a level that is solved faster than coarsened
-constexpr GlobalIndex cells_per_rank = 4096;  ///< of a level that gets new boxes: fewer cost less than messages
-constexpr int alignment = 8;                  ///< of such boxes, so that they can be halved three times
+constexpr GlobalIndex bottom = 64;           ///< cells of a level that is solved faster than coarsened
+constexpr GlobalIndex cells_per_rank = 512;  ///< of a level: with fewer, boxes are thinner than their halos twice over
+constexpr int merged_ranks = 8;              ///< so many then bring theirs together: all children of a cube of boxes
+constexpr int alignment = 8;                 ///< of new boxes, so that they can be halved three times
 
 /// By how much to coarsen each axis of a level; all ones if it must stay.
 Index3 coarsening_of(Level const& level, Domain const& domain) {
@@ -32,10 +35,40 @@ int ranks_in_use(Level const& level) {
   return out;
 }
 
-/// New boxes for a level that covers the domain.
+/// Where runs of boxes start on so many ranks if they lie on evenly spread ones of them: neighbours on the curve stay
+/// near, and the others' memory and network serve too.
+std::vector<int> spread(std::vector<int> const& first, int ranks) {
+  std::vector<int> out;
+  std::int64_t const active = std::int64_t(first.size()) - 1;
+  std::int64_t run = 0;
+  for (int r = 0; r <= ranks; ++r) {
+    while (run < active && run * ranks / active < r) ++run;
+    out.push_back(first[std::size_t(run)]);
+  }
+  return out;
+}
+
+/// New boxes for a level that covers the domain, on `active` of the ranks.
 DistributedBoxes new_boxes(Box const& domain, int max_grid_size, int ranks, int active) {
   DistributedBoxes out{cut(domain, std::max(max_grid_size, alignment), alignment), {}};
-  out.first = distribute_along_curve(out.boxes, ranks, active);
+  out.first = spread(share_out(out.boxes, active, alignment), ranks);
+  return out;
+}
+
+/// The boxes of so many ranks in use after each other brought together on the first of them, and joined to larger ones.
+DistributedBoxes merged(DistributedBoxes const& given, int group) {
+  DistributedBoxes out;
+  int const ranks = int(given.first.size()) - 1;
+  for (int r = 0, used = 0; r < ranks; ++r) {
+    out.first.push_back(int(out.boxes.size()));
+    if (given.first[r] == given.first[r + 1] || used++ % group != 0) continue;
+    int last = r;
+    for (int found = 0; last < ranks; ++last)
+      if (given.first[last] != given.first[last + 1] && ++found > group) break;
+    auto const large = joined({given.boxes.begin() + given.first[r], given.boxes.begin() + given.first[last]});
+    out.boxes.insert(out.boxes.end(), large.begin(), large.end());
+  }
+  out.first.push_back(int(out.boxes.size()));
   return out;
 }
 
@@ -48,10 +81,14 @@ std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Bo
   if (domain.cells() <= policy.whole || (policy.whole > 0 && finer.ranks() == 1))
     return std::make_shared<Level const>(domain, periodic, spacing, std::vector<Box>{domain}, std::vector<int>{0, 1},
                                          0);
-  int const worth = int(std::clamp<GlobalIndex>(domain.cells() / cells_per_rank, 1, finer.ranks()));
+  int const in_use = ranks_in_use(finer);
+  int group = 1;
+  while (group < in_use && domain.cells() * group < cells_per_rank * in_use) group *= merged_ranks;
   DistributedBoxes distributed = halved(finer, ratio, domain);
-  if (distributed.boxes.empty() || ranks_in_use(finer) > worth)
-    distributed = new_boxes(domain, policy.max_grid_size, finer.ranks(), worth);
+  if (distributed.boxes.empty())
+    distributed = new_boxes(domain, policy.max_grid_size, finer.ranks(), (in_use + group - 1) / group);
+  else if (group > 1)
+    distributed = merged(distributed, group);
   return std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
                                        std::move(distributed.first), finer.rank());
 }
@@ -113,13 +150,9 @@ DistributedBoxes halved(Level const& finer, Index3 const& ratio, Box const& doma
   return out;
 }
 
-std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks, int active) {
+std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks) {
   sort_along_curve(boxes);
-  std::vector<Real> load(boxes.size());
-  std::transform(boxes.begin(), boxes.end(), load.begin(), [](Box const& b) { return Real(b.cells()); });
-  auto first = distribute(load, active);
-  first.resize(std::size_t(ranks) + 1, int(boxes.size()));
-  return first;
+  return distribute(boxes, ranks);
 }
 
 MultigridLevels coarsen_below(MultigridLevels multigrid, Domain const& domain, CoarseBoxes const& boxes, int most) {

@@ -14,8 +14,9 @@ struct CoarseBoxes {
 /// The levels with coarser ones below the base, at most `most` in all. Each pairs the cells of the next finer one along
 /// the axes of smallest spacing, whatever their number; the coarsest has at most 64 cells unless `most` is reached.
 ///
-/// Boxes stay on their ranks while they can be halved with all children of a cell in one box, and while there is enough
-/// to do on each rank; else larger ones are made, on fewer ranks as levels shrink.
+/// Boxes stay on their ranks while they can be halved with all children of a cell in one box, and while there are 8^3
+/// cells per rank; below that those of 8 ranks after each other come together on the first of them. Where boxes cannot
+/// be halved new ones are made.
 MultigridLevels coarsen_below(MultigridLevels multigrid, Domain const& domain, CoarseBoxes const& boxes, int most);
 
 /// Boxes in their final order, and where each rank's run of them starts.
@@ -28,9 +29,8 @@ struct DistributedBoxes {
 /// the domain's upper end, or would be in two boxes on the next coarser level. `domain`: the coarser one.
 DistributedBoxes halved(Level const& finer, Index3 const& ratio, Box const& domain);
 
-/// Sort boxes along the curve, and distribute them by cells over the first `active` ranks: where each rank's run
-/// starts.
-std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks, int active);
+/// Sort boxes along the curve, and distribute them by cells: where each rank's run starts.
+std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks);
 
 /// Factor of the last cell in the ghost behind a wall that prolongation from level l reads.
 Real prolonged_end(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l, Index3 const& cell,

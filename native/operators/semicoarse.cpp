@@ -226,7 +226,7 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
   if (distributed.boxes.empty()) {
     for (Box const& box : cells->kept())
       for (Box const& piece : cut(box, max_grid_size, 1)) distributed.boxes.push_back(piece);
-    distributed.first = distribute_along_curve(distributed.boxes, above.level->ranks(), above.level->ranks());
+    distributed.first = distribute_along_curve(distributed.boxes, above.level->ranks());
   }
   out.level = std::make_shared<Level const>(domain, periodic, spacing, std::move(distributed.boxes),
                                             std::move(distributed.first), above.level->rank());

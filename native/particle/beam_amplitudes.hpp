@@ -17,11 +17,13 @@ struct AmplitudeFrame {
 };
 
 /// The amplitudes that hold these fractions, up to 32, of the real particles of each part, on all ranks:
-/// [part][kind][fraction]. Each is the least of a particle of the part such that particles up to it make up the
-/// fraction, to 1e-12 of the weight, and nan for a part without weight. Collective.
+/// [part][kind][fraction], the parts of all `layers` one after the other: a particle may belong to one of each. Each is
+/// the least of a particle of the part such that particles up to it make up the fraction, to 1e-12 of the weight, and
+/// nan for a part without weight. Collective.
 ///
 /// Sums of weight over bins of the values, which get narrower until they hold one number, take the place of sorting.
-std::vector<Real> amplitude_quantiles(Communicator const& comm, BeamView const& beam, BeamParts const& parts,
-                                      std::vector<AmplitudeFrame> const& frames, std::vector<Real> const& fractions);
+std::vector<Real> amplitude_quantiles(Communicator const& comm, BeamView const& beam,
+                                      std::vector<BeamParts> const& layers, std::vector<AmplitudeFrame> const& frames,
+                                      std::vector<Real> const& fractions);
 
 }  // namespace amrpic

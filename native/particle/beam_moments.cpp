@@ -250,9 +250,8 @@ BeamMoments joined_moments(std::vector<BeamMoments> const& parts) {
 }
 
 std::vector<BeamMoments> beam_moments(Communicator const& comm, BeamView const& beam, BeamParts const& parts) {
-  auto const all = comm.gather(local_moments(beam, parts)).values;
-  std::vector<BeamMoments> out(parts.count());
-  for (std::size_t k = 0; k < all.size(); ++k) out[k % out.size()].add(all[k]);
+  auto out = local_moments(beam, parts);
+  comm.add_each(out);
   for (auto& part : out) part.move_to_mean();
   return out;
 }

@@ -25,9 +25,8 @@ ArrayOnBox<char> beside_uncovered(Level const& level, Level const& finer, Box co
   return out;
 }
 
-/// Mark the buffer cells of box b of level l; true if there are any.
-bool mark(Hierarchy const& hierarchy, int l, int b, ArrayOnBox<char>& depth) {
-  Box region = hierarchy.level(l).box(b);
+/// Mark the buffer cells in a region of level l; true if there are any.
+bool mark(Hierarchy const& hierarchy, int l, Box region, ArrayOnBox<char>& depth) {
   depth = ArrayOnBox<char>(region.coarsen(refinement_ratio), 0);
   bool any = true;
   for (int r = 1; r <= l && any; ++r) {
@@ -63,21 +62,30 @@ std::vector<GlobalIndex> touched(Level const& coarse, Box const& box, ArrayOnBox
 }
 
 /// The buffer of box b of level l, and for each of its coarser levels the numbers of the cells that are touched.
-std::pair<BoxBuffer, std::vector<std::vector<GlobalIndex>>> buffer_of(Hierarchy const& hierarchy, int l, int b) {
-  std::pair<BoxBuffer, std::vector<std::vector<GlobalIndex>>> out;
+std::pair<BoxBuffer, std::vector<std::vector<GlobalIndex>>> buffer_of_box(Hierarchy const& hierarchy, int l, int b) {
+  std::pair<BoxBuffer, std::vector<std::vector<GlobalIndex>>> out{buffer_of(hierarchy, l, hierarchy.level(l).box(b)),
+                                                                  {}};
   auto& [buffer, numbers] = out;
-  if (l == 0 || !mark(hierarchy, l, b, buffer.depth)) return out;
-  auto const& depths = buffer.depth.values();
-  Box box = hierarchy.level(l).box(b);
-  for (int r = 1; r <= *std::max_element(depths.begin(), depths.end()); ++r) {
-    box = box.coarsen(refinement_ratio);
-    buffer.coarse.push_back({l - r, box, {}});
-    numbers.push_back(touched(hierarchy.level(l - r), box, buffer.depth, r));
+  for (std::size_t r = 1; r <= buffer.coarse.size(); ++r) {
+    CoarseCells const& c = buffer.coarse[r - 1];
+    numbers.push_back(touched(hierarchy.level(c.level), c.box, buffer.depth, int(r)));
   }
   return out;
 }
 
 }  // namespace
+
+BoxBuffer buffer_of(Hierarchy const& hierarchy, int l, Box const& region) {
+  BoxBuffer out;
+  if (l == 0 || !mark(hierarchy, l, region, out.depth)) return out;
+  auto const& depths = out.depth.values();
+  Box box = region;
+  for (int r = 1; r <= *std::max_element(depths.begin(), depths.end()); ++r) {
+    box = box.coarsen(refinement_ratio);
+    out.coarse.push_back({l - r, box, {}});
+  }
+  return out;
+}
 
 BufferZone::BufferZone(Hierarchy const& hierarchy) {
   int const levels = hierarchy.level_count();
@@ -86,7 +94,7 @@ BufferZone::BufferZone(Hierarchy const& hierarchy) {
   for (int l = 0; l < levels; ++l) {
     first_slot.push_back(boxes_.size());
     for (int b = hierarchy.level(l).first_local_box(); b < hierarchy.level(l).last_local_box(); ++b) {
-      auto [buffer, of_box] = buffer_of(hierarchy, l, b);
+      auto [buffer, of_box] = buffer_of_box(hierarchy, l, b);
       boxes_.push_back(std::move(buffer));
       numbers.push_back(std::move(of_box));
     }
@@ -105,7 +113,7 @@ BufferZone::BufferZone(Hierarchy const& hierarchy) {
           [&](int b) {
             auto const of_box = finer.owner(b) == finer.rank()
                                     ? numbers[first_slot[std::size_t(l + r)] + std::size_t(b - finer.first_local_box())]
-                                    : buffer_of(hierarchy, l + r, b).second;
+                                    : buffer_of_box(hierarchy, l + r, b).second;
             return int(of_box.size()) < r ? std::vector<GlobalIndex>{} : of_box[std::size_t(r - 1)];
           });
     }

@@ -15,7 +15,7 @@ struct CoarseCells {
   std::vector<LocalIndex> place;
 };
 
-/// One box of this rank in the matched treatment of coarse-fine faces.
+/// One box, or brick, in the matched treatment of coarse-fine faces.
 struct BoxBuffer {
   /// For each parent of the box's cells: how many levels coarser than the box the clouds of its particles are.
   ArrayOnBox<char> depth{Box{}, 0};
@@ -23,6 +23,9 @@ struct BoxBuffer {
 
   int depth_of(Index3 const& cell) const { return depth(cell_parent(cell)); }
 };
+
+/// The buffer in a region of a level, a box or a brick of it, without the places of the cells that are touched. Local.
+BoxBuffer buffer_of(Hierarchy const& hierarchy, int level, Box const& region);
 
 /// Where particles of a refined level lie so close to its edge that they deposit and gather with the cloud of the next
 /// coarser level; made once per hierarchy.

@@ -1,7 +1,7 @@
 #include "particle/classify.hpp"
 
 #include <algorithm>
-#include <optional>
+#include <deque>
 
 #include "base/fetch.hpp"
 #include "particle/home_box.hpp"
@@ -15,39 +15,78 @@ namespace {
 /// time are compared with the current brick, and only those that left it are looked up.
 class Classifier {
  public:
-  Classifier(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone)
-      : mesh_(mesh), particles_(particles), next_gone_(gone.first), end_of_gone_(gone.last) {
+  Classifier(ParticleMesh& mesh, Servers const& servers, ParticleView const& particles, ParticleList const& gone)
+      : mesh_(mesh),
+        servers_(servers),
+        particles_(particles),
+        next_gone_(gone.first),
+        end_of_gone_(gone.last),
+        out_(mesh) {
     out_.stays = Scratch<std::uint8_t>(std::size_t(particles.count) / lane_count + 1);
     out_.leavers.resize(std::size_t(mesh.hierarchy().comm().ranks()));
     out_.per_brick.assign(std::size_t(mesh.bricks()), 0);
     neighbours_.fill(-1);
+    if (servers.ranks() > 1) parts_.assign(std::size_t(mesh.bricks()), not_found);
   }
 
   Destinations classify() &&;
 
  private:
-  /// A brick of this rank; none if negative.
+  using Part = Servers::Part;
+  /// A brick of a box of this rank, or, in slots behind these, a remote brick; none if negative.
   struct LocalBrick {
     int slot = -1, brick = -1;
   };
 
   LaneGroup remaining(LaneGroup const& group);
   void compare(LaneGroup const& group);
-  unsigned outside(HomeBrick const& brick, LaneGroup const& group) const;
+  unsigned outside(HomeBrick const& brick, LocalBrick const& at, LaneGroup const& group) const;
   void find_leavers();
   unsigned begin_run(LaneGroup const& group, unsigned out);
   void end_run(LocalIndex last);
   LocalBrick find(Real3 const& x);
   LocalBrick find_in_neighbours(Real3 const& x) const;
+  LocalBrick local(Home const& home);
   void look_up(LocalIndex n);
-  void move_to(LocalBrick const& at, LocalIndex n, std::vector<Destinations::Mover>& movers);
-  HomeBox const& current_box() const { return mesh_.homes()[std::size_t(current_.slot)]; }
-  LocalIndex number(LocalBrick const& at) const { return mesh_.first_brick(at.slot) + at.brick; }
+  void move_to(LocalIndex brick, LocalIndex n, std::vector<Destinations::Mover>& movers);
+  HomeBox const& box(int slot) const {
+    return slot < own_slots() ? mesh_.homes()[std::size_t(slot)] : remote_[std::size_t(slot - own_slots())];
+  }
+  HomeBox const& current_box() const { return box(current_.slot); }
+  int own_slots() const { return int(mesh_.boxes().size()); }
+  LocalIndex number(LocalBrick const& at) const {
+    return at.slot < own_slots() ? mesh_.first_brick(at.slot) + at.brick : mesh_.bricks() + at.slot - own_slots();
+  }
+  /// Which of its particles this rank serves.
+  Part part(LocalBrick const& at) const {
+    if (servers_.ranks() == 1) return Part::all;
+    signed char& found = parts_[std::size_t(number(at))];
+    if (found == not_found) found = static_cast<signed char>(servers_.part(place(home(at))));
+    return Part(found);
+  }
+  std::int64_t place(Home const& home) const {
+    Box const& box = mesh_.hierarchy().level(home.level).box(home.box);
+    return servers_.curve().place(home.level, Bricks(box)[home.brick].lower);
+  }
+  Home home(LocalBrick const& at) const {
+    if (at.slot >= own_slots()) return out_.bricks.remote()[std::size_t(at.slot - own_slots())];
+    BoxGhosts const& box = mesh_.boxes()[std::size_t(at.slot)];
+    return {box.level, box.box, at.brick};
+  }
+  bool serves(LocalBrick const& at, LocalIndex n) const {
+    Part const of_brick = part(at);
+    return of_brick == Part::all ||
+           (of_brick == Part::some && servers_.serves(place(home(at)) + BrickCurve::hash(particles_.id[n])));
+  }
 
   ParticleMesh& mesh_;
+  Servers const& servers_;
   ParticleView const& particles_;
   std::int64_t const *next_gone_, *end_of_gone_;
   Destinations out_;
+  static constexpr signed char not_found = -1;
+  mutable std::vector<signed char> parts_;  ///< of each brick, by number
+  std::deque<HomeBox> remote_;              ///< remote bricks, in the order of their numbers
   LocalBrick current_;
   HomeBrick current_brick_{};       ///< at first one that contains nothing
   Destinations::Run run_{};         ///< of the current brick
@@ -85,7 +124,7 @@ inline void Classifier::compare(LaneGroup const& group) {
     out_.stays[std::size_t(group.first / lane_count)] = 0;
     return;
   }
-  unsigned out = outside(current_brick_, group);
+  unsigned out = outside(current_brick_, current_, group);
   if (2 * __builtin_popcount(out) > __builtin_popcount(group.lanes)) {
     find_leavers();
     out = begin_run(group, out);
@@ -97,11 +136,16 @@ inline void Classifier::compare(LaneGroup const& group) {
   if (left_count_ > block_size - lane_count) find_leavers();
 }
 
-/// A bit for each particle of a group that lies outside a brick.
-inline unsigned Classifier::outside(HomeBrick const& brick, LaneGroup const& group) const {
+/// A bit for each particle of a group that lies outside a brick, or that this rank does not serve there.
+inline unsigned Classifier::outside(HomeBrick const& brick, LocalBrick const& at, LaneGroup const& group) const {
   std::array<Lanes, 3> x;
   for (int d = 0; d < 3; ++d) x[d] = load(particles_.position[d], group);
-  return ~bits_of(brick.contains(x)) & group.lanes;
+  unsigned const inside = bits_of(brick.contains(x)) & group.lanes;
+  unsigned out = group.lanes & ~inside;
+  if (at.slot >= 0 && part(at) != Part::all)
+    for (int i = 0; i < lane_count; ++i)
+      if ((inside >> i & 1) && !serves(at, LocalIndex(group.first + i))) out |= 1u << i;
+  return out;
 }
 
 /// Find where the particles are that left the current brick: mostly in its box, else mostly in one next to it.
@@ -112,10 +156,10 @@ void Classifier::find_leavers() {
     IndexLanes brick = IndexLanes{} - 1;
     if (current_.slot >= 0) brick = current_box().find({pick(at[0], n), pick(at[1], n), pick(at[2], n)});
     for (int i = 0; i < std::min(lane_count, left_count_ - first); ++i)
-      if (brick[i] >= 0)
-        move_to({current_.slot, brick[i]}, n[i], out_.movers);
-      else if (LocalBrick const next = find_in_neighbours(particles_.at(n[i])); next.brick >= 0)
-        move_to(next, n[i], out_.movers);
+      if (LocalBrick const at{current_.slot, brick[i]}; at.brick >= 0 && serves(at, n[i]))
+        move_to(number(at), n[i], out_.movers);
+      else if (LocalBrick const next = find_in_neighbours(particles_.at(n[i])); next.brick >= 0 && serves(next, n[i]))
+        move_to(number(next), n[i], out_.movers);
       else
         look_up(n[i]);
   }
@@ -130,9 +174,9 @@ unsigned Classifier::begin_run(LaneGroup const& group, unsigned out) {
   if (current_.slot >= 0) at = {current_.slot, current_box().find(x)};
   if (at.brick < 0) at = find_in_neighbours(x);
   if (at.brick < 0) at = find(x);
-  if (at.brick < 0) return out;
-  HomeBrick const next = mesh_.homes()[std::size_t(at.slot)].brick(at.brick);
-  unsigned const out_of_next = outside(next, group);
+  if (at.brick < 0 || part(at) == Part::none) return out;
+  HomeBrick const next = box(at.slot).brick(at.brick);
+  unsigned const out_of_next = outside(next, at, group);
   if (__builtin_popcount(out_of_next) >= __builtin_popcount(out)) return out;
   LocalIndex const n = LocalIndex(group.first);
   end_run(n);
@@ -150,22 +194,33 @@ void Classifier::end_run(LocalIndex last) {
   out_.per_brick[std::size_t(run_.brick)] += run_.stayed;
 }
 
-/// Where x lies, if that is in one of this rank's bricks, and no finer box may contain it.
+/// Where x lies, if that is in a brick that this rank serves, and no finer box may contain it.
 Classifier::LocalBrick Classifier::find(Real3 const& x) {
   Real3 wrapped = x;
   if (!is_finite(x) || !mesh_.locator().wrap(wrapped) || wrapped != x) return {};
-  Home const home = mesh_.locator().find(x, latest_);
-  Level const& level = mesh_.hierarchy().level(home.level);
-  if (level.owner(home.box) != level.rank()) return {};
-  int const slot = mesh_.slot(home.level, home.box);
-  return {slot, mesh_.homes()[std::size_t(slot)].find(x)};
+  LocalBrick const at = local(mesh_.locator().find(x, latest_));
+  return at.slot < 0 ? at : LocalBrick{at.slot, box(at.slot).find(x)};
+}
+
+/// A brick among those of this rank, if it serves any of its particles.
+Classifier::LocalBrick Classifier::local(Home const& home) {
+  if (out_.bricks.is_own(home)) return {mesh_.slot(home.level, home.box), home.brick};
+  Part const of_brick = servers_.part(place(home));
+  if (of_brick == Part::none) return {};
+  int const slot = own_slots() + out_.bricks.number(home) - mesh_.bricks();
+  if (slot == own_slots() + int(remote_.size())) {
+    remote_.emplace_back(mesh_.locator(), home);
+    parts_.push_back(static_cast<signed char>(of_brick));
+    out_.per_brick.push_back(0);
+  }
+  return {slot, 0};
 }
 
 /// Where x lies, if that is in a box that was found next to the current one.
 Classifier::LocalBrick Classifier::find_in_neighbours(Real3 const& x) const {
   if (current_.slot < 0) return {};
   int const next = neighbours_[std::size_t(current_box().direction(x))];
-  return next < 0 ? LocalBrick{} : LocalBrick{next, mesh_.homes()[std::size_t(next)].find(x)};
+  return next < 0 ? LocalBrick{} : LocalBrick{next, box(next).find(x)};
 }
 
 /// Find the home of a particle wherever it lies.
@@ -182,58 +237,35 @@ void Classifier::look_up(LocalIndex n) {
     return;
   }
   latest_ = mesh_.locator().find(x, latest_);
-  Level const& level = mesh_.hierarchy().level(latest_.level);
-  int const owner = level.owner(latest_.box);
-  if (owner != level.rank()) {
-    out_.leavers[std::size_t(owner)].push_back({n, latest_});
+  int const server = servers_.ranks() == 1 ? 0 : servers_.server(place(latest_) + BrickCurve::hash(particles_.id[n]));
+  if (server != mesh_.hierarchy().comm().rank()) {
+    out_.leavers[std::size_t(server)].push_back({n, latest_});
     return;
   }
-  int const slot = mesh_.slot(latest_.level, latest_.box);
-  move_to({slot, latest_.brick}, n, x == before ? out_.movers : out_.wrapped);
-  if (current_.slot >= 0 && x == before) neighbours_[std::size_t(current_box().direction(x))] = slot;
+  LocalBrick const at = local(latest_);
+  move_to(number(at), n, x == before ? out_.movers : out_.wrapped);
+  if (current_.slot >= 0 && x == before) neighbours_[std::size_t(current_box().direction(x))] = at.slot;
 }
 
-void Classifier::move_to(LocalBrick const& at, LocalIndex n, std::vector<Destinations::Mover>& movers) {
-  movers.push_back({n, number(at)});
-  ++out_.per_brick[std::size_t(number(at))];
+void Classifier::move_to(LocalIndex brick, LocalIndex n, std::vector<Destinations::Mover>& movers) {
+  movers.push_back({n, brick});
+  ++out_.per_brick[std::size_t(brick)];
 }
 
 }  // namespace
 
-Destinations classify(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone) {
-  return Classifier(mesh, particles, gone).classify();
+LocalIndex BrickNumbers::number(Home const& brick) {
+  if (is_own(brick)) return mesh_->first_brick(mesh_->slot(brick.level, brick.box)) + brick.brick;
+  std::uint64_t const key =
+      (std::uint64_t(brick.level) << 32 | std::uint64_t(brick.box)) << 24 | std::uint64_t(brick.brick);
+  auto const [at, is_new] = place_.try_emplace(key, LocalIndex(remote_.size()));
+  if (is_new) remote_.push_back(brick);
+  return mesh_->bricks() + at->second;
 }
 
-std::vector<std::vector<std::int64_t>> count_per_box(Locator& locator, std::array<Real*, 3> const& position,
-                                                     std::int64_t count) {
-  std::vector<std::vector<std::int64_t>> out;
-  std::vector<std::vector<std::optional<HomeBox>>> homes;  // made when first wanted
-  for (int l = 0; l < locator.hierarchy().level_count(); ++l) {
-    out.emplace_back(std::size_t(locator.hierarchy().level(l).box_count()), 0);
-    homes.emplace_back(out.back().size());
-  }
-  Home home;
-  auto const count_one = [&](std::int64_t n) {
-    Real3 x{position[0][n], position[1][n], position[2][n]};
-    if (!is_finite(x) || !locator.wrap(x)) return;
-    home = locator.find(x, home);
-    ++out[home.level][home.box];
-  };
-  auto const all_in_last_one = [&](std::int64_t first) {
-    if (home.box < 0) return false;
-    auto& box = homes[home.level][home.box];
-    if (!box) box.emplace(locator, home.level, home.box);
-    LaneGroup const group{first, all_lanes};
-    auto const bricks = box->find({load(position[0], group), load(position[1], group), load(position[2], group)});
-    return bits_of(bricks >= 0) == all_lanes;
-  };
-  for (std::int64_t first = 0; first < count; first += lane_count) {
-    if (first + lane_count <= count && all_in_last_one(first))
-      out[home.level][home.box] += lane_count;
-    else
-      for (std::int64_t n = first; n < std::min(first + lane_count, count); ++n) count_one(n);
-  }
-  return out;
+Destinations classify(ParticleMesh& mesh, Servers const& servers, ParticleView const& particles,
+                      ParticleList const& gone) {
+  return Classifier(mesh, servers, particles, gone).classify();
 }
 
 }  // namespace amrpic

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <type_traits>
+#include <utility>
 
 #include "base/fetch.hpp"
 #include "particle/array_pool.hpp"
@@ -212,12 +213,60 @@ void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cha
   });
 }
 
+/// Collects the charge of remote bricks in their windows.
+class RemoteCharge {
+ public:
+  RemoteCharge(Hierarchy const& hierarchy, RemotePlan const& plan, Real charge)
+      : hierarchy_(hierarchy), plan_(plan), charge_(charge), values_(plan.cells(), Real(0)) {}
+
+  /// Take the sums of a window out of a tile on the same cells.
+  void take(std::size_t brick, std::size_t window, ChargeTile& tile) {
+    Window const& of = plan_.bricks()[brick].windows[window];
+    Real const per_cell = charge_ / hierarchy_.level(of.level).cell_volume();
+    std::size_t const cells = std::size_t(of.cells.cells());
+    Real *const sums = tile.values(), *const out = values_.data() + plan_.first(brick, window);
+    for (std::size_t n = 0; n < cells; ++n) out[n] += per_cell * sums[n];
+    std::fill_n(sums, cells, Real(0));
+  }
+
+  /// What overhangs walls moves to the cells there, and what lies in cells that the level lacks to coarser ones, of
+  /// eight times their volume.
+  void settle(std::size_t brick) {
+    std::vector<Window> const& windows = plan_.bricks()[brick].windows;
+    for (std::size_t w = 0; w < windows.size(); ++w) {
+      Level const& level = hierarchy_.level(windows[w].level);
+      Box const& cells = windows[w].cells;
+      Real* const values = values_.data() + plan_.first(brick, w);
+      if (!(level.cut_at_walls(cells) == cells))
+        for_each_cell(cells, [&](Index3 const& cell) {
+          Index3 const at = level.fold_at_walls(cell);
+          if (at != cell) values[cells.offset(at)] += std::exchange(values[cells.offset(cell)], Real(0));
+        });
+      if (windows[w].whole || w + 1 == windows.size()) continue;
+      Window const& coarser = windows[w + 1];
+      for_each_missing(level, windows[w], [&](Index3 const& cell) {
+        values_[plan_.first(brick, w + 1) + std::size_t(coarser.cells.offset(cell_parent(cell)))] +=
+            values[cells.offset(cell)] / 8;
+      });
+    }
+  }
+
+  void add_to(Field& density) const { plan_.add(values_, density); }
+
+ private:
+  Hierarchy const& hierarchy_;
+  RemotePlan const& plan_;
+  Real charge_;
+  std::vector<Real> values_;
+};
+
 }  // namespace
 
-void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& particles, std::int64_t const* starts,
-             Real charge, Field& density) {
+void deposit(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ParticleView const& particles,
+             std::int64_t const* starts, Real charge, Field& density) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
+  RemotePlan const& remote_plan = remote.plan(clouds.matched);
   std::vector<ChargeAcrossRanks> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     own.emplace_back(mesh.halo(l), density.level(l));
@@ -228,7 +277,7 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
   Real* ghosts = ghost_sums.data();
   std::vector<BoxSums> box_sums;
   std::vector<ChargeTile> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
-  for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
+  auto const add_box = [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
@@ -237,23 +286,42 @@ void deposit(ParticleMesh& mesh, Clouds const& clouds, ParticleView const& parti
     for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
     box_sums.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), ghosts);
     ghosts += at.ghosts.cells();
-    for_each_slab(mesh, at, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
-      slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-      for_each_coarsening_depth(
-          mesh, at, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-            with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]); });
-          });
-      bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
-      box_sums.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
-    });
+    for_each_slab(
+        mesh, at.level, box, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
+          slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
+          for_each_coarsening_depth(mesh, at.level, slab, buffer, particles, from, to,
+                                    [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+                                      with_shape(clouds.shape, [&](auto s) {
+                                        add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]);
+                                      });
+                                    });
+          bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
+          box_sums.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
+        });
     for (std::size_t r = 1; r <= depths; ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());
     }
-  });
+  };
+  RemoteCharge remote_charge(hierarchy, remote_plan, charge);
+  auto const add_remote = [&](std::size_t n, std::int64_t first, std::int64_t last) {
+    BrickWindows const& brick = remote_plan.bricks()[n];
+    BoxBuffer const* const buffer = brick.buffer.coarse.empty() ? nullptr : &brick.buffer;
+    tiles[0].reset(brick.cells);
+    for (std::size_t r = 1; r <= brick.buffer.coarse.size(); ++r) tiles[r].reset(brick.buffer.coarse[r - 1].box);
+    for_each_coarsening_depth(
+        mesh, brick.home.level, brick.cells, buffer, particles, first, last,
+        [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+          with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]); });
+        });
+    for (std::size_t r = 0; r <= brick.buffer.coarse.size(); ++r) remote_charge.take(n, r, tiles[r]);
+    remote_charge.settle(n);
+  };
+  for_each_occupied(mesh, remote.bricks().size(), starts, add_box, add_remote);
   for (BoxSums const& sums : box_sums) sums.add_ghosts();
   for (ChargeAcrossRanks const& level : own) level.send();
   for (ChargeAcrossRanks const& level : coarse) level.send();
+  remote_charge.add_to(density);
 
   mesh.transfer().spread(density);
   mesh.transfer().average_down({&density});

@@ -23,16 +23,16 @@ struct HomeBrick {
   }
 };
 
-/// A box as a home of particles.
+/// A box, or one brick of it, as a home of particles.
 class HomeBox {
  public:
   HomeBox(Locator& locator, int level, int box)
-      : coordinates_(locator.coordinates(level)),
-        bricks_(locator.hierarchy().level(level).box(box)),
-        refined_(locator.refined_bricks(level, box)) {
-    Box const& cells = locator.hierarchy().level(level).box(box);
-    for (int d = 0; d < 3; ++d) lower_[d] = cells.lower[d], upper_[d] = cells.upper[d] + 1;
-  }
+      : HomeBox(locator.coordinates(level), locator.hierarchy().level(level).box(box),
+                locator.refined_bricks(level, box)) {}
+  HomeBox(Locator& locator, Home const& brick)
+      : HomeBox(locator.coordinates(brick.level),
+                Bricks(locator.hierarchy().level(brick.level).box(brick.box))[brick.brick],
+                {char(locator.is_refined(brick))}) {}
 
   /// Number of bricks.
   int bricks() const { return bricks_.count(); }
@@ -81,6 +81,11 @@ class HomeBox {
   }
 
  private:
+  HomeBox(LevelCoordinates const& coordinates, Box const& cells, std::vector<char> refined)
+      : coordinates_(coordinates), bricks_(cells), refined_(std::move(refined)) {
+    for (int d = 0; d < 3; ++d) lower_[d] = cells.lower[d], upper_[d] = cells.upper[d] + 1;
+  }
+
   LevelCoordinates coordinates_;
   Real3 lower_, upper_;  ///< corners in those coordinates
   Bricks bricks_;

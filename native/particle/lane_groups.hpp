@@ -63,28 +63,6 @@ template <class F>
         f(LaneGroup{block.first + i, lanes});
 }
 
-/// The same for two groups at a time, of which the last may come twice: f(group, other).
-template <class F>
-[[gnu::flatten]] inline void for_each_two_groups(LaneBlock const& block, F&& f) {
-  if (block.whole()) {
-    for (int i = 0; i < block_size; i += 2 * lane_count)
-      f(LaneGroup{block.first + i, all_lanes}, LaneGroup{block.first + i + lane_count, all_lanes});
-    return;
-  }
-  LaneGroup first{0, 0};
-  auto const add = [&](LaneGroup const& group) {
-    if (first.lanes == 0) {
-      first = group;
-    } else {
-      f(first, group);
-      first.lanes = 0;
-    }
-  };
-  for (int i = 0; i < block_size; i += lane_count)
-    if (unsigned const lanes = unsigned(block.chosen >> i) & all_lanes; lanes != 0) add({block.first + i, lanes});
-  if (first.lanes != 0) f(first, first);
-}
-
 /// The values of a group; lanes beyond it get one of its own.
 inline Lanes load(Real const* values, LaneGroup const& g) {
   if (g.whole()) return load<Lanes>(values + g.first);

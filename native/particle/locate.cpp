@@ -58,11 +58,18 @@ std::vector<char> Locator::refined_bricks(int level, int box) {
   if (children.size() == 1 && children[0] < 0) return {};
   Bricks const bricks(hierarchy_->level(level).box(box));
   std::vector<char> out(std::size_t(bricks.count()), 0);
+  for (int b = 0; b < bricks.count(); ++b) out[std::size_t(b)] = is_refined({level, box, b});
+  return out;
+}
+
+bool Locator::is_refined(Home const& brick) {
   int const size = 1 << block_shift_;
-  for (int b = 0; b < bricks.count(); ++b)
-    for_each_cell(bricks[b].coarsen({size, size, size}), [&](Index3 const& block) {
-      if (child_box(level, box, {size * block[0], size * block[1], size * block[2]}) >= 0) out[std::size_t(b)] = 1;
-    });
+  bool out = false;
+  for_each_cell(
+      Bricks(hierarchy_->level(brick.level).box(brick.box))[brick.brick].coarsen({size, size, size}),
+      [&](Index3 const& block) {
+        out = out || child_box(brick.level, brick.box, {size * block[0], size * block[1], size * block[2]}) >= 0;
+      });
   return out;
 }
 

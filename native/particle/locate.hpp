@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <tuple>
 #include <vector>
 
 #include "mesh/hierarchy.hpp"
@@ -13,6 +14,11 @@ struct Home {
   int level = 0;
   int box = -1;
   int brick = -1;
+
+  bool operator==(Home const& other) const { return level == other.level && box == other.box && brick == other.brick; }
+  bool operator<(Home const& other) const {
+    return std::tie(level, box, brick) < std::tie(other.level, other.box, other.brick);
+  }
 };
 
 /// A level's coordinates: cell widths from the lower corner of the domain.
@@ -45,6 +51,7 @@ class Locator {
 
   /// For each brick of a box, whether a finer box overlaps it; empty if none overlaps the box.
   std::vector<char> refined_bricks(int level, int box);
+  bool is_refined(Home const& brick);  ///< the same of one
 
   LevelCoordinates coordinates(int level) const {
     Real const scale = Real(1 << level);

@@ -6,7 +6,6 @@
 #include <stdexcept>
 
 #include "particle/copy.hpp"
-#include "particle/sort.hpp"
 
 namespace amrpic {
 
@@ -20,11 +19,11 @@ void require_few(std::int64_t particles, Communicator const& comm) {
 
 }  // namespace
 
-Migration::Migration(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone)
-    : mesh_(mesh), particles_(particles) {
+Migration::Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone)
+    : mesh_(mesh), servers_(std::move(servers)), particles_(particles), destinations_(mesh) {
   Communicator const& comm = mesh.hierarchy().comm();
   require_few(particles.count, comm);
-  destinations_ = classify(mesh, particles, gone);
+  destinations_ = classify(mesh, servers_, particles, gone);
   auto const& staying = destinations_.per_brick;
   staying_ = std::accumulate(staying.begin(), staying.end(), std::int64_t(0));
   leaving_ = pack(mesh, particles, destinations_.leavers);
@@ -32,11 +31,15 @@ Migration::Migration(ParticleMesh& mesh, ParticleView const& particles, Particle
   require_few(arriving(), comm);
 }
 
-bool Migration::finish(ParticleView const& out, std::int64_t* starts) {
+std::int64_t Migration::bricks() const {
+  auto const& staying = destinations_.per_brick;
+  return std::count_if(staying.begin(), staying.end(), [](std::int64_t count) { return count > 0; });
+}
+
+bool Migration::finish(ParticleView const& out) {
   exchange(mesh_.hierarchy().comm(), leaving_, arrivals_);
-  Places const places = sort(mesh_, destinations_, arrivals_);
-  std::copy(places.slots.begin(), places.slots.end(), starts);
-  bool const stayed = copy(mesh_, particles_, destinations_, arrivals_, places, out);
+  places_ = sort(mesh_, destinations_, arrivals_);
+  bool const stayed = copy(mesh_, particles_, destinations_, arrivals_, places_, out);
   auto const left = [](PackedParticle const& particle) { return is_finite(particle.momentum); };
   return destinations_.finite && stayed && std::all_of(leaving_.all.begin(), leaving_.all.end(), left);
 }

@@ -4,33 +4,41 @@
 
 #include "particle/classify.hpp"
 #include "particle/packed_particles.hpp"
+#include "particle/servers.hpp"
+#include "particle/sort.hpp"
 
 namespace amrpic {
 
-/// Particles on their way to the ranks that own their boxes, and to their places there: they are classified by where
+/// Particles on their way to the ranks that serve them, and to their places there: they are classified by where
 /// they go, those that leave are exchanged, all are sorted, and each is copied once.
 class Migration {
  public:
   /// Find where each particle goes, wrapped along periodic axes, and how many will come. Collective. The particles must
   /// live until `finish`; those that are `gone` are left out. Throws std::length_error on all ranks if one gets more
   /// than 2^31 of them.
-  Migration(ParticleMesh& mesh, ParticleView const& particles, ParticleList const& gone);
+  Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone);
 
   std::vector<std::int64_t> const& lost() const { return destinations_.lost; }  ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + arrivals_.count(); }        ///< how many live here afterwards
+  std::int64_t bricks() const;  ///< how many hold particles that were on this rank
 
-  /// Write the particles of this rank into `out`, which has room for `arriving()`, in the order of `Places`; and where
-  /// each slot starts into `starts` (slots + 1 values). False if a position or momentum of those that were on this rank
-  /// is not finite; then `out` means nothing. Equal weights are not written; if those of `out` are not equal, those of
-  /// more than one particle here must not be. Collective.
-  bool finish(ParticleView const& out, std::int64_t* starts);
+  /// Write the particles of this rank into `out`, which has room for `arriving()`, in the order of `Places`. False if a
+  /// position or momentum of those that were on this rank is not finite; then `out` means nothing. Equal weights are
+  /// not written; if those of `out` are not equal, those of more than one particle here must not be. Collective.
+  bool finish(ParticleView const& out);
+
+  // after that:
+  std::vector<std::int64_t> const& starts() const { return places_.slots; }  ///< of each slot, and of one more
+  std::vector<Home> const& remote() const { return places_.remote; }         ///< bricks of the last slots
 
  private:
   ParticleMesh& mesh_;
+  Servers servers_;
   ParticleView particles_;
   Destinations destinations_;
   std::int64_t staying_ = 0;
   PackedParticles leaving_, arrivals_;
+  Places places_;
 };
 
 }  // namespace amrpic

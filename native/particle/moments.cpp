@@ -35,10 +35,9 @@ BeamSums<Real> local_sums(BeamView const& beam) {
 }  // namespace
 
 BeamSums<Real> beam_sums(Communicator const& comm, BeamView const& beam) {
-  BeamSums<Real> out;
-  std::vector const own{local_sums(beam)};
-  for (auto const& of_rank : comm.gather(own).values) out.add(of_rank);
-  return out;
+  std::vector sums{local_sums(beam)};
+  comm.add_each(sums);
+  return sums[0];
 }
 
 }  // namespace amrpic

@@ -8,11 +8,16 @@
 
 namespace amrpic {
 
-/// One over the Lorentz factor of a momentum (kg m/s), with one over m c.
+/// The square of the Lorentz factor of a momentum (kg m/s), with one over m c.
+template <class V>
+inline V gamma_square(Vector3<V> const& p, V const& per_mc) {
+  return 1 + per_mc * per_mc * dot(p, p);
+}
+
+/// One over the Lorentz factor.
 template <class V>
 inline V inverse_gamma(Vector3<V> const& p, V const& per_mc) {
-  Vector3<V> const u{p[0] * per_mc, p[1] * per_mc, p[2] * per_mc};
-  return inverse_root(1 + dot(u, u));
+  return inverse_root(gamma_square(p, per_mc));
 }
 
 enum class Pusher {
@@ -35,18 +40,17 @@ struct Turned {
 template <class V>
 inline Turned<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b, V const& charge_over_mass_half,
                         V const& per_mc) {
-  Vector3<V> tau, u;
-  for (std::size_t d = 0; d < 3; ++d) tau[d] = charge_over_mass_half * b[d], u[d] = p[d] * per_mc;
-  V const tau_square = dot(tau, tau), along = dot(tau, u);
-  V g_square = 1 + dot(u, u);
+  Vector3<V> const tau = scaled(charge_over_mass_half, b);
+  V const tau_square = dot(tau, tau), along = dot(tau, p);
+  V g_square = gamma_square(p, per_mc);
   if (pusher == Pusher::higuera_cary) {
-    V const s = g_square - tau_square, under = s * s + 4 * (tau_square + along * along);
-    g_square = 0.5 * (s + under * inverse_root(under));
+    V const half_s = 0.5 * (g_square - tau_square), along_u = per_mc * along;
+    g_square = half_s + square_root(half_s * half_s + (tau_square + along_u * along_u));
   }
-  V const w_square = g_square + tau_square, per_w = inverse_root(w_square), g = g_square * inverse_root(g_square);
+  V const w_square = g_square + tau_square, per_w = inverse_root(w_square), g = square_root(g_square);
   Vector3<V> f = cross(p, tau);
   for (std::size_t d = 0; d < 3; ++d) f[d] += g * p[d];
-  V const by_tau = dot(tau, p) * reciprocal(g + w_square * per_w), twice = 2 * per_w * per_w;
+  V const by_tau = along * reciprocal(g + w_square * per_w), twice = 2 * per_w * per_w;
   Turned<V> out;
   out.after = cross(f, tau);
   for (std::size_t d = 0; d < 3; ++d) {

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "base/lane_pair.hpp"
 #include "particle/read_field.hpp"
 
 namespace amrpic {
@@ -18,37 +17,30 @@ inline void add(Components& to, Components const& more) {
   for (int d = 0; d < 3; ++d) to[d] += more[d];
 }
 
-/// A velocity over c as one over c².
-inline Real3 per_c(Real3 const& beta) {
-  return {beta[0] / speed_of_light, beta[1] / speed_of_light, beta[2] / speed_of_light};
-}
-
-/// Particles in fields: eight, or two times eight.
-template <class V>
+/// Eight particles in fields.
 struct Group {
-  Vector3<V> x, p;
-  V charge, inverse_mass, per_mc;
+  Components x, p;
+  Lanes charge, inverse_mass, per_mc;
 
-  Vector3<V> velocity() const { return scaled(inverse_mass * inverse_gamma(p, per_mc), p); }
-  void kick(Vector3<V> const& e, Real time) {
-    V const impulse = charge * time;
+  Components velocity() const { return scaled(inverse_mass * inverse_gamma(p, per_mc), p); }
+  void kick(Components const& e, Real time) {
+    Lanes const impulse = charge * time;
     for (std::size_t d = 0; d < 3; ++d) p[d] += impulse * e[d];
   }
-  Turned<V> turned(Pusher pusher, Vector3<V> const& b, V const& time) const {
+  Turned<Lanes> turned(Pusher pusher, Components const& b, Lanes const& time) const {
     return amrpic::turned(pusher, p, b, time * charge * inverse_mass, per_mc);
   }
-  void turn(Pusher pusher, Vector3<V> const& b, V const& time) { p = turned(pusher, b, time).between; }
+  void turn(Pusher pusher, Components const& b, Lanes const& time) { p = turned(pusher, b, time).between; }
 };
 
 /// Both parts of a step in the same fields: a kick by E and a turn by B, and a turn and a kick. Return the momenta
 /// between them.
-template <class V>
-inline Vector3<V> act(Group<V>& on, Vector3<V> const& e, Vector3<V> const& b, Motion const& motion) {
+inline Components act(Group& on, Components const& e, Components const& b, Motion const& motion) {
   on.kick(e, motion.before);
-  auto [between, after] = on.turned(motion.pusher, b, motion.before + V{});
+  auto [between, after] = on.turned(motion.pusher, b, motion.before + Lanes{});
   if (motion.after != motion.before) {
     on.p = between;
-    after = on.turned(motion.pusher, b, motion.after + V{}).between;
+    after = on.turned(motion.pusher, b, motion.after + Lanes{}).between;
   }
   on.p = after;
   on.kick(e, motion.after);
@@ -63,7 +55,7 @@ inline Lanes or_one(Lanes const& divisor) { return select(divisor == 0, 1 + Lane
 /// Along the normal dp/dn = q v × B / v_n: B along it turns p about it, and B in the plane gives the impulse
 /// q v_n n × B, which does not depend on how p changes meanwhile; |p| stays. A solenoid's edge so keeps the canonical
 /// angular momentum. The place is shifted so that the change counts from the plane on.
-inline void pass(Group<Lanes>& on, Pusher pusher, Components const& b, Components const& normal, Components const& v,
+inline void pass(Group& on, Pusher pusher, Components const& b, Components const& normal, Components const& v,
                  Real time, Lanes const& when) {
   Components const before = on.p;
   Lanes const way = time * dot(v, normal), now = dot(on.velocity(), normal), slower = way / or_one(now);
@@ -80,8 +72,7 @@ inline void pass(Group<Lanes>& on, Pusher pusher, Components const& b, Component
 
 /// One of the parts, in fields of elements that may end on the way. What these have in the planes where they begin and
 /// end acts first and last.
-inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real time, bool is_before,
-                             Motion const& motion) {
+inline void act_along_flight(Group& on, Components e, Components b, Real time, bool is_before, Motion const& motion) {
   if (!(time > 0)) return;
   Edges<Lanes> edges;
   Components const arriving = on.velocity();
@@ -95,7 +86,7 @@ inline void act_along_flight(Group<Lanes>& on, Components e, Components b, Real 
 }
 
 /// Both of them. Return the momenta between.
-inline Components act_along_flights(Group<Lanes>& on, Components const& e, Components const& b, Motion const& motion) {
+inline Components act_along_flights(Group& on, Components const& e, Components const& b, Motion const& motion) {
   act_along_flight(on, e, b, motion.before, true, motion);
   Components const between = on.p;
   act_along_flight(on, e, b, motion.after, false, motion);
@@ -103,15 +94,6 @@ inline Components act_along_flights(Group<Lanes>& on, Components const& e, Compo
 }
 
 inline Real reach_of(Motion const& motion) { return speed_of_light * std::max(motion.before, motion.after); }
-
-inline Vector3<LanePair> both(Components const& a, Components const& b) {
-  return {LanePair{a[0], b[0]}, LanePair{a[1], b[1]}, LanePair{a[2], b[2]}};
-}
-inline Group<LanePair> both(Group<Lanes> const& a, Group<Lanes> const& b) {
-  return {both(a.x, b.x), both(a.p, b.p), {a.charge, b.charge}, {a.inverse_mass, b.inverse_mass}, {a.per_mc, b.per_mc}};
-}
-inline Components low(Vector3<LanePair> const& of) { return {of[0].low, of[1].low, of[2].low}; }
-inline Components high(Vector3<LanePair> const& of) { return {of[0].high, of[1].high, of[2].high}; }
 
 /// What becomes of particles in a step.
 struct Moving {
@@ -125,22 +107,24 @@ inline Components where(Lanes const& which, Components const& yes, Components co
   return out;
 }
 
-/// Moves particles that feel a field of the mesh.
+/// Moves particles that feel a field of the mesh, a group at a time.
 struct Mover {
   ParticleView particles;
   Motion motion;
   Moved out;
   bool far;  ///< whether what is written is not wanted soon
+  bool has_own_b = motion.beta != Real3{};
+  Real3 beta_per_c{motion.beta[0] / speed_of_light, motion.beta[1] / speed_of_light, motion.beta[2] / speed_of_light};
 
-  Group<Lanes> load_group(LaneGroup const& group) const {
+  Group load_group(LaneGroup const& group) const {
     Lanes const inverse_mass = load(motion.inverse_mass, motion.same, group);
     return {load_columns(particles.position, group), load_columns(particles.momentum, group),
             load(motion.charge, motion.same, group), inverse_mass, inverse_mass * (1 / speed_of_light)};
   }
-  template <class V>
-  Vector3<V> flown(Group<V> const& on) const {
-    Vector3<V> out = on.velocity();
-    for (std::size_t d = 0; d < 3; ++d) out[d] = on.x[d] + (motion.flight * out[d] - motion.shift[d]);
+  Components flown(Group const& on) const {
+    Lanes const drift = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
+    Components out;
+    for (std::size_t d = 0; d < 3; ++d) out[d] = on.x[d] + (drift * on.p[d] - motion.shift[d]);
     return out;
   }
   void write(LaneGroup const& group, Moving const& moved) const {
@@ -152,7 +136,7 @@ struct Mover {
   }
   /// By the field of the mesh alone.
   void by_mesh(LaneGroup const& group, Components const& felt) const {
-    Group<Lanes> on = load_group(group);
+    Group on = load_group(group);
     on.kick(felt, motion.before);
     Components const between = on.p;
     on.kick(felt, motion.after);
@@ -161,60 +145,73 @@ struct Mover {
 
   /// The fields of charge that moves with beta, and those that are added.
   std::array<Components, 2> fields(LaneGroup const& group, Components const& felt) const {
-    std::array<Components, 2> fields{felt, cross(per_c(motion.beta), felt)};
+    std::array<Components, 2> fields{felt, {}};
+    if (has_own_b) fields[1] = cross(beta_per_c, felt);
     if (motion.added.electric[0]) add(fields[0], load_columns(motion.added.electric, group));
     if (motion.added.magnetic[0]) add(fields[1], load_columns(motion.added.magnetic, group));
     return fields;
   }
-  /// By all fields.
-  template <bool elements>
-  void by_all(LaneBlock const& block, BlockComponents const& felt) const {
-    external::Places at;
-    for_each_group(block, [&](LaneGroup const& group) {
-      auto const [e, b] = fields(group, felt[number_in_block(block, group)]);
-      if constexpr (elements) at.x[at.count] = load_columns(particles.position, group);
-      at.E[at.count] = e, at.B[at.count] = b;
-      ++at.count;
-    });
-    bool const near = elements && motion.external->add_field(motion.time, reach_of(motion), at);
-    std::size_t n = 0;
-    for_each_two_groups(block, [&](LaneGroup const& group, LaneGroup const& other) {
-      std::size_t const i = n++, j = &group == &other ? i : n++;
-      auto on = both(load_group(group), load_group(other));
-      auto const between = act(on, both(at.E[i], at.E[j]), both(at.B[i], at.B[j]), motion);
-      auto const x = flown(on);
-      Moving moved{low(between), low(on.p), low(x)}, other_moved{high(between), high(on.p), high(x)};
-      if (near) {
-        moved = along_flights(group, felt, block, at.near_end[i], moved);
-        other_moved = along_flights(other, felt, block, at.near_end[j], other_moved);
-      }
-      write(group, moved);
-      write(other, other_moved);
-    });
+  /// By all fields at places.
+  void by_fields(LaneGroup const& group, Components const& felt) const {
+    auto const [e, b] = fields(group, felt);
+    write(group, moved(load_group(group), e, b));
+  }
+  Moving moved(Group on, Components const& e, Components const& b) const {
+    Components const between = act(on, e, b, motion);
+    return {between, on.p, flown(on)};
   }
   /// The same with those particles of a group that are near the end of a field moved along their flights.
-  Moving along_flights(LaneGroup const& group, BlockComponents const& felt, LaneBlock const& block, Lanes const& near,
-                       Moving const& others) const {
+  [[gnu::noinline]] Moving along_flights(LaneGroup const& group, Components const& felt, Lanes const& near,
+                                         Moving const& others) const {
     if (bits_of(near > 0) == 0) return others;
-    auto const [e, b] = fields(group, felt[number_in_block(block, group)]);
-    Group<Lanes> on = load_group(group);
+    auto const [e, b] = fields(group, felt);
+    Group on = load_group(group);
     Components const between = act_along_flights(on, e, b, motion);
     return {where(near, between, others.between), where(near, on.p, others.p), where(near, flown(on), others.x)};
   }
 };
 
+/// Moves the particles of a block by all fields, of elements too: these are found for the block first.
+class BlockMover {
+ public:
+  BlockMover(Mover const& mover, LaneBlock const& block) : mover_(mover), block_(block) {
+    for_each_group(block, [&](LaneGroup const& group) {
+      at_.x[at_.count] = load_columns(mover.particles.position, group);
+      at_.E[at_.count] = at_.B[at_.count] = {};
+      place_[number_in_block(block, group)] = at_.count++;
+    });
+    near_ = mover.motion.external->add_field(mover.motion.time, reach_of(mover.motion), at_);
+  }
+  void operator()(LaneGroup const& group, Components const& felt) const {
+    std::size_t const n = place_[number_in_block(block_, group)];
+    auto [e, b] = mover_.fields(group, felt);
+    add(e, at_.E[n]);
+    add(b, at_.B[n]);
+    Moving moved = mover_.moved(mover_.load_group(group), e, b);
+    if (near_) moved = mover_.along_flights(group, felt, at_.near_end[n], moved);
+    mover_.write(group, moved);
+  }
+
+ private:
+  Mover const& mover_;
+  LaneBlock const& block_;
+  external::Places at_;
+  std::array<std::size_t, external::Places::most> place_;
+  bool near_;
+};
+
 }  // namespace
 
-void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
-          std::int64_t const* starts, Motion const& motion, Moved const& out) {
+void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out) {
   auto const p = out.momentum, x = out.position, between = out.between;
   bool const far = are_far(particles.count, p[0], p[1], p[2], x[0], x[1], x[2], between[0], between[1], between[2]);
   Mover const mover{particles, motion, out, far};
-  auto const move = [&](auto const& use) { read_field(mesh, clouds, field, particles, starts, use); };
+  auto const move = [&](auto const& use) { read_field(mesh, remote, clouds, field, particles, starts, use); };
   if (motion.external && !motion.external->empty())
-    move([=](LaneBlock const& block, BlockComponents const& felt) { mover.by_all<true>(block, felt); });
-  else if (motion.beta != Real3{} || motion.added.electric[0] || motion.added.magnetic[0])
-    move([=](LaneBlock const& block, BlockComponents const& felt) { mover.by_all<false>(block, felt); });
+    move([&](LaneBlock const& block) { return BlockMover(mover, block); });
+  else if (mover.has_own_b || motion.added.electric[0] || motion.added.magnetic[0])
+    move([=](LaneGroup const& group, Components const& felt) { mover.by_fields(group, felt); });
   else
     move([=](LaneGroup const& group, Components const& felt) { mover.by_mesh(group, felt); });
   stream_end();
@@ -222,7 +219,7 @@ void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, 
 
 OneParticle push_one(OneParticle const& particle, Motion const& motion) {
   Lanes const inverse_mass = particle.inverse_mass + Lanes{};
-  Group<Lanes> on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
+  Group on{{}, {}, particle.charge + Lanes{}, inverse_mass, inverse_mass * (1 / speed_of_light)};
   for (std::size_t d = 0; d < 3; ++d) {
     on.x[d] = particle.position[d] + Lanes{};
     on.p[d] = particle.momentum[d] + Lanes{};

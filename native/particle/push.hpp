@@ -7,6 +7,7 @@
 #include "particle/clouds.hpp"
 #include "particle/motion.hpp"
 #include "particle/particle_mesh.hpp"
+#include "particle/remote_bricks.hpp"
 #include "particle/view.hpp"
 
 namespace amrpic {
@@ -42,8 +43,8 @@ struct Moved {
 /// these leads to: what `gather` would give is used and not kept. The parts are a kick by E and a turn by B, and a turn
 /// and a kick, so that a step of two equal parts is symmetric in time; the fields of elements are the means over the
 /// straight flight of each part, see `add_mean_field`. Otherwise as `gather`. Collective.
-void push(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
-          std::int64_t const* starts, Motion const& motion, Moved const& out);
+void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+          ParticleView const& particles, std::int64_t const* starts, Motion const& motion, Moved const& out);
 
 /// A particle by itself.
 struct OneParticle {

@@ -10,6 +10,7 @@
 #include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
 #include "particle/particle_mesh.hpp"
+#include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
 #include "particle/view.hpp"
 #include "stencil/field_difference.hpp"
@@ -81,9 +82,10 @@ inline void interleave_row(std::array<Real const*, 3> const& from, int count, Re
   for (; n < count; ++n) store(out + lanes * n, Cell{from[0][n], from[1][n], from[2][n], 0});
 }
 
-/// Trilinear value of the coarser level at the centre of `cell`, which lies inside the domain.
-inline void interpolate(Index3 const& cell, Box const& parents, std::vector<LocalIndex> const& places,
-                        Level const& coarser, BoundaryField const& coarse, Real* out) {
+/// Trilinear value of the coarser level, whose values are at(its cell), at the centre of `cell`, which lies inside the
+/// domain.
+template <class At>
+void interpolate(Index3 const& cell, Level const& coarser, At const& at, Real* out) {
   Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
   for (int c = 0; c < 3; ++c) out[c] = 0;
   for (int corner = 0; corner < 8; ++corner) {
@@ -94,7 +96,7 @@ inline void interpolate(Index3 const& cell, Box const& parents, std::vector<Loca
       weight *= is_far ? prolongation::far : prolongation::near;
       from[d] = is_far ? far[d] : near[d];
     }
-    Real const* const value = coarse.at(places[std::size_t(parents.offset(coarser.fold_at_walls(from)))]);
+    Real const* const value = at(coarser.fold_at_walls(from));
     for (int c = 0; c < 3; ++c) out[c] += weight * value[c];
   }
 }
@@ -134,8 +136,10 @@ class Filler {
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
       if (run.place >= 0) return boundary_.write(run.place, run.place_stride, run.count, out, stride);
       for (LocalIndex n = 0; n < run.count; ++n)
-        interpolate(level_.fold_at_walls(run.cell(n)), at_.parents, ghosts_.coarse, coarser_, coarse_,
-                    out + n * stride);
+        interpolate(
+            level_.fold_at_walls(run.cell(n)), coarser_,
+            [&](Index3 const& from) { return coarse_.at(ghosts_.coarse[std::size_t(at_.parents.offset(from))]); },
+            out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;
     if (field_.potential())
@@ -269,18 +273,13 @@ inline Components average_in_x(std::array<Averages, lane_count> const& of, std::
   return out;
 }
 
-constexpr int groups_per_block = block_size / lane_count;
-
-/// Of a block of particles, group by group.
-typedef std::array<Components, groups_per_block> BlockComponents;
-
 inline std::size_t number_in_block(LaneBlock const& block, LaneGroup const& group) {
   return std::size_t(group.first - block.first) / lane_count;
 }
 
-/// Call use(group, field), or use(block, field), for particles with the tile averaged over their clouds. By blocks,
-/// what is done with the field is a loop of its own, in which long formulas of one group wait for nothing of another;
-/// by groups, short ones need not store it.
+/// Call use(group, field) for particles with the tile averaged over their clouds; or use(block), and then what it
+/// returns for the groups of that block. Nothing between the field and its use is stored: processors work on one while
+/// they wait for the other.
 template <class Shape, class Use>
 void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen const& chosen, Tile<lanes> const& tile,
                  Use const& use) {
@@ -304,28 +303,72 @@ void read_clouds(TileFrame const& frame, ParticleView const& particles, Chosen c
       for (int j = 0; j < width; ++j) store(clouds.x_weight[j] + i, x.weight[j]);
     });
     all_in &= in;
-    [[maybe_unused]] BlockComponents field;
-    for_each_group(block, [=, &clouds, &field](LaneGroup const& group) {
-      int const start = int(group.first - block.first);
-      std::array<Averages, lane_count> averages;
+    auto const read_groups = [=, &clouds](auto const& use_group) {
+      for_each_group(block, [=, &clouds, &use_group](LaneGroup const& group) {
+        int const start = int(group.first - block.first);
+        std::array<Averages, lane_count> averages;
 #pragma GCC unroll 8
-      for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
-      std::array<Lanes, width> x_weight;
-      for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
-      if constexpr (std::is_invocable_v<Use, LaneGroup const&, Components const&>)
-        use(group, average_in_x<width>(averages, x_weight));
-      else
-        field[number_in_block(block, group)] = average_in_x<width>(averages, x_weight);
-    });
-    if constexpr (std::is_invocable_v<Use, LaneBlock const&, BlockComponents const&>) use(block, field);
+        for (int i = 0; i < lane_count; ++i) averages[i] = average(origin, stride_y, stride_z, clouds, start + i);
+        std::array<Lanes, width> x_weight;
+        for (int j = 0; j < width; ++j) x_weight[j] = load<Lanes>(clouds.x_weight[j] + start);
+        use_group(group, average_in_x<width>(averages, x_weight));
+      });
+    };
+    if constexpr (std::is_invocable_v<Use, LaneBlock const&>)
+      read_groups(use(block));
+    else
+      read_groups(use);
   });
   frame.require_inside(all_in, particles, chosen);
 }
 
+/// The field in the windows of remote bricks.
+class RemoteField {
+ public:
+  /// Collective.
+  RemoteField(ElectricField const& field, RemotePlan const& plan)
+      : hierarchy_(field.hierarchy()), plan_(plan), values_(plan.read(field)) {}
+
+  /// Bring a window into a tile on the same cells.
+  void fill(std::size_t brick, std::size_t w, Tile<lanes>& tile) const {
+    std::vector<Window> const& windows = plan_.bricks()[brick].windows;
+    Window const& window = windows[w];
+    Level const& level = hierarchy_.level(window.level);
+    Real const* value = at(brick, w, window.cells.lower);
+    for (int k = window.cells.lower[2]; k <= window.cells.upper[2]; ++k)
+      for (int j = window.cells.lower[1]; j <= window.cells.upper[1]; ++j) {
+        Real* out = tile.row(window.cells.lower[0], j, k);
+        for (int n = 0; n < window.cells.extent(0); ++n, value += components, out += lanes)
+          store(out, Cell{value[0], value[1], value[2], 0});
+      }
+    if (!window.whole && w + 1 < windows.size())
+      for_each_missing(level, window, [&](Index3 const& cell) {
+        interpolate(
+            cell, hierarchy_.level(window.level - 1), [&](Index3 const& from) { return at(brick, w + 1, from); },
+            tile.row(cell[0], cell[1], cell[2]));
+      });
+    if (Box const inside = level.cut_at_walls(window.cells); !(inside == window.cells))
+      for_each_cell(window.cells, [&](Index3 const& cell) {
+        Index3 const from = level.fold_at_walls(cell);
+        if (from != cell) store(tile.row(cell[0], cell[1], cell[2]), load<Cell>(tile.row(from[0], from[1], from[2])));
+      });
+  }
+
+ private:
+  Real const* at(std::size_t brick, std::size_t w, Index3 const& cell) const {
+    Box const& cells = plan_.bricks()[brick].windows[w].cells;
+    return values_.data() + components * (plan_.first(brick, w) + std::size_t(cells.offset(cell)));
+  }
+
+  Hierarchy const& hierarchy_;
+  RemotePlan const& plan_;
+  std::vector<Real> values_;
+};
+
 /// The same for all particles of this rank. Collective.
 template <class Use>
-void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& field, ParticleView const& particles,
-                std::int64_t const* starts, Use const& use) {
+void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+                ParticleView const& particles, std::int64_t const* starts, Use const& use) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
   BoundaryPlaces const& places = mesh.boundary_places(clouds.matched);
@@ -335,8 +378,18 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
     if (zone) coarse.push_back(with_halo(field, l, places.halo_of_matched(l)));
   }
 
+  RemotePlan const& plan = remote.plan(clouds.matched);
+  RemoteField const remote_field(field, plan);
+
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
-  for_each_occupied_box(mesh, starts, [&](std::size_t slot, std::int64_t first, std::int64_t last) {
+  auto const read_tile = [&](int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
+    for_each_coarsening_depth(
+        mesh, level, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+          with_shape(clouds.shape,
+                     [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[depth], use); });
+        });
+  };
+  auto const read_box = [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
@@ -345,18 +398,26 @@ void read_field(ParticleMesh& mesh, Clouds const& clouds, ElectricField const& f
       fill_coarse(places.ghosts(slot).matched[r - 1], coarse[c.level], tiles[r]);
     }
     Filler const filler(field, at, places.ghosts(slot), own);
-    int const planes = planes_per_slab(hierarchy.level(at.level).box(at.box), lanes);
+    Box const& box = hierarchy.level(at.level).box(at.box);
     bool precedes = false;  // whether tiles[0] is that of the slab before
-    for_each_slab(mesh, at, planes, particles, first, last, [&](Box const& slab, auto from, auto to) {
-      if (from < to) filler.fill(slab, precedes, tiles[0]);
-      precedes = from < to;
-      for_each_coarsening_depth(
-          mesh, at, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-            with_shape(clouds.shape,
-                       [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[depth], use); });
-          });
-    });
-  });
+    for_each_slab(mesh, at.level, box, planes_per_slab(box, lanes), particles, first, last,
+                  [&](Box const& slab, auto from, auto to) {
+                    if (from < to) filler.fill(slab, precedes, tiles[0]);
+                    precedes = from < to;
+                    read_tile(at.level, slab, buffer, from, to);
+                  });
+  };
+  auto const read_remote = [&](std::size_t n, std::int64_t first, std::int64_t last) {
+    BrickWindows const& brick = plan.bricks()[n];
+    tiles[0].reset(brick.cells);
+    remote_field.fill(n, 0, tiles[0]);
+    for (std::size_t r = 1; r <= brick.buffer.coarse.size(); ++r) {
+      tiles[r].reset(brick.buffer.coarse[r - 1].box);
+      remote_field.fill(n, r, tiles[r]);
+    }
+    read_tile(brick.home.level, brick.cells, brick.buffer.coarse.empty() ? nullptr : &brick.buffer, first, last);
+  };
+  for_each_occupied(mesh, remote.bricks().size(), starts, read_box, read_remote);
 }
 
 }  // namespace amrpic

@@ -1,5 +1,6 @@
 #include "particle/sort.hpp"
 
+#include <algorithm>
 #include <limits>
 #include <numeric>
 #include <utility>
@@ -8,24 +9,45 @@ namespace amrpic {
 
 namespace {
 
-LocalIndex brick_of(ParticleMesh const& mesh, Home const& home) {
-  return mesh.first_brick(mesh.slot(home.level, home.box)) + home.brick;
+/// Numbers of remote bricks in ascending order of these.
+std::vector<LocalIndex> in_order(BrickNumbers const& bricks, LocalIndex own) {
+  std::vector<Home> const& remote = bricks.remote();
+  std::vector<LocalIndex> out(remote.size());
+  std::iota(out.begin(), out.end(), own);
+  std::sort(out.begin(), out.end(),
+            [&](LocalIndex a, LocalIndex b) { return remote[std::size_t(a - own)] < remote[std::size_t(b - own)]; });
+  return out;
 }
 
 }  // namespace
 
-Places sort(ParticleMesh const& mesh, Destinations const& destinations, PackedParticles const& arrivals) {
+Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticles const& arrivals) {
+  BrickNumbers& bricks = destinations.bricks;
+  std::vector<LocalIndex> brick_of(arrivals.all.size());
+  std::transform(arrivals.all.begin(), arrivals.all.end(), brick_of.begin(),
+                 [&](PackedParticle const& particle) { return bricks.number(particle.home); });
+  LocalIndex const own = mesh.bricks();
   std::vector<std::int64_t> next = destinations.per_brick;  // place of each brick; at first how many it will hold
-  for (PackedParticle const& particle : arrivals.all) ++next[std::size_t(brick_of(mesh, particle.home))];
-  next.push_back(0);
-  std::exclusive_scan(next.begin(), next.end(), next.begin(), std::int64_t(0));
+  next.resize(std::size_t(own) + bricks.remote().size(), 0);
+  for (LocalIndex brick : brick_of) ++next[std::size_t(brick)];
+
+  Places out;
+  std::int64_t all = 0;
+  for (LocalIndex brick = 0; brick < own; ++brick) all += std::exchange(next[std::size_t(brick)], all);
+  for (std::size_t s = 0; s < mesh.boxes().size(); ++s)
+    out.slots.push_back(next[std::size_t(mesh.first_brick(int(s)))]);
+  for (LocalIndex brick : in_order(bricks, own)) {
+    std::int64_t const count = std::exchange(next[std::size_t(brick)], all);
+    if (count == 0) continue;
+    out.slots.push_back(all);
+    out.remote.push_back(bricks.remote()[std::size_t(brick - own)]);
+    all += count;
+  }
+  out.slots.push_back(all);
   auto const take = [&](LocalIndex brick, LocalIndex count = 1) {
     return LocalIndex(std::exchange(next[std::size_t(brick)], next[std::size_t(brick)] + count));
   };
 
-  Places out;
-  for (std::size_t s = 0; s <= mesh.boxes().size(); ++s)
-    out.slots.push_back(next[std::size_t(mesh.first_brick(int(s)))]);
   out.runs.reserve(destinations.runs.size());
   out.movers.reserve(destinations.movers.size());
   out.wrapped.reserve(destinations.wrapped.size());
@@ -34,8 +56,8 @@ Places sort(ParticleMesh const& mesh, Destinations const& destinations, PackedPa
   std::int64_t const first_higher = arrivals.starts[std::size_t(mesh.hierarchy().comm().rank())];
   auto const place_arrivals = [&](std::int64_t first, std::int64_t last, bool wrapped) {
     for (std::int64_t n = first; n < last; ++n)
-      if (PackedParticle const& particle = arrivals.all[std::size_t(n)]; particle.wrapped == wrapped)
-        out.arrivals[std::size_t(n)] = take(brick_of(mesh, particle.home));
+      if (arrivals.all[std::size_t(n)].wrapped == wrapped)
+        out.arrivals[std::size_t(n)] = take(brick_of[std::size_t(n)]);
   };
   auto mover = destinations.movers.begin();
   auto const place_movers_before = [&](LocalIndex place) {

@@ -17,10 +17,12 @@ struct Places {
   std::vector<LocalIndex> runs;       ///< of the first that stayed of each run; the others follow
   std::vector<Move> movers, wrapped;  ///< in order of where they were
   std::vector<LocalIndex> arrivals;   ///< of each particle
+  std::vector<Home> remote;           ///< remote bricks with particles, ascending: the slots behind those of own boxes
   std::vector<std::int64_t> slots;    ///< where each slot starts, and where the last one ends
 };
 
-/// Find the places on this rank of the particles that stay on it, and of those that arrive: a counting sort. Local.
-Places sort(ParticleMesh const& mesh, Destinations const& destinations, PackedParticles const& arrivals);
+/// Find the places on this rank of the particles that stay on it, and of those that arrive, some in remote bricks of
+/// which none is on it yet: a counting sort. Local.
+Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticles const& arrivals);
 
 }  // namespace amrpic

@@ -46,7 +46,7 @@ class Tile {
   std::vector<CacheLine> lines_;
 };
 
-/// A particle that is not where it was sorted; thrown on its rank alone, to be caught by `for_each_occupied_box`.
+/// A particle that is not where it was sorted; thrown on its rank alone, to be caught by `for_each_occupied`.
 struct Stray {
   std::int64_t id;
 };
@@ -134,10 +134,9 @@ inline int planes_per_slab(Box const& box, int components) {
 /// Call f(slab, first, last) for the slabs of so many planes that a box is cut into, and the particles of each: those
 /// of a box are sorted by brick, and slabs are whole bricks.
 template <class F>
-void for_each_slab(ParticleMesh const& mesh, BoxGhosts const& at, int planes, ParticleView const& particles,
+void for_each_slab(ParticleMesh const& mesh, int level, Box const& box, int planes, ParticleView const& particles,
                    std::int64_t first, std::int64_t last, F&& f) {
-  LevelCoordinates const coordinates = mesh.locator().coordinates(at.level);
-  Box const& box = mesh.hierarchy().level(at.level).box(at.box);
+  LevelCoordinates const coordinates = mesh.locator().coordinates(level);
   for (Box slab = box; slab.lower[2] <= box.upper[2]; slab.lower[2] += planes) {
     slab.upper[2] = std::min(box.upper[2], slab.lower[2] + planes - 1);
     Real const end = slab.upper[2] < box.upper[2] ? slab.upper[2] + 1 : std::numeric_limits<Real>::infinity();
@@ -157,9 +156,9 @@ void for_each_slab(ParticleMesh const& mesh, BoxGhosts const& at, int planes, Pa
 /// Call f(depth, frame, chosen) for those of a slab's particles whose clouds lie on one level: `depth` levels coarser
 /// than the slab, in a tile that `frame` describes. Without a buffer all of them lie on the slab's own level.
 template <class F>
-void for_each_coarsening_depth(ParticleMesh const& mesh, BoxGhosts const& at, Box const& slab, BoxBuffer const* buffer,
+void for_each_coarsening_depth(ParticleMesh const& mesh, int level, Box const& slab, BoxBuffer const* buffer,
                                ParticleView const& particles, std::int64_t first, std::int64_t last, F&& f) {
-  TileFrame const own(mesh.locator().coordinates(at.level), slab);
+  TileFrame const own(mesh.locator().coordinates(level), slab);
   if (first == last) return;
   if (!buffer) return f(0, own, Chosen{first, last});
   std::vector<char> depth;
@@ -172,15 +171,19 @@ void for_each_coarsening_depth(ParticleMesh const& mesh, BoxGhosts const& at, Bo
   }
 }
 
-/// Call f(slot, first, last) for each box of this rank that holds particles, [first, last) of them. If
-/// it throws a Stray on some ranks, all throw std::out_of_range, so that none waits for another. Collective.
-template <class F>
-void for_each_occupied_box(ParticleMesh const& mesh, std::int64_t const* starts, F&& f) {
+/// Call of_box(slot, first, last) for each box of this rank that holds particles, [first, last) of them, then
+/// of_remote(n, first, last) for those of `remote` remote bricks. If they throw a Stray on some ranks, all throw
+/// std::out_of_range, so that none waits for another. Collective.
+template <class OfBox, class OfRemote>
+void for_each_occupied(ParticleMesh const& mesh, std::size_t remote, std::int64_t const* starts, OfBox&& of_box,
+                       OfRemote&& of_remote) {
   constexpr std::int64_t none = std::numeric_limits<std::int64_t>::max();
   std::int64_t lowest = none;
   try {
-    for (std::size_t s = 0; s < mesh.boxes().size(); ++s)
-      if (starts[s] < starts[s + 1]) f(s, starts[s], starts[s + 1]);
+    for (std::size_t s = 0; s < mesh.boxes().size(); ++s, ++starts)
+      if (starts[0] < starts[1]) of_box(s, starts[0], starts[1]);
+    for (std::size_t n = 0; n < remote; ++n, ++starts)
+      if (starts[0] < starts[1]) of_remote(n, starts[0], starts[1]);
   } catch (Stray const& stray) {
     lowest = stray.id;
   }

@@ -24,10 +24,6 @@ std::string scientific(Real value) {
   return out.str();
 }
 
-freespace::Lattice lattice_of(Hierarchy const& hierarchy) {
-  return {hierarchy.domain().lower, hierarchy.level(0).spacing(), hierarchy.domain().cells};
-}
-
 }  // namespace
 
 PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverOptions const& options,
@@ -43,34 +39,26 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
     backend_ = std::make_unique<CrsBackend>(problem, reusable_);
   else
     backend_ = std::make_unique<MatrixFreeBackend>(problem);
-  if (!reusable_.free_space && hierarchy_->domain().has(Boundary::open))
-    reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), lattice_of(*hierarchy_));
+  if (hierarchy_->domain().has(Boundary::open)) plan_open_walls();
 }
 
-void PoissonSolver::set_open_walls(Field const& rho) {
-  Domain const& domain = hierarchy_->domain();
-  reusable_.free_space->set_charges(freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity));
-
-  std::array<bool, 6> open;
-  for (int face = 0; face < 6; ++face) open[face] = domain.boundary[face / 2][face % 2] == Boundary::open;
-  auto const planes = reusable_.free_space->wall_planes(open);
-  std::vector<freespace::PointTarget> targets;
-  std::vector<Real*> datum;
+void PoissonSolver::plan_open_walls() {
+  freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_);
+  if (!reusable_.free_space)
+    reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice);
+  wall_plan_ = reusable_.free_space->plan(mesh);
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     for (std::size_t i = 0; i < walls_[l].faces.size(); ++i) {
       auto const& face = walls_[l].faces[i];
-      if (face.kind != Boundary::open) continue;
-      if (l == 0) {
-        auto const [u, v] = tangential_axes(face.axis);
-        walls_[0].datum[i] =
-            planes[2 * face.axis + face.side][std::size_t(face.cell[u]) + std::size_t(domain.cells[u]) * face.cell[v]];
-      } else {
-        targets.push_back({walls_[l].position(domain, hierarchy_->level(l), i), l});
-        datum.push_back(&walls_[l].datum[i]);
-      }
+      if (face.kind == Boundary::open)
+        open_faces_.push_back({l, i, wall_plan_->place(2 * face.axis + face.side, l, face.cell)});
     }
-  auto const values = reusable_.free_space->potential(targets);
-  for (std::size_t t = 0; t < values.size(); ++t) *datum[t] = values[t];
+}
+
+void PoissonSolver::set_open_walls(Field const& rho) {
+  auto const values =
+      reusable_.free_space->walls(*wall_plan_, freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity));
+  for (auto const& [level, face, place] : open_faces_) walls_[level].datum[face] = values[place];
 }
 
 /// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may
@@ -237,7 +225,7 @@ SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero) {
   SolveReport report;
   stopwatch_.reset();
   backend_->stopwatch().reset();
-  if (reusable_.free_space) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
+  if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });
   backend_->set_right_hand_side(rho);
   bool const singular = is_singular(hierarchy_->domain(), options_);
   Real const rounding = singular ? remove_net_charge(rho) : 0;

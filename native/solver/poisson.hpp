@@ -53,6 +53,7 @@ class PoissonSolver {
   Backend const& backend() const { return *backend_; }
 
  private:
+  void plan_open_walls();
   void set_open_walls(Field const& rho);
   Real remove_net_charge(Field const& rho);
   bool is_finite(Field const& phi) const;
@@ -68,6 +69,13 @@ class PoissonSolver {
   SolverOptions options_;
   Reusable reusable_;
   std::vector<Walls> walls_;
+  struct OpenFace {
+    int level;
+    std::size_t face;   ///< of the level's walls
+    std::size_t place;  ///< of its ghost's potential among those of free space
+  };
+  std::vector<OpenFace> open_faces_;
+  std::shared_ptr<freespace::WallPlan const> wall_plan_;  ///< where walls are open
   std::unique_ptr<Backend> backend_;
   Stopwatch stopwatch_;
   Real latest_correction_ = 0, correction_before_ = 0;  ///< largest change of phi by the latest two cycles, V

@@ -12,6 +12,8 @@ from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer, writer_ranks
 from amrpic.io.field_reader import Dump
 from amrpic.io.provenance import Provenance
+from amrpic.io.shared_file import part_of
+from amrpic.io.writer_ranks import Writers
 from full_disk import file_size_limit
 
 DOMAIN = Domain(lower=(-0.15, -0.3, 0.1), upper=(0.09, 0.18, 0.74), cells=(24, 16, 32), boundary="dirichlet")
@@ -35,7 +37,7 @@ def dumped(comm):
 
 def write(comm, path, writers=1):
     hierarchy, values = dumped(comm)
-    vtkhdf_writer.write(path, hierarchy, values, 7, 1.25e-9, ABOUT, writers)
+    vtkhdf_writer.write(path, hierarchy, values, 7, 1.25e-9, ABOUT, Writers(writers))
     return hierarchy
 
 
@@ -117,7 +119,7 @@ def test_our_reader_gives_back_every_box(comm, tmp_path, writers):
 def test_a_dump_replaces_an_earlier_one_and_its_parts(comm, tmp_path):
     path = vtkhdf_writer.path_of(tmp_path, 0)
     if comm.rank == 0:
-        (tmp_path / "fields_00000000.part0007.h5.tmp").write_bytes(b"half")  # of a run that was killed
+        (tmp_path / "fields_00000000.part0007.tmp").write_bytes(b"half")  # of a run that was killed
     write(comm, path, writers=2)
     assert len(list(tmp_path.iterdir())) == 3
     comm.barrier()
@@ -133,7 +135,7 @@ def test_a_dump_that_cannot_be_written_is_one_error_and_leaves_nothing(comm, tmp
     hierarchy, values = dumped(comm)
     missing = tmp_path / "nowhere"
     with pytest.raises(OutputError, match=r"cannot write fields .*: No such file or directory; .*folder") as caught:
-        vtkhdf_writer.write(vtkhdf_writer.path_of(missing, 7), hierarchy, values, 7, 0.0, ABOUT, writers)
+        vtkhdf_writer.write(vtkhdf_writer.path_of(missing, 7), hierarchy, values, 7, 0.0, ABOUT, Writers(writers))
     assert len(set(comm.allgather(str(caught.value)))) == 1
     assert list(tmp_path.iterdir()) == []
 
@@ -148,7 +150,7 @@ def test_a_disk_that_fills_up_keeps_the_old_dump(comm, tmp_path, writers):
     hierarchy, values = dumped(comm)
     full = file_size_limit(20_000 if comm.rank == 0 else None)
     with full, pytest.raises(OutputError, match=r"cannot write fields .*: File too large; .*folder"):
-        vtkhdf_writer.write(path, hierarchy, values, 7, 0.0, ABOUT, writers)
+        vtkhdf_writer.write(path, hierarchy, values, 7, 0.0, ABOUT, Writers(writers))
     comm.barrier()
     assert sorted(p.name for p in tmp_path.iterdir()) == before
     with Dump(path) as dump:
@@ -180,7 +182,7 @@ def test_a_lost_part_is_named(comm, tmp_path):
     path = vtkhdf_writer.path_of(tmp_path, 7)
     write(comm, path, writers=2)
     if comm.rank == 0:
-        vtkhdf_writer.part_of(path, 1).unlink()
+        part_of(path, 1).unlink()
     comm.barrier()
-    with pytest.raises(InputError, match=r"its part fields_00000007\.part0001\.h5 is not beside it"):
+    with pytest.raises(InputError, match=r"its part fields_00000007\.part0001 is not beside it"):
         Dump(path)

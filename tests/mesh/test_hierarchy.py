@@ -7,8 +7,9 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+from amrpic import _native
 from amrpic.errors import AmrpicError, HierarchyError
-from amrpic.parallel import VirtualRank
+from amrpic.parallel import VirtualRank, traffic
 
 DOMAIN = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16))
 MIDDLE = [((8, 8, 8), (23, 23, 23))]
@@ -44,7 +45,8 @@ def test_boxes_that_cannot_be_are_refused_by_name(levels, complaint):
         ({"blocking_factor": 3}, "blocking_factor is 3; it must be a power of two"),
         ({"max_grid_size": 4}, "max_grid_size is 4, less than the blocking factor 8"),
         ({"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (2**20,) * 3)}, "more than the .* that 1 ranks can number"),
-        ({"weights": [np.ones(3)]}, "level 0 has 1 boxes but 3 weights"),
+        ({"base": np.array([[0, 0, 0, 15, 15, 7]])}, "given for level 0 have 2048 of the domain's 4096 cells"),
+        ({"base": np.array([[0, 0, 0, 15, 15, 15], [0, 0, 0, 7, 7, 7]])}, "of level 0 overlaps"),
         (
             {"domain": amrpic.Domain((0, 0, 0), (1, 1, 1), (16,) * 3, {"x": "periodic"})},
             "axis x is periodic and another face is open",
@@ -84,16 +86,27 @@ def test_virtual_ranks_have_the_boxes_of_real_ones(comm):
             assert unreal.local_boxes(level) == real.local_boxes(level)
 
 
-def test_virtual_ranks_refuse_to_communicate():
+def test_virtual_ranks_count_what_they_would_send():
     mesh = amrpic.Hierarchy(VirtualRank(3, 720), DOMAIN)
-    with pytest.raises(AmrpicError, match="rank 3 of 720 is virtual and has no allreduce"):
-        mesh.comm.allreduce(1)
-    with pytest.raises(RuntimeError, match="rank 3 of 720 is virtual and cannot communicate"):
-        amrpic.Field(mesh).native.integral()
+    before = traffic()
+    assert mesh.comm.allreduce(1) == 1 and mesh.comm.allgather("a") == ["a"]
+    laplacian = _native.CompositeLaplacian(mesh.native, (1, 1, 1))
+    laplacian.diagonal_norm(amrpic.Field(mesh).native, _native.Norm.max)
+    assert (traffic() - before).collectives >= 3
+    with pytest.raises(AmrpicError, match="rank 3 of 720 is virtual and has no Ibarrier"):
+        mesh.comm.Ibarrier()
     with pytest.raises(ValueError, match="virtual rank 720 is not one of 720; give one from 0 to 719"):
         mesh.seen_by(720)
     with pytest.raises(HierarchyError, match="ranks that run"):
         hierarchy().seen_by(0)
+
+
+def test_given_base_boxes_are_taken_as_they_are():
+    levels = [MIDDLE, [((24, 24, 24), (39, 39, 39))]]
+    halved = amrpic.Hierarchy(VirtualRank(0, 7), DOMAIN, levels, max_grid_size=16)
+    assert len(halved.boxes(0)) > 1
+    again = hierarchy([halved.boxes(1), halved.boxes(2)], max_grid_size=16, base=halved.boxes(0))
+    assert again.same_mesh(halved)
 
 
 def test_boxes_are_cut_to_size_and_cover_what_was_asked():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from amrpic.particles.particles import Particles, concatenate
 from amrpic.particles.species import Species, SpeciesTable
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
-from amrpic.stages.migrate import migrate, particles_per_box
+from amrpic.stages.migrate import migrate
 from amrpic.stages.push import RANDOM_WALK, push, random_walk
 from amrpic.units import SPEED_OF_LIGHT
 from particle_cases import (
@@ -53,22 +54,29 @@ def periodic_box(comm: MPI.Comm) -> amrpic.Hierarchy:
     return amrpic.Hierarchy(comm, domain, [[((8, 0, 8), (15, 31, 23))]], max_grid_size=8)
 
 
+def slots_of(particles: Particles, hierarchy: amrpic.Hierarchy) -> Iterator[tuple[int, np.ndarray, bool]]:
+    """Yield the level and the cells, (6,), of what the slots of particles stand for, and whether it is a remote brick."""
+    for level in range(hierarchy.levels):
+        for box in hierarchy.local_boxes(level):
+            yield level, hierarchy.boxes(level)[box], False
+    remote = particles.sorted_on(hierarchy).remote
+    yield from zip(remote.bricks[:, 0].tolist(), remote.cells, [True] * len(remote), strict=True)
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3), timeout=120)
-def test_each_particle_lies_in_the_finest_box_on_its_owner(comm):
+def test_each_particle_lies_in_the_finest_box(comm):
     for case in CASES:
         hierarchy = hierarchy_of(case, comm)
         particles, _ = migrate(scattered(hierarchy, 300), hierarchy)
         mesh, starts = Mesh(hierarchy), particles.sorted_on(hierarchy).starts
-        slot = 0
-        for level in range(hierarchy.levels):
-            for box in hierarchy.local_boxes(level):
-                corners = hierarchy.boxes(level)[box]
-                for x in particles.position[starts[slot] : starts[slot + 1]]:
-                    cell = mesh.coordinate(x, level).astype(int)
-                    assert (corners[:3] <= cell).all() and (cell <= corners[3:]).all(), case.name
-                    assert mesh.finest(x) == level, case.name
-                slot += 1
-        assert starts[0] == 0 and starts[slot] == len(particles)
+        slots = list(slots_of(particles, hierarchy))
+        for slot, (level, corners, _) in enumerate(slots):
+            for x in particles.position[starts[slot] : starts[slot + 1]]:
+                cell = mesh.coordinate(x, level).astype(int)
+                assert (corners[:3] <= cell).all() and (cell <= corners[3:]).all(), case.name
+                assert mesh.finest(x) == level, case.name
+        assert starts[0] == 0 and starts[-1] == len(particles) and len(starts) == len(slots) + 1
+        assert particles.sorted_on(hierarchy).levels.tolist() == [level for level, _, _ in slots]
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
@@ -92,15 +100,14 @@ def test_particles_are_sorted_by_box_and_brick_and_else_keep_their_order(comm):
     particles = Particles(position, np.zeros((count, 3)), np.ones(count), ids, ONE_KIND)
     before = places(comm, particles)
     particles, _ = migrate(particles, hierarchy)
-    keys, slot = [], 0
-    for level in range(hierarchy.levels):
-        for box in hierarchy.local_boxes(level):
-            own = slice(*particles.sorted_on(hierarchy).starts[slot : slot + 2])
-            cells = np.floor(particles.position[own] / hierarchy.spacing(level)).astype(int)
-            bricks = (cells - hierarchy.boxes(level)[box][:3]) // BRICK
-            place = before[particles.id[own]]
-            keys += [(level, box, *brick[::-1], n) for brick, n in zip(bricks.tolist(), place, strict=True)]
-            slot += 1
+    keys, starts = [], particles.sorted_on(hierarchy).starts
+    for slot, (level, corners, is_remote) in enumerate(slots_of(particles, hierarchy)):
+        own = slice(*starts[slot : slot + 2])
+        assert own.start < own.stop or not is_remote
+        cells = np.floor(particles.position[own] / hierarchy.spacing(level)).astype(int)
+        bricks = (cells - corners[:3]) // BRICK
+        place = before[particles.id[own]]
+        keys += [(slot, *brick[::-1], n) for brick, n in zip(bricks.tolist(), place, strict=True)]
     assert len(keys) == len(particles)
     assert keys == sorted(keys)
 
@@ -117,14 +124,15 @@ def test_sorting_is_that_of_numpy_for_few_and_many_particles_in_a_brick(comm, ce
         particles, _ = migrate(moved, hierarchy)
         everyone = everywhere(comm, particles)
         cell = np.floor(everyone["position"] * cells).astype(int)
-        boxes = hierarchy.boxes(0)[list(hierarchy.local_boxes(0))]
+        boxes, own = hierarchy.boxes(0), list(hierarchy.local_boxes(0))
         slot, brick = np.full(count, -1), np.zeros_like(cell)
         for n, (lower, upper) in enumerate(zip(boxes[:, :3], boxes[:, 3:], strict=True)):
             inside = ((cell >= lower) & (cell <= upper)).all(axis=1)
-            slot[inside], brick[inside] = n, (cell[inside] - lower) // BRICK
+            slot[inside], brick[inside] = n if n in own else len(boxes) + n, (cell[inside] - lower) // BRICK
         wrapped = ((walked < 0) | (walked >= 1)).any(axis=1)
         order = np.lexsort((before, wrapped, *brick.T, slot))
-        order = order[slot[order] >= 0]
+        order = order[np.isin(order, particles.id)]
+        assert slot.min() >= 0 and comm.allreduce(len(order)) == count
         assert np.array_equal(particles.id, everyone["id"][order])
         for name in ("position", "momentum", "weight"):
             assert np.array_equal(getattr(particles, name), everyone[name][order]), name
@@ -228,9 +236,11 @@ def test_a_point_on_a_face_belongs_to_the_cell_above(comm):
         [(0.25, 0.25, 0.25), (below, 0.25, 0.25), (0.75, 0.5, 0.5), (np.nextafter(0.75, 0), 0.5, 0.5), (0, 0, 0)]
     )
     mine = corners if comm.rank == 0 else corners.select(slice(0))
-    counts = particles_per_box(mine, hierarchy)
-    assert [int(c.sum()) for c in counts] == [3, 2]
-    assert len(migrate(mine, hierarchy)[1]) == 0
+    inside, lost = migrate(mine, hierarchy)
+    sorting = inside.sorted_on(hierarchy)
+    on_level = np.bincount(sorting.levels, np.diff(sorting.starts), hierarchy.levels)
+    assert comm.allreduce(on_level).tolist() == [3, 2]
+    assert len(lost) == 0
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
@@ -280,21 +290,6 @@ def test_values_that_are_not_finite_are_an_error_on_all_ranks(comm, what, value)
     with pytest.raises(ParticleError, match=f"^{bad} particles .* not finite, .* id {first} ") as caught:
         migrate(particles, hierarchy)
     assert len(set(comm.allgather(str(caught.value)))) == 1
-
-
-@pytest.mark.mpi(ranks=(1, 2, 3))
-def test_counts_per_box_are_global_and_need_no_migration(comm):
-    for case in CASES[:10]:
-        hierarchy = hierarchy_of(case, comm)
-        particles = scattered(hierarchy, 1000)
-        counts = particles_per_box(particles, hierarchy)
-        assert [len(c) for c in counts] == [len(hierarchy.boxes(l)) for l in range(hierarchy.levels)]
-        assert sum(int(c.sum()) for c in counts) == 1000
-        here, _ = migrate(particles, hierarchy)
-        for scattered_ones, sorted_ones in zip(counts, particles_per_box(here, hierarchy), strict=True):
-            assert np.array_equal(scattered_ones, sorted_ones)
-        own = np.concatenate([counts[l][list(hierarchy.local_boxes(l))] for l in range(hierarchy.levels)])
-        assert np.array_equal(np.diff(here.sorted_on(hierarchy).starts), own)
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3))
@@ -372,7 +367,6 @@ def test_no_particles_migrate_and_move(comm):
     moved = random_walk(pushed, 1.0, 0, 0)
     assert len(migrate(moved, hierarchy)[0]) == 0
     assert moved.global_count(comm) == 0 and moved.total_charge(comm) == 0
-    assert sum(int(c.sum()) for c in particles_per_box(moved, hierarchy)) == 0
 
 
 def test_particles_join_in_order():

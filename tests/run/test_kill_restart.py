@@ -43,7 +43,7 @@ particles = 4000
 
 [refinement]
 levels = 2
-max_grid_size = 16
+max_grid_size = 8
 blocking_factor = 4
 regrid_every = 3
 
@@ -164,7 +164,6 @@ def last_state(folder: Path) -> Snapshot:
     from mpi4py import MPI
 
     path = checkpoint_writer.path_of(folder, LAST)
-    checkpoint_reader.verify(MPI.COMM_SELF, path)
     return checkpoint_reader.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
 
 
@@ -183,7 +182,7 @@ def rows(folder: Path) -> dict[str, np.ndarray]:
 
 
 def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+    return {path.name for path in folder.iterdir() if not path.name.startswith((".", "earlier_"))}
 
 
 def assert_same(folder: Path, reference: Path) -> None:

@@ -14,7 +14,7 @@ from mpi4py import MPI
 
 import mpi_batch
 from amrpic import Domain, Field, Hierarchy, PoissonSolver, Scene
-from amrpic.mesh.boxes import outer_faces
+from amrpic.mesh.boxes import table_of
 from amrpic.run.memory import LAPLACIAN, _copies, run_memory
 from hierarchies import all_cases
 
@@ -66,7 +66,7 @@ def test_outer_faces_are_those_of_the_painted_cells(case):
         for box in boxes:
             painted[tuple(slice(a + 1, b + 2) for a, b in zip(box[:3], box[3:], strict=True))] = 1
         expected = sum(int(np.abs(np.diff(painted, axis=axis)).sum()) for axis in range(3))
-        assert outer_faces(boxes, case.blocking_factor) == expected
+        assert table_of(boxes).outer_faces == expected
 
 
 def test_operators_take_the_bytes_that_are_counted(comm):

@@ -12,7 +12,8 @@ import pytest
 from amrpic.errors import InputError, SceneError
 from amrpic.run.limits import check_scene, memory_error, rank_cells_error
 from amrpic.run.memory import base_boxes
-from amrpic.scene.scene import RefusedScene, Scene
+from amrpic.scene.complaints import RefusedScene
+from amrpic.scene.scene import Scene
 from amrpic.scene.units import to_si
 from amrpic.units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT, UNITS
 

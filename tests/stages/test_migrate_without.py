@@ -20,8 +20,9 @@ def test_those_that_are_left_out_change_nothing_for_the_others(comm, portion):
         moved = particles.replace(particles.position + rng.normal(0, 0.05, (len(particles), 3)) * length)
         gone = np.flatnonzero(rng.random(len(particles)) < portion)
         stays = np.setdiff1d(np.arange(len(particles)), gone)
-        arrived, lost = migrate_without(moved, hierarchy, gone)
-        should, lost_of_others = migrate(moved.select(stays), hierarchy)
+        servers = particles.sorted_on(hierarchy).servers
+        arrived, lost = migrate_without(moved, hierarchy, gone, servers)
+        should, lost_of_others = migrate(moved.select(stays), hierarchy, servers)
         for one, other in zip(arrived.arrays, should.arrays, strict=True):
             assert np.array_equal(one, other)
         assert np.array_equal(arrived.sorted_on(hierarchy).starts, should.sorted_on(hierarchy).starts)

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from amrpic import Domain, Field, Hierarchy
 from amrpic.errors import HierarchyError
 from amrpic.mesh.domain import BoundarySpec
-from amrpic.stages.regrid import Regridding, balance, carry_over, regrid
+from amrpic.stages.regrid import Regridding, carry_over, regrid
 from amrpic.stages.tag import exceeding, magnitude
 
 CELLS = (24, 16, 32)
@@ -174,18 +174,3 @@ def test_carrying_over_to_another_domain_is_refused(comm):
     other = Hierarchy(comm, domain("periodic"), (), 16, 4)
     with pytest.raises(HierarchyError, match="another domain"):
         carry_over(Field(random_mesh(comm, 1)), other)
-
-
-@pytest.mark.mpi(ranks=(1, 2, 3))
-def test_balance_shares_out_particles_without_touching_boxes(comm):
-    hierarchy = random_mesh(comm, 1)
-    particles = [np.zeros(len(hierarchy.boxes(level)), dtype=np.int64) for level in range(3)]
-    assert balance(hierarchy, particles) is hierarchy
-    particles[0][0] = 10**6  # one box holds the bunch: its rank should own nothing else of that level
-    out = balance(hierarchy, particles, cost_per_particle=2.0)
-    assert out.same_mesh(hierarchy)
-    assert np.array_equal(out.owners(1), hierarchy.owners(1))
-    if comm.size > 1:
-        assert np.count_nonzero(out.owners(0) == out.owners(0)[0]) == 1
-        field = carry_over(Field(hierarchy).fill(linear), out)
-        assert deviation(field, linear) == 0.0

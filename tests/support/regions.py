@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,21 @@ def mask(hierarchy: Hierarchy, level: int) -> np.ndarray:
     out = np.zeros(np.array(hierarchy.domain.cells) * 2**level, dtype=int)
     for a, b, c, d, e, f in hierarchy.boxes(level) if level < hierarchy.levels else ():
         out[a : d + 1, b : e + 1, c : f + 1] += 1
+    return out
+
+
+def same_region(a: Hierarchy, b: Hierarchy) -> bool:
+    """Whether two hierarchies refine the same cells; on other numbers of ranks boxes may differ."""
+    return a.domain == b.domain and all(
+        np.array_equal(mask(a, level), mask(b, level)) for level in range(max(a.levels, b.levels))
+    )
+
+
+def blocks_of(hierarchy: Hierarchy, level: int) -> set[tuple[int, ...]]:
+    """The blocks that a level's boxes are made of, however they are cut, by their indices."""
+    out: set[tuple[int, ...]] = set()
+    for box in hierarchy.boxes(level) // hierarchy.blocking_factor:
+        out.update(itertools.product(*(range(a, b + 1) for a, b in zip(box[:3], box[3:], strict=True))))
     return out
 
 

@@ -83,7 +83,9 @@ def test_hard_cases_come_out_the_same_on_any_number_of_ranks(comm, case):
         assert isinstance(value, Goal) and isinstance(other, Goal)
         assert value.met and other.met
         if "floor" not in what and "reason" not in what:
-            assert what == same and other.measured == pytest.approx(value.measured, rel=1e-6)
+            # Boxes are halved where ranks would be overfull, which may make one cycle more or less.
+            near = 1 if "cycles" in what else 0
+            assert what == same and other.measured == pytest.approx(value.measured, rel=1e-6, abs=near)
 
 
 def test_a_missed_goal_is_marked_and_fails_the_command(monkeypatch, capsys, tmp_path):

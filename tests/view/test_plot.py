@@ -13,7 +13,7 @@ from amrpic.errors import InputError, OutputError
 from amrpic.io import vtkhdf_writer
 from amrpic.io.field_reader import CheckpointDump, Dump, open_dump
 from amrpic.io.provenance import Provenance
-from amrpic.view import plot, raster
+from amrpic.view import draw, plot, raster, views
 
 DOMAIN = Domain(lower=(-0.02, -0.03, 0.01), upper=(0.02, 0.01, 0.17), cells=(16, 16, 32), boundary="dirichlet")
 LEVELS = [[((8, 8, 8), (23, 23, 47))], [((24, 24, 40), (39, 39, 55))]]
@@ -118,9 +118,9 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
         return save(figure, path)
 
     monkeypatch.setattr(plot, "save", watched)
-    views = [replace(view, axis="xyz".index(axis)) for view in plot.OVERVIEW]
-    views += [plot.View("Ez", "projection", scale="symmetric", boxes=False), plot.View("rho", scale="log", level=1)]
-    pictures = plot.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", views)
+    shown = [replace(view, axis="xyz".index(axis)) for view in views.OVERVIEW]
+    shown += [views.View("Ez", "projection", scale="symmetric", boxes=False), views.View("rho", scale="log", level=1)]
+    pictures = draw.plot(dumped(comm, tmp_path, DENSITIES[density]), tmp_path / "pictures", shown)
     names = (
         f"phi_{axis}",
         f"E_{axis}",
@@ -139,44 +139,44 @@ def test_every_dump_can_be_drawn_and_no_label_is_clipped(comm, tmp_path, density
 
 
 def test_options_go_to_the_pictures_that_have_them():
-    views = plot.with_options(plot.OVERVIEW, position=0.1, scale="log", axis=0)
-    assert [view.position for view in views] == [0.1, 0.1, None, None]
-    assert [view.scale for view in views] == ["log", "log", "log", "auto"]
-    assert all(view.axis == 0 for view in views)
+    chosen = views.with_options(views.OVERVIEW, position=0.1, scale="log", axis=0)
+    assert [view.position for view in chosen] == [0.1, 0.1, None, None]
+    assert [view.scale for view in chosen] == ["log", "log", "log", "auto"]
+    assert all(view.axis == 0 for view in chosen)
     with pytest.raises(InputError, match="boxes says nothing to a line"):
-        plot.with_options([plot.View("phi", "line")], boxes=False)
+        views.with_options([views.View("phi", "line")], boxes=False)
 
 
 @pytest.mark.parametrize(
     ("view", "message"),
     [
-        (plot.View("Q"), "holds no Q; choose among E, phi, rho"),
-        (plot.View("phi", "line", scale="log"), "scale says nothing to a line; leave it out"),
-        (plot.View("phi", "projection", position=0.1), "position says nothing to a projection"),
-        (plot.View("phi", level=3), "level 3 does not exist in .*; it has levels 0 to 2"),
+        (views.View("Q"), "holds no Q; choose among E, phi, rho"),
+        (views.View("phi", "line", scale="log"), "scale says nothing to a line; leave it out"),
+        (views.View("phi", "projection", position=0.1), "position says nothing to a projection"),
+        (views.View("phi", level=3), "level 3 does not exist in .*; it has levels 0 to 2"),
         (
-            plot.View("phi", axis=2, position=0.2),
+            views.View("phi", axis=2, position=0.2),
             "position 0.2 m lies outside the domain of .*, 0.01 to 0.17 m along z",
         ),
         (
-            plot.View("phi", axis=0, position=-0.019, level=2),
+            views.View("phi", axis=0, position=-0.019, level=2),
             "level 2 of .* has no cells at x = -0.019 m; choose another",
         ),
     ],
 )
 def test_a_view_of_what_is_not_there_is_refused_in_one_sentence(comm, tmp_path, view, message):
     with pytest.raises(InputError, match=message):
-        plot.plot(dumped(comm, tmp_path, cloud), views=[view])
+        draw.plot(dumped(comm, tmp_path, cloud), views=[view])
 
 
 def test_what_cannot_be_drawn_is_named(comm, tmp_path):
     with pytest.raises(InputError, match="No such file"):
-        plot.plot(tmp_path / "fields_00000001.vtkhdf")
+        draw.plot(tmp_path / "fields_00000001.vtkhdf")
     with pytest.raises(InputError, match=r"holds neither fields_\*.vtkhdf nor checkpoint_\*; name a folder"):
-        plot.plot(tmp_path)
+        draw.plot(tmp_path)
     (tmp_path / "pictures").write_text("in the way")
     with pytest.raises(OutputError, match=r"cannot write picture .*: File exists; choose another output folder"):
-        plot.plot(dumped(comm, tmp_path, cloud), tmp_path / "pictures")
+        draw.plot(dumped(comm, tmp_path, cloud), tmp_path / "pictures")
 
 
 def test_a_level_by_itself_shows_its_own_cells(comm, tmp_path):

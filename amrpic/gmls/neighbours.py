@@ -1,0 +1,170 @@
+"""Which samples a target's stencil is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import chain
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+
+from ..errors import InputError
+from ..mesh.hierarchy import Hierarchy
+from .checks import finite, points
+from .spaces import Scalar
+
+SEARCHED_TOGETHER = 4096  # targets, whose neighbours are Python's lists for a while
+GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do not determine
+EQUAL = 1 + 1e-9  # distances that rounding alone tells apart
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """The neighbours of target t are samples index[start[t]:start[t + 1]]."""
+
+    start: np.ndarray  # (n + 1,) int64
+    index: np.ndarray  # int32
+    reach: np.ndarray  # (n,): where weights vanish, in m
+    search: Callable[[np.ndarray, np.ndarray], Neighbours] | None = field(default=None, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.reach)
+
+    def grown(self, which: np.ndarray, factor: float) -> Neighbours | None:
+        """Return neighbours of some of the targets within a longer reach; none if they were given and cannot grow."""
+        return None if self.search is None else self.search(which, self.reach[which] * factor)
+
+    def of(self, which: np.ndarray) -> Neighbours:
+        """Return the neighbours of some targets, which do not grow."""
+        lengths = np.diff(self.start)[which]
+        start = np.concatenate([[0], lengths.cumsum()])
+        place = np.repeat(self.start[which] - start[:-1], lengths) + np.arange(start[-1])
+        return Neighbours(start, self.index[place], self.reach[which])
+
+    def alike(
+        self, targets: np.ndarray, sites: np.ndarray, unit: np.ndarray
+    ) -> tuple[Neighbours, np.ndarray, np.ndarray]:
+        """Return these neighbours in an order of their offsets, a target for each kind of surroundings, and kinds (n,).
+
+        Offsets are whole multiples of `unit` (dimension,). InputError for those that are not.
+        """
+        lengths = np.diff(self.start)
+        of = np.repeat(np.arange(len(self)), lengths)
+        steps = (sites[self.index] - targets[of]) / unit
+        whole = np.rint(steps).astype(np.int64)
+        off = np.abs(steps - whole).max(axis=1, initial=0) > 1e-3
+        if off.any():
+            raise InputError(f"target {of[int(np.argmax(off))]} has a site that is not on the lattice; leave it out")
+        key = np.zeros(len(of), dtype=np.uint64)
+        for d in range(whole.shape[1]):  # 21 bits each
+            key = (key << np.uint64(21)) | (whole[:, d] + (1 << 20)).astype(np.uint64)
+        order = np.lexsort((key, of))
+        key = key[order]
+        mixed = (key ^ (key >> np.uint64(31))) * np.uint64(0x9E3779B97F4A7C15)
+        mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+        total = np.concatenate([np.zeros(1, np.uint64), np.cumsum(mixed ^ (mixed >> np.uint64(32)))])
+        sums = np.stack([total[self.start[1:]] - total[self.start[:-1]], lengths.astype(np.uint64)], axis=1)
+        sums = np.column_stack([sums, np.rint(self.reach / unit.min() * 1e6).astype(np.uint64)])
+        _, representative, kind = np.unique(sums, axis=0, return_index=True, return_inverse=True)
+        kind = kind.ravel()
+        twin = np.repeat(self.start[:-1][representative[kind]] - self.start[:-1], lengths) + np.arange(len(of))
+        assert np.array_equal(key, key[twin])  # sums of 64 bits that agree by chance
+        return Neighbours(self.start, self.index[order], self.reach), representative, kind
+
+
+def cells(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres and widths, (m, 3) each in m, of the cells of all levels, box by box, x fastest; covered ones too.
+
+    They are numbered as `cells_around` numbers them, and as a field on one rank holds them, level after level.
+    """
+    centres, widths = [], []
+    for level in range(hierarchy.levels):
+        h = hierarchy.spacing(level)
+        for box in hierarchy.boxes(level):
+            k, j, i = np.meshgrid(*[np.arange(box[d], box[d + 3] + 1) for d in (2, 1, 0)], indexing="ij")
+            centres.append(hierarchy.domain.lower + (np.stack([i, j, k], axis=-1).reshape(-1, 3) + 0.5) * h)
+        widths.append(np.broadcast_to(h, (hierarchy.cells(level), 3)))
+    return np.concatenate(centres), np.concatenate(widths)
+
+
+def cells_around(hierarchy: Hierarchy, points: ArrayLike, radius: ArrayLike) -> Neighbours:
+    """Return the uncovered cells of all levels whose centres lie within a radius of points (n, 3), by index; in m.
+
+    Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Not collective: boxes are
+    known on all ranks.
+    """
+    places = finite(points, "the points", 2)
+    if places.shape[1] != 3:
+        raise InputError(f"the points have {places.shape[1]} coordinates; give 3")
+    distances = np.broadcast_to(finite(radius, "the radius"), len(places)).copy()
+    if not (distances > 0).all():
+        raise InputError(f"point {int(np.argmin(distances))} has radius {distances.min()}; give a positive one")
+
+    def search(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        start, index = hierarchy.native.cells_around(np.ascontiguousarray(places[which]), lengths)
+        return Neighbours(start, index, lengths)
+
+    return replace(search(np.arange(len(places)), distances), search=search)
+
+
+def nearby(
+    sites: ArrayLike,
+    targets: ArrayLike,
+    *,
+    order: int | None = None,
+    reach: float = 1.6,
+    radius: ArrayLike | None = None,
+) -> Neighbours:
+    """Return for each target the sites within `radius`, or within `reach` times the distance of the n-th nearest one.
+
+    n is the number of scalar polynomials of an order. Sites at equal distance are taken together. By SciPy's cKDTree, on
+    this rank alone.
+
+    sites (m, dimension), targets (n, dimension), radius one number or (n,), in m. Raises InputError for what does not fit.
+    """
+    where, places = points(sites, "the sites"), points(targets, "the targets")
+    if where.shape[1] != places.shape[1]:
+        raise InputError(f"sites have {where.shape[1]} coordinates and targets {places.shape[1]}; give as many")
+    if (order is None) == (radius is None):
+        raise InputError("neighbours need either an order or a radius; give one of them")
+    tree = cKDTree(where)
+    tied = np.zeros(len(places), dtype=bool)
+    if radius is not None:
+        distances = np.broadcast_to(finite(radius, "the radius"), len(places)).copy()
+    else:
+        nearest = Scalar(order).unknowns(places.shape[1])  # type: ignore[arg-type]
+        if len(where) < nearest:
+            raise InputError(f"there are {len(where)} sites for {nearest} unknowns of order {order}; give more sites")
+        if not reach > 0:
+            raise InputError(f"reach is {reach}; it is a factor above 0, for instance 1.6")
+        second, third, last, next_one = tree.query(places, k=[2, 3, nearest, nearest + 1])[0].T
+        distances, tied = reach * last, (third <= second * EQUAL) | (next_one <= last * EQUAL)
+    if not (distances > 0).all():
+        row = int(np.argmin(distances))
+        raise InputError(f"target {row} has reach {distances[row]}; give a longer one, or no sites in one place")
+
+    def search(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        counts, found = [], []
+        for first in range(0, len(which), SEARCHED_TOGETHER):
+            some = slice(first, first + SEARCHED_TOGETHER)
+            lists = tree.query_ball_point(places[which[some]], lengths[some] * EQUAL, return_sorted=True)
+            counts.append(np.fromiter(map(len, lists), dtype=np.int64, count=len(lists)))
+            found.append(np.fromiter(chain.from_iterable(lists), dtype=np.int32, count=int(counts[-1].sum())))
+        start = np.concatenate([[0], *counts]).cumsum()
+        return Neighbours(start, np.concatenate([np.empty(0, np.int32), *found]), lengths)
+
+    # Ties are the mark of lattices, where reaches often have to grow: their sites are searched for once.
+    every = np.arange(len(places))
+    found = search(every, np.where(tied, GROWTH, 1.0) * distances)
+
+    def grown(which: np.ndarray, lengths: np.ndarray) -> Neighbours:
+        if tied[which].all() and (lengths <= GROWTH * EQUAL * distances[which]).all():
+            return replace(found.of(which), reach=lengths)
+        return search(which, lengths)
+
+    of = np.repeat(every, np.diff(found.start))
+    inside = ((where[found.index] - places[of]) ** 2).sum(axis=1) <= (distances[of] * EQUAL) ** 2
+    start = np.concatenate([[0], np.bincount(of[inside], minlength=len(places)).cumsum()])
+    return Neighbours(start, found.index[inside], distances, grown)

@@ -1,0 +1,358 @@
+"""A problem as the native solver takes it, and what it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import nnls
+
+from .. import _native
+from ..errors import InputError
+from .checks import finite
+from .functionals import Basis, Functional, Native, stacked
+from .neighbours import Neighbours
+from .samples import Components, Samples
+from .spaces import Space
+from .targets import Exact, Wanted, names
+from .weights import Weight
+
+RESIDUAL_BOUND = 1e-9  # of reproduction, above which a stencil is not used
+SUM_BOUND = 1e6  # of Σ|α λ| over the largest |τ|, the same
+UNDETERMINED, DEPENDENT, ONE_SIGN, NO_SIGN = 3, 4, 5, 6  # places in PATHS of stencils.py
+
+
+@dataclass
+class Solution:
+    """Weights and their judgements; arrays as in `Stencils` and `Quality`."""
+
+    start: np.ndarray
+    index: np.ndarray
+    weights: np.ndarray
+    exact_weights: np.ndarray
+    path: np.ndarray
+    judgements: np.ndarray  # (3, n): pivot, residual, sum
+
+
+def merged(parts: Sequence[tuple[np.ndarray, Solution]], count: int) -> Solution:
+    """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones."""
+    if len(parts) == 1:
+        return parts[0][1]
+    source, place = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
+    for number, (which, _) in enumerate(parts):
+        source[which], place[which] = number, np.arange(len(which))
+    rows, exact_rows = parts[0][1].weights.shape[1], parts[0][1].exact_weights.shape[1]
+    lengths = np.empty(count, dtype=np.int64)
+    exact, path, judgements = np.empty((count, exact_rows, rows)), np.empty(count, np.int8), np.empty((3, count))
+    for number, (_, part) in enumerate(parts):
+        mine = source == number
+        at = place[mine]
+        lengths[mine] = np.diff(part.start)[at]
+        exact[mine], path[mine], judgements[:, mine] = part.exact_weights[at], part.path[at], part.judgements[:, at]
+    start = np.concatenate([[0], lengths.cumsum()])
+    index, weights = np.empty(start[-1], np.int32), np.empty((start[-1], rows))
+    for first, last in pairwise(np.flatnonzero(np.diff(source, prepend=-1, append=-1))):  # of one part side by side
+        of, at = parts[source[first]][1], place[first]
+        taken = slice(of.start[at], of.start[at + last - first])
+        index[start[first] : start[last]] = of.index[taken]
+        weights[start[first] : start[last]] = of.weights[taken]
+    return Solution(start, index, weights, exact, path, judgements)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Targets, and functionals as rows of arrays; the neighbours come later, since they may grow."""
+
+    targets: np.ndarray
+    space: Space
+    components: int
+    basis: np.ndarray
+    sites: np.ndarray
+    per_site: int  # samples for each site
+    samples: Native | None
+    wanted: Native
+    exact: tuple[Native, ...]
+    present: np.ndarray  # (n, exact rows) bool
+    split: tuple[
+        tuple[int, int, int], ...
+    ]  # (row of a vector, component, row of a scalar), where components fall apart
+    rows: dict[str, tuple[slice, tuple[int, ...]]]
+    weight: Weight
+    aspect: tuple[float, float, float]
+    portable: bool
+
+    def of(self, which: np.ndarray) -> Problem:
+        """Return the problem of some of its targets."""
+        return replace(
+            self,
+            targets=self.targets[which],
+            wanted=_some(self.wanted, which),
+            exact=tuple(_some(e, which) for e in self.exact),
+            present=self.present[which],
+        )
+
+    def solve(self, near: Neighbours) -> Solution:
+        """Return the stencils, those that cannot be determined with weights that are NaN."""
+        if self.per_site > 1 and not self.split:
+            near = Neighbours(*_per_component(near, self.per_site), near.reach)
+        kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
+        if len(kinds) <= 1:
+            found = self._solve(near, np.ones(len(self.exact), bool) if len(kinds) == 0 else kinds[0])
+        else:  # targets with the same exact rows together
+            groups = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
+            parts = [(g, self.of(g)._solve(near.of(g), has)) for g, has in zip(groups, kinds, strict=True)]
+            found = merged(parts, len(near))
+        return self._expanded(found) if self.split else found
+
+    def _solve(self, near: Neighbours, has: np.ndarray) -> Solution:
+        """Solve with some of the exact rows; weights of the others' data are zero."""
+        count, rows = len(self.targets), self.wanted[0]
+        out = Solution(
+            near.start,
+            near.index,
+            np.empty((len(near.index), rows)),
+            np.zeros((count, len(self.exact), rows)),
+            np.empty(count, np.int8),
+            np.empty((3, count)),
+        )
+        exact = tuple(e for e, there in zip(self.exact, has, strict=True) if there)
+        exact_weights = np.empty((count, len(exact), rows))
+        self._native(near.start, near.index, near.reach, exact).solve(
+            RESIDUAL_BOUND, SUM_BOUND, self.portable, out.weights, exact_weights, out.path, out.judgements
+        )
+        out.exact_weights[:, has] = exact_weights
+        return out
+
+    def equations(self, near: Neighbours) -> Callable[[int], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Return what gives the equations of a target: weighted rows (m, n), roots of weights (m,), targets (n, wanted)."""
+        return self._native(near.start, near.index, near.reach).equations
+
+    def _native(
+        self, start: np.ndarray, index: np.ndarray, reach: np.ndarray, exact: tuple[Native, ...] = ()
+    ) -> _native.GmlsProblem:
+        return _native.GmlsProblem(
+            self.space.order,
+            self.components,
+            self.basis,
+            self.weight.code,
+            self.weight.parameters(),
+            self.aspect,
+            self.targets,
+            np.ascontiguousarray(reach, dtype=float),
+            np.ascontiguousarray(start, dtype=np.int64),
+            np.ascontiguousarray(index, dtype=np.int32),
+            self.sites,
+            self.samples,
+            self.wanted,
+            _merged(exact),
+        )
+
+    def _expanded(self, found: Solution) -> Solution:
+        """Weights of whole vectors, from those of the scalar problem that all components share."""
+        d = self.per_site
+        weights = np.zeros((len(found.index), d, 1 + max(row for row, _, _ in self.split)))
+        for row, component, scalar in self.split:
+            weights[:, component, row] = found.weights[:, scalar]
+        weights[np.isnan(found.weights).any(axis=1)] = np.nan
+        start, index = _per_component(found, d)
+        return replace(found, start=start, index=index, weights=weights.reshape(-1, weights.shape[2]))
+
+    def require_one_sign(self, found: Solution, near_reach: np.ndarray) -> None:
+        """Replace weights by some of one sign off the centre; targets that have none are marked, and their weights NaN."""
+        native = self._native(found.start, found.index, near_reach)
+        for t in np.flatnonzero(found.path < UNDETERMINED):
+            entries = slice(found.start[t], found.start[t + 1])
+            off = (self.sites[found.index[entries]] != self.targets[t]).any(axis=1)
+            alpha = found.weights[entries, 0]
+            if (alpha[off] >= 0).all() or (alpha[off] <= 0).all():
+                continue
+            rows, root, tau = native.equations(int(t))
+            found.path[t] = NO_SIGN
+            for sign in (1.0, -1.0):
+                columns = np.hstack([rows.T, -rows[~off].T])
+                z, _ = nnls(columns, sign * tau[:, 0], maxiter=20 * columns.shape[1])
+                missing = np.abs(columns @ z - sign * tau[:, 0]).max()
+                if missing <= RESIDUAL_BOUND * np.abs(tau).max():
+                    total = z[: len(rows)].copy()
+                    total[~off] -= z[len(rows) :]
+                    found.weights[entries, 0] = sign * total * root
+                    found.judgements[1, t] = missing / np.abs(tau).max()
+                    found.path[t] = ONE_SIGN
+                    break
+            else:
+                found.weights[entries] = np.nan
+
+    def cause(self, found: Solution, target: int) -> str:
+        """Return why a target has no stencil, and what to do."""
+        sites = self.sites[np.unique(found.index[found.start[target] : found.start[target + 1]])]
+        sites = np.unique(sites, axis=0)
+        count, dimension = len(sites), self.targets.shape[1]
+        unknowns = self.space.unknowns(dimension) // (self.per_site if self.split else 1)
+        if found.path[target] == NO_SIGN:
+            return "it has no weights of one sign off the centre; take a longer reach, a lower order, or any signs"
+        if found.path[target] == DEPENDENT:
+            return "its exact rows depend on each other, so that their data contradict each other; leave one out"
+        spread = np.linalg.svd(sites - sites.mean(axis=0), compute_uv=False) if count else np.zeros(1)
+        rank = int((spread > 1e-9 * max(spread[0], 1e-300)).sum()) if count else 0
+        where = {0: "in one point", 1: "on a line", 2: "in a plane"}
+        if count <= 1 or rank < min(dimension, count - 1):
+            return f"its {count} sites lie {where[rank]}; give sites that do not"
+        if count * self.per_site < unknowns:
+            return f"its {count} sites are too few for {unknowns} unknowns of order {self.space.order}; take a longer reach"
+        residual, total = found.judgements[1:, target]
+        return (
+            f"its {count} sites do not determine order {self.space.order} (residual {residual:.1e}, sum of weights "
+            f"{total:.1e}); take a longer reach or a lower order"
+        )
+
+
+def assembled(
+    targets: np.ndarray,
+    near: Neighbours,
+    space: Space,
+    samples: Samples,
+    wanted: Sequence[Wanted],
+    weight: Weight,
+    exact: Sequence[Exact],
+    aspect: ArrayLike | None,
+    portable: bool,
+) -> Problem:
+    """Return a problem after all checks that need no neighbours' values. InputError for what does not fit together."""
+    dimension = targets.shape[1]
+    _require_fit(targets, near, space, samples, exact)
+    names(wanted)
+    basis = Basis(dimension, space.components(dimension))
+    rows: dict[str, tuple[slice, tuple[int, ...]]] = {}
+    functionals: list[Functional] = []
+    for quantity in wanted:
+        new, shape = quantity.functionals(basis, targets, space.order)
+        rows[quantity.name] = (slice(len(functionals), len(functionals) + len(new)), shape)
+        functionals += new
+    if not functionals:
+        raise InputError("nothing is wanted; name at least one quantity, for instance gmls.VALUE")
+    coefficients = space.basis(dimension)
+    split: list[tuple[int, int, int]] = []
+    per_site, sites, functional = 1, samples.sites, samples.functional
+    if samples.whole:
+        per_site = dimension
+        if not coefficients.size:
+            basis = Basis(dimension)
+            functionals, split = _of_components(functionals, dimension)
+        else:
+            sites = np.repeat(sites, dimension, axis=0)
+            functional = Components(sites, np.tile(np.eye(dimension), (len(samples), 1))).functional
+    given = None
+    if functional is not None and len(sites):
+        given = stacked([functional(basis)], dimension)
+        if len(given[2]) != len(sites):
+            raise InputError(
+                f"the samples have {len(given[2])} rows for {len(sites)} sites; give a place for each site"
+            )
+    scale = np.ones(dimension) if aspect is None else finite(aspect, "the aspect", 1)
+    if scale.shape != (dimension,) or not (scale > 0).all():
+        raise InputError(f"the aspect is {scale}; give {dimension} positive numbers")
+    if coefficients.size and (scale != scale[0]).any():
+        raise InputError(f"{space} has no meaning in coordinates of different scales; leave the aspect out")
+    present = [np.ones(len(targets), bool) if e.present is None else e.present for e in exact]
+    for e, there in zip(exact, present, strict=True):
+        if there.shape != (len(targets),):
+            raise InputError(f'the exact row "{e.name}" is given for {len(there)} of {len(targets)} targets; give all')
+    return Problem(
+        targets,
+        space,
+        basis.components,
+        coefficients,
+        np.ascontiguousarray(sites),
+        per_site,
+        given,
+        stacked(functionals, dimension, targets),
+        tuple(stacked([e.row(basis, targets)], dimension, targets) for e in exact),
+        np.array(present, dtype=bool).reshape(len(exact), len(targets)).T,
+        tuple(split),
+        rows,
+        weight,
+        tuple(np.concatenate([scale, np.ones(3 - dimension)])),
+        portable,
+    )
+
+
+def _require_fit(targets: np.ndarray, near: Neighbours, space: Space, samples: Samples, exact: Sequence[Exact]) -> None:
+    kind = "vector" if space.vector else "scalar"
+    if samples.of != kind:
+        raise InputError(f"the samples are of a {samples.of}, but {space} holds {kind}s; take another space or samples")
+    if samples.sites.shape[1] != targets.shape[1]:
+        raise InputError(
+            f"the samples have {samples.sites.shape[1]} coordinates and the targets {targets.shape[1]}; give as many"
+        )
+    if len(near) != len(targets) or len(near.start) != len(targets) + 1:
+        raise InputError(f"neighbours are given for {len(near)} of {len(targets)} targets; search with these targets")
+    if len(near.index) != near.start[-1] or (np.diff(near.start) < 0).any() or near.start[0] != 0:
+        raise InputError(f"neighbours have {len(near.index)} indices, but their starts end at {near.start[-1]}")
+    if near.index.size and (near.index.min() < 0 or near.index.max() >= len(samples)):
+        at = int(np.argmax((near.index < 0) | (near.index >= len(samples))))
+        raise InputError(f"neighbour {at} is sample {near.index[at]}, but there are {len(samples)}; use 0 and up")
+    good = np.isfinite(near.reach) & (near.reach > 0)
+    if not good.all():
+        at = int(np.argmin(good))
+        raise InputError(f"target {at} has reach {near.reach[at]}; give a positive one")
+    if exact and space.vector:
+        raise InputError(f"exact rows are given with {space}; they exist for scalar spaces alone")
+
+
+def _of_components(rows: Sequence[Functional], components: int) -> tuple[list[Functional], list[tuple[int, int, int]]]:
+    """Rows for vectors as rows for scalars, equal ones once: (row, component, row for scalars)."""
+    found: dict[tuple, int] = {}
+    scalars: list[Functional] = []
+    split: list[tuple[int, int, int]] = []
+    for row, functional in enumerate(rows):
+        for component in range(components):
+            of_one = functional.of_component(component)
+            if not of_one.parts:
+                continue
+            key = tuple(
+                (p.derivative, p.place.shape, p.place.tobytes(), id(p.half), p.coefficient.tobytes())
+                for p in of_one.parts
+            )
+            if key not in found:
+                found[key] = len(scalars)
+                scalars.append(of_one)
+            split.append((row, component, found[key]))
+    return scalars, split
+
+
+def _per_component(near: Neighbours | Solution, components: int) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours by number of sample, `components` of them for each site."""
+    index = (near.index[:, None] * components + np.arange(components)).ravel()
+    return near.start * components, index.astype(np.int32)
+
+
+def _some(rows: Native, which: np.ndarray) -> Native:
+    count, terms, places, halves, coefficients = rows
+    if len(places) == 1:
+        return rows
+    return count, terms, places[which], None if halves is None else halves[which], coefficients[which]
+
+
+def _merged(rows: Sequence[Native]) -> Native | None:
+    """Rows of one or several functionals as one group."""
+    if not rows:
+        return None
+    count = max(len(r[2]) for r in rows)
+    terms, places, row = [], 0, 0
+    for r in rows:
+        more = r[1].copy()
+        more[:, 0] += row
+        more[:, 1] += places
+        terms.append(more)
+        row, places = row + r[0], places + r[2].shape[1]
+
+    def side_by_side(arrays: list[np.ndarray]) -> np.ndarray:
+        return np.concatenate([np.broadcast_to(a, (count, *a.shape[1:])) for a in arrays], axis=1)
+
+    halves = None
+    if any(r[3] is not None for r in rows):
+        halves = side_by_side([np.zeros_like(r[2]) if r[3] is None else r[3] for r in rows])
+    return row, np.concatenate(terms), side_by_side([r[2] for r in rows]), halves, side_by_side([r[4] for r in rows])

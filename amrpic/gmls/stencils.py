@@ -1,0 +1,234 @@
+"""Stencils: the weights of samples that give what is wanted, exactly for all polynomials of a space."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import csr_array
+
+from ..errors import InputError, SolverError
+from .checks import finite, points
+from .neighbours import GROWTH, Neighbours
+from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, assembled, merged
+from .samples import Samples
+from .spaces import Space
+from .targets import Exact, Wanted
+from .weights import QUADRATIC, Weight
+
+GROWTHS = 5  # at most, of a reach
+PATHS = (
+    "normal equations",
+    "normal equations of less rank",
+    "orthogonal factors",
+    "undetermined",
+    "dependent exact rows",
+    "one sign",
+    "no weights of one sign",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """How each stencil came about and how good it is: arrays of one entry per target."""
+
+    neighbours: np.ndarray  # number of sites within reach
+    path: np.ndarray  # numbers of PATHS
+    growth: np.ndarray  # how often the reach was made 15 % longer
+    pivot: np.ndarray  # least pivot of the normal equations over its diagonal entry
+    residual: (
+        np.ndarray
+    )  # largest error of reproduction, over the larger of |τ| and Σ|α λ|, in coordinates over the reach
+    sum: np.ndarray  # Σ|α λ| over the largest |τ|, of the worst row wanted: of values at points Σ|α|
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Targets without usable weights."""
+        return np.flatnonzero(np.isin(self.path, [UNDETERMINED, DEPENDENT, NO_SIGN]))
+
+
+@dataclass(frozen=True, eq=False)
+class Stencils:
+    """Weights for n targets; those of target t stand in rows start[t]:start[t + 1]."""
+
+    start: np.ndarray  # (n + 1,)
+    index: np.ndarray  # of samples
+    weights: np.ndarray  # (entries, rows wanted)
+    exact_weights: np.ndarray  # (n, exact rows, rows wanted); zero where an exact row is not there
+    quality: Quality
+    samples: int  # numbers that the samples are in all
+    rows: Mapping[str, tuple[slice, tuple[int, ...]]] = field(repr=False)  # of each quantity wanted, and its shape
+    exact: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.start) - 1
+
+    def matrix(self, name: str) -> csr_array:
+        """Return the matrix of a quantity, (n * its numbers per target, samples): a row per target if it is one number.
+
+        Whole vectors are numbered site by site. Data of exact rows are not in it: `exact_weights`.
+        """
+        rows, shape = self._rows(name)
+        count = rows.stop - rows.start
+        if count == 1:
+            return csr_array((self.weights[:, rows.start], self.index, self.start), (len(self), self.samples))
+        of_target = [
+            csr_array((self.weights[:, r], self.index, self.start), (len(self), self.samples))
+            for r in range(rows.start, rows.stop)
+        ]
+        lengths = np.repeat(np.diff(self.start)[:, None], count, axis=1).ravel()
+        start = np.concatenate([[0], lengths.cumsum()])
+        order = np.argsort(
+            np.concatenate([np.repeat(np.arange(len(self)) * count + r, np.diff(self.start)) for r in range(count)]),
+            kind="stable",
+        )
+        data = np.concatenate([part.data for part in of_target])[order]
+        index = np.concatenate([part.indices for part in of_target])[order]
+        return csr_array((data, index, start), (len(self) * count, self.samples))
+
+    def apply(self, values: ArrayLike, exact: Mapping[str, ArrayLike] | None = None) -> dict[str, np.ndarray]:
+        """Return each quantity, (n, *shape), from values (m,), or (n, *shape, columns) from (m, columns).
+
+        Whole vectors: values (m, dimension), or (m, dimension, columns). `exact`: the data of each exact row, (n,) or
+        (n, columns), by name; those of targets without the row are not read.
+        """
+        given = np.asarray(values, dtype=float)
+        if given.ndim > 1 and len(given) != self.samples and given.shape[0] * given.shape[1] == self.samples:
+            given = given.reshape(self.samples, *given.shape[2:])
+        if given.ndim not in (1, 2) or len(given) != self.samples:
+            raise InputError(f"values have shape {np.shape(values)} for {self.samples} samples; give one row for each")
+        data = dict(exact or {})
+        if set(data) != set(self.exact):
+            raise InputError(f"exact data are given for {sorted(data)}; these stencils need {sorted(self.exact)}")
+        columns = given.shape[1:]
+        sums = np.empty((len(self), self.weights.shape[1], *columns))
+        for row in range(self.weights.shape[1]):
+            sums[:, row] = csr_array((self.weights[:, row], self.index, self.start), (len(self), self.samples)) @ given
+        for number, name in enumerate(self.exact):
+            datum = np.asarray(data[name], dtype=float)
+            if datum.shape != (len(self), *columns):
+                raise InputError(f'the data "{name}" have shape {datum.shape}; give {(len(self), *columns)}')
+            weight = self.exact_weights[:, number]
+            there = weight.any(axis=1)
+            extra = np.einsum("tr,t...->tr...", weight[there], datum[there])
+            sums[there] += extra
+        return {name: sums[:, rows].reshape(len(self), *shape, *columns) for name, (rows, shape) in self.rows.items()}
+
+    def _rows(self, name: str) -> tuple[slice, tuple[int, ...]]:
+        if name not in self.rows:
+            raise InputError(f'these stencils have no "{name}"; they have {", ".join(self.rows)}')
+        return self.rows[name]
+
+
+def stencils(
+    targets: ArrayLike,
+    near: Neighbours,
+    *,
+    space: Space,
+    samples: Samples,
+    wanted: Sequence[Wanted],
+    weight: Weight = QUADRATIC,
+    exact: Sequence[Exact] = (),
+    aspect: ArrayLike | None = None,
+    lattice: ArrayLike | None = None,
+    one_sign: bool = False,
+    failed: Literal["raise", "mark"] = "raise",
+    portable: bool = False,
+) -> Stencils:
+    """Return the stencils of targets (n, dimension), in m, from the samples that `near` lists for each.
+
+    Moving least squares (Wendland, Scattered Data Approximation, chapter 4): of all weights that reproduce the space,
+    and the exact rows, those of least Σ α²/w. A reach that does not determine a target grows by 15 %, at most five times.
+
+    aspect: the reach along each axis over the reach, (dimension,); default 1. lattice: (dimension,) in m, where sites lie
+    whole multiples of it from targets, and samples that lie alike are alike, such as the cells of a mesh and half of the
+    finest width: targets with equal surroundings then share one solution, whose reach does not grow.
+    one_sign: weights off the centre, the sample at the target, of one sign for a single scalar quantity, by a non-negative
+    least-squares problem for each target (some tenths of a millisecond). portable: target by target on Kokkos' host
+    execution space, slower.
+
+    Raises InputError for what does not fit together, and SolverError with index and cause for a target that cannot be
+    determined, unless failed is "mark": then its weights are NaN and `quality.failed` lists it. Not collective.
+    """
+    places = points(targets, "the targets")
+    if lattice is not None:
+        return _shared(
+            places,
+            near,
+            samples,
+            finite(lattice, "the lattice", 1),
+            wanted,
+            exact,
+            space=space,
+            weight=weight,
+            aspect=aspect,
+            one_sign=one_sign,
+            failed=failed,
+            portable=portable,
+        )
+    problem = assembled(places, near, space, samples, wanted, weight, exact, aspect, portable)
+    if one_sign and (problem.wanted[0] != 1 or exact or space.vector):
+        raise InputError(
+            f"weights of one sign are wanted of {problem.wanted[0]} numbers; ask for one of a scalar, without exact rows"
+        )
+    parts = [(np.arange(len(places)), problem.solve(near))]
+    growth = np.zeros(len(places), dtype=np.int8)
+    for times in range(1, GROWTHS + 1):
+        which, latest = parts[-1]
+        again = which[latest.path == UNDETERMINED]
+        larger = near.grown(again, GROWTH**times) if again.size else None
+        if larger is None:
+            break
+        parts.append((again, problem.of(again).solve(larger)))
+        growth[again] = times
+    solution = merged(parts, len(places))
+    if one_sign:
+        problem.require_one_sign(solution, near.reach * GROWTH**growth)
+    quality = Quality(np.diff(solution.start) // problem.per_site, solution.path, growth, *solution.judgements)
+    bad = quality.failed
+    if bad.size and failed == "raise":
+        raise SolverError(f"target {bad[0]} at {places[bad[0]]}: {problem.cause(solution, int(bad[0]))}")
+    return Stencils(
+        solution.start,
+        solution.index,
+        solution.weights,
+        solution.exact_weights,
+        quality,
+        len(samples) * problem.per_site,
+        problem.rows,
+        tuple(e.name for e in exact),
+    )
+
+
+def _shared(
+    targets: np.ndarray,
+    near: Neighbours,
+    samples: Samples,
+    unit: np.ndarray,
+    wanted: Sequence[Wanted],
+    exact: Sequence[Exact],
+    **options: Any,
+) -> Stencils:
+    """Return stencils of which those with equal surroundings were solved once."""
+    if exact or samples.whole or any(w.varies for w in wanted):
+        raise InputError(
+            "with a lattice all targets want the same; leave out the lattice, or exact rows, vectors and places"
+        )
+    ordered, representative, kind = near.alike(targets, samples.sites, unit)
+    few = ordered.of(representative)  # without growth, which would change surroundings
+    solved = stencils(targets[representative], few, samples=samples, wanted=wanted, **options)
+    place = np.repeat(solved.start[:-1][kind] - ordered.start[:-1], np.diff(ordered.start)) + np.arange(
+        ordered.start[-1]
+    )
+    quality = Quality(*(getattr(solved.quality, f.name)[kind] for f in fields(Quality)))
+    return replace(
+        solved,
+        start=ordered.start,
+        index=ordered.index,
+        weights=solved.weights[place],
+        exact_weights=np.empty((len(targets), 0, solved.weights.shape[1])),
+        quality=quality,
+    )

@@ -1,0 +1,196 @@
+"""One HDF5 file of distributed arrays, written by a few ranks.
+
+With one writer it is one file. With more, each writes a part beside it, and the file proper shows the parts as one through
+virtual datasets; it needs no parallel HDF5. Names of parts do not end as those of HDF5 files, lest clients that open a whole
+folder take them for files of their own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from mpi4py import MPI
+from numpy.typing import NDArray
+
+from ..errors import OutputError
+from .atomic_files import TEMPORARY, Hdf5Writer, publish, remove, temporary
+from .writer_ranks import Attempts, Rows, Writers, collect, collect_rows, group_of, merge, row_bytes, said_to_first
+
+Array = NDArray[Any]
+
+PARTS, BYTES = "amrpic/parts", "amrpic/part_bytes"  # datasets: the names of the parts beside a file, and their sizes
+
+
+class Table:
+    """Rows of a structured type, of which only slices are ever made: a group with a dataset for each column.
+
+    `order` names the columns by which rows are ordered, on each rank and then in each part.
+    """
+
+    def __init__(
+        self, dtype: np.dtype[Any], numbers: Array, rows: Callable[[Array], Array], order: Sequence[str]
+    ) -> None:
+        """`rows(some of numbers)` makes rows; `numbers` has them in order."""
+        self.dtype, self.order = dtype, order
+        self.shape = (len(numbers),)
+        self._numbers, self._rows = numbers, rows
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        return self._rows(self._numbers[rows])
+
+
+def write(
+    comm: MPI.Comm,
+    path: Path,
+    arrays: Mapping[str, Rows],
+    describe: Callable[[h5py.File], object],
+    attempts: Attempts,
+    writers: Writers,
+) -> None:
+    """Write arrays into the file `path`, which is there whole and synced on return, or unchanged. Collective.
+
+    `arrays` are this rank's rows by the name of their dataset, or group; all ranks have the same names and types, in the same
+    order. `describe` adds the rest, on rank 0. Raises OutputError on all ranks.
+    """
+    groups = writers.groups(comm.size, comm.allreduce(sum(rows.shape[0] * row_bytes(rows) for rows in arrays.values())))
+    group, alone = group_of(groups, comm.rank), len(groups) == 1
+    parts = [] if alone else [part_of(path, index) for index in range(len(groups))]
+    file = path if alone else parts[groups.index(group)]
+    writes = comm.rank == group.start
+    writer = attempts.attempt(Hdf5Writer, temporary(file)) if writes else None
+    rows = write_rows(comm, group, arrays, writer, attempts).sum(axis=0)
+    if writer is not None:
+        if alone:
+            attempts.attempt(describe, writer.h5)
+        attempts.always(writer.close)
+    try:
+        attempts.settle(comm)
+    except OutputError:
+        if writes:
+            with contextlib.suppress(OSError):
+                remove(temporary(file))
+        raise
+    published = attempts.attempt(_published, file, rows) if writes else None
+    rows_of_parts = said_to_first(comm, published, groups)
+    if comm.rank == 0:
+        if parts and all(held is not None for held in rows_of_parts):
+            attempts.attempt(_write_master, path, dict(zip(parts, rows_of_parts, strict=True)), arrays, describe)
+        attempts.attempt(_remove_stale, path, parts)
+        with contextlib.suppress(OSError):
+            remove(temporary(path))  # it is gone already unless an attempt failed
+    attempts.settle(comm)
+
+
+def part_of(path: Path, index: int) -> Path:
+    """Return the name of a part of a file that has several."""
+    return path.with_name(f"{path.stem}.part{index:04d}")
+
+
+def require_parts(h5: h5py.File, folder: Path) -> None:
+    """Raise ValueError if a part of a file is not whole in the folder: HDF5 would silently give nan for what is not there."""
+    if PARTS not in h5:
+        return
+    for name, size in zip(h5[PARTS].asstr()[:], h5[BYTES][:].tolist(), strict=True):
+        try:
+            found = (folder / name).stat().st_size
+        except OSError:
+            raise ValueError(f"its part {name} is not beside it") from None
+        if found != size:
+            raise ValueError(f"its part {name} has {found} bytes instead of {size}")
+
+
+def write_rows(
+    comm: MPI.Comm,
+    group: range,
+    arrays: Mapping[str, Rows],
+    writer: Hdf5Writer | None,
+    attempts: Attempts,
+    seen: Callable[[Array], object] = lambda piece: None,
+) -> Array:
+    """Write the rows of a group of ranks on its first rank, which has the `writer`; return what `collect_rows` does there.
+
+    Collective over the group. Ranks hand their own rows to `seen` piece by piece, array after array, but those of tables.
+    """
+    table = collect_rows(comm, group, list(arrays.values()))
+    for (name, rows), counts in zip(arrays.items(), table.T.tolist(), strict=True):
+        created = attempts.attempt(_create, writer, name, rows, sum(counts)) if writer is not None else None
+        store = partial(attempts.attempt, _store, created)
+        if isinstance(rows, Table):
+            merge(comm, group, counts, rows, rows.order, store)
+        else:
+            collect(comm, group, counts, rows, store, seen)
+    return table
+
+
+def _datasets(name: str, rows: Rows) -> Iterator[tuple[str, str | None, np.dtype[Any]]]:
+    """Yield the datasets of an array: name, column that it holds, None: all, type."""
+    if rows.dtype.names is None:
+        yield name, None, rows.dtype
+    for column in rows.dtype.names or ():
+        yield f"{name}/{column}", column, rows.dtype[column]
+
+
+def _create(writer: Hdf5Writer, name: str, rows: Rows, count: int) -> list[tuple[h5py.Dataset, str | None]]:
+    shape = (count, *rows.shape[1:])
+    return [
+        (writer.h5.create_dataset(path, shape=shape, dtype=dtype), column)
+        for path, column, dtype in _datasets(name, rows)
+    ]
+
+
+def _store(created: Sequence[tuple[h5py.Dataset, str | None]], offset: int, piece: Array) -> None:
+    for dataset, column in created:
+        dataset[offset : offset + len(piece)] = piece if column is None else piece[column]
+
+
+def _published(file: Path, rows: Array) -> Array:
+    """Publish a file and return `rows`."""
+    publish(file)
+    return rows
+
+
+def _remove_stale(path: Path, parts: Sequence[Path]) -> None:
+    """Remove the parts of an earlier file in this one's place, and what a run that died left half written."""
+    beside = glob.escape(path.stem)
+    for pattern in (f"{beside}.part*", f"{beside}.*{TEMPORARY}"):
+        for stale in set(path.parent.glob(pattern)) - set(parts):
+            remove(stale)
+
+
+def _write_master(
+    path: Path, parts: Mapping[Path, Array], arrays: Mapping[str, Rows], describe: Callable[[h5py.File], object]
+) -> None:
+    """Write and publish the file that shows the parts, with their rows of each array, as one."""
+    writer = Hdf5Writer(temporary(path))
+    for number, (name, rows) in enumerate(arrays.items()):
+        lengths = [int(held[number]) for held in parts.values()]
+        for dataset, _, dtype in _datasets(name, rows):
+            _show_as_one(writer.h5, dataset, dtype, rows.shape[1:], dict(zip(parts, lengths, strict=True)))
+    describe(writer.h5)
+    writer.h5[PARTS] = [part.name for part in parts]
+    writer.h5[BYTES] = np.array([part.stat().st_size for part in parts], dtype=np.int64)
+    writer.close()
+    publish(path)
+
+
+def _show_as_one(
+    h5: h5py.File, name: str, dtype: np.dtype[Any], of_row: tuple[int, ...], lengths: Mapping[Path, int]
+) -> None:
+    """Make a virtual dataset of the parts' rows, one after the other; a lost part reads as nan, or 0 of whole numbers."""
+    layout = h5py.VirtualLayout(shape=(sum(lengths.values()), *of_row), dtype=dtype)
+    start = 0
+    for part, length in lengths.items():
+        if length:
+            layout[start : start + length] = h5py.VirtualSource(part.name, name, shape=(length, *of_row), dtype=dtype)
+        start += length
+    if start == 0:
+        h5.create_dataset(name, shape=(0, *of_row), dtype=dtype)
+    else:
+        h5.create_virtual_dataset(name, layout, fillvalue=np.nan if dtype.kind == "f" else 0)

@@ -1,0 +1,98 @@
+"""The fields of a dump as fields on a hierarchy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import InputError
+from ..io.field_reader import Dump, open_dump
+from ..mesh.domain import AXES
+from ..mesh.field import Field, Patch, VectorField
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import together
+from ..scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class DumpedFields(Mapping[str, Field | VectorField]):
+    """The fields of one dump by name, `["phi"]` or `.phi`; each rank reads its boxes when a field is asked for."""
+
+    path: Path
+    step: int
+    time: float  # s
+    hierarchy: Hierarchy
+    units: Mapping[str, str]
+    _read: dict[str, Field | VectorField] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def read(cls, comm: MPI.Comm, path: Path) -> DumpedFields:
+        """Return the fields of a dump, on the ranks of a communicator. Collective; InputError on all ranks."""
+        with together(comm, InputError), open_dump(path) as dump:
+            scene = Scene.from_dict(json.loads(dump.scene_text), source=f"the scene in {path}")
+            step, time, units = dump.step, dump.time, dict(dump.units)
+            boxes = [level.boxes for level in dump.levels[1:]]
+        sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor
+        return cls(path, step, time, Hierarchy(comm, scene.domain.value, boxes, *sizes), units)
+
+    def __getitem__(self, name: str) -> Field | VectorField:
+        if name not in self.units:
+            raise InputError(f"{self.path} holds no {name}; choose among {', '.join(self.units)}")
+        if name not in self._read:
+            with together(self.hierarchy.comm, InputError):
+                self._read[name] = self._values(name)
+        return self._read[name]
+
+    def _values(self, name: str) -> Field | VectorField:
+        with open_dump(self.path) as dump:
+            parts = [Field.unset(self.hierarchy, self.units[name]) for _ in (AXES if name == "E" else "1")]
+            for patches in zip(*(part.patches for part in parts), strict=True):
+                values = _region(dump, name, patches[0])
+                for patch, component in zip(patches, np.moveaxis(values, -1, 0), strict=True):
+                    patch.data[...] = component
+        return parts[0] if len(parts) == 1 else VectorField(*parts)
+
+    @property
+    def rho(self) -> Field:
+        """Charge density, C/m³. Collective at the first access, as all of these."""
+        return cast(Field, self["rho"])
+
+    @property
+    def phi(self) -> Field:
+        """Potential, V."""
+        return cast(Field, self["phi"])
+
+    @property
+    def E(self) -> VectorField:
+        """Electric field, V/m."""
+        return cast(VectorField, self["E"])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.units)
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+
+def _region(dump: Dump, name: str, patch: Patch) -> np.ndarray:
+    """Return the values of a dump in the cells of a patch, (nx, ny, nz, components), whatever boxes the dump has."""
+    first, last = np.array(patch.lower), np.array(patch.upper)
+    level = dump.levels[patch.level]
+    boxes, out = level.boxes, None
+    for box in level.table.meeting(first.tolist(), last.tolist()):
+        values = dump.values(name, patch.level, box)
+        values = values.reshape(*values.shape[:3], -1)
+        if out is None:
+            out = np.full((*patch.data.shape, values.shape[3]), np.nan)
+        low, high = np.maximum(boxes[box, :3], first), np.minimum(boxes[box, 3:], last) + 1
+        there = tuple(map(slice, low - first, high - first))
+        here = tuple(map(slice, low - boxes[box, :3], high - boxes[box, :3]))
+        out[there] = values[here]
+    assert out is not None, "a patch lies outside the boxes of its own dump"
+    return out

@@ -1,0 +1,131 @@
+"""Generalized moving least squares: orders on scattered points and on surfaces, and what lattices leave undetermined."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import gmls
+from .table import Goal, Table
+
+WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
+SIZES = (12, 16, 22, 30)  # points per axis
+COUNTS = (1000, 2500, 6300, 16000)  # points of a surface
+SURFACE = {2: (1.5, 1.8), 3: (1.9, 1.8), 4: (3.7, 3.8)}  # orders of Laplace-Beltrami and of Gaussian curvature
+REACHES = (1.05, 1.2, 1.4, 1.6, 2.0)
+AXES = np.array([1.0, 1.2, 0.8])  # of the ellipsoid
+
+
+def tables(comm: MPI.Comm) -> Iterator[Table]:
+    """The tables of this topic, the same on all ranks, of which each does all of it. Not collective."""
+    yield Table(
+        "Least squares: orders on scattered points",
+        "Order of the rms error from 12³ to 30³ points of a jittered lattice (±0.25 h), reach twice the distance of the "
+        "n-th; f = sin(3x + 0.3) exp(y) cos(2z) at 400 places of the middle.",
+        ("order", "value", "gradient", "Laplacian", "error of the value, 30³"),
+        [_orders(order) for order in (1, 2, 3, 4)],
+    )
+    yield Table(
+        "Least squares: orders on surfaces",
+        "Order of the rms error from 1000 to 16000 points, tangent planes by principal axes, reach 1.7 times the distance of "
+        "the n-th; f = xy + xyz.",
+        ("surface", "order", "Laplace-Beltrami", "Gaussian curvature", "error of the latter, 16000 points"),
+        [
+            _on_surface(name, axes, order)
+            for name, axes in (("sphere", np.ones(3)), ("ellipsoid", AXES))
+            for order in SURFACE
+        ],
+    )
+    yield Table(
+        "Least squares: lattices",
+        "All 12³ cells of a lattice, up to its corners: targets that no reach determined, the most growths of 15 % that a "
+        "target needed, and the largest residual of reproduction.",
+        ("order", "reach", "undetermined", "targets whose reach grew", "growths", "residual"),
+        [_on_lattice(order, reach) for order in (1, 2, 3, 4) for reach in REACHES],
+    )
+
+
+def f(x: np.ndarray) -> np.ndarray:
+    """A smooth function of places (n, 3)."""
+    return np.sin(3 * x[:, 0] + 0.3) * np.exp(x[:, 1]) * np.cos(2 * x[:, 2])
+
+
+def _orders(order: int) -> list[float | Goal]:
+    t = np.random.default_rng(order).uniform(0.3, 0.7, (400, 3))
+    s, c = np.sin(3 * t[:, 0] + 0.3), np.cos(3 * t[:, 0] + 0.3)
+    e, cz, sz = np.exp(t[:, 1]), np.cos(2 * t[:, 2]), np.sin(2 * t[:, 2])
+    exact = {
+        "value": s * e * cz,
+        "gradient": np.stack([3 * c * e * cz, s * e * cz, -2 * s * e * sz], axis=1),
+        "laplacian": -12 * s * e * cz,
+    }
+    errors = []
+    for n in SIZES:
+        x = jittered(n)
+        near = gmls.nearby(x, t, order=order, reach=2.0)
+        found = gmls.stencils(t, near, space=gmls.Scalar(order), samples=gmls.Points(x), wanted=WANTED).apply(f(x))
+        errors.append([_rms(found[name] - exact[name]) for name in exact])
+    value, gradient, laplacian = (-np.polyfit(np.log(SIZES), np.log(each), 1)[0] for each in zip(*errors, strict=True))
+    second = Goal(laplacian, order - 1.2, least=True) if order > 1 else np.nan
+    return [order, Goal(value, order + 0.8, least=True), Goal(gradient, order - 0.2, least=True), second, errors[-1][0]]
+
+
+def jittered(n: int) -> np.ndarray:
+    """Points (n³, 3) of a jittered lattice in the unit cube."""
+    lattice = np.stack(np.meshgrid(*[np.arange(n) + 0.5] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return (lattice + np.random.default_rng(1).uniform(-0.25, 0.25, lattice.shape)) / n
+
+
+def _on_surface(name: str, axes: np.ndarray, order: int) -> list[str | float | Goal]:
+    errors = []
+    for count in COUNTS:
+        x = fibonacci(count) * axes
+        t = x[:: count // 1000]
+        nth = gmls.nearby(x, t, radius=np.sqrt(8 * np.pi * gmls.Scalar(order).unknowns(2) / count))
+        found = gmls.surface(t, x, nth, order=order)
+        values = found.stencils.apply(x[:, 0] * x[:, 1] * (1 + x[:, 2]))["laplace_beltrami"]
+        curvature = 1 / (axes.prod() ** 2 * (t**2 / axes**4).sum(axis=1) ** 2)
+        errors.append([_rms(values - _laplace_beltrami(t, axes)), _rms(found.gaussian_curvature - curvature)])
+    of_value, of_curvature = (-2 * np.polyfit(np.log(COUNTS), np.log(e), 1)[0] for e in zip(*errors, strict=True))
+    least = SURFACE[order] if name == "sphere" else tuple(bound - 0.2 for bound in SURFACE[order])
+    return [name, order, Goal(of_value, least[0], least=True), Goal(of_curvature, least[1], least=True), errors[-1][1]]
+
+
+def fibonacci(count: int) -> np.ndarray:
+    """Points (count, 3) of about equal density on the unit sphere."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+
+
+def _laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Of xy + xyz on the ellipsoid Σ x²/a² = 1: Δf - 2 H n·∇f - n·(∇∇f) n, where Δf = 0."""
+    g = x / axes**2
+    size = np.linalg.norm(g, axis=1)
+    n = g / size[:, None]
+    two_h = ((1 / axes**2).sum() - (n**2 / axes**2).sum(axis=1)) / size
+    gradient = np.stack([x[:, 1] * (1 + x[:, 2]), x[:, 0] * (1 + x[:, 2]), x[:, 0] * x[:, 1]], axis=1)
+    mixed = n[:, 0] * n[:, 1] * (1 + x[:, 2]) + n[:, 0] * n[:, 2] * x[:, 1] + n[:, 1] * n[:, 2] * x[:, 0]
+    return -two_h * (n * gradient).sum(axis=1) - 2 * mixed
+
+
+def _on_lattice(order: int, reach: float) -> list[float | Goal]:
+    x = np.stack(np.meshgrid(*[np.arange(12) + 0.5] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = gmls.nearby(x, x, order=order, reach=reach)
+    found = gmls.stencils(x, near, space=gmls.Scalar(order), samples=gmls.Points(x), wanted=WANTED, failed="mark")
+    grown = found.quality.growth
+    return [
+        order,
+        reach,
+        Goal(found.quality.failed.size, 0),
+        int((grown > 0).sum()),
+        Goal(int(grown.max()), 5),
+        Goal(float(found.quality.residual.max()), 1e-9),
+    ]
+
+
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)))

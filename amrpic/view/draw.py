@@ -1,0 +1,42 @@
+"""Pictures of a dump, drawn together by the ranks that share it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import OutputError
+from ..io.field_reader import Dump, open_dump
+from ..parallel import together
+from .raster import spread_of
+from .views import OVERVIEW, View, numbers, require
+
+
+def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVERVIEW) -> list[Path]:
+    """Draw a dump, or the latest one in the folder of a run, and return the pictures' paths. Serial: for one rank.
+
+    Pictures go beside the dump unless `directory` is given. Raises InputError for what is no dump or not in it, OutputError
+    if a picture cannot be written.
+    """
+    with open_dump(path) as dump:
+        return draw(dump, dump.path.parent if directory is None else Path(directory), views)
+
+
+def draw(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> list[Path]:
+    """Draw a dump into a folder and return the pictures' paths. Collective over the ranks that share the dump.
+
+    Each rank rasters its own boxes, rank 0 draws the sum. Raises InputError for what is not in the dump, OutputError if a
+    picture cannot be written.
+    """
+    for view in views:
+        require(dump, view)
+    spread = spread_of(dump)
+    paths = [folder / f"{dump.path.stem}_{view.name}.png" for view in views]
+    for path, view in zip(paths, views, strict=True):
+        shown = numbers(dump, spread, view)
+        with together(dump.comm, OutputError):
+            if dump.comm.rank == 0:
+                from .plot import figure, save  # matplotlib takes long to import, and no other rank needs it
+
+                save(figure(dump, spread, view, shown), path)
+    return paths

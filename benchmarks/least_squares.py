@@ -1,0 +1,116 @@
+"""Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of bench.py.
+
+Value, gradient and Laplacian at all points of a jittered 22³ lattice (±0.25 h), and of the lattice itself, reach 1.4 times the
+distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import ctypes.util
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from measuring import Record, write
+
+from amrpic import gmls
+from amrpic.gmls import problem
+
+POINTS = 22  # per axis
+ORDERS = (2, 3, 4)
+WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
+LAPACK_TARGETS = 400
+
+
+def cloud(jitter: float) -> np.ndarray:
+    """Return points (n, 3) of the unit cube."""
+    lattice = np.stack(np.meshgrid(*[np.arange(POINTS) + 0.5] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return (lattice + np.random.default_rng(1).uniform(-jitter, jitter, lattice.shape)) / POINTS
+
+
+def thread_seconds(runs: int, call: Callable[[], object]) -> list[float]:
+    """Return the thread time of each call."""
+    out = []
+    for _ in range(runs):
+        start = time.thread_time()
+        call()
+        out.append(time.thread_time() - start)
+    return out
+
+
+def ours(order: int, kind: str, runs: int) -> Record:
+    """Return the record of our stencils, seconds per target."""
+    x = cloud(0.25 if kind == "jittered" else 0.0)
+    near = gmls.nearby(x, x, order=order, reach=1.4)
+
+    def solve() -> gmls.Stencils:
+        return gmls.stencils(x, near, space=gmls.Scalar(order), samples=gmls.Points(x), wanted=WANTED)
+
+    quality = solve().quality
+    facts = {
+        "sites per target": float(quality.neighbours.mean()),
+        "targets whose reach grew": int((quality.growth > 0).sum()),
+    }
+    return Record(record_name(order, kind), [s / len(x) for s in thread_seconds(runs, solve)], facts=facts)
+
+
+def lapack(order: int, runs: int) -> Record:
+    """Return the record of dgels('T') on the same equations; the time of calls that return at once is taken off."""
+    found = ctypes.util.find_library("lapack")
+    if found is None:
+        return Record(record_name(order, "dgels"), [])
+    dgels = ctypes.CDLL(found).dgels_
+    x = cloud(0.25)
+    near = gmls.nearby(x, x, order=order, reach=1.4)
+    equations = problem.assembled(
+        x, near, gmls.Scalar(order), gmls.Points(x), WANTED, gmls.Power(2), (), None, False
+    ).equations(near)
+    calls, kept = [], []
+    for target in range(0, len(x), len(x) // LAPACK_TARGETS):
+        rows, _, tau = equations(target)
+        m, n, count = rows.shape[0], rows.shape[1], tau.shape[1]
+        matrix, right = np.asfortranarray(rows), np.zeros((m, count), order="F")
+        right[:n] = tau
+        work = np.empty(64 * (m + n + count))
+        sizes = [ctypes.c_int(v) for v in (m, n, count, m, m, len(work), 0)]
+        kept.append((matrix, right, work, sizes))
+        m_, n_, c_, lda, ldb, lwork, info = map(ctypes.byref, sizes)
+        address = [a.ctypes.data_as(ctypes.c_void_p) for a in (matrix, right, work)]
+        calls.append((b"T", m_, n_, c_, address[0], lda, address[1], ldb, address[2], lwork, info))
+    copies = [(matrix.copy(order="F"), right.copy(order="F")) for matrix, right, _, _ in kept]
+    none = ctypes.byref(ctypes.c_int(0))
+    seconds = []
+    for _ in range(runs):
+        for (matrix, right, _, _), (a, b) in zip(kept, copies, strict=True):
+            matrix[:], right[:] = a, b
+        all_of = thread_seconds(1, lambda: [dgels(*call) for call in calls])[0]
+        empty = thread_seconds(1, lambda: [dgels(call[0], none, none, none, *call[4:]) for call in calls])[0]
+        seconds.append((all_of - empty) / len(calls))
+    return Record(record_name(order, "dgels"), seconds)
+
+
+def record_name(order: int, kind: str) -> str:
+    return f"least squares, order {order}, {kind}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=5, help="runs of each")
+    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    given = parser.parse_args()
+    records = []
+    for order in ORDERS:
+        records += [ours(order, "jittered", given.runs), ours(order, "lattice", given.runs), lapack(order, given.runs)]
+    records = [record for record in records if record.seconds]
+    for record in records:
+        print(f"{record.name}: {1e6 * record.median:.3g} µs per target", flush=True)
+    write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

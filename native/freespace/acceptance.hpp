@@ -1,0 +1,33 @@
+// From which distance on charges may be taken together.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include "freespace/lattice.hpp"
+
+namespace amrpic::freespace {
+
+struct Options {
+  double acceptance =
+      0.5;  ///< a box is a multipole from where its radius looks smaller than this fraction of the distance
+  double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
+  double dropped = 1e-7;      ///< fraction of all |q| that may be left out with the weakest boxes
+  double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
+};
+
+/// A factor of limits: places on a lattice often lie at a limit exactly, and rounding must not choose.
+constexpr double past_ties = 1 + 1e-9;
+
+/// From where on a box of charge of some radius, its coarsest cells `spacing` long, is a multipole.
+inline double far_limit(Options const& options, double radius, double spacing) {
+  return past_ties * std::max(options.lattice_limit * spacing, radius / options.acceptance);
+}
+
+/// Part of that limit within which a box counts as next to the centre of a patch, and is opened there whatever its
+/// size, squared.
+constexpr double mostly_near2 = 0.5;
+
+inline double longest_spacing(Point const& shape) { return std::max({shape[0], shape[1], shape[2]}); }
+
+}  // namespace amrpic::freespace

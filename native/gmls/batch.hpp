@@ -1,0 +1,412 @@
+// As many problems as the processor has lanes, all in step: one text for vectors and for single numbers.
+#pragma once
+
+#include <algorithm>
+#include <limits>
+#include <type_traits>
+#include <vector>
+
+#include "gmls/pivoted_qr.hpp"
+#include "gmls/problem.hpp"
+
+namespace amrpic::gmls {
+
+#ifdef AMRPIC_AVX512
+constexpr int lanes_of_processor = 8;
+#else
+constexpr int lanes_of_processor = 4;
+#endif
+typedef Real ProcessorLanes __attribute__((vector_size(8 * lanes_of_processor)));
+
+typedef Real OneLane __attribute__((may_alias));
+
+// A pivot over its diagonal entry: above the first number the equations are trusted, below the second one the column
+// depends on those before it, as it often does on lattices. Between them only orthogonal factors tell.
+constexpr Real pivot_tolerance = 1e-8, pivot_of_rounding = 1e-13;
+
+/// Call f(first, number of columns as a constant) for columns in groups of six, four or two, an even number in all: as
+/// many sums as registers hold, so that none waits for another.
+template <class F>
+inline void in_columns(int columns, F&& f) {
+  int at = 0;
+  for (; columns - at >= 6; at += 6) f(at, std::integral_constant<int, 6>());
+  if (columns - at >= 4) f(at, std::integral_constant<int, 4>()), at += 4;
+  if (columns - at >= 2) f(at, std::integral_constant<int, 2>());
+}
+
+/// c(a, b) += sum over k < count of x(k, a) y(k, b), for two a and some b side by side; steps are from k to k, and from
+/// the first a to the second.
+template <int columns, class V>
+inline void add_products(int count, V const* x, std::ptrdiff_t x_step, std::ptrdiff_t x_beside, V const* y,
+                         std::ptrdiff_t y_step, V* c, std::ptrdiff_t c_beside) {
+  V first[columns], second[columns];
+  for (int b = 0; b < columns; ++b) first[b] = c[b], second[b] = c[c_beside + b];
+  for (int k = 0; k < count; ++k, x += x_step, y += y_step) {
+    V const x0 = x[0], x1 = x[x_beside];
+    for (int b = 0; b < columns; ++b) first[b] += x0 * y[b], second[b] += x1 * y[b];
+  }
+  for (int b = 0; b < columns; ++b) c[b] = first[b], c[c_beside + b] = second[b];
+}
+
+/// Weighted least squares with the targets first. With Q = √W P, of rows √w λ(p), the weights are α = √W z, where
+/// z = Q y and QᵀQ y = τ; then Qᵀz = τ: polynomials of the space are reproduced.
+///
+/// Exact rows C are eliminated first: with Householder's H, H Cᵀ = [R; 0], the polynomials that C does not see are the
+/// last columns of Q Hᵀ, and the weights β of the data of C follow from R β = (H (τ - Pᵀα)) in the first columns.
+///
+/// Q, τ, z, y have even numbers of rows and columns, the last one zero where there is one too many.
+template <class V>
+class Batch {
+ public:
+  explicit Batch(Problem const& problem)
+      : problem_(problem),
+        targets_(problem.wanted.rows),
+        wide_(even(targets_)),
+        fixed_(problem.exact.rows),
+        free_(problem.unknowns() - fixed_),
+        n_(even(free_)) {}
+
+  /// The stencils of some targets, by normal equations.
+  void solve(Each<V> const& of, Stencils const& to) {
+    fill(of);
+    form();
+    factor();
+    std::copy(tau_.begin(), tau_.end(), residual_.begin());
+    std::fill(y_.begin(), y_.end(), V{});
+    for (int pass = 0; pass < 2; ++pass) {  // the second one refines
+      add_solution_of_residual();
+      reproduce();
+    }
+    write(of, to, Path::normal_equations);
+  }
+
+  /// The same, of one target, by orthogonal factors of least norm: for problems that the equations do not determine.
+  void solve_by_factors(Each<V> const& of, Stencils const& to) {
+    Equations const e = equations(of);
+    std::vector<Real> z(std::size_t(m_ * targets_));
+    least_norm(int(e.root_weight.size()), free_, targets_, e.rows.data(), e.tau.data(), z.data());
+    std::fill(z_.begin(), z_.end(), V{});
+    for (int j = 0; j < int(e.root_weight.size()); ++j)
+      for (int t = 0; t < targets_; ++t) z_[at(j, wide_, t)] = z[at(j, targets_, t)];
+    find_residual();
+    write(of, to, Path::orthogonal);
+  }
+
+  /// Of one target.
+  Equations equations(Each<V> const& of) {
+    fill(of);
+    Equations out;
+    for (int j = 0; j < problem_.neighbours(of[0]); ++j) {
+      out.rows.insert(out.rows.end(), &q_[at(j, n_, 0)], &q_[at(j, n_, 0)] + free_);
+      out.root_weight.push_back(root_weight_[std::size_t(j)]);
+    }
+    for (int i = 0; i < free_; ++i)
+      out.tau.insert(out.tau.end(), &tau_[at(i, wide_, 0)], &tau_[at(i, wide_, 0)] + targets_);
+    return out;
+  }
+
+ private:
+  static int even(int n) { return n + n % 2; }
+  static std::size_t at(int row, int columns, int column) {
+    return std::size_t(row) * std::size_t(columns) + std::size_t(column);
+  }
+
+  static Real number(V const& of, std::size_t lane) { return reinterpret_cast<OneLane const*>(&of)[lane]; }
+
+  // ---- the problems of the lanes ----
+
+  /// Rows of samples, weights, right-hand sides.
+  void fill(Each<V> const& of) {
+    Problem const& p = problem_;
+    int const unknowns = p.unknowns();
+    std::array<V, 3> origin{}, inverse{};
+    V const reach = gathered<V>(p.reach, of);
+    for (int d = 0; d < p.dimension; ++d) {
+      auto place = of;
+      for (auto& l : place) l = l * std::size_t(p.dimension) + std::size_t(d);
+      origin[std::size_t(d)] = gathered<V>(p.targets, place);
+      inverse[std::size_t(d)] = 1 / (reach * p.aspect[std::size_t(d)]);
+    }
+    int longest = 0;
+    for (auto t : of) longest = std::max(longest, p.neighbours(t));
+    m_ = even(longest);
+    resize(unknowns);
+
+    row_.resize(std::size_t(std::max({p.wanted.rows, fixed_, 1}) * p.full()));
+    reduced_.resize(std::size_t(unknowns));
+    if (fixed_ > 0) {
+      p.exact.evaluate(p.monomials, p.components, of, {}, inverse, row_.data());
+      for (int c = 0; c < fixed_; ++c) add_reflector(row_.data() + c * p.full(), c);
+    }
+    evaluate_wanted(of, inverse);
+    for (int t = 0; t < targets_; ++t) {
+      V const* const full = row_.data() + t * p.full();
+      for (int i = 0; i < p.full(); ++i) size_[std::size_t(t)] = at_least(magnitude(full[i]), size_[std::size_t(t)]);
+      reduce(full);
+      for (int i = 0; i < fixed_; ++i) fixed_tau_[at(i, wide_, t)] = reduced_[std::size_t(i)];
+      for (int i = 0; i < free_; ++i) tau_[at(i, wide_, t)] = reduced_[std::size_t(fixed_ + i)];
+    }
+    for (int j = 0; j < longest; ++j) fill_row(j, of, origin, inverse);
+  }
+
+  /// Rows of what is wanted, where all targets want the same from a table: of u = x / s the monomial u^e is x^e / s^e.
+  void evaluate_wanted(Each<V> const& of, std::array<V, 3> const& inverse) {
+    Problem const& p = problem_;
+    if (p.wanted.count > 1) return p.wanted.evaluate(p.monomials, p.components, of, {}, inverse, row_.data());
+    V const one = V{} + 1;
+    if (table_.empty()) {
+      table_.resize(std::size_t(targets_ * p.full()));
+      p.wanted.evaluate(p.monomials, p.components, of, {}, {one, one, one}, table_.data());
+    }
+    powers_.resize(std::size_t(p.monomials.count()));
+    p.monomials.evaluate(inverse, one, powers_.data());
+    std::size_t at = 0;
+    for (int row = 0; row < targets_ * p.components; ++row)
+      for (V const& power : powers_) row_[at] = table_[at] * power, ++at;
+  }
+
+  void resize(int unknowns) {
+    auto const zeros = [](std::vector<V>& values, int count) { values.assign(std::size_t(count), V{}); };
+    q_.resize(std::size_t(m_ * n_)), z_.resize(std::size_t(m_ * wide_));
+    for (int j = 0; j < m_; ++j) q_[at(j, n_, n_ - 1)] = V{};
+    if (m_ > 0) std::fill(&q_[at(m_ - 1, n_, 0)], &q_[at(m_ - 1, n_, 0)] + n_, V{});
+    zeros(root_weight_, m_), zeros(largest_, m_), zeros(fixed_q_, m_ * fixed_);
+    zeros(size_, wide_), zeros(tau_, n_ * wide_), zeros(y_, n_ * wide_), zeros(residual_, n_ * wide_),
+        zeros(fixed_tau_, fixed_ * wide_);
+    zeros(matrix_, n_ * n_), zeros(inverse_root_, n_);
+    zeros(reflector_, fixed_ * unknowns), zeros(upper_, fixed_ * fixed_);
+    independent_ = V{} + 1;
+  }
+
+  /// Row j of Q, in all lanes that have so many neighbours.
+  void fill_row(int j, Each<V> const& of, std::array<V, 3> const& origin, std::array<V, 3> const& inverse) {
+    Problem const& p = problem_;
+    Each<V> sample, place;
+    std::array<Real, std::size_t(width<V>)> there;
+    for (std::size_t l = 0; l < of.size(); ++l) {
+      int const count = p.neighbours(of[l]);
+      there[l] = j < count ? 1 : 0;
+      sample[l] = std::size_t(p.index[p.start[of[l]] + std::min(j, count - 1)]);
+    }
+    std::array<V, 3> u{};
+    V square{};
+    for (int d = 0; d < p.dimension; ++d) {
+      for (std::size_t l = 0; l < of.size(); ++l) place[l] = sample[l] * std::size_t(p.dimension) + std::size_t(d);
+      u[std::size_t(d)] = (gathered<V>(p.sites, place) - origin[std::size_t(d)]) * inverse[std::size_t(d)];
+      square += u[std::size_t(d)] * u[std::size_t(d)];
+    }
+    V const weight = root_of_weight(p.weight, square) * load<V>(there.data());
+    root_weight_[std::size_t(j)] = weight;
+    V* const out = &q_[at(j, n_, 0)];
+    if (p.samples_are_points() && fixed_ == 0 && p.basis.empty()) {
+      p.monomials.evaluate(u, weight, out);
+      largest_[std::size_t(j)] = weight;  // of the constant; |u| < 1
+    } else {
+      if (p.samples_are_points())
+        p.monomials.evaluate(u, V{} + 1, row_.data());
+      else
+        p.samples.evaluate(p.monomials, p.components, sample, origin, inverse, row_.data());
+      reduce(row_.data());
+      for (int i = 0; i < fixed_; ++i) fixed_q_[at(j, fixed_, i)] = weight * reduced_[std::size_t(i)];
+      for (int i = 0; i < free_; ++i) out[i] = weight * reduced_[std::size_t(fixed_ + i)];
+      V largest{};
+      for (int i = 0; i < free_; ++i) largest = at_least(largest, magnitude(out[i]));
+      largest_[std::size_t(j)] = largest;
+    }
+  }
+
+  /// A row for the basis of the space, exact rows reflected away: the first `fixed_` numbers are what they see.
+  void reduce(V const* full) {
+    Problem const& p = problem_;
+    if (p.basis.empty())
+      std::copy(full, full + p.full(), reduced_.begin());
+    else
+      for (int i = 0; i < p.unknowns(); ++i) {
+        V sum{};
+        for (int k = 0; k < p.full(); ++k) sum += full[k] * p.basis[at(k, p.unknowns(), i)];
+        reduced_[std::size_t(i)] = sum;
+      }
+    for (int c = 0; c < reflectors_; ++c) reflect(c);
+  }
+  void reflect(int c) {
+    V const* const v = &reflector_[at(c, problem_.unknowns(), 0)];
+    V along{};
+    for (int i = c; i < problem_.unknowns(); ++i) along += v[i] * reduced_[std::size_t(i)];
+    for (int i = c; i < problem_.unknowns(); ++i) reduced_[std::size_t(i)] = reduced_[std::size_t(i)] - along * v[i];
+  }
+
+  /// Householder's reflection of exact row c onto coefficient c.
+  void add_reflector(V const* full, int c) {
+    reflectors_ = c;
+    reduce(full);
+    int const unknowns = problem_.unknowns();
+    V all{}, rest{};
+    for (int i = 0; i < unknowns; ++i) {
+      V const square = reduced_[std::size_t(i)] * reduced_[std::size_t(i)];
+      all += square;
+      if (i >= c) rest += square;
+    }
+    V const length = root(rest), first = reduced_[std::size_t(c)];
+    V const onto = first > V{} ? V{} - length : length;
+    V const zero{}, one = V{} + 1;
+    independent_ = rest > 1e-16 * all ? independent_ : zero;
+    V const square = rest - first * onto;  // half of |v|²
+    V const scale = inverse_root(square > V{} ? square : one);
+    V* const v = &reflector_[at(c, unknowns, 0)];
+    for (int i = c; i < unknowns; ++i) v[i] = scale * reduced_[std::size_t(i)];
+    v[c] = scale * (first - onto);
+    for (int row = 0; row < c; ++row) upper_[at(row, fixed_, c)] = reduced_[std::size_t(row)];
+    upper_[at(c, fixed_, c)] = onto;
+    reflectors_ = c + 1;
+  }
+
+  // ---- normal equations ----
+
+  /// QᵀQ, a few rows of Q at a time, so that they stay in the first cache.
+  void form() {
+    constexpr int rows = 8;
+    for (int first = 0; first < m_; first += rows)
+      for (int i = 0; i < n_; i += 2)
+        in_columns(i + 2, [&](int k, auto columns) {
+          V const* const q = &q_[at(first, n_, 0)];
+          add_products<columns>(std::min(rows, m_ - first), q + i, n_, 1, q + k, n_, &matrix_[at(i, n_, k)], n_);
+        });
+  }
+
+  /// Cholesky's factor, in place. A column that depends on those before it is left out: its y is zero, and z = Q y, in
+  /// the range of Q, still is the solution of least norm if there is one, which its residual shows.
+  void factor() {
+    V const zero{}, one = V{} + 1;
+    least_pivot_ = one, unclear_ = zero;
+    V largest = zero;
+    for (int k = 0; k < free_; ++k) largest = at_least(largest, matrix_[at(k, n_, k)]);
+    V const rounding = largest * (zero_column * zero_column);
+    for (int k = 0; k < free_; ++k) {
+      V const diagonal = matrix_[at(k, n_, k)];
+      for (int i = k; i < free_; ++i) {
+        V sum = matrix_[at(i, n_, k)];
+        for (int j = 0; j < k; ++j) sum = sum - matrix_[at(i, n_, j)] * matrix_[at(k, n_, j)];
+        if (i == k) {
+          V const ratio = diagonal > rounding ? sum / (diagonal > rounding ? diagonal : one) : zero;
+          least_pivot_ = ratio < least_pivot_ ? at_least(ratio, zero) : least_pivot_;
+          V const inverse = inverse_root(ratio > pivot_tolerance ? sum : one);
+          inverse_root_[std::size_t(k)] = ratio > pivot_tolerance ? inverse : zero;
+          V const unclear = ratio > pivot_of_rounding ? one : zero;
+          unclear_ = ratio > pivot_tolerance ? unclear_ : at_least(unclear_, unclear);
+        }
+        matrix_[at(i, n_, k)] = sum * inverse_root_[std::size_t(k)];
+      }
+    }
+  }
+
+  /// y += (QᵀQ)⁻¹ residual.
+  void add_solution_of_residual() {
+    in_columns(wide_, [&](int t, auto columns) {
+      V* const r = &residual_[std::size_t(t)];
+      auto const substitute = [&](int i, int first, int last, V const* entry, std::ptrdiff_t step) {
+        V sum[columns];
+        for (int b = 0; b < columns; ++b) sum[b] = r[i * wide_ + b];
+        for (int j = first; j < last; ++j, entry += step)
+          for (int b = 0; b < columns; ++b) sum[b] = sum[b] - *entry * r[j * wide_ + b];
+        for (int b = 0; b < columns; ++b) r[i * wide_ + b] = sum[b] * inverse_root_[std::size_t(i)];
+      };
+      for (int i = 0; i < free_; ++i) substitute(i, 0, i, &matrix_[at(i, n_, 0)], 1);
+      for (int i = free_ - 1; i >= 0; --i) substitute(i, i + 1, free_, &matrix_[at(i, n_, i)] + n_, n_);
+    });
+    for (std::size_t i = 0; i < y_.size(); ++i) y_[i] += residual_[i];
+  }
+
+  /// z = Q y, and what is missing to the reproduction of the space.
+  void reproduce() {
+    std::fill(z_.begin(), z_.end(), V{});
+    for (int j = 0; j < m_; j += 2)
+      in_columns(wide_, [&](int t, auto columns) {
+        add_products<columns>(n_, &q_[at(j, n_, 0)], 1, n_, &y_[std::size_t(t)], wide_, &z_[at(j, wide_, t)], wide_);
+      });
+    find_residual();
+  }
+
+  /// τ - Qᵀz.
+  void find_residual() {
+    std::fill(residual_.begin(), residual_.end(), V{});
+    for (int i = 0; i < n_; i += 2)
+      in_columns(wide_, [&](int t, auto columns) {
+        V* const to = &residual_[at(i, wide_, t)];
+        add_products<columns>(m_, &q_[std::size_t(i)], n_, 1, &z_[std::size_t(t)], wide_, to, wide_);
+      });
+    for (std::size_t i = 0; i < residual_.size(); ++i) residual_[i] = tau_[i] - residual_[i];
+  }
+
+  // ---- the result ----
+
+  /// Judge the weights, and write them where all targets' are.
+  void write(Each<V> const& of, Stencils const& to, Path path) {
+    V worst{}, sum_of_sizes{};
+    V const tiny = V{} + std::numeric_limits<Real>::min();
+    in_columns(wide_, [&](int t, auto columns) {
+      V missing[columns] = {}, sum[columns] = {};
+      for (int i = 0; i < free_; ++i)
+        for (int b = 0; b < columns; ++b) missing[b] = at_least(magnitude(residual_[at(i, wide_, t + b)]), missing[b]);
+      for (int j = 0; j < m_; ++j)
+        for (int b = 0; b < columns; ++b) sum[b] += magnitude(z_[at(j, wide_, t + b)]) * largest_[std::size_t(j)];
+      for (int b = 0; b < columns; ++b) {
+        V const size = at_least(size_[std::size_t(t + b)], tiny);  // of all monomials: the space may see none of it
+        // a product with zero, so that no maximum drops what is no number
+        worst = at_least(missing[b] / at_least(size, sum[b]), worst) + 0 * sum[b];
+        sum_of_sizes = at_least(sum[b] / size, sum_of_sizes);
+      }
+    });
+    weigh_exact_data();
+    for (int j = 0; j < m_; ++j)
+      for (int t = 0; t < targets_; ++t) z_[at(j, wide_, t)] = z_[at(j, wide_, t)] * root_weight_[std::size_t(j)];
+    for (std::size_t l = 0; l < of.size(); ++l) {
+      Real* out = to.weight + problem_.start[of[l]] * targets_;
+      int const count = problem_.neighbours(of[l]);
+      for (int j = 0; j < count; ++j) {
+        auto const* const from = reinterpret_cast<OneLane const*>(&z_[at(j, wide_, 0)]) + l;
+        for (int t = 0; t < targets_; ++t) *out++ = from[t * width<V>];
+      }
+    }
+    auto const each = [&](V const& value, auto&& f) {
+      for (std::size_t l = 0; l < of.size(); ++l) f(of[l], number(value, l));
+    };
+    for (int c = 0; c < fixed_; ++c)
+      for (int t = 0; t < targets_; ++t)
+        each(fixed_tau_[at(c, wide_, t)], [&](std::size_t target, Real value) {
+          to.exact_weight[(target * std::size_t(fixed_) + std::size_t(c)) * std::size_t(targets_) + std::size_t(t)] =
+              value;
+        });
+    if (path == Path::normal_equations) each(least_pivot_, [&](std::size_t target, Real v) { to.pivot[target] = v; });
+    each(worst, [&](std::size_t target, Real v) { to.residual[target] = v; });
+    each(sum_of_sizes, [&](std::size_t target, Real v) { to.sum[target] = v; });
+    for (std::size_t l = 0; l < of.size(); ++l) {
+      bool const by_equations = path == Path::normal_equations;
+      to.path[of[l]] = number(independent_, l) == 0                                 ? Path::dependent
+                       : by_equations && number(unclear_, l) > 0                    ? Path::undetermined
+                       : by_equations && number(least_pivot_, l) <= pivot_tolerance ? Path::less_rank
+                                                                                    : path;
+    }
+  }
+
+  /// R β = H (τ - Pᵀα) in the first columns, by back substitution in place.
+  void weigh_exact_data() {
+    V const zero{}, one = V{} + 1;
+    for (int c = fixed_ - 1; c >= 0; --c)
+      for (int t = 0; t < targets_; ++t) {
+        V sum = fixed_tau_[at(c, wide_, t)];
+        for (int j = 0; j < m_; ++j) sum = sum - fixed_q_[at(j, fixed_, c)] * z_[at(j, wide_, t)];
+        for (int k = c + 1; k < fixed_; ++k) sum = sum - upper_[at(c, fixed_, k)] * fixed_tau_[at(k, wide_, t)];
+        V const pivot = upper_[at(c, fixed_, c)];
+        fixed_tau_[at(c, wide_, t)] = sum / (independent_ > zero ? pivot : one);
+      }
+  }
+
+  Problem const& problem_;
+  int targets_, wide_, fixed_, free_, n_, m_ = 0, reflectors_ = 0;
+  std::vector<V> row_, table_, powers_, reduced_, reflector_, upper_;
+  std::vector<V> q_, fixed_q_, root_weight_, largest_, z_;
+  std::vector<V> size_, tau_, fixed_tau_, y_, residual_, matrix_, inverse_root_;
+  V least_pivot_{}, unclear_{}, independent_{};
+};
+
+}  // namespace amrpic::gmls

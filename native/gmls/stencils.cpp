@@ -1,0 +1,94 @@
+#include <algorithm>
+#include <limits>
+#include <numeric>
+
+#include "base/for_rows.hpp"
+#include "gmls/batch.hpp"
+
+namespace amrpic::gmls {
+
+namespace {
+
+constexpr std::size_t sorted_together = 4096;  ///< targets, so that lanes of about equal numbers of neighbours meet
+
+/// A residual that no rounding explains: the samples do not determine what is wanted.
+constexpr Real far_from_reproduced = 1e-4;
+
+/// Whether the normal equations gave a stencil that can be used.
+class Judge {
+ public:
+  Judge(Problem const& problem, Real residual_bound, Real sum_bound, Stencils const& to)
+      : problem_(problem), residual_bound_(residual_bound), sum_bound_(sum_bound), to_(to) {}
+
+  bool is_good(std::size_t target) const {
+    return to_.residual[target] <= residual_bound_ && to_.sum[target] <= sum_bound_;
+  }
+  /// Try anew what did not determine its result, and leave no weights that cannot be used.
+  void repair(std::size_t target, Batch<Real>& single) const {
+    if (to_.path[target] == Path::dependent) return drop(target, Path::dependent);
+    if (problem_.neighbours(target) > 0) {
+      Path const path = to_.path[target];
+      if (path != Path::undetermined && is_good(target)) return;
+      if (path == Path::less_rank && to_.residual[target] > far_from_reproduced)
+        return drop(target, Path::undetermined);
+      single.solve_by_factors({target}, to_);
+      if (is_good(target)) return;
+    } else {
+      to_.pivot[target] = 0;
+      to_.residual[target] = 1;
+      to_.sum[target] = 0;
+    }
+    drop(target, Path::undetermined);
+  }
+
+ private:
+  void drop(std::size_t target, Path path) const {
+    auto const nan = std::numeric_limits<Real>::quiet_NaN();
+    int const wanted = problem_.wanted.rows, exact = problem_.exact.rows;
+    std::fill(to_.weight + problem_.start[target] * wanted, to_.weight + problem_.start[target + 1] * wanted, nan);
+    std::fill_n(to_.exact_weight + target * std::size_t(exact * wanted), exact * wanted, nan);
+    to_.path[target] = path;
+  }
+
+  Problem const& problem_;
+  Real residual_bound_, sum_bound_;
+  Stencils const& to_;
+};
+
+}  // namespace
+
+void solve(Problem const& problem, Real residual_bound, Real sum_bound, bool portable, Stencils const& to) {
+  Judge const judge(problem, residual_bound, sum_bound, to);
+  if (portable) {
+    for_rows(LocalIndex(problem.count), [&](LocalIndex row) {
+      Batch<Real> single(problem);
+      auto const target = std::size_t(row);
+      to.path[target] = Path::undetermined;
+      if (problem.neighbours(target) > 0) single.solve({target}, to);
+      judge.repair(target, single);
+    });
+    return;
+  }
+  Batch<ProcessorLanes> batch(problem);
+  Batch<Real> single(problem);
+  std::vector<std::size_t> order;
+  for (std::size_t first = 0; first < problem.count; first += sorted_together) {
+    std::size_t const last = std::min(problem.count, first + sorted_together);
+    order.resize(last - first);
+    std::iota(order.begin(), order.end(), first);
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return problem.neighbours(a) < problem.neighbours(b); });
+    std::size_t at = 0;
+    for (; at < order.size() && problem.neighbours(order[at]) == 0; ++at) to.path[order[at]] = Path::undetermined;
+    for (; at < order.size(); at += lanes_of_processor) {
+      Each<ProcessorLanes> of;  // lanes beyond the last target repeat it
+      for (std::size_t l = 0; l < of.size(); ++l) of[l] = order[std::min(at + l, order.size() - 1)];
+      batch.solve(of, to);
+    }
+    for (std::size_t target : order) judge.repair(target, single);
+  }
+}
+
+Equations equations(Problem const& problem, std::size_t target) { return Batch<Real>(problem).equations({target}); }
+
+}  // namespace amrpic::gmls

@@ -1,0 +1,181 @@
+#include "particle/remote_bricks.hpp"
+
+#include <algorithm>
+#include <map>
+#include <tuple>
+
+namespace amrpic {
+
+namespace {
+
+Window window_of(Hierarchy const& hierarchy, int l, Box const& cells) {
+  Level const& level = hierarchy.level(l);
+  Window out{l, cells, {}, false};
+  GlobalIndex found = 0;
+  level.for_each_overlap(cells, [&](int box, Box const& part, Index3 const& shift) {
+    out.parts.push_back({box, part, shift});
+    found += part.cells();
+  });
+  out.whole = found == level.cut_at_walls(cells).cells();
+  return out;
+}
+
+/// Call f(brick, window, part, owner) for the parts of the windows of some bricks, in the order of messages.
+template <class F>
+void for_each_part(Hierarchy const& hierarchy, std::vector<BrickWindows> const& bricks, F&& f) {
+  for (std::size_t b = 0; b < bricks.size(); ++b)
+    for (std::size_t w = 0; w < bricks[b].windows.size(); ++w) {
+      Window const& window = bricks[b].windows[w];
+      for (Window::Part const& part : window.parts) f(b, w, part, hierarchy.level(window.level).owner(part.box));
+    }
+}
+
+std::vector<BrickWindows> windows_of(Hierarchy const& hierarchy, std::vector<Home> const& bricks, bool matched) {
+  std::vector<BrickWindows> out;
+  out.reserve(bricks.size());
+  for (Home const& brick : bricks) out.push_back(windows_of(hierarchy, brick, matched));
+  return out;
+}
+
+/// Send lists to other ranks, and return those that come from others, in the order of ranks. Collective.
+std::vector<std::pair<int, std::vector<Home>>> exchanged(Communicator const& comm,
+                                                         std::map<int, std::vector<Home>> const& to) {
+  std::vector<std::pair<int, std::int64_t>> counts;
+  for (auto const& [rank, list] : to) counts.emplace_back(rank, std::int64_t(list.size()));
+  std::vector<std::pair<int, std::vector<Home>>> from;
+  for (auto const& [rank, count] : comm.announced(counts))
+    from.emplace_back(rank, std::vector<Home>(std::size_t(count)));
+  Messages messages;
+  for (auto& [rank, list] : from) messages.receive(comm, list.data(), list.size(), rank);
+  for (auto const& [rank, list] : to) messages.send(comm, list.data(), list.size(), rank);
+  messages.wait_for_all();
+  return from;
+}
+
+/// Call f(place, count, row) for the rows of cells along x of a part of a box, places counted from the box's first
+/// cell.
+template <class F>
+void for_each_row_of(Box const& box, Box const& part, F&& f) {
+  for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+    for (int j = part.lower[1]; j <= part.upper[1]; ++j)
+      f(std::size_t(box.offset({part.lower[0], j, k})), std::size_t(part.extent(0)));
+}
+
+}  // namespace
+
+BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched) {
+  BrickWindows out;
+  out.home = brick;
+  out.cells = cells_of(hierarchy, brick);
+  if (matched) out.buffer = buffer_of(hierarchy, brick.level, out.cells);
+  out.windows.push_back(window_of(hierarchy, brick.level, out.cells.grow(tile_reach)));
+  std::size_t const coarser = std::max(out.buffer.coarse.size(), std::size_t(out.windows[0].whole ? 0 : 1));
+  Box cells = out.cells;
+  for (std::size_t r = 1; r <= coarser; ++r) {
+    cells = cells.coarsen(refinement_ratio);
+    out.windows.push_back(window_of(hierarchy, brick.level - int(r), cells.grow(tile_reach)));
+  }
+  return out;
+}
+
+RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine,
+                       std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched)
+    : bricks_(windows_of(hierarchy, mine, matched)) {
+  int const me = hierarchy.comm().rank();
+  auto const own_part = [&](int l, Window::Part const& part) {
+    return OwnPart{l, part.box - hierarchy.level(l).first_local_box(), part.in_box()};
+  };
+  std::vector<Parcel> asked, wanted;
+  for (BrickWindows const& brick : bricks_) {
+    first_.emplace_back();
+    for (Window const& window : brick.windows) {
+      first_.back().push_back(cells_);
+      cells_ += std::size_t(window.cells.cells());
+    }
+  }
+  std::map<int, std::vector<WindowPart>> wanted_of;
+  for_each_part(hierarchy, bricks_, [&](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
+    if (owner == me)
+      local_.push_back({own_part(bricks_[b].windows[w].level, part), part_of(b, w, part)});
+    else
+      wanted_of[owner].push_back(part_of(b, w, part));
+  });
+  for (auto const& [rank, parts] : wanted_of)
+    for (WindowPart const& part : parts) {
+      wanted.push_back({rank, part.cells.cells()});
+      wanted_.push_back(part);
+    }
+  for (auto const& [rank, list] : of_others) {
+    auto const bricks = windows_of(hierarchy, list, matched);
+    for_each_part(hierarchy, bricks,
+                  [&, reader = rank](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
+                    if (owner != me) return;
+                    asked.push_back({reader, part.cells.cells()});
+                    asked_.push_back(own_part(bricks[b].windows[w].level, part));
+                  });
+  }
+  exchange_ = Exchange<Real>(hierarchy.comm(), asked, wanted);
+}
+
+std::vector<Real> RemotePlan::read(ElectricField const& field) const {
+  constexpr std::size_t components = ElectricField::components_per_cell;
+  std::vector<Real> out(components * cells_);
+  auto const unpack = [&](WindowPart const& to, Real const* in) {
+    for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
+      std::copy_n(in, components * count, out.data() + components * (to.first + place));
+      in += components * count;
+    });
+  };
+  exchange_.update(
+      [&](std::size_t n, Real* to) { field.write_part(asked_[n].level, asked_[n].box, asked_[n].cells, to); },
+      [&](std::size_t n, Real const* in) { unpack(wanted_[n], in); }, components);
+  std::vector<Real> cells;
+  for (LocalPart const& part : local_) {
+    cells.resize(components * std::size_t(part.own.cells.cells()));
+    field.write_part(part.own.level, part.own.box, part.own.cells, cells.data());
+    unpack(part.window, cells.data());
+  }
+  return out;
+}
+
+void RemotePlan::add(std::vector<Real> const& values, Field& density) const {
+  Hierarchy const& hierarchy = density.hierarchy();
+  auto const pack = [&](WindowPart const& from, Real* out) {
+    for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
+      out = std::copy_n(values.data() + from.first + place, count, out);
+    });
+  };
+  auto const add_to = [&](OwnPart const& to, Real const* in) {
+    Level const& level = hierarchy.level(to.level);
+    int const box = level.first_local_box() + to.box;
+    Real* const own = density.level(to.level).data() + level.local_offset(box);
+    for_each_row_of(level.box(box), to.cells, [&](std::size_t place, std::size_t count) {
+      for (std::size_t n = 0; n < count; ++n) own[place + n] += *in++;
+    });
+  };
+  std::vector<Real> cells;
+  for (LocalPart const& part : local_) {
+    cells.resize(std::size_t(part.own.cells.cells()));
+    pack(part.window, cells.data());
+    add_to(part.own, cells.data());
+  }
+  exchange_.fold([&](std::size_t n, Real* out) { pack(wanted_[n], out); },
+                 [&](std::size_t n, Real const* in) { add_to(asked_[n], in); });
+}
+
+RemotePlan const& RemoteBricks::plan(bool matched) const {
+  auto& plan = plans_[matched];
+  if (plan) return *plan;
+  Communicator const& comm = hierarchy_->comm();
+  std::map<int, std::vector<Home>> to;
+  auto const mine = windows_of(*hierarchy_, bricks_, matched);
+  for_each_part(*hierarchy_, mine, [&](std::size_t b, std::size_t, Window::Part const&, int owner) {
+    if (owner == comm.rank()) return;
+    auto& list = to[owner];
+    if (list.empty() || !(list.back() == bricks_[b])) list.push_back(bricks_[b]);
+  });
+  plan = std::make_unique<RemotePlan const>(*hierarchy_, bricks_, exchanged(comm, to), matched);
+  return *plan;
+}
+
+}  // namespace amrpic

@@ -1,0 +1,125 @@
+// Bricks whose particles one rank serves and whose cells another one owns.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "mesh/electric_field.hpp"
+#include "mesh/exchange.hpp"
+#include "mesh/field.hpp"
+#include "particle/buffer_zone.hpp"
+#include "particle/locate.hpp"
+
+namespace amrpic {
+
+inline Box cells_of(Hierarchy const& hierarchy, Home const& brick) {
+  return Bricks(hierarchy.level(brick.level).box(brick.box))[brick.brick];
+}
+
+/// The cells of one level around a brick that the clouds of its particles touch.
+struct Window {
+  /// Those that lie in one box.
+  struct Part {
+    int box;
+    Box cells;     ///< in the indices of the window
+    Index3 shift;  ///< less this, they are those of the box
+    Box in_box() const { return cells.shift_back(shift); }
+  };
+
+  int level;
+  Box cells;  ///< what lies behind walls or beyond the level included
+  std::vector<Part> parts;
+  bool whole;  ///< whether the level has all cells that lie behind no wall
+};
+
+/// Call f(cell) for the cells of a window that lie behind no wall and that its level lacks.
+template <class F>
+void for_each_missing(Level const& level, Window const& window, F&& f) {
+  ArrayOnBox<char> exists(window.cells, 0);
+  for (Window::Part const& part : window.parts) exists.fill(part.cells, 1);
+  for_each_cell(level.cut_at_walls(window.cells), [&](Index3 const& cell) {
+    if (!exists(cell)) f(cell);
+  });
+}
+
+/// A brick with the levels that its particles touch.
+struct BrickWindows {
+  Home home;
+  Box cells;
+  BoxBuffer buffer;
+  /// That of the brick's level; of the next coarser one, where the first is not whole or clouds are matched; of those
+  /// that matched clouds touch.
+  std::vector<Window> windows;
+};
+
+/// Follows from the boxes alone; `matched`: whether clouds are. Local.
+BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched);
+
+/// The plan of what passes between this rank and others because of bricks that one serves and the other owns.
+///
+/// The values of all windows of this rank's remote bricks are stored one window after the other, x fastest.
+class RemotePlan {
+ public:
+  /// `mine`: remote bricks of this rank; `of_others`: for each other rank that serves such of this rank's cells, in
+  /// ascending order, which ones, in the order in which it has them. Local.
+  RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine,
+             std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched);
+
+  std::vector<BrickWindows> const& bricks() const { return bricks_; }
+  std::size_t cells() const { return cells_; }  ///< of all windows
+  std::size_t first(std::size_t brick, std::size_t window) const { return first_[brick][window]; }
+
+  /// The electric field in the cells of all windows, three components for each. Collective.
+  std::vector<Real> read(ElectricField const& field) const;
+
+  /// Add densities in the cells of all windows to those of the owners. Collective.
+  void add(std::vector<Real> const& values, Field& density) const;
+
+ private:
+  /// Cells of this rank's box, numbered from its first one of the level, that another rank reads or this one itself.
+  struct OwnPart {
+    int level, box;
+    Box cells;
+  };
+  /// Cells of a window, from a place among all its values on.
+  struct WindowPart {
+    Box window, cells;
+    std::size_t first;
+  };
+  struct LocalPart {
+    OwnPart own;
+    WindowPart window;
+  };
+  WindowPart part_of(std::size_t brick, std::size_t window, Window::Part const& part) const {
+    return {bricks_[brick].windows[window].cells, part.cells, first_[brick][window]};
+  }
+
+  std::vector<BrickWindows> bricks_;
+  std::vector<std::vector<std::size_t>> first_;  ///< of each window of each brick
+  std::size_t cells_ = 0;
+  std::vector<OwnPart> asked_;      ///< by other ranks
+  std::vector<WindowPart> wanted_;  ///< of other ranks
+  std::vector<LocalPart> local_;
+  Exchange<Real> exchange_;
+};
+
+/// The remote bricks in which this rank has particles.
+class RemoteBricks {
+ public:
+  /// `bricks`: ascending. Local.
+  RemoteBricks(std::shared_ptr<Hierarchy const> hierarchy, std::vector<Home> bricks)
+      : hierarchy_(std::move(hierarchy)), bricks_(std::move(bricks)) {}
+
+  Hierarchy const& hierarchy() const { return *hierarchy_; }
+  std::vector<Home> const& bricks() const { return bricks_; }
+
+  /// What passes because of them. The first call, for clouds that are matched or not, lets owners know: collective.
+  RemotePlan const& plan(bool matched) const;
+
+ private:
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  std::vector<Home> bricks_;
+  mutable std::unique_ptr<RemotePlan const> plans_[2];
+};
+
+}  // namespace amrpic

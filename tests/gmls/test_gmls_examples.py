@@ -1,0 +1,31 @@
+"""The examples run, and the errors that they print fall."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def printed(script: str, *arguments: str) -> list[list[float]]:
+    command = [sys.executable, str(EXAMPLES / script), *arguments]
+    out = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300).stdout
+    return [[float(word) for word in line.split()] for line in out.splitlines()[1:]]
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_errors_on_a_cloud_fall(order):
+    rows = printed("gmls_cloud.py", "--order", str(order))
+    assert rows[0][2] > 2 ** (order - 0.5) * rows[2][2]
+    assert rows[0][3] > 2 ** (order - 1.5) * rows[2][3]
+
+
+def test_errors_on_a_surface_fall_and_the_picture_is_written(tmp_path):
+    rows = printed("gmls_surface.py", "--picture", str(tmp_path / "curvature.png"))
+    assert rows[0][1] > 8 * rows[1][1] > 64 * rows[2][1]
+    assert rows[0][2] > 8 * rows[1][2] > 64 * rows[2][2]
+    assert (tmp_path / "curvature.png").stat().st_size > 10000

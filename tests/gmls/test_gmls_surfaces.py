@@ -1,0 +1,102 @@
+"""Operators and curvatures on a sphere and an ellipsoid that are known by points alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amrpic import gmls
+from amrpic.errors import InputError
+
+AXES = {"sphere": np.array([1.0, 1.0, 1.0]), "ellipsoid": np.array([1.0, 1.2, 0.8])}
+COUNTS = [1000, 2500, 6300, 16000]
+
+
+def fibonacci(count: int) -> np.ndarray:
+    """Points of about equal density on the unit sphere."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
+
+
+def f(x: np.ndarray) -> np.ndarray:
+    return x[:, 0] * x[:, 1] + x[:, 0] * x[:, 1] * x[:, 2]
+
+
+def laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Δf - 2 H n·∇f - n·(∇∇f) n, with H and n of the ellipsoid's own equation Σ x²/a² = 1."""
+    g = x / axes**2
+    size = np.linalg.norm(g, axis=1)
+    n = g / size[:, None]
+    two_h = ((1 / axes**2).sum() - (n**2 / axes**2).sum(axis=1)) / size
+    gradient = np.stack([x[:, 1] * (1 + x[:, 2]), x[:, 0] * (1 + x[:, 2]), x[:, 0] * x[:, 1]], axis=1)
+    mixed = n[:, 0] * n[:, 1] * (1 + x[:, 2]) + n[:, 0] * n[:, 2] * x[:, 1] + n[:, 1] * n[:, 2] * x[:, 0]
+    return -two_h * (n * gradient).sum(axis=1) - 2 * mixed
+
+
+def gaussian_curvature(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    return 1 / (axes.prod() ** 2 * (x**2 / axes**4).sum(axis=1) ** 2)
+
+
+def mean_curvature(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    size = np.linalg.norm(x / axes**2, axis=1)
+    return ((axes**2).sum() - (x**2).sum(axis=1)) / (2 * axes.prod() ** 2 * size**3)
+
+
+def rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)))
+
+
+@pytest.mark.parametrize("shape", list(AXES))
+@pytest.mark.parametrize(("order", "laplacian", "curvature"), [(2, 1.5, 1.8), (3, 1.9, 1.8), (4, 3.7, 3.8)])
+def test_orders_on_closed_surfaces(shape, order, laplacian, curvature):
+    axes, errors = AXES[shape], []
+    less = 0.2 if shape == "ellipsoid" else 0.0
+    for count in COUNTS:
+        x = fibonacci(count) * axes
+        t = x[:: count // 1000]
+        near = gmls.nearby(x, t, radius=1.7 * neighbour_distance(x, t, order))
+        found = gmls.surface(t, x, near, order=order)
+        values = found.stencils.apply(f(x))
+        errors.append(
+            [
+                rms(values["laplace_beltrami"] - laplace_beltrami(t, axes)),
+                rms(found.gaussian_curvature - gaussian_curvature(t, axes)),
+                rms(np.abs(found.mean_curvature) - mean_curvature(t, axes)),
+            ]
+        )
+    slopes = [-2 * np.polyfit(np.log(COUNTS), np.log(e), 1)[0] for e in zip(*errors, strict=True)]
+    assert slopes[0] > laplacian - less
+    assert slopes[1] > curvature - less
+    assert slopes[2] > curvature - less
+
+
+def neighbour_distance(x: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
+    """Of the n-th nearest site, n the number of polynomials in the tangent plane."""
+    n = gmls.Scalar(order).unknowns(2)
+    return gmls.neighbours.cKDTree(x).query(t, k=[n])[0][:, 0]
+
+
+def test_gradients_are_tangential_and_the_divergence_of_the_normal_is_twice_the_mean_curvature():
+    x = fibonacci(4000) * AXES["ellipsoid"]
+    t = x[::9]
+    near = gmls.nearby(x, t, radius=1.7 * neighbour_distance(x, t, 4))
+    normals = x / AXES["ellipsoid"] ** 2
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    found = gmls.surface(t, x, near, order=4, normals=normals[::9])
+    gradient = found.stencils.apply(f(x))["gradient"]
+    n = normals[::9]
+    exact = np.stack([t[:, 1] * (1 + t[:, 2]), t[:, 0] * (1 + t[:, 2]), t[:, 0] * t[:, 1]], axis=1)
+    exact -= (exact * n).sum(axis=1)[:, None] * n
+    assert np.abs(gradient - exact).max() < 1e-3
+    assert np.abs((gradient * found.normal).sum(axis=1)).max() < 1e-12
+    assert np.abs(found.normal - n).max() < 1e-4
+    assert np.abs(found.divergence(normals) - 2 * mean_curvature(t, AXES["ellipsoid"])).max() < 2e-3
+    assert (found.mean_curvature < 0).all()  # bends away from outer normals
+
+
+def test_normals_that_are_zero_are_refused():
+    x = fibonacci(400)
+    with pytest.raises(InputError, match=r"least length 0\.0"):
+        gmls.surface(x, x, gmls.nearby(x, x, radius=0.4), normals=np.zeros_like(x))

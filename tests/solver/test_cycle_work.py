@@ -1,0 +1,80 @@
+"""What a cycle takes of a rank follows from the boxes: counted beforehand, for virtual ranks too, and found in the counters."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import amrpic
+from amrpic import _native
+from amrpic.parallel import Traffic, VirtualRank, traffic
+from hierarchies import Case, all_cases
+
+CASES = dict(sorted(all_cases().items())[::6])
+
+
+def hierarchy_of(case: Case, comm: Any) -> amrpic.Hierarchy:
+    domain = amrpic.Domain(case.lower, case.upper, case.cells, boundary=case.boundary)
+    return amrpic.Hierarchy(comm, domain, case.levels, case.max_grid_size, case.blocking_factor)
+
+
+def sent(mesh: amrpic.Hierarchy, cycles: int) -> Traffic:
+    """What this rank sends in so many cycles, and in what surrounds them."""
+    solver = amrpic.PoissonSolver(mesh, tolerance=1e-30, max_cycles=cycles, background="neutralizing")
+    rho = amrpic.Field(mesh, "C/m^3").fill(lambda x, y, z: np.sin(5 * x) * np.cos(3 * y) + z)
+    before = traffic()
+    solver.solve(rho)
+    return traffic() - before
+
+
+def of_norm(mesh: amrpic.Hierarchy) -> int:
+    """Collective calls of a norm."""
+    before = traffic()
+    _native.CompositeLaplacian(mesh.native, (1, 1, 1)).diagonal_norm(amrpic.Field(mesh).native, _native.Norm.max)
+    return (traffic() - before).collectives
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=240)
+@pytest.mark.parametrize("name", CASES)
+def test_counters_find_what_the_plan_of_a_cycle_says(comm, name):
+    mesh = hierarchy_of(CASES[name], comm)
+    found = sent(mesh, 2) - sent(mesh, 1)
+    unreal = hierarchy_of(CASES[name], VirtualRank(comm.rank, comm.size))
+    work = _native.cycle_work(unreal.native, 2, 2)
+    laplacian = _native.CompositeLaplacian(unreal.native, (1, 1, 1))
+    beside = [np.add(laplacian.sent_by_residual, laplacian.sent_by_add)[i] for i in range(2)]
+    assert found.messages == sum(level.messages for level in work) + beside[0]
+    assert found.bytes == sum(level.bytes for level in work) + beside[1]
+    assert found.collectives == sum(level.collectives for level in work) + of_norm(mesh)
+    if comm.size == 1:
+        assert found == Traffic()
+
+
+def cube(cells: int, rank: int, ranks: int) -> dict[int, _native.LevelWork]:
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary="dirichlet")
+    mesh = amrpic.Hierarchy(VirtualRank(rank, ranks), domain, max_grid_size=24)
+    return {level.level: level for level in _native.cycle_work(mesh.native, 2, 2)}
+
+
+def test_copies_are_relaxed_as_far_as_sweeps_read_them():
+    """Whole slabs of copies, 5 cells deep, would make it 2.4 and 5 times the own cells."""
+    middle = max((cube(72, rank, 27) for rank in range(27)), key=lambda work: work[0].neighbours)
+    assert middle[0].cells == 24**3 and middle[0].neighbours == 26
+    assert middle[0].relaxed / middle[0].sweeps < 1.9 * middle[0].cells
+    assert middle[-1].relaxed / middle[-1].sweeps < 3.1 * middle[-1].cells
+    alone = cube(72, 0, 1)
+    assert all(level.relaxed == level.cells * level.sweeps for level in alone.values())
+
+
+def test_levels_of_few_cells_come_together_on_every_eighth_rank():
+    by_rank = [cube(192, rank, 512) for rank in range(0, 512, 7)]
+    assert {work[0].cells for work in by_rank} == {24**3}
+    assert {work[-1].cells for work in by_rank} == {12**3}
+    assert {(rank % 8 == 0, work[-2].cells) for rank, work in zip(range(0, 512, 7), by_rank, strict=True)} == {
+        (True, 12**3),
+        (False, 0),
+    }
+    assert {work[-3].cells for work in by_rank} <= {0, 12**3}
+    assert max(level.neighbours for work in by_rank for level in work.values()) <= 100

@@ -1,0 +1,94 @@
+"""What the plan of open walls comes to on ranks that do not exist: the mesh of the reference benchmark, charge in all cells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from amrpic import Domain, Field, Hierarchy
+from amrpic._native import FreeSpace, OpenWallPlans, traffic
+
+RANKS = (720, 2880, 13824)
+
+
+def first_boxes(hierarchy, ranks):
+    """Per level, where the run of boxes of each rank begins: about equally many cells each."""
+    out = []
+    for level in range(hierarchy.levels):
+        corners = hierarchy.boxes(level)
+        cells = np.prod(corners[:, 3:] - corners[:, :3] + 1, axis=1)
+        middle = np.cumsum(cells) - cells / 2
+        borders = cells.sum() * np.arange(1, ranks) / ranks
+        out.append([0, *np.searchsorted(middle, borders).tolist(), len(cells)])
+    return out
+
+
+@pytest.fixture(scope="module")
+def counts():
+    """Counts of 16 ranks spread over all, by number of ranks."""
+    n, centres = 576, np.linspace(-0.9, 0.9, 10) * 288 + 288
+
+    def around(half, level):
+        scale = 1 << level
+        lower = [np.maximum(np.array([x, x, 288]) - half, 0) * scale // 8 * 8 for x in centres]
+        return [(tuple(a.astype(int)), tuple((a + 2 * half * scale - 1).astype(int))) for a in lower]
+
+    domain = Domain((0, 0, 0), (1, 1, 1), (n,) * 3, "open")
+    hierarchy = Hierarchy(MPI.COMM_SELF, domain, [around(24, 1), around(16, 2)], max_grid_size=24, blocking_factor=8)
+    out = {}
+    for ranks in RANKS:
+        plans = OpenWallPlans(hierarchy.native, first_boxes(hierarchy, ranks))
+        out[ranks] = [plans.counts(int(rank)) for rank in np.linspace(0, ranks - 1, 16)]
+    return out
+
+
+def mean(counts, ranks, key):
+    return np.mean([found[key] for found in counts[ranks]])
+
+
+def slope(counts, key):
+    return np.polyfit(np.log(RANKS), np.log([mean(counts, ranks, key) for ranks in RANKS]), 1)[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "most"),
+    [
+        ("patches", -0.95),
+        ("far", -0.9),
+        ("near", -0.9),
+        ("leaves_received", -0.5),
+        ("nodes_received", -0.35),
+        ("bytes", -0.3),
+    ],
+)
+def test_work_and_bytes_of_a_rank_fall_with_the_ranks(counts, key, most):
+    assert slope(counts, key) < most
+
+
+def test_no_rank_meets_most_others(counts):
+    for ranks in RANKS[1:]:
+        assert max(found["messages"] for found in counts[ranks]) < 0.3 * ranks
+    assert max(found["messages"] for found in counts[13824]) < 1000
+    assert max(found["received_messages"] for found in counts[13824]) < 300
+
+
+def test_collectives_are_two_of_64_kb_at_most(counts):
+    for found in counts.values():
+        for of_rank in found:
+            assert len(of_rank["collectives"]) == 2
+            assert max(of_rank["collectives"]) <= 64 << 10
+
+
+@pytest.mark.mpi(ranks=(2, 3, 4))
+def test_counts_are_those_of_a_solve(comm):
+    domain = Domain((0, 0, 0), (1, 1, 1), (32,) * 3, "open")
+    hierarchy = Hierarchy(comm, domain, [[((0, 8, 8), (31, 39, 31))]], max_grid_size=12, blocking_factor=4)
+    rho = Field(hierarchy).fill(lambda x, y, z: 1 + x + 0 * y + 0 * z)
+    space = FreeSpace(hierarchy.native)
+    before = traffic()
+    space.walls(rho.native)
+    messages, sent, collectives = (b - a for a, b in zip(before, traffic(), strict=True))
+    expected = OpenWallPlans(hierarchy.native).counts(comm.rank)
+    assert (messages, collectives) == (expected["messages"], len(expected["collectives"]))
+    assert sent == expected["bytes"]

@@ -205,28 +205,11 @@ def _without_fields(rule: RuleKind, asked: list[str]) -> RuleKind:
     return ChargeDensityRule(relative=IN_PLACE, levels=getattr(rule, "levels", None))
 
 
-def particles_of_boxes(clouds: Sequence[Cloud], mesh: Hierarchy) -> list[np.ndarray]:
-    """Return how many particles live in each box of each level: in the finest box around them."""
-    densities, out = Densities(clouds, mesh), []
-    for level in range(mesh.levels):
-        numbers = np.zeros(len(mesh.boxes(level)))
-        for place, box in enumerate(densities.boxes[level]):
-            values = densities.box_values(level, place, lambda c: c.particles)
-            if level + 1 < mesh.levels:
-                values = values * (mesh.native.covered(level, int(box)) == 0)
-            numbers[box] = values.sum()
-        out.append(numbers)
-    return out
+def charged_regions(clouds: Sequence[Cloud], mesh: Hierarchy) -> list[tuple[list[float], list[float]]]:
+    """Return the lower and upper corners of where clouds are, in base cells."""
+    origin, h, cells = np.array(mesh.domain.lower), mesh.spacing(0), np.array(mesh.domain.cells)
 
+    def corner(x: np.ndarray) -> list[float]:
+        return np.clip((x - origin) / h, 0, cells).tolist()
 
-def sampled_places(scene: Scene, number: int) -> np.ndarray:
-    """Return places (n, 3) in m of about so many particles, each bunch in proportion to its own."""
-    trains = [bunch for bunch in scene.bunches if isinstance(bunch, Train)]
-    total = sum(bunch.number * bunch.copies for bunch in trains)
-    parts = []
-    for bunch in trains:
-        each = min(bunch.number, -(-number * bunch.number // max(total, 1)))
-        for index, place in enumerate(bunch.places()):
-            unit = bunch.unit(draw("random", scene.seed, index * each, 0, each))
-            parts.append(np.array(place) + np.array(bunch.rms) * unit[:3].T)
-    return np.concatenate(parts) if parts else np.empty((0, 3))
+    return [(corner(cloud.lower), corner(cloud.upper)) for cloud in clouds]

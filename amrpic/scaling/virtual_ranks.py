@@ -6,7 +6,7 @@ So counts come from the plans that a run uses; there is no second copy of them h
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,10 +27,11 @@ from ..scene.solver_options import SolverOptions
 from ..stages.deposit import deposit
 from ..stages.diagnostics import measure, moments
 from ..stages.gather import gather
-from ..stages.migrate import migrate
+from ..stages.migrate import NONE, is_uneven, migrate, migrate_without
 from ..stages.poisson import PoissonSolver
 from ..stages.push import push, random_walk
-from ..stages.regrid import Regridding, carry_over, regrid
+from ..stages.regrid import carry_over
+from .bricks import Served
 
 DENSITY = 1e-9  # C/m³, everywhere: any will do, since no answer is looked at
 CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "migrate", "output", "regrid")
@@ -64,30 +65,52 @@ def distributed(mesh: Hierarchy, ranks: int) -> Hierarchy:
     return Hierarchy(VirtualRank(0, ranks), mesh.domain, boxes, mesh.max_grid_size, mesh.blocking_factor)
 
 
-def sample(scene: Scene, number: int) -> tuple[Particles, float]:
-    """Return about so many particles of a scene, made as a run makes them, and how many of the run each stands for."""
-    total = scene.particle_count()
-    part = min(1.0, number / max(total, 1))
+def sample(scene: Scene, number: int) -> Particles:
+    """Return about so many particles of a scene, made as a run makes them."""
+    part = min(1.0, number / max(scene.particle_count(), 1))
     bunches = [
         bunch.model_copy(update={"particles": -int(-bunch.number * part // 1)}) if isinstance(bunch, Train) else bunch
         for bunch in scene.bunches
     ]
-    particles = make_particles(MPI.COMM_SELF, scene.model_copy(update={"bunches": bunches}))
-    return particles, total / max(len(particles), 1)
+    return make_particles(MPI.COMM_SELF, scene.model_copy(update={"bunches": bunches}))
 
 
-def counts(scene: Scene, mesh: Hierarchy, particles: Particles, each: float) -> dict[str, Sent]:
+def particles_of(rank: int, held: Served, mesh: Hierarchy, like: Particles, most: int) -> tuple[Particles, float]:
+    """Return about `most` particles in the bricks of which a rank serves some, and for how many of its own each stands.
+
+    They are spread evenly over each brick, with any ids, so that some of them are others'; momenta are those of `like`.
+    """
+    bricks = held.pairs[held.pairs[:, 1] == rank, 0]
+    inside = held.bricks.particles[bricks]
+    rng = np.random.default_rng(rank)
+    which = np.repeat(bricks, rng.poisson(inside * min(1.0, most / max(inside.sum(), 1.0))))
+    spacing = np.array([mesh.spacing(level) for level in range(mesh.levels)])[held.bricks.rows[which, 0]]
+    corners = held.bricks.cells[which]
+    cell = corners[:, :3] + rng.random((len(which), 3)) * (corners[:, 3:] - corners[:, :3] + 1)
+    taken = rng.integers(0, max(len(like), 1), len(which))
+    made = Particles(
+        np.array(mesh.domain.lower) + cell * spacing,
+        like.momentum[taken],
+        like.weight[taken],
+        rng.integers(0, max(int(like.id.max(initial=0)), 1), len(which), endpoint=True),
+        like.species,
+    )
+    mine, _ = migrate(made, mesh, held.servers)  # where the others go does not matter
+    return mine, float(held.particles[rank]) / max(len(mine), 1)
+
+
+def counts(scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndarray, other: Hierarchy) -> dict[str, Sent]:
     """Return what a virtual rank, that of the mesh, sends by each of CALLS.
 
     "cycle" is one cycle of the solver with the residual after it, "solve" all else that a solve sends, without what finds the
-    potential at open walls; "regrid" what a regrid to the same mesh sends; "migrate" what follows a step without forces.
-    `particles`, of all ranks, are a sample of which each stands for so many.
+    potential at open walls; "regrid" carries the potential over to the `other` mesh; "migrate" what follows a step without
+    forces, of `particles` of this rank. In "deposit" and "gather" is not what passes because of others' bricks: see `bricks`.
     """
     count, clouds = Counter(), Clouds(scene.particles.shape, matched=scene.particles.interface == "matched")
     none = particles.select(slice(0))
     with count("set-up"):
-        here, _ = migrate(none, mesh)
-        solver = PoissonSolver(mesh, options=_options(scene, cycles=0))
+        here, _ = migrate(none, mesh, servers)
+        solver = PoissonSolver(mesh, options=_options(scene, cycles=1))
     with count("deposit"):
         deposit(here, mesh, clouds)
     rho = Field(mesh)
@@ -95,23 +118,24 @@ def counts(scene: Scene, mesh: Hierarchy, particles: Particles, each: float) -> 
         rho.array(level)[:] = DENSITY
     with count("solve"):
         phi, _ = solver.solve(rho)
-    solver = PoissonSolver(mesh, options=_options(scene, cycles=1))
+    solver = PoissonSolver(mesh, options=_options(scene, cycles=2))
     with count("cycle"):
         phi, _ = solver.solve(rho)
     with count("gather"):
         efield = solver.deferred_field(phi, covered=clouds.covered)
         gather(efield, here, clouds)
-    mine, _ = migrate(particles, mesh)  # all that live here; where the others go does not matter
-    moved = _moved(scene, mine, efield, clouds)
+    moved = _moved(scene, particles, efield, clouds)
     with count("migrate"):
-        migrate(moved, mesh)
+        migrate_without(moved, mesh, NONE, servers)
+        is_uneven(mesh.comm, 0)
     with count("output"):
-        measure(here, moments(MPI.COMM_SELF, here), none, rho, phi, efield, {})  # what moments gather is not counted
+        measure(here, moments(mesh.comm, here), none, rho, phi, efield, {})
     with count("regrid"):
-        settings = Regridding(mesh.levels, scene.refinement.buffer, scene.refinement.nesting)
-        regrid(mesh, [], settings, [mesh.boxes(level) for level in range(1, mesh.levels)])
-        carry_over(phi, mesh)
-    return _by_cycle(count.sent, each)
+        carry_over(phi, other)
+    one, two = (count.sent[call].traffic for call in ("solve", "cycle"))
+    count.sent["solve"] = replace(count.sent["solve"], traffic=one - (two - one))
+    count.sent["cycle"] = replace(count.sent["cycle"], traffic=two - one)
+    return count.sent
 
 
 def _moved(scene: Scene, particles: Particles, efield: VectorField, clouds: Clouds) -> Particles:
@@ -128,12 +152,18 @@ def _options(scene: Scene, cycles: int) -> SolverOptions:
     return scene.solver.model_copy(update={"tolerance": 1e-300, "max_cycles": cycles})
 
 
-def _by_cycle(sent: Mapping[str, Sent], each: float) -> dict[str, Sent]:
-    """Return the same where "cycle" is what a solve of one cycle sends beyond one of none."""
-    out, leave = dict(sent), sent["migrate"]
-    out["cycle"] = replace(sent["cycle"], traffic=sent["cycle"].traffic - sent["solve"].traffic)
-    out["migrate"] = replace(leave, traffic=replace(leave.traffic, bytes=int(leave.traffic.bytes * each)))
-    return out
+def moved_on(mesh: Hierarchy) -> Hierarchy:
+    """Return the mesh with its refined boxes one block further along x, as a regrid may find them; the mesh itself where they
+    would leave the domain."""
+    step, out = mesh.blocking_factor, []
+    for level in range(1, mesh.levels):
+        boxes = mesh.boxes(level).copy()
+        boxes[:, [0, 3]] += step << (level - 1)
+        out.append(boxes)
+    leaves = [boxes[:, 3].max() >= mesh.domain.cells[0] << level for level, boxes in enumerate(out, start=1)]
+    if not out or any(leaves):
+        return mesh
+    return Hierarchy(mesh.comm, mesh.domain, out, mesh.max_grid_size, mesh.blocking_factor)
 
 
 def without_open_walls(mesh: Hierarchy) -> Hierarchy:

@@ -54,7 +54,7 @@ def migrate_without(
     weight = particles.one_weight(comm)
     given = particles if weight is not None else particles.with_own_weights()
     plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
-    if evenly and _is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
+    if evenly and is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
         servers = shared_out_by_work(particles, hierarchy)
         plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
     here = Particles.allocate(plan.arriving, particles.species, weight)
@@ -75,7 +75,7 @@ PAIR = MPI.INT64_T.Create_contiguous(2).Commit()  # so that no pair is cut in tw
 LARGEST_AND_SUM = MPI.Op.Create(_largest_and_sum, commute=True)
 
 
-def _is_uneven(comm: MPI.Comm, work: int) -> bool:
+def is_uneven(comm: MPI.Comm, work: int) -> bool:
     """Return whether a rank has too much of the work of all, in particles. Collective."""
     found = np.array([work, work], dtype=np.int64)
     comm.Allreduce(MPI.IN_PLACE, [found, 1, PAIR], LARGEST_AND_SUM)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..errors import InputError
-from ..scaling.measured import by_kind, medians
+from ..scaling.measure import CLOCKS
+from ..scaling.measured import Measured, by_kind, medians
 from ..scaling.show import stage_table, table, write
 from ..scaling.study import KINDS, LAUNCHER, Study
 from .arguments import Commands, command, count, scene_arguments, scene_of
@@ -52,6 +53,15 @@ def add(commands: Commands) -> None:
         help="show what earlier starts and batch jobs have measured, and start nothing",
     )
     scaling.add_argument(
+        "--clock",
+        choices=CLOCKS,
+        default="wall",
+        help="measure by the clock on the wall, or by that of the processor where others use the machine",
+    )
+    scaling.add_argument(
+        "--predict", metavar="NAME", help="show the model with the constants of a machine beside what was measured"
+    )
+    scaling.add_argument(
         "--plan", type=_list, metavar="N,N,...", help="count and model a step on so many ranks that need not exist"
     )
     scaling.add_argument(
@@ -76,7 +86,7 @@ def _scaling(chosen: argparse.Namespace) -> int:
     if chosen.plan is not None:
         return _plan(chosen, folder)
     kinds = KINDS if chosen.kind is None else (chosen.kind,)
-    study = Study(chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher)
+    study = Study(chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher, chosen.clock)
     if chosen.sbatch is not None:
         for path in study.write_jobs(chosen.sbatch, chosen.repeat):
             print(f"sbatch {path}")
@@ -91,7 +101,19 @@ def _scaling(chosen: argparse.Namespace) -> int:
     for runs in by_kind(found).values():
         print(f"\n{runs[-1].kind}, {runs[-1].ranks} ranks", *columns(stage_table(runs[-1])), sep="\n")
     print(*write(found, folder), sep="\n")
+    if chosen.predict is not None:
+        _predict(chosen, found)
     return 0
+
+
+def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> None:
+    from ..scaling.machine import Machine
+    from ..scaling.plan import Planner
+    from ..scaling.predict import predicted
+
+    machine, strong = Machine.read(chosen.predict), [one for one in found if one.kind == "strong"]
+    rows, worst = predicted(Planner(scene_of(chosen), _progress()), strong, machine)
+    print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
 
 
 def _calibrate(launcher: str, path: Path) -> int:

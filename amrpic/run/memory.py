@@ -70,17 +70,16 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
 
 
 def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, held: Share) -> float:
-    """Return the bytes of `run_memory` that one rank takes which holds a share of cells and particles; rank 0 draws, and
-    files are held by those that write."""
+    """Return the bytes of `run_memory` that one rank takes which holds a share of cells and particles.
+
+    Rank 0 draws, from what each rank rasters; writers hold what is on its way into files.
+    """
     parts = run_memory(scene, boxes, particles, ranks)
     group = group_of(_groups(scene, boxes, particles, ranks), held.rank)
     parts["files"] = _buffers(scene, particles, group) if held.rank == group.start else 0
-    of_all = {
-        "processes": 1 / ranks,
-        "particles": held.particles / max(particles, 1),
-        "files": 1.0,
-        "pictures": float(held.rank == 0),
-    }
+    if parts["pictures"] > 0:
+        parts["pictures"] = _rasters(scene) + (DRAWING if held.rank == 0 else 0)
+    of_all = {"processes": 1 / ranks, "particles": held.particles / max(particles, 1), "files": 1, "pictures": 1}
     cells = held.cells / max(sum(int(cells_of(level).sum()) for level in boxes), 1)
     return sum(size * of_all.get(what, cells) for what, size in parts.items())
 

@@ -15,13 +15,15 @@ from .. import _native
 from ..mesh.boxes import Array
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
-from ..stages.migrate import BRICK_COST, share_out
+from ..stages.migrate import brick_cost, share_out
 from .densities import Cloud, Densities
+from .sent import Sent
 
 SIZE = 8  # cells per axis of a brick
 FEWEST = 0.5  # particles of a brick that counts
 NUMBER = 8  # bytes
 HOME = 12  # bytes by which a brick is named in a message
+ANNOUNCED = 3  # messages with charge: how many bricks, which, and their values
 
 
 @dataclass(frozen=True)
@@ -77,22 +79,58 @@ class Served:
 
 @dataclass(frozen=True)
 class Exchange:
-    """What each rank, a row of (ranks, 2), sends in messages and bytes: values between servers and owners of cells."""
+    """What servers of particles and owners of cells send each other, for each two ranks of which one serves what the other owns.
 
-    deposit: Array  # of charge, and of which bricks it is
-    gather: Array  # of the field
+    Charge goes to the owner, behind a list of bricks and an announcement of it, the field to the server.
+    """
 
-    def traffic(self, call: str, rank: int) -> Traffic:
-        """Return what a rank sends by "deposit" or "gather"; the collective of the announcement is counted elsewhere."""
-        messages, size = getattr(self, call)[rank]
-        return Traffic(int(messages), int(size), 0)
+    ranks: int
+    server: Array  # (n,)
+    owner: Array  # (n,)
+    names: Array  # (n,) bricks in the list
+    cells: Array  # (n,) in the windows around these
+
+    @property
+    def messages(self) -> Array:
+        """Those that each rank sends, (ranks,)."""
+        return ANNOUNCED * np.bincount(self.server, minlength=self.ranks) + np.bincount(self.owner, minlength=self.ranks)
+
+    def deposit(self, rank: int) -> Sent:
+        """Return what a rank sends of charge; the collective of the announcement is counted elsewhere."""
+        mine = self.server == rank
+        return _sent(ANNOUNCED, self.owner[mine], self._charge[mine])
+
+    def gather(self, rank: int) -> Sent:
+        """Return what a rank sends of the field."""
+        mine = self.owner == rank
+        return _sent(1, self.server[mine], self._field[mine])
+
+    def leaving(self, call: str, ranks_per_node: int) -> float:
+        """Return the most bytes that leave a node by "deposit" or "gather"."""
+        server, owner = self.server // ranks_per_node, self.owner // ranks_per_node
+        node, size = (server, self._charge) if call == "deposit" else (owner, self._field)
+        return float(np.bincount(node, size * (server != owner)).max(initial=0.0))
+
+    @property
+    def _charge(self) -> Array:
+        return NUMBER + HOME * self.names + NUMBER * self.cells
+
+    @property
+    def _field(self) -> Array:
+        return 3 * NUMBER * self.cells
+
+
+def _sent(messages: int, to: Array, size: Array) -> Sent:
+    traffic = Traffic(messages * len(to), int(size.sum()), 0)
+    return Sent(traffic, dict(zip(to.tolist(), size.tolist(), strict=True)))
 
 
 def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
     """Return who serves the particles on the ranks of a mesh, shared out by work as after a regrid. Local on virtual ranks."""
     ranks = mesh.comm.size
     places, parts = _native.brick_windows(mesh.native, bricks.rows, matched)
-    servers = share_out(mesh.comm, places, np.rint(bricks.particles).astype(np.int64) + BRICK_COST)
+    counts = np.rint(bricks.particles).astype(np.int64)
+    servers = share_out(mesh.comm, places, counts + brick_cost(mesh.comm, counts))
     inner = servers[1:-1]
     first, last = (np.searchsorted(inner, places + more, side="right") for more in (0, _native.PLACES_PER_BRICK - 1))
     brick = np.repeat(np.arange(len(places)), last - first + 1)
@@ -122,14 +160,8 @@ def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array) -> Exchan
     values = np.bincount(member, parts[row, 3], len(meetings))
     named = np.unique(pair * ranks + owner)  # a brick is named once to each owner of cells around it
     names = np.searchsorted(meetings, server[named // ranks] * ranks + named % ranks)
-    size = NUMBER + HOME * np.bincount(names, minlength=len(meetings)) + NUMBER * values
-    servers, owners = meetings // ranks, meetings % ranks
-    announced = 3  # messages: how many bricks, which, and their values
-
-    def of_ranks(rank: Array, messages: int, size: Array) -> Array:
-        return np.column_stack([messages * np.bincount(rank, minlength=ranks), np.bincount(rank, size, ranks)])
-
-    return Exchange(of_ranks(servers, announced, size), of_ranks(owners, 1, 3 * NUMBER * values))
+    named_of = np.bincount(names, minlength=len(meetings))
+    return Exchange(ranks, meetings // ranks, meetings % ranks, named_of, values.astype(np.int64))
 
 
 def _owners(mesh: Hierarchy, levels: Array, boxes: Array) -> Array:

@@ -1,4 +1,7 @@
-"""The constants of this machine: a few small runs on one rank and on all cores at once, and messages between two ranks."""
+"""The constants of this machine: a few small runs on one rank and on all cores at once, and messages between two ranks.
+
+Constants are fitted to the work of each run by its plan, the medians of steps by the clock of the processor.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +21,10 @@ from mpi4py import MPI
 
 from ..errors import InputError
 from .machine import Machine, Network, Work
-from .measured import Run
-from .model import STAGES, fitted
+from ..scene.scene import Scene
+from .measured import Measured, Run, medians
+from .model import OF_WORK, STAGES, Amounts, fitted, parts_of
+from .plan import Plan, Planner
 
 SCENE = """
 name = "calibration"
@@ -55,24 +61,28 @@ SIZES = (  # cells, levels, particles, tolerance: each varied against the others
     (64, 2, 1_000_000, 1e-3),
     (128, 1, 500_000, 1e-5),
 )
-STEPS = 6
+STEPS = 10
+CLOCK = "processor"
 
 
-def calibrate(launcher: str, repeat: int = 2, say: Callable[[str], None] = lambda text: None) -> Machine:
+def calibrate(launcher: str, repeat: int = 3, say: Callable[[str], None] = lambda text: None) -> Machine:
     """Return this machine. Raises InputError if ranks cannot be started."""
     cores = len(os.sched_getaffinity(0))
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
         found: dict[int, list[Run]] = {1: [], cores: []}
+        plans: list[Plan] = []
         for turn in range(repeat):
             for number, size in enumerate(SIZES):
                 cells, levels, particles, tolerance = size
                 scene = Path(folder) / f"scene_{number}.toml"
                 text = SCENE.format(cells=cells, levels=levels, particles=particles, tolerance=tolerance)
                 scene.write_text(text, encoding="utf-8")
+                if turn == 0:
+                    plans.append(Planner(Scene.from_toml(scene)).plan(1))
                 for ranks in found:
                     say(f"run {turn + 1} of {repeat}, size {number + 1} of {len(SIZES)}, {ranks} at once")
                     output = Path(folder) / f"{turn}_{number}_{ranks}.json"
-                    _start(launcher, ranks, "measure", output, scene, "alone", f"{number}", STEPS)
+                    _start(launcher, ranks, "measure", output, scene, "alone", f"{number}", STEPS, CLOCK)
                     found[ranks].append(Run.read(output))
         say("messages between two ranks")
         output = Path(folder) / "network.txt"
@@ -82,8 +92,8 @@ def calibrate(launcher: str, repeat: int = 2, say: Callable[[str], None] = lambd
         platform.node() or "this machine",
         f"measured by amrpic scaling --calibrate on {cores} cores of {_processor()}, ranks on one node",
         Network(float(latency), float(cores / per_byte), cores, float(collective)),
-        _fits(found[cores]),
-        _fits(found[1]),
+        _fits(found[cores], plans),
+        _fits(found[1], plans),
     )
 
 
@@ -106,34 +116,26 @@ def _processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
-def _fits(runs: Sequence[Run]) -> dict[str, Work]:
-    """Return the constants of each stage that come nearest to the shortest that runs of several sizes took."""
-    sizes = [[run for run in runs if run.scene == name] for name in sorted({run.scene for run in runs})]
+def _fits(runs: Sequence[Run], plans: Sequence[Plan]) -> dict[str, Work]:
+    """Return the constants of each stage that come nearest to the medians of runs, named by the numbers of their plans."""
+    found = [(int(name), medians([run for run in runs if run.scene == name])[0]) for name in {run.scene for run in runs}]
     out = {}
     for stage in STAGES:
-        seconds = np.array([shortest(of, stage) for of in sizes])
-        taken = seconds > 0
-        if taken.any():
-            amounts = np.array([_amounts(of[0], stage) for of in sizes])
-            out[stage] = Work(*fitted(amounts[taken], seconds[taken]).tolist())
+        parts = parts_of(stage)
+        taken = [(amounts_of(one, plans[number]), one.stages[stage].most) for number, one in found if stage in one.stages]
+        taken = [(amounts, seconds) for amounts, seconds in taken if seconds > 0]
+        if taken:
+            rows = np.array([[1.0, *(getattr(amounts, what) for what in parts)] for amounts, _ in taken])
+            call, *each = fitted(rows, np.array([seconds for _, seconds in taken])).tolist()
+            out[stage] = Work(call, **{OF_WORK[what]: value for what, value in zip(parts, each, strict=True)})
     return out
 
 
-def shortest(runs: Sequence[Run], stage: str) -> float:
-    """Return the least seconds of a stage on its slowest rank over all steps: others may have used the machine in the rest."""
-    return min((step[stage].most for run in runs for step in run.steps if stage in step), default=0.0)
-
-
-def _amounts(one: Run, stage: str) -> list[float]:
-    """Return by what the constants of `Work` are multiplied; zero for those that have no part in a stage."""
-    of_solve, at_walls = stage == "solve", stage == "open walls"
-    return [
-        1.0,
-        0.0 if at_walls else float(one.cells),
-        one.cells * float(np.median(one.cycles)) if of_solve else 0.0,
-        0.0 if of_solve or at_walls else float(one.particles),
-        float(one.wall_cells) if at_walls else 0.0,
-    ]
+def amounts_of(one: Measured, plan: Plan) -> Amounts:
+    """Return what a run had to do, on the mesh and with the cycles that were measured."""
+    of_plan = Amounts.of(plan, one.cycles)
+    grown = one.cells / float(plan.cells.sum())
+    return replace(of_plan, cells=of_plan.cells * grown, swept=of_plan.swept * grown)
 
 
 def ping_pong(comm: MPI.Comm, seconds: float = 0.3) -> tuple[float, float, float]:

@@ -15,14 +15,15 @@ FOLDER = Path(__file__).parent / "machines"
 
 @dataclass(frozen=True)
 class Work:
-    """Seconds of a stage: once per step, per cell of a rank, per cell and cycle, per particle of a rank, and per base cell at
-    open walls."""
+    """Seconds of a stage: once per step, per cell of a rank, per cell and cycle, per particle of a rank, per patch of ghosts
+    behind open walls, and per interaction of a patch with what holds charge."""
 
     call: float = 0.0
     cell: float = 0.0
     cycle: float = 0.0
     particle: float = 0.0
-    wall: float = 0.0
+    patch: float = 0.0
+    interaction: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import resource
 import shutil
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -27,31 +27,38 @@ from .measured import WALLS, Run, Stage
 UNCOUNTED = 1  # first steps, in which memory is touched for the first time
 
 
-def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name: str = "") -> Run:
+CLOCKS: Mapping[str, Callable[[], float]] = {"wall": time.perf_counter, "processor": time.process_time}
+
+
+def measure(
+    comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name: str = "", clock: str = "wall"
+) -> Run:
     """Return what so many steps of a run take, after the uncounted first ones, with all that the scene writes. Collective.
 
-    Files go into the scene's folder. What a step writes counts for the next one; what the end writes stands apart.
+    Files go into the scene's folder. What a step writes counts for the next one; what the end writes stands apart. By the clock
+    of the "processor" the time in which others use it does not count, nor what a rank waits for another without polling.
     """
-    comm = own(comm)
+    comm, now = own(comm), CLOCKS[clock]
     run = Simulation(comm, _with_steps(scene, UNCOUNTED + steps))
+    run.clock.now = now
     seconds: list[float] = []
     stages: list[dict[str, Stage]] = []
     cycles: list[int] = []
-    since = time.perf_counter()
+    since = now()
 
     def step_over(of: Simulation) -> None:
         nonlocal since
-        taken = time.perf_counter() - since
+        taken = now() - since
         if of.step > UNCOUNTED:
             seconds.append(comm.allreduce(taken, op=MPI.MAX))
             stages.append(over_ranks(comm, _with_walls(of.state.spent, of.report.seconds)))
             cycles.append(of.report.cycles)
         comm.Barrier()
-        since = time.perf_counter()
+        since = now()
 
     run.on_step(step_over)
     run.run()
-    end = comm.allreduce(time.perf_counter() - since, op=MPI.MAX)
+    end = comm.allreduce(now() - since, op=MPI.MAX)
     mesh, number = run.hierarchy, len(run.particles)
     total = run.particles.global_count(comm)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
@@ -61,7 +68,6 @@ def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name
         name,
         sum(mesh.cells(level) for level in range(mesh.levels)),
         total,
-        wall_cells(mesh),
         cell_imbalance(mesh),
         comm.allreduce(number, op=MPI.MAX) * comm.size / total if total else 1.0,
         _spread(comm, np.array([memory]))[0],
@@ -79,18 +85,11 @@ def _with_steps(scene: Scene, steps: int) -> Scene:
 
 def _with_walls(spent: Mapping[str, Spent], of_solve: Mapping[str, float]) -> dict[str, Spent]:
     """Return what stages spent, with the open walls' part of the latest solve as a stage of its own; messages stay."""
-    seconds = of_solve.get("open boundary", 0.0)
-    if seconds == 0 or "solve" not in spent:
+    part = of_solve.get("open boundary", 0.0) / max(sum(of_solve.values()), 1e-300)
+    if part == 0 or "solve" not in spent:
         return dict(spent)
+    seconds = part * spent["solve"].seconds  # by whatever clock
     return {**spent, "solve": spent["solve"] - Spent(seconds), WALLS: Spent(seconds)}
-
-
-def wall_cells(mesh: Hierarchy) -> int:
-    """Return the number of base cells at open walls."""
-    cells = np.array(mesh.domain.cells)
-    return int(
-        sum(cells.prod() // cells[axis] * faces.count("open") for axis, faces in enumerate(mesh.domain.boundary))
-    )
 
 
 def _spread(comm: MPI.Comm, values: np.ndarray) -> list[tuple[float, float, float]]:
@@ -138,6 +137,7 @@ def main() -> int:
     for name in ("output", "scene", "kind", "name"):
         parser.add_argument(name)
     parser.add_argument("steps", type=int)
+    parser.add_argument("clock", choices=CLOCKS)
     parser.add_argument("overrides", nargs="*")
     given = parser.parse_args()
     world = MPI.COMM_WORLD
@@ -147,7 +147,7 @@ def main() -> int:
     try:
         with together(world, InputError):
             scene = Scene.from_toml(given.scene, [*given.overrides, f"output.directory={folder}"])
-        found = measure(comm, scene, given.steps, given.kind, given.name)
+        found = measure(comm, scene, given.steps, given.kind, given.name, given.clock)
         if world.rank == 0:
             found.write(Path(given.output))
     except Exception as failure:

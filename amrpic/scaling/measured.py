@@ -38,7 +38,6 @@ class Run:
     scene: str  # what the scene is known by: see `study.name_of`
     cells: int  # of all levels
     particles: int
-    wall_cells: int  # base cells at open walls
     cell_imbalance: float  # Σ_l max ÷ Σ_l mean over ranks of the cells of level l: levels are visited in turn
     particle_imbalance: float  # max ÷ mean over ranks
     memory: tuple[float, float, float]  # bytes of a rank at its fullest: least, mean, most
@@ -74,7 +73,6 @@ class Measured:
     ranks: int
     cells: int
     particles: int
-    wall_cells: int
     cell_imbalance: float
     particle_imbalance: float
     memory: tuple[float, float, float]
@@ -102,7 +100,6 @@ class Measured:
             first.ranks,
             first.cells,
             first.particles,
-            first.wall_cells,
             first.cell_imbalance,
             first.particle_imbalance,
             _each(max, [run.memory for run in runs]),

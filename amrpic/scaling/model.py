@@ -1,12 +1,13 @@
 """The time of a step on ranks that do not exist: work of the slowest rank, messages of the busiest one, collectives.
 
-A stage takes, with n cells of level l on a rank, p particles, w base cells at open walls and c cycles
+A stage takes, with n cells of level l on a rank, p particles, w patches at open walls with i interactions, and c cycles that
+relax the cells s (halos and multigrid levels included, less those that one rank with all cells relaxes besides)
 
-    t = call + Σ_l max n_l (cell + c cycle) + max p particle + w wall + m latency
-        + b ranks per node / bandwidth + k log₂(ranks) collective
+    t = call + Σ_l max n_l cell + c s cycle + max p particle + max w patch + max i interaction
+        + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
 
-with its m messages, b bytes and k collectives. Maxima are over ranks; levels are visited in turn.
-No message overlaps with work.
+with its m messages, k collectives, and b bytes that leave its node, or on one node the rank. Maxima are over ranks; all ranks
+of a node send at the same time; levels are visited in turn. No message overlaps with work.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -26,7 +28,7 @@ STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
     "migrate": (("migrate", False),),
     "deposit": (("deposit", False),),
     "solve": (("solve", False), ("cycle", True)),
-    "open walls": (),
+    "open walls": (("open walls", False),),
     "gather": (("gather", False),),
     "output": (("output", False),),
 }
@@ -46,42 +48,59 @@ class Time:
         return self.work + self.messages + self.collectives
 
 
-def step_time(
-    plan: Plan, machine: Machine, cycles: float, *, balanced_particles: bool = False, shared_walls: bool = False
-) -> dict[str, Time]:
-    """Return the time of each stage of a step with so many cycles per solve.
+@dataclass(frozen=True)
+class Amounts:
+    """By what the constants of `Work` are multiplied."""
 
-    `balanced_particles`: as if each rank had its share of the particles; `shared_walls`: as if ranks shared the work of finding
-    the potential at open walls.
-    """
-    cells = float(plan.cells.max(axis=1).sum())
-    particles = float(plan.particles.mean() if balanced_particles else plan.particles.max())
-    walls = plan.wall_cells / (plan.ranks if shared_walls else 1)
-    stages = machine.work(plan.ranks)
-    return {
-        name: Time(
-            _work(stages.get(name, Work()), cells, particles, walls, cycles),
-            *_messages(plan, machine.network, calls, cycles),
+    cells: float
+    swept: float  # cells, times cycles
+    particles: float
+    patches: float
+    interactions: float
+
+    @classmethod
+    def of(cls, plan: Plan, cycles: float) -> Self:
+        return cls(
+            float(plan.cells.max(axis=1).sum()), plan.swept_cells * cycles, float(plan.particles.max()), *plan.wall_work
         )
+
+
+# What has a part in the time of each stage, besides its call; open walls stand apart from the solve.
+PARTS: Mapping[str, Sequence[str]] = {
+    "solve": ("swept",),
+    "open walls": ("cells", "patches", "interactions"),
+}
+OF_WORK = {"cells": "cell", "swept": "cycle", "particles": "particle", "patches": "patch", "interactions": "interaction"}
+
+
+def parts_of(stage: str) -> Sequence[str]:
+    """Return the amounts that a stage's work grows with."""
+    return PARTS.get(stage, ("cells", "particles"))
+
+
+def step_time(plan: Plan, machine: Machine, cycles: float, amounts: Amounts | None = None) -> dict[str, Time]:
+    """Return the time of each stage of a step with so many cycles per solve; `amounts` may stand for those of the plan."""
+    found, stages = amounts or Amounts.of(plan, cycles), machine.work(plan.ranks)
+    return {
+        name: Time(_work(stages.get(name, Work()), found), *_messages(plan, machine.network, calls, cycles))
         for name, calls in STAGES.items()
     }
 
 
-def _work(work: Work, cells: float, particles: float, walls: float, cycles: float) -> float:
-    each_cell = work.cell + cycles * work.cycle
-    return work.call + cells * each_cell + particles * work.particle + walls * work.wall
+def _work(work: Work, amounts: Amounts) -> float:
+    return work.call + sum(getattr(amounts, what) * getattr(work, constant) for what, constant in OF_WORK.items())
 
 
 def _messages(plan: Plan, network: Network, calls: Sequence[tuple[str, bool]], cycles: float) -> tuple[float, float]:
     if plan.ranks == 1:
         return 0.0, 0.0
-    per_byte = min(network.ranks_per_node, plan.ranks) / network.bandwidth
+    here = min(network.ranks_per_node, plan.ranks)
     messages = collectives = 0.0
     for call, is_of_cycle in calls:
         times = cycles if is_of_cycle else 1.0
-        sent = [of[call].traffic for of in plan.sent]
-        messages += times * max(t.messages * network.latency + t.bytes * per_byte for t in sent)
-        collectives += times * max(t.collectives for t in sent) * math.log2(plan.ranks) * network.collective
+        leaving = plan.leaving(call, here) if plan.ranks > here else here * plan.most(call, "bytes")
+        messages += times * (plan.most(call, "messages") * network.latency + leaving / network.bandwidth)
+        collectives += times * plan.most(call, "collectives") * math.log2(plan.ranks) * network.collective
     return messages, collectives
 
 

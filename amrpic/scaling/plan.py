@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +19,11 @@ from ..run.memory import Share, cells_below, placing_bytes, rank_memory
 from ..run.restart import FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
-from .bricks import Bricks, Served, bricks_of, served
+from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
 from .measure import cells_of_ranks
+from .sent import Sent
 from .virtual_ranks import (
-    Sent,
     chosen_ranks,
     counts,
     distributed,
@@ -34,14 +36,25 @@ from .virtual_ranks import (
 SAMPLE = 10**5  # particles of a scene of which momenta are taken
 MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
 LOOKED_AT = 24  # ranks of which messages are counted
+NODE = 36  # ranks of a node of which all are looked at
 
 
 @dataclass(frozen=True)
 class Walls:
     """What the potential at open walls takes of a rank that was looked at."""
 
-    interactions: int  # of patches with nodes and leaves, evaluated
+    patches: int  # of 8 x 8 ghosts, and larger ones, evaluated
+    interactions: int  # of these with nodes and leaves
     traffic: Traffic
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was counted of one rank."""
+
+    sent: dict[str, Sent]  # by call
+    relaxed: dict[int, tuple[float, int]]  # cells and sweeps of a cycle, by level, those below the base negative
+    walls: Walls
 
 
 @dataclass(frozen=True)
@@ -63,12 +76,13 @@ class Plan:
     memory: Array  # (ranks,) bytes at the fullest
     start_memory: Array  # (ranks,) bytes while particles are made and placed
     checkpoint: list[Load]  # of each writer
-    looked_at: list[int]  # ranks of which messages are counted: the heaviest, and others at even distances
+    looked_at: list[int]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
+    nodes: list[range]  # ranks of these nodes
     relaxed: float  # Σ_l max over these of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank
     walls: list[Walls]  # of these
-    all_interactions: int  # of open walls, on all ranks together, from those that were looked at
     without: Choices
+    exchange: Exchange  # between servers of particles and owners of cells
 
     @property
     def cell_imbalance(self) -> float:
@@ -86,9 +100,9 @@ class Plan:
         return float(self.cells.sum()) * self.relaxed
 
     @property
-    def interactions(self) -> int:
-        """The most of a rank at open walls."""
-        return max(one.interactions for one in self.walls)
+    def wall_work(self) -> tuple[float, float]:
+        """The most patches and interactions of a rank at open walls."""
+        return float(max(one.patches for one in self.walls)), float(max(one.interactions for one in self.walls))
 
     def most(self, call: str, what: str) -> float:
         """Return the most of messages, bytes or collectives by a call, over the ranks that were looked at."""
@@ -96,12 +110,34 @@ class Plan:
 
     def neighbours(self) -> int:
         """Return the most ranks that one sends to in a cycle."""
-        return max(of["cycle"].neighbours for of in self.sent)
+        return max(len(of["cycle"].to) for of in self.sent)
+
+    def leaving(self, call: str, ranks_per_node: int) -> float:
+        """Return the most bytes that leave a node by a call, of those that were looked at, as if they had so many ranks; of what
+        servers of particles and owners of cells send each other, of all nodes."""
+        shared = {"deposit": self.exchange.deposit, "gather": self.exchange.gather}.get(call)
+        each = {
+            rank: (of[call] - shared(rank) if shared else of[call]).leaving(rank, ranks_per_node)
+            for rank, of in zip(self.looked_at, self.sent, strict=True)
+        }
+        busiest = max(sum(each[rank] for rank in node) / len(node) for node in self.nodes)
+        return ranks_per_node * busiest + (self.exchange.leaving(call, ranks_per_node) if shared else 0.0)
 
 
 def imbalance(cells: Array) -> float:
     """Return Σ_l max ÷ Σ_l mean over ranks of cells (levels, ranks): levels are visited in turn."""
     return float(cells.max(axis=1).sum() / cells.mean(axis=1).sum())
+
+
+def has_open_walls(mesh: Hierarchy) -> bool:
+    return any("open" in faces for faces in mesh.domain.boundary)
+
+
+def walls_of(found: Mapping[str, Any]) -> Walls:
+    """Return what `OpenWallPlans.counts` gives of a rank; what collectives bring counts as bytes."""
+    collectives = found["collectives"]
+    traffic = Traffic(found["messages"], found["bytes"] + sum(collectives), len(collectives))
+    return Walls(found["patches"], found["far"] + found["near"], traffic)
 
 
 class Planner:
@@ -128,23 +164,24 @@ class Planner:
         mesh = distributed(self.mesh, ranks)
         closed, cells = without_open_walls(mesh), cells_of_ranks(mesh)
         held = served(self._on(mesh), mesh, scene.particles.interface == "matched")
-        talks = held.exchange.deposit[:, 0] + held.exchange.gather[:, 0]
-        chosen = chosen_ranks(np.vstack([cells, held.particles, talks]), looked_at)
-        other, walls_of = moved_on(closed), self._walls(mesh)
-        sent, walls, sweeps = [], [], []
-        for number, rank in enumerate(chosen, start=1):
-            self._say(f"{ranks} ranks: messages of rank {rank}, {number} of {len(chosen)}")
-            seen = closed.seen_by(rank)
-            mine, each = particles_of(rank, held, seen, self._sample, MOVED)
-            found = counts(scene, seen, mine, held.servers, other.seen_by(rank))
-            found["migrate"] = _standing_for(found["migrate"], each)
-            for call in ("deposit", "gather"):
-                more = held.exchange.traffic(call, rank)
-                found[call] = replace(found[call], traffic=found[call].traffic + more)
-            sent.append(found)
-            walls.append(walls_of(rank))
-            found["open walls"] = Sent(walls[-1].traffic)
-            sweeps.append(self._sweeps(seen))
+        chosen = chosen_ranks(np.vstack([cells, held.particles, held.exchange.messages]), looked_at)
+        other, walls_at = moved_on(closed), self._walls(mesh)
+        looks: dict[int, Look] = {}
+
+        def look(rank: int) -> Look:
+            if rank not in looks:
+                self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
+                looks[rank] = self._look(closed.seen_by(rank), held, other.seen_by(rank), walls_at(rank))
+            return looks[rank]
+
+        nodes = []
+        for call in ("cycle", "migrate") if ranks > NODE else ():
+            busiest = max(chosen, key=lambda rank: look(rank).sent[call].leaving(rank, NODE))
+            first = busiest // NODE * NODE
+            nodes.append(range(first, min(first + NODE, ranks)))
+        for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
+            look(rank)
+        looked_at, found = list(looks), list(looks.values())
         return Plan(
             ranks,
             cells,
@@ -152,12 +189,13 @@ class Planner:
             held.particles,
             *self._memory(mesh, cells, held),
             self._checkpoint(cells, held),
-            chosen,
-            sent,
-            sum(max(found.get(level, 0.0) for found in sweeps) for level in self._all_levels) / self._all_sweeps(sweeps),
-            walls,
-            round(sum(one.interactions for one in walls) / len(chosen) * ranks),
+            looked_at,
+            [one.sent for one in found],
+            nodes or [range(ranks)],
+            self._relaxed([one.relaxed for one in found]),
+            [one.walls for one in found],
             self._without(mesh, held),
+            held.exchange,
         )
 
     def _on(self, mesh: Hierarchy) -> Bricks:
@@ -165,40 +203,34 @@ class Planner:
         same = all(np.array_equal(mesh.boxes(level), self.mesh.boxes(level)) for level in range(mesh.levels))
         return self._bricks if same else bricks_of(self._clouds, mesh)
 
-    # ---- the cycle ----
-
-    @property
-    def _all_levels(self) -> range:
-        return range(-len(cells_below(self.scene)), self.mesh.levels)
-
-    def _sweeps(self, mesh: Hierarchy) -> dict[int, float]:
-        """Return the cells that a rank relaxes in a cycle on each level, below the base by negative numbers."""
-        solver = self.scene.solver
+    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls) -> Look:
+        """Return what a virtual rank, that of the mesh, sends and relaxes."""
+        rank, solver = mesh.comm.rank, self.scene.solver
+        mine, each = particles_of(rank, held, mesh, self._sample, MOVED)
+        sent = counts(self.scene, mesh, mine, held.servers, other)
+        sent["migrate"] = sent["migrate"].times(each)
+        sent["deposit"] += held.exchange.deposit(rank)
+        sent["gather"] += held.exchange.gather(rank)
+        sent["open walls"] = Sent(walls.traffic)
         work = _native.cycle_work(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
-        self._visits = {level.level: level.sweeps for level in work}
-        return {level.level: level.relaxed for level in work}
+        return Look(sent, {level.level: (level.relaxed, level.sweeps) for level in work}, walls)
 
-    def _all_sweeps(self, sweeps: Sequence[dict[int, float]]) -> float:
-        """Return the same of one rank with all cells, summed over the levels that ranks sweep."""
+    def _relaxed(self, of_ranks: Sequence[Mapping[int, tuple[float, int]]]) -> float:
+        """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""
         cells = dict(enumerate(self.mesh.cells(level) for level in range(self.mesh.levels)))
         cells |= {-number: n for number, n in enumerate(cells_below(self.scene), start=1)}
-        return sum(cells[level] * visits for level, visits in self._visits.items() if level in cells)
+        visits = {level: sweeps for of in of_ranks for level, (_, sweeps) in of.items()}
+        most = sum(max(of[level][0] for of in of_ranks if level in of) for level in visits)
+        return most / sum(cells[level] * sweeps for level, sweeps in visits.items())
 
     # ---- open walls ----
 
     def _walls(self, mesh: Hierarchy) -> Callable[[int], Walls]:
         """Return what gives the part of a rank in the potential at open walls."""
-        if not any("open" in faces for faces in mesh.domain.boundary):
-            return lambda rank: Walls(0, Traffic())
-        plans = _native.OpenWallPlans(mesh.native)
-        charged = charged_regions(self._clouds, mesh)
-
-        def of(rank: int) -> Walls:
-            found = plans.counts(rank, charged)
-            traffic = Traffic(found["messages"], found["bytes"], len(found["collectives"]))
-            return Walls(found["far"] + found["near"], traffic)
-
-        return of
+        if not has_open_walls(mesh):
+            return lambda rank: Walls(0, 0, Traffic())
+        plans, charged = _native.OpenWallPlans(mesh.native), charged_regions(self._clouds, mesh)
+        return lambda rank: walls_of(plans.counts(rank, charged))
 
     # ---- memory and files ----
 
@@ -243,9 +275,3 @@ class Planner:
             at_home += np.bincount(owners, held.bricks.particles[here], mesh.comm.size)
         most = float(at_home.max() / at_home.mean()) if at_home.any() else 1.0
         return Choices(imbalance(cells_of_ranks(uncut)), most)
-
-
-def _standing_for(of_some: Sent, each: float) -> Sent:
-    """Return what all particles of a rank send, of which some were gone through."""
-    traffic = of_some.traffic
-    return replace(of_some, traffic=replace(traffic, bytes=round(traffic.bytes * each)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,8 @@ import numpy as np
 
 from ..errors import OutputError
 from .machine import Machine
-from .model import NETWORK, STAGES, efficiency, sensitivity, step_time, total
-from .plan import MISSING, Plan, Planner
+from .model import NETWORK, STAGES, Amounts, efficiency, sensitivity, step_time, total
+from .plan import Plan, Planner
 from .show import MIB, draw_times, over_ranks
 from .virtual_ranks import CALLS
 
@@ -56,12 +57,11 @@ def markdown(planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine
             f"### Modelled on {machine.name}, {cycles:g} cycles per solve",
             f"{machine.source}.",
             _table(_times(plans, machine, cycles)),
-            "What each choice costs if it is switched off or on alone, ms per step:",
+            "What each choice costs if it is switched off alone, ms per step:",
             _table(_choices(plans, machine, cycles)),
             "Step with each constant halved and doubled, ms:",
             _table(_sensitivity(plans, machine, cycles)),
         ]
-    parts += ["### Not counted yet", "\n".join(f"- {line}" for line in MISSING)]
     return "\n\n".join(parts)
 
 
@@ -76,7 +76,7 @@ def _held(plans: Sequence[Plan]) -> list[tuple[str, Rows]]:
         "most/mean",
     ]
     held = [
-        [*head, "MiB, most", "MiB at the start, most"],
+        [*head, "MiB, most", "MiB at the start, most", "writers", "MiB of a writer, most"],
         *(
             [
                 f"{p.ranks:,}",
@@ -87,6 +87,8 @@ def _held(plans: Sequence[Plan]) -> list[tuple[str, Rows]]:
                 f"{p.particle_imbalance:.2f}",
                 f"{p.memory.max() / MIB:,.0f}",
                 f"{p.start_memory.max() / MIB:,.0f}",
+                f"{len(p.checkpoint)}",
+                f"{max(load.bytes for load in p.checkpoint) / MIB:,.0f}",
             ]
             for p in plans
         ),
@@ -123,14 +125,23 @@ def _times(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
 
 
 def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
-    """Return the step as it is, with particles shared out evenly, with the open walls' work shared out, and with both."""
-    rows: Rows = [["ranks", "as it is", "particles shared out evenly", "open walls' work shared out", "both"]]
+    """Return the step as it is, and with each choice switched off alone."""
+    rows: Rows = [
+        ["ranks", "as it is", "particles where their cells are", "whole boxes", "open walls' work on every rank"]
+    ]
     for plan in plans:
-        steps = [
-            total(step_time(plan, machine, cycles, balanced_particles=particles, shared_walls=walls))
-            for particles, walls in ((False, False), (True, False), (False, True), (True, True))
-        ]
-        rows.append([f"{plan.ranks:,}", *(f"{1e3 * step:.3g}" for step in steps)])
+        now = Amounts.of(plan, cycles)
+        uneven = plan.without.particles_with_cells / plan.particle_imbalance
+        larger = plan.without.with_whole_boxes / plan.cell_imbalance
+        without = (
+            now,
+            replace(now, particles=now.particles * uneven),
+            replace(now, cells=now.cells * larger, swept=now.swept * larger),
+            replace(now, patches=now.patches * plan.ranks, interactions=now.interactions * plan.ranks),
+        )
+        rows.append(
+            [f"{plan.ranks:,}", *(f"{1e3 * total(step_time(plan, machine, cycles, one)):.3g}" for one in without)]
+        )
     return rows
 
 
@@ -157,6 +168,11 @@ def _values(plan: Plan, machines: Sequence[Machine], cycles: float) -> dict[str,
         "particles_most": float(plan.particles.max()),
         "memory_most": float(plan.memory.max()),
         "start_memory_most": float(plan.start_memory.max()),
+        "checkpoint_most": {key: max(getattr(load, key) for load in plan.checkpoint) for key in ("bytes", "received")},
+        "writers": len(plan.checkpoint),
+        "swept_cells": plan.swept_cells,
+        "walls_most": plan.wall_work,
+        "without": asdict(plan.without),
         "neighbours": plan.neighbours(),
         "sent": {call: {key: plan.most(call, key) for key in ("messages", "bytes", "collectives")} for call in CALLS},
         "seconds": {

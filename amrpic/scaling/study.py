@@ -62,6 +62,7 @@ class Study:
         kinds: Sequence[str] = KINDS,
         steps: int = 5,
         launcher: str = LAUNCHER,
+        clock: str = "wall",
     ) -> None:
         if "{ranks}" not in launcher:
             raise InputError(
@@ -72,7 +73,9 @@ class Study:
                 f"scaling starts ranks of its own, but is on {MPI.COMM_WORLD.size}; start it without mpiexec"
             )
         self.path, self.overrides, self.ranks, self.kinds = path, list(overrides), sorted(set(ranks)), kinds
-        self.steps, self.launcher, self.name = steps, launcher, name_of(path, overrides)
+        self.steps, self.launcher, self.clock, self.name = steps, launcher, clock, name_of(path, overrides)
+        if clock != "wall":
+            self.name += f" by the {clock}'s clock"
         self.folder = folder / RUNS
         self._scene = Scene.from_toml(path, overrides)
         try:
@@ -94,7 +97,7 @@ class Study:
         """Return the command that measures a number of ranks, without the launcher's part."""
         more = grown(self._scene, ranks / self.ranks[0]) if kind == "weak" else []
         program = [sys.executable, "-m", "amrpic.scaling.measure"]
-        return [*program, str(output), str(self.path), kind, self.name, str(self.steps), *self.overrides, *more]
+        return [*program, str(output), str(self.path), kind, self.name, str(self.steps), self.clock, *self.overrides, *more]
 
     def runs(self) -> list[Run]:
         """Return all runs of this scene in the folder, from earlier starts too. Raises InputError for files that are none."""

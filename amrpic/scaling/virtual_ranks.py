@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
@@ -16,7 +15,7 @@ from .. import _native
 from ..mesh.domain import Domain
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import Traffic, VirtualRank, traffic
+from ..parallel import VirtualRank, traffic
 from ..particles.clouds import Clouds
 from ..particles.particles import Particles
 from ..run.initial_particles import make_particles
@@ -32,17 +31,10 @@ from ..stages.poisson import PoissonSolver
 from ..stages.push import push, random_walk
 from ..stages.regrid import carry_over
 from .bricks import Served
+from .sent import Sent
 
 DENSITY = 1e-9  # C/m³, everywhere: any will do, since no answer is looked at
-CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "migrate", "output", "regrid")
-
-
-@dataclass(frozen=True)
-class Sent:
-    """What a rank sends by one call, and to how many others."""
-
-    traffic: Traffic
-    neighbours: int = 0
+CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "migrate", "output", "open walls", "regrid")
 
 
 class Counter:
@@ -56,7 +48,7 @@ class Counter:
         _native.take_destinations()
         before = traffic()
         yield
-        self.sent[call] = Sent(traffic() - before, len(_native.take_destinations()))
+        self.sent[call] = Sent(traffic() - before, _native.take_destinations())
 
 
 def distributed(mesh: Hierarchy, ranks: int) -> Hierarchy:
@@ -132,9 +124,8 @@ def counts(scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndar
         measure(here, moments(mesh.comm, here), none, rho, phi, efield, {})
     with count("regrid"):
         carry_over(phi, other)
-    one, two = (count.sent[call].traffic for call in ("solve", "cycle"))
-    count.sent["solve"] = replace(count.sent["solve"], traffic=one - (two - one))
-    count.sent["cycle"] = replace(count.sent["cycle"], traffic=two - one)
+    count.sent["cycle"] = count.sent["cycle"] - count.sent["solve"]
+    count.sent["solve"] = count.sent["solve"] - count.sent["cycle"]
     return count.sent
 
 

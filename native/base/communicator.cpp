@@ -56,8 +56,8 @@ Traffic& traffic() {
   return all;
 }
 
-std::set<int>& destinations() {
-  static std::set<int> all;
+std::map<int, std::int64_t>& destinations() {
+  static std::map<int, std::int64_t> all;
   return all;
 }
 
@@ -80,7 +80,7 @@ Communicator::Communicator(int rank, int ranks) : comm_(MPI_COMM_NULL), rank_(ra
 }
 
 void Communicator::count_sent(int rank, std::size_t bytes) const {
-  if (is_virtual()) destinations().insert(rank);
+  if (is_virtual()) destinations()[rank] += std::int64_t(bytes);
   ++traffic().messages;
   traffic().bytes += std::int64_t(bytes);
 }

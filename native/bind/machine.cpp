@@ -1,6 +1,6 @@
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/map.h>
 #include <nanobind/stl/pair.h>
-#include <nanobind/stl/set.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -42,7 +42,7 @@ void bind_machine(nb::module_& m) {
       "Messages and bytes that this process has sent to other ranks so far, and collective calls.");
   m.def(
       "take_destinations", [] { return std::exchange(amrpic::destinations(), {}); },
-      "The ranks that virtual ranks of this process have sent messages to since the last call.");
+      "The ranks that virtual ranks of this process have sent messages to since the last call, and how many bytes.");
   m.def(
       "count_collective", [] { ++amrpic::traffic().collectives; }, "Count a collective call that Python makes.");
   m.def(

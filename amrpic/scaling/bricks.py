@@ -79,7 +79,7 @@ class Served:
 
 @dataclass(frozen=True)
 class Exchange:
-    """What servers of particles and owners of cells send each other, for each two ranks of which one serves what the other owns.
+    """What servers of particles and owners of cells send each other, for each two of which one serves what the other owns.
 
     Charge goes to the owner, behind a list of bricks and an announcement of it, the field to the server.
     """
@@ -93,7 +93,9 @@ class Exchange:
     @property
     def messages(self) -> Array:
         """Those that each rank sends, (ranks,)."""
-        return ANNOUNCED * np.bincount(self.server, minlength=self.ranks) + np.bincount(self.owner, minlength=self.ranks)
+        return ANNOUNCED * np.bincount(self.server, minlength=self.ranks) + np.bincount(
+            self.owner, minlength=self.ranks
+        )
 
     def deposit(self, rank: int) -> Sent:
         """Return what a rank sends of charge; the collective of the announcement is counted elsewhere."""

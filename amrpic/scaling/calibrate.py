@@ -20,8 +20,8 @@ import numpy as np
 from mpi4py import MPI
 
 from ..errors import InputError
-from .machine import Machine, Network, Work
 from ..scene.scene import Scene
+from .machine import Machine, Network, Work
 from .measured import Measured, Run, medians
 from .model import OF_WORK, STAGES, Amounts, fitted, parts_of
 from .plan import Plan, Planner
@@ -54,18 +54,18 @@ write = ["series"]
 """
 SIZES = (  # cells, levels, particles, tolerance: each varied against the others
     (48, 0, 20_000, 1e-3),
-    (96, 0, 20_000, 1e-3),
     (96, 0, 20_000, 1e-7),
-    (96, 0, 1_000_000, 1e-3),
+    (96, 0, 1_000_000, '"discretization"'),
     (64, 1, 300_000, 1e-5),
-    (64, 2, 1_000_000, 1e-3),
+    (64, 2, 1_000_000, '"discretization"'),
     (128, 1, 500_000, 1e-5),
+    (128, 1, 100_000, '"discretization"'),
 )
-STEPS = 10
+STEPS = 8
 CLOCK = "processor"
 
 
-def calibrate(launcher: str, repeat: int = 3, say: Callable[[str], None] = lambda text: None) -> Machine:
+def calibrate(launcher: str, repeat: int = 2, say: Callable[[str], None] = lambda text: None) -> Machine:
     """Return this machine. Raises InputError if ranks cannot be started."""
     cores = len(os.sched_getaffinity(0))
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
@@ -118,11 +118,15 @@ def _processor() -> str:
 
 def _fits(runs: Sequence[Run], plans: Sequence[Plan]) -> dict[str, Work]:
     """Return the constants of each stage that come nearest to the medians of runs, named by the numbers of their plans."""
-    found = [(int(name), medians([run for run in runs if run.scene == name])[0]) for name in {run.scene for run in runs}]
+    found = [
+        (int(name), medians([run for run in runs if run.scene == name])[0]) for name in {run.scene for run in runs}
+    ]
     out = {}
     for stage in STAGES:
         parts = parts_of(stage)
-        taken = [(amounts_of(one, plans[number]), one.stages[stage].most) for number, one in found if stage in one.stages]
+        taken = [
+            (amounts_of(one, plans[number]), one.stages[stage].most) for number, one in found if stage in one.stages
+        ]
         taken = [(amounts, seconds) for amounts, seconds in taken if seconds > 0]
         if taken:
             rows = np.array([[1.0, *(getattr(amounts, what) for what in parts)] for amounts, _ in taken])

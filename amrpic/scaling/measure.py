@@ -30,9 +30,7 @@ UNCOUNTED = 1  # first steps, in which memory is touched for the first time
 CLOCKS: Mapping[str, Callable[[], float]] = {"wall": time.perf_counter, "processor": time.process_time}
 
 
-def measure(
-    comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name: str = "", clock: str = "wall"
-) -> Run:
+def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name: str = "", clock: str = "wall") -> Run:
     """Return what so many steps of a run take, after the uncounted first ones, with all that the scene writes. Collective.
 
     Files go into the scene's folder. What a step writes counts for the next one; what the end writes stands apart. By the clock

@@ -1,7 +1,8 @@
 """The time of a step on ranks that do not exist: work of the slowest rank, messages of the busiest one, collectives.
 
 A stage takes, with n cells of level l on a rank, p particles, w patches at open walls with i interactions, and c cycles that
-relax the cells s (halos and multigrid levels included, less those that one rank with all cells relaxes besides)
+relax the cells s (halos and multigrid levels included, less those that one rank with all cells relaxes besides); one cycle
+more where a solve estimates the error of the mesh
 
     t = call + Σ_l max n_l cell + c s cycle + max p particle + max w patch + max i interaction
         + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
@@ -61,16 +62,25 @@ class Amounts:
     @classmethod
     def of(cls, plan: Plan, cycles: float) -> Self:
         return cls(
-            float(plan.cells.max(axis=1).sum()), plan.swept_cells * cycles, float(plan.particles.max()), *plan.wall_work
+            float(plan.cells.max(axis=1).sum()),
+            plan.swept_cells * plan.all_cycles(cycles),
+            float(plan.particles.max()),
+            *plan.wall_work,
         )
 
 
 # What has a part in the time of each stage, besides its call; open walls stand apart from the solve.
 PARTS: Mapping[str, Sequence[str]] = {
-    "solve": ("swept",),
+    "solve": ("cells", "swept"),
     "open walls": ("cells", "patches", "interactions"),
 }
-OF_WORK = {"cells": "cell", "swept": "cycle", "particles": "particle", "patches": "patch", "interactions": "interaction"}
+OF_WORK = {
+    "cells": "cell",
+    "swept": "cycle",
+    "particles": "particle",
+    "patches": "patch",
+    "interactions": "interaction",
+}
 
 
 def parts_of(stage: str) -> Sequence[str]:
@@ -97,7 +107,7 @@ def _messages(plan: Plan, network: Network, calls: Sequence[tuple[str, bool]], c
     here = min(network.ranks_per_node, plan.ranks)
     messages = collectives = 0.0
     for call, is_of_cycle in calls:
-        times = cycles if is_of_cycle else 1.0
+        times = plan.all_cycles(cycles) if is_of_cycle else 1.0
         leaving = plan.leaving(call, here) if plan.ranks > here else here * plan.most(call, "bytes")
         messages += times * (plan.most(call, "messages") * network.latency + leaving / network.bandwidth)
         collectives += times * plan.most(call, "collectives") * math.log2(plan.ranks) * network.collective

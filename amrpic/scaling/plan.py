@@ -26,6 +26,7 @@ from .sent import Sent
 from .virtual_ranks import (
     chosen_ranks,
     counts,
+    cycle_work,
     distributed,
     moved_on,
     particles_of,
@@ -76,13 +77,18 @@ class Plan:
     memory: Array  # (ranks,) bytes at the fullest
     start_memory: Array  # (ranks,) bytes while particles are made and placed
     checkpoint: list[Load]  # of each writer
-    looked_at: list[int]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
+    looked_at: list[
+        int
+    ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
     nodes: list[range]  # ranks of these nodes
-    relaxed: float  # Σ_l max over these of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank
+    relaxed: (
+        float  # Σ_l max over these of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank
+    )
     walls: list[Walls]  # of these
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
+    estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
 
     @property
     def cell_imbalance(self) -> float:
@@ -99,6 +105,10 @@ class Plan:
         """Cells of all levels times `relaxed`: those that a cycle takes the time of, halos and multigrid levels included."""
         return float(self.cells.sum()) * self.relaxed
 
+    def all_cycles(self, cycles: float) -> float:
+        """Return the cycles of a solve that improves the potential by so many."""
+        return cycles + (self.estimates if cycles > 0 else 0)
+
     @property
     def wall_work(self) -> tuple[float, float]:
         """The most patches and interactions of a rank at open walls."""
@@ -113,8 +123,8 @@ class Plan:
         return max(len(of["cycle"].to) for of in self.sent)
 
     def leaving(self, call: str, ranks_per_node: int) -> float:
-        """Return the most bytes that leave a node by a call, of those that were looked at, as if they had so many ranks; of what
-        servers of particles and owners of cells send each other, of all nodes."""
+        """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
+        what servers of particles and owners of cells send each other, of all nodes."""
         shared = {"deposit": self.exchange.deposit, "gather": self.exchange.gather}.get(call)
         each = {
             rank: (of[call] - shared(rank) if shared else of[call]).leaving(rank, ranks_per_node)
@@ -181,7 +191,7 @@ class Planner:
             nodes.append(range(first, min(first + NODE, ranks)))
         for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
             look(rank)
-        looked_at, found = list(looks), list(looks.values())
+        counted, found = list(looks), list(looks.values())
         return Plan(
             ranks,
             cells,
@@ -189,13 +199,14 @@ class Planner:
             held.particles,
             *self._memory(mesh, cells, held),
             self._checkpoint(cells, held),
-            looked_at,
+            counted,
             [one.sent for one in found],
             nodes or [range(ranks)],
             self._relaxed([one.relaxed for one in found]),
             [one.walls for one in found],
             self._without(mesh, held),
             held.exchange,
+            int(scene.solver.tolerance == "discretization"),
         )
 
     def _on(self, mesh: Hierarchy) -> Bricks:
@@ -205,15 +216,14 @@ class Planner:
 
     def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls) -> Look:
         """Return what a virtual rank, that of the mesh, sends and relaxes."""
-        rank, solver = mesh.comm.rank, self.scene.solver
+        rank = mesh.comm.rank
         mine, each = particles_of(rank, held, mesh, self._sample, MOVED)
         sent = counts(self.scene, mesh, mine, held.servers, other)
         sent["migrate"] = sent["migrate"].times(each)
         sent["deposit"] += held.exchange.deposit(rank)
         sent["gather"] += held.exchange.gather(rank)
         sent["open walls"] = Sent(walls.traffic)
-        work = _native.cycle_work(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
-        return Look(sent, {level.level: (level.relaxed, level.sweeps) for level in work}, walls)
+        return Look(sent, {level.level: (level.relaxed, level.sweeps) for level in cycle_work(self.scene, mesh)}, walls)
 
     def _relaxed(self, of_ranks: Sequence[Mapping[int, tuple[float, int]]]) -> float:
         """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""

@@ -97,7 +97,17 @@ class Study:
         """Return the command that measures a number of ranks, without the launcher's part."""
         more = grown(self._scene, ranks / self.ranks[0]) if kind == "weak" else []
         program = [sys.executable, "-m", "amrpic.scaling.measure"]
-        return [*program, str(output), str(self.path), kind, self.name, str(self.steps), self.clock, *self.overrides, *more]
+        return [
+            *program,
+            str(output),
+            str(self.path),
+            kind,
+            self.name,
+            str(self.steps),
+            self.clock,
+            *self.overrides,
+            *more,
+        ]
 
     def runs(self) -> list[Run]:
         """Return all runs of this scene in the folder, from earlier starts too. Raises InputError for files that are none."""

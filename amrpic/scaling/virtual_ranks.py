@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from mpi4py import MPI
@@ -34,6 +35,7 @@ from .bricks import Served
 from .sent import Sent
 
 DENSITY = 1e-9  # C/m³, everywhere: any will do, since no answer is looked at
+OF_NORM = 1  # collective calls of the norm of a residual
 CALLS = ("set-up", "deposit", "solve", "cycle", "gather", "migrate", "output", "open walls", "regrid")
 
 
@@ -91,7 +93,9 @@ def particles_of(rank: int, held: Served, mesh: Hierarchy, like: Particles, most
     return mine, float(held.particles[rank]) / max(len(mine), 1)
 
 
-def counts(scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndarray, other: Hierarchy) -> dict[str, Sent]:
+def counts(
+    scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndarray, other: Hierarchy
+) -> dict[str, Sent]:
     """Return what a virtual rank, that of the mesh, sends by each of CALLS.
 
     "cycle" is one cycle of the solver with the residual after it, "solve" all else that a solve sends, without what finds the
@@ -126,7 +130,18 @@ def counts(scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndar
         carry_over(phi, other)
     count.sent["cycle"] = count.sent["cycle"] - count.sent["solve"]
     count.sent["solve"] = count.sent["solve"] - count.sent["cycle"]
+    work = cycle_work(scene, mesh)
+    # Whether a solve looks at the rounding floor besides depends on its numbers, which are wrong here.
+    collectives = sum(level.collectives for level in work) + (OF_NORM if mesh.comm.size > 1 else 0)
+    cycle = count.sent["cycle"]
+    count.sent["cycle"] = replace(cycle, traffic=replace(cycle.traffic, collectives=collectives))
     return count.sent
+
+
+def cycle_work(scene: Scene, mesh: Hierarchy) -> list[_native.LevelWork]:
+    """Return what a cycle takes of a rank, that of the mesh, by levels."""
+    solver = scene.solver
+    return _native.cycle_work(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
 
 
 def _moved(scene: Scene, particles: Particles, efield: VectorField, clouds: Clouds) -> Particles:

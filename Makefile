@@ -143,8 +143,14 @@ build/_native.pyi: .venv/.built
 stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 	@cmp -s $< amrpic/_native.pyi || cp $< amrpic/_native.pyi
 
-docs: .venv/.built  ## write docs/scene.md, the reference of scenes, anew
+docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site; docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo "build/site/index.html"
+
+.venv/.docs: pyproject.toml .venv/.packages
+	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \
+	  print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"])')
+	@touch $@
 
 bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; ARGS=--quick: under 2 minutes
 	$(BIN)/python benchmarks/bench.py $(ARGS)

@@ -50,7 +50,8 @@ from .scene.elements import (  # noqa: E402
 )
 from .scene.motion import Leapfrog, NoMotion, RandomWalk  # noqa: E402
 from .scene.obstacles import EllipticAperture, RectangularAperture, RoundAperture, Screen  # noqa: E402
-from .scene.refinement import (  # noqa: E402
+from .scene.refinement import Refinement  # noqa: E402
+from .scene.refinement_rules import (  # noqa: E402
     AllRule,
     AnyRule,
     CallableRule,
@@ -60,7 +61,6 @@ from .scene.refinement import (  # noqa: E402
     ParticlesRule,
     PotentialRule,
     RadiusRule,
-    Refinement,
     StaticRule,
 )
 from .scene.scene import Scene  # noqa: E402

@@ -690,6 +690,19 @@ def uniforms(seed: int, stream: int, step: int, id: NDArray[numpy.int64], out: N
     Fill out (4, n) with numbers in (0, 1) that depend on the arguments alone.
     """
 
+def solve_points(
+    comm: int,
+    row_start: NDArray[numpy.int64],
+    column: NDArray[numpy.int64],
+    value: NDArray[numpy.float64],
+    right_hand_sides: NDArray[numpy.float64],
+    tolerance: float,
+    most_iterations: int,
+) -> tuple:
+    """
+    This rank's rows of the solutions (vectors, rows), iterations and relative residual. Collective.
+    """
+
 vacuum_permittivity: float = 8.8541878188e-12
 
 class Norm(enum.Enum):

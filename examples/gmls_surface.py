@@ -40,5 +40,6 @@ if picture:
     plot = figure.add_subplot(projection="3d")
     points = plot.scatter(*sites.T, c=found.gaussian_curvature, s=3)
     plot.set_box_aspect(axes)
+    plot.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     figure.colorbar(points, label="Gaussian curvature, 1/m²", shrink=0.7)
     figure.savefig(picture, dpi=120)

@@ -26,7 +26,14 @@ from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..run.restart import about, writers_of
 from ..scene.motion import RandomWalk
-from ..scene.refinement import CallableRule, ChargeDensityRule, Combination, FieldStrengthRule, PotentialRule, RuleKind
+from ..scene.refinement_rules import (
+    CallableRule,
+    ChargeDensityRule,
+    Combination,
+    FieldStrengthRule,
+    PotentialRule,
+    RuleKind,
+)
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.migrate import migrate

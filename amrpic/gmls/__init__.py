@@ -2,6 +2,7 @@
 
 from .functionals import Basis, Functional
 from .neighbours import Neighbours, cells, cells_around, nearby
+from .potential import PointPotential, poisson
 from .samples import (
     Along,
     Components,
@@ -78,6 +79,7 @@ __all__ = [
     "Means",
     "Neighbours",
     "Neumann",
+    "PointPotential",
     "Points",
     "Power",
     "Quality",
@@ -99,6 +101,7 @@ __all__ = [
     "cells_around",
     "edges",
     "nearby",
+    "poisson",
     "polygons",
     "stencils",
     "surface",

@@ -62,6 +62,7 @@ class Domain:
 
     @property
     def periodic(self) -> tuple[bool, bool, bool]:
+        """Whether space repeats along each axis."""
         return tuple(faces[0] == "periodic" for faces in self.boundary)  # type: ignore[return-value]
 
     def period(self, axis: int) -> float:

@@ -76,6 +76,7 @@ class Field:
 
     @property
     def comm(self) -> MPI.Comm:
+        """The ranks that hold the field together."""
         return self.hierarchy.comm
 
     @cached_property
@@ -314,14 +315,17 @@ class VectorField:
 
     @property
     def x(self) -> Field:
+        """The component along x."""
         return self.components[0]
 
     @property
     def y(self) -> Field:
+        """The component along y."""
         return self.components[1]
 
     @property
     def z(self) -> Field:
+        """The component along z."""
         return self.components[2]
 
     def with_components(self) -> VectorField:

@@ -16,7 +16,7 @@ from ..io.writer_ranks import Writers, buffer_bytes, group_of
 from ..mesh.boxes import Array, cells_of, rows_of, table_of
 from ..scene.bunches import LatticeBunch, Train
 from ..scene.motion import Leapfrog
-from ..scene.refinement import CallableRule, FieldStrengthRule, every_rule
+from ..scene.refinement_rules import CallableRule, FieldStrengthRule, every_rule
 from ..scene.scene import Scene
 from ..view.raster import pixels_of
 

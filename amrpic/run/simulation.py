@@ -200,6 +200,7 @@ class Simulation:
 
     @property
     def hierarchy(self) -> Hierarchy:
+        """The mesh of the present fields."""
         return self.state.hierarchy
 
     @property
@@ -232,6 +233,7 @@ class Simulation:
 
     @property
     def step(self) -> int:
+        """Steps taken since the start."""
         return self.state.step
 
     @property

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..mesh.domain import AXES, Domain
-from ..scene.refinement import (
+from ..scene.refinement_rules import (
     AllRule,
     AnyRule,
     CallableRule,

@@ -1,13 +1,16 @@
-"""Generalized moving least squares: orders on scattered points and on surfaces, and what lattices leave undetermined."""
+"""Least squares: orders on points, on surfaces and of Poisson's equation, and what lattices leave undetermined."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from .. import gmls
+from ..units import VACUUM_PERMITTIVITY
 from .table import Goal, Table
 
 WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
@@ -16,10 +19,12 @@ COUNTS = (1000, 2500, 6300, 16000)  # points of a surface
 SURFACE = {2: (1.5, 1.8), 3: (1.9, 1.8), 4: (3.7, 3.8)}  # orders of Laplace-Beltrami and of Gaussian curvature
 REACHES = (1.05, 1.2, 1.4, 1.6, 2.0)
 AXES = np.array([1.0, 1.2, 0.8])  # of the ellipsoid
+WALLS = (10, 15, 22, 38)  # points per axis, for Poisson's equation
+POISSON = {2: 1.8, 3: 1.8, 4: 3.5}  # its orders
 
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
-    """The tables of this topic, the same on all ranks, of which each does all of it. Not collective."""
+    """The tables of this topic. Collective."""
     yield Table(
         "Least squares: orders on scattered points",
         "Order of the rms error from 12³ to 30³ points of a jittered lattice (±0.25 h), reach twice the distance of the "
@@ -45,6 +50,20 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         ("order", "reach", "undetermined", "targets whose reach grew", "growths", "residual"),
         [_on_lattice(order, reach) for order in (1, 2, 3, 4) for reach in REACHES],
     )
+    yield Table(
+        "Least squares: Poisson's equation on points",
+        "Order of the rms error of φ on a jittered lattice (±0.25 h) of 10³ to 38³ points in a cube, and of as many along the "
+        "diameter of a ball with points on its surface. Potentials are given on the whole boundary, slopes in their place "
+        "where its normal lies along x or z, or slopes everywhere (without a goal, as φ is known but for a constant then). "
+        "φ = sin(3x + 0.3) exp(y) cos(2z); reach 1.6; GMRES to 1e-10.",
+        ("domain", "slopes", "order", "order of φ", "iterations, 38³", "rms error, 38³"),
+        [
+            _poisson(comm, make, sloped, order)
+            for make in (cube, ball)
+            for sloped in ("nowhere", "on a part", "everywhere")
+            for order in POISSON
+        ],
+    )
 
 
 def f(x: np.ndarray) -> np.ndarray:
@@ -54,13 +73,7 @@ def f(x: np.ndarray) -> np.ndarray:
 
 def _orders(order: int) -> list[float | Goal]:
     t = np.random.default_rng(order).uniform(0.3, 0.7, (400, 3))
-    s, c = np.sin(3 * t[:, 0] + 0.3), np.cos(3 * t[:, 0] + 0.3)
-    e, cz, sz = np.exp(t[:, 1]), np.cos(2 * t[:, 2]), np.sin(2 * t[:, 2])
-    exact = {
-        "value": s * e * cz,
-        "gradient": np.stack([3 * c * e * cz, s * e * cz, -2 * s * e * sz], axis=1),
-        "laplacian": -12 * s * e * cz,
-    }
+    exact = {"value": f(t), "gradient": slope_of_f(t), "laplacian": -12 * f(t)}
     errors = []
     for n in SIZES:
         x = jittered(n)
@@ -70,6 +83,13 @@ def _orders(order: int) -> list[float | Goal]:
     value, gradient, laplacian = (-np.polyfit(np.log(SIZES), np.log(each), 1)[0] for each in zip(*errors, strict=True))
     second = Goal(laplacian, order - 1.2, least=True) if order > 1 else np.nan
     return [order, Goal(value, order + 0.8, least=True), Goal(gradient, order - 0.2, least=True), second, errors[-1][0]]
+
+
+def slope_of_f(x: np.ndarray) -> np.ndarray:
+    """The gradient (n, 3) of f."""
+    s, c = np.sin(3 * x[:, 0] + 0.3), np.cos(3 * x[:, 0] + 0.3)
+    e, cz, sz = np.exp(x[:, 1]), np.cos(2 * x[:, 2]), np.sin(2 * x[:, 2])
+    return np.stack([3 * c * e * cz, s * e * cz, -2 * s * e * sz], axis=1)
 
 
 def jittered(n: int) -> np.ndarray:
@@ -86,8 +106,9 @@ def _on_surface(name: str, axes: np.ndarray, order: int) -> list[str | float | G
         nth = gmls.nearby(x, t, radius=np.sqrt(8 * np.pi * gmls.Scalar(order).unknowns(2) / count))
         found = gmls.surface(t, x, nth, order=order)
         values = found.stencils.apply(x[:, 0] * x[:, 1] * (1 + x[:, 2]))["laplace_beltrami"]
-        curvature = 1 / (axes.prod() ** 2 * (t**2 / axes**4).sum(axis=1) ** 2)
-        errors.append([_rms(values - _laplace_beltrami(t, axes)), _rms(found.gaussian_curvature - curvature)])
+        errors.append(
+            [_rms(values - laplace_beltrami(t, axes)), _rms(found.gaussian_curvature - gaussian_curvature(t, axes))]
+        )
     of_value, of_curvature = (-2 * np.polyfit(np.log(COUNTS), np.log(e), 1)[0] for e in zip(*errors, strict=True))
     least = SURFACE[order] if name == "sphere" else tuple(bound - 0.2 for bound in SURFACE[order])
     return [name, order, Goal(of_value, least[0], least=True), Goal(of_curvature, least[1], least=True), errors[-1][1]]
@@ -101,7 +122,7 @@ def fibonacci(count: int) -> np.ndarray:
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
 
 
-def _laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+def laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Of xy + xyz on the ellipsoid Σ x²/a² = 1: Δf - 2 H n·∇f - n·(∇∇f) n, where Δf = 0."""
     g = x / axes**2
     size = np.linalg.norm(g, axis=1)
@@ -110,6 +131,11 @@ def _laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
     gradient = np.stack([x[:, 1] * (1 + x[:, 2]), x[:, 0] * (1 + x[:, 2]), x[:, 0] * x[:, 1]], axis=1)
     mixed = n[:, 0] * n[:, 1] * (1 + x[:, 2]) + n[:, 0] * n[:, 2] * x[:, 1] + n[:, 1] * n[:, 2] * x[:, 0]
     return -two_h * (n * gradient).sum(axis=1) - 2 * mixed
+
+
+def gaussian_curvature(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Of the ellipsoid Σ x²/a² = 1."""
+    return 1 / (axes.prod() ** 2 * (x**2 / axes**4).sum(axis=1) ** 2)
 
 
 def _on_lattice(order: int, reach: float) -> list[float | Goal]:
@@ -129,3 +155,77 @@ def _on_lattice(order: int, reach: float) -> list[float | Goal]:
 
 def _rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.mean(error**2)))
+
+
+# ---- Poisson's equation ----
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points of a domain with those of its boundary and their outward normals; the potential is f."""
+
+    sites: np.ndarray
+    normals: np.ndarray  # (n, 3), zero inside
+
+    @property
+    def rho(self) -> np.ndarray:
+        return 12 * VACUUM_PERMITTIVITY * f(self.sites)
+
+    def potential(self, places: np.ndarray) -> np.ndarray:
+        return f(places)
+
+    def walls(self, sloped: str) -> dict[str, Any]:
+        """What `gmls.poisson` takes: slopes "nowhere", "everywhere", or "on a part" of the boundary."""
+        boundary = np.abs(self.normals).max(axis=1) > 0
+        along = np.abs(self.normals)
+        part = {
+            "nowhere": np.zeros(len(boundary), bool),
+            "everywhere": boundary,
+            "on a part": boundary & (along[:, 1] < 0.5),
+        }
+        slopes, values = np.flatnonzero(part[sloped]), np.flatnonzero(boundary & ~part[sloped])
+        given = (slope_of_f(self.sites[slopes]) * self.normals[slopes]).sum(axis=1)
+        return {
+            "dirichlet": (values, f(self.sites[values])) if len(values) else None,
+            "neumann": (slopes, self.normals[slopes], given) if len(slopes) else None,
+        }
+
+
+def cube(n: int) -> Cloud:
+    """A jittered lattice with n points along each edge of the unit cube, those of its faces in their places."""
+    lattice = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    normals = (lattice == n - 1).astype(float) - (lattice == 0)
+    inside = ~normals.any(axis=1)
+    shift = np.random.default_rng(1).uniform(-0.25, 0.25, lattice.shape)
+    normals[~inside] /= np.linalg.norm(normals[~inside], axis=1, keepdims=True)
+    return Cloud((lattice + inside[:, None] * shift) / (n - 1), normals)
+
+
+def ball(n: int) -> Cloud:
+    """The points of a jittered lattice of n points along the diameter inside a unit ball, and Fibonacci's on its surface."""
+    h = 2 / (n - 1)
+    inside = 2 * cube(n).sites - 1
+    inside = inside[np.linalg.norm(inside, axis=1) < 1 - 0.5 * h]
+    surface = fibonacci(round(4 * np.pi / h**2))
+    return Cloud(np.concatenate([surface, inside]), np.concatenate([surface, np.zeros_like(inside)]))
+
+
+@dataclass(frozen=True)
+class PoissonError:
+    rms: float
+    iterations: int
+
+
+def error_on(comm: MPI.Comm, cloud: Cloud, sloped: str, order: int) -> PoissonError:
+    """The error of the potential. Collective."""
+    found = gmls.poisson(comm, cloud.sites, cloud.rho, order=order, **cloud.walls(sloped))
+    error = found.phi - f(cloud.sites)
+    return PoissonError(_rms(error - error.mean() if sloped == "everywhere" else error), found.iterations)
+
+
+def _poisson(comm: MPI.Comm, make: Callable[[int], Cloud], sloped: str, order: int) -> list[str | float | Goal]:
+    errors = [error_on(comm, make(n), sloped, order) for n in WALLS]
+    found = float(-np.polyfit(np.log(WALLS), np.log([e.rms for e in errors]), 1)[0])
+    at_most = Goal(max(e.iterations for e in errors), 40)
+    order_found = found if sloped == "everywhere" else Goal(found, POISSON[order], least=True)
+    return [make.__name__, sloped, order, order_found, at_most, errors[-1].rms]

@@ -21,7 +21,7 @@ from ..run.initial_particles import make_bunches
 from ..run.particle_fields import ParticleFields
 from ..run.plan import Plan
 from ..scene.motion import NoMotion
-from ..scene.refinement import StaticRule, every_rule
+from ..scene.refinement_rules import StaticRule, every_rule
 from ..scene.scene import Scene
 from ..stages.diagnostics import field_energy
 from ..stages.migrate import migrate

@@ -11,7 +11,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -296,10 +295,8 @@ def script_with(tmp_path: Path, *lines: str) -> subprocess.CompletedProcess[str]
         "mesh = amrpic.Hierarchy(MPI.COMM_WORLD, amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16)), max_grid_size=8)",
     )
     script.write_text("\n".join([*start, *lines]))
-    began = time.monotonic()
-    end = mpiexec(sys.executable, str(script))
+    end = mpiexec(sys.executable, str(script))  # raises if it hangs
     assert end.returncode != 0
-    assert time.monotonic() - began < 12  # 5 s for the end; the rest is the start of Python
     return end
 
 

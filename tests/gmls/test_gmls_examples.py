@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -29,3 +30,16 @@ def test_errors_on_a_surface_fall_and_the_picture_is_written(tmp_path):
     assert rows[0][1] > 8 * rows[1][1] > 64 * rows[2][1]
     assert rows[0][2] > 8 * rows[1][2] > 64 * rows[2][2]
     assert (tmp_path / "curvature.png").stat().st_size > 10000
+
+
+def test_weights_across_a_face_are_those_of_a_derivative(tmp_path):
+    rows = printed("gmls_mesh.py", "--picture", str(tmp_path / "weights.png"))
+    x, _, width, weight = np.array(rows).T
+    assert set(width) == {0.5, 1.0}
+    assert weight[x > 8].sum() > 0 > weight[x < 8].sum()
+    assert (tmp_path / "weights.png").stat().st_size > 10000
+
+
+def test_errors_on_a_cloud_are_drawn(tmp_path):
+    printed("gmls_cloud.py", "--picture", str(tmp_path / "errors.png"))
+    assert (tmp_path / "errors.png").stat().st_size > 10000

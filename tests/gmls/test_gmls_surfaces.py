@@ -7,36 +7,14 @@ import pytest
 
 from amrpic import gmls
 from amrpic.errors import InputError
+from amrpic.verify.least_squares import fibonacci, gaussian_curvature, laplace_beltrami
 
 AXES = {"sphere": np.array([1.0, 1.0, 1.0]), "ellipsoid": np.array([1.0, 1.2, 0.8])}
 COUNTS = [1000, 2500, 6300, 16000]
 
 
-def fibonacci(count: int) -> np.ndarray:
-    """Points of about equal density on the unit sphere."""
-    k = np.arange(count) + 0.5
-    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - z**2)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1)
-
-
 def f(x: np.ndarray) -> np.ndarray:
     return x[:, 0] * x[:, 1] + x[:, 0] * x[:, 1] * x[:, 2]
-
-
-def laplace_beltrami(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Δf - 2 H n·∇f - n·(∇∇f) n, with H and n of the ellipsoid's own equation Σ x²/a² = 1."""
-    g = x / axes**2
-    size = np.linalg.norm(g, axis=1)
-    n = g / size[:, None]
-    two_h = ((1 / axes**2).sum() - (n**2 / axes**2).sum(axis=1)) / size
-    gradient = np.stack([x[:, 1] * (1 + x[:, 2]), x[:, 0] * (1 + x[:, 2]), x[:, 0] * x[:, 1]], axis=1)
-    mixed = n[:, 0] * n[:, 1] * (1 + x[:, 2]) + n[:, 0] * n[:, 2] * x[:, 1] + n[:, 1] * n[:, 2] * x[:, 0]
-    return -two_h * (n * gradient).sum(axis=1) - 2 * mixed
-
-
-def gaussian_curvature(x: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    return 1 / (axes.prod() ** 2 * (x**2 / axes**4).sum(axis=1) ** 2)
 
 
 def mean_curvature(x: np.ndarray, axes: np.ndarray) -> np.ndarray:

@@ -140,6 +140,33 @@ def test_elements_act_the_same_on_any_number_of_ranks(comm):
     assert np.abs(alone[1] - together[1]).max() < 1e-12 * BETA_GAMMA * MC
 
 
+@pytest.mark.parametrize(
+    "element", [*HARD.values(), SMOOTH["quadrupole"], SMOOTH["rf-gap"]], ids=lambda of: str(of["kind"])
+)
+def test_what_acts_on_a_particle_does_not_depend_on_those_beside_it(element):
+    """Blocks of particles wholly inside an element take another way than those of which some are outside."""
+    rng = np.random.default_rng(6)
+    place = rng.uniform(-1e-2, 1e-2, (256, 3))
+    momenta = (rng.normal(0, 2e-3, (256, 3)) + np.array([0, 0, 1])) * BETA_GAMMA * MC
+    some_outside = np.where(np.arange(256)[:, None] % 5 == 0, [0, 0, 0.4], 0) + place
+    ends = []
+    for position in (place, some_outside):
+        bunch = {
+            "distribution": "arrays",
+            "species": "proton",
+            "charge": 1e-25,
+            "position": position,
+            "momenta": momenta,
+        }
+        ends.append(end(scene([element], 3, bunches=[bunch], motion={"kind": "leapfrog", "dt": 1e-11})))
+    beside = np.arange(256) % 5 != 0
+    (x, p), (x_beside, p_beside) = ends
+    changed = np.abs(p[beside] - momenta[beside]).max()
+    assert changed > 1e-7 * BETA_GAMMA * MC
+    assert np.abs(x - x_beside)[beside].max() < 1e-14
+    assert np.abs(p - p_beside)[beside].max() < 1e-9 * changed
+
+
 def test_restart_in_the_middle_of_an_element_goes_on_bit_by_bit(tmp_path):
     given = scene([SMOOTH["rf-gap"], HARD["solenoid"]], 60)
     run = amrpic.Simulation(MPI.COMM_SELF, given)

@@ -25,7 +25,7 @@ from amrpic.run.particle_fields import ParticleFields
 from amrpic.run.plan import Plan
 from amrpic.run.simulation import Simulation
 from amrpic.run.tagging_rules import apart, index_boxes, tags_of
-from amrpic.scene.refinement import ARGUMENTS
+from amrpic.scene.refinement_rules import ARGUMENTS
 from amrpic.scene.scene import Scene
 from amrpic.stages.migrate import migrate
 from amrpic.stages.regrid import Regridding, regrid

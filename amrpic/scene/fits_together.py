@@ -1,0 +1,187 @@
+"""Whether the parts of a scene fit together: each complaint names the key, the value found and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..mesh.domain import AXES, FACES
+from .bunches import DescribedBunch
+from .complaints import complaint
+from .domain import LARGEST_INDEX
+from .elements import ConstantFocusingElement
+from .motion import Leapfrog
+from .obstacles import aperture_names, repeated_names
+from .parts import SceneParts
+from .refinement_rules import StaticBox, StaticRule, every_rule
+
+MOST_BINS = 1_000_000  # of a map of losses
+LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all ranks
+
+
+def check(scene: SceneParts) -> None:
+    """Raise the first complaint about parts of a scene that do not fit together."""
+    for fits in (_name, _cells, _boxes, _places, _balance, _stretch, _screening, _elements, _window, _names, _bins):
+        fits(scene)
+
+
+def _name(scene: SceneParts) -> None:
+    if "/" in scene.name or scene.name in (".", ".."):
+        raise complaint(
+            "is a path", "give a plain name, and the folder as output.directory", path="name", found=scene.name
+        )
+
+
+def _cells(scene: SceneParts) -> None:
+    cells = scene.domain.cells
+    for axis, number in enumerate(cells):
+        if number * 2**scene.refinement.levels > LARGEST_INDEX:
+            raise complaint(
+                f"makes {number * 2**scene.refinement.levels} cells on the finest level, more than 32 bits count",
+                "use fewer base cells or levels",
+                path=f"domain.cells.{axis}",
+                found=number,
+            )
+    if (rows := int(cells[0]) * int(cells[1]) * int(cells[2])) > LARGEST_ROW:
+        raise complaint(
+            f"makes {rows} equations, more than the {LARGEST_ROW} that 64-bit row numbers count",
+            "use fewer base cells",
+            path="domain.cells",
+            found=list(cells),
+        )
+
+
+def _boxes(scene: SceneParts) -> None:
+    for path, rule in every_rule(scene.refinement.rule, "refinement.rule"):
+        for number, box in enumerate(rule.boxes if isinstance(rule, StaticRule) else ()):
+            _box(scene, box, f"{path}.boxes.{number}")
+
+
+def _box(scene: SceneParts, box: StaticBox, path: str) -> None:
+    for axis in range(3):
+        last = scene.domain.cells[axis] * 2**box.level - 1
+        outside = box.first and box.last and (box.first[axis] < 0 or box.last[axis] > last)
+        if outside and not scene.domain.value.periodic[axis]:
+            raise complaint(
+                f"leaves the domain, whose cells of level {box.level} reach from 0 to {last} along {AXES[axis]}",
+                "move it inside",
+                path=path,
+                found=[box.first, box.last],
+            )
+
+
+def _places(scene: SceneParts) -> None:
+    for number, bunch in enumerate(scene.bunches):
+        for place in bunch.places():
+            for axis in range(3):
+                if not scene.domain.lower[axis] <= place[axis] <= scene.domain.upper[axis]:
+                    raise complaint(
+                        f"puts a bunch outside the domain, at {AXES[axis]} = {place[axis]:g} m where it reaches "
+                        f"from {scene.domain.lower[axis]:g} to {scene.domain.upper[axis]:g} m",
+                        "move the bunch or enlarge the domain",
+                        path=f"bunches.{number}.centre",
+                        found=list(place),
+                    )
+
+
+def _balance(scene: SceneParts) -> None:
+    singular = scene.domain.value.singular and scene.solver.screening == 0
+    if scene.background == "neutralizing" and not singular:
+        raise complaint(
+            "needs a domain whose faces are all periodic or neumann, and no screening",
+            "change domain.boundary or solver.screening, or leave the background out",
+            path="background",
+            found=scene.background,
+        )
+    charges = [bunch.bunch_charge * bunch.copies for bunch in scene.bunches]
+    scale = sum(abs(charge) for charge in charges)
+    if singular and not scene.domain.slope and scene.background == "none" and abs(sum(charges)) > 1e-12 * scale:
+        raise complaint(
+            f"has no solution: all faces are periodic or neumann, and the net charge is {sum(charges):g} C",
+            'set background = "neutralizing", or charges that add up to zero',
+            path="background",
+            found=scene.background,
+        )
+
+
+def _stretch(scene: SceneParts) -> None:
+    if isinstance(scene.motion, Leapfrog) and scene.solver.stretch != (1.0, 1.0, 1.0):
+        raise complaint(
+            "is for bunches at rest in the scene; the leapfrog finds that of a moving one by itself",
+            "leave stretch out, and set motion.frame",
+            path="solver.stretch",
+            found=list(scene.solver.stretch),
+        )
+
+
+def _screening(scene: SceneParts) -> None:
+    if refused := scene.solver.screening_refusal(scene.domain.value):
+        raise complaint(*refused, path="solver.screening", found=scene.solver.screening)
+
+
+def _elements(scene: SceneParts) -> None:
+    for number, element in enumerate(scene.elements):
+        if not isinstance(element, ConstantFocusingElement) or element.wavenumber is None:
+            continue
+        first = scene.bunches[0] if scene.bunches else None
+        if not isinstance(first, DescribedBunch) or not any(first.mean_momentum) or first.species.charge == 0:
+            raise complaint(
+                "needs a first bunch whose species is charged and whose mean momentum is not zero, both in the scene",
+                "give it one, or the element a gradient",
+                path=f"elements.{number}.wavenumber",
+                found=list(element.wavenumber),
+            )
+
+
+def _window(scene: SceneParts) -> None:
+    if not isinstance(scene.motion, Leapfrog) or scene.motion.window == "none":
+        return
+    reference = scene.reference
+    if reference is None or not any(reference.mean_momentum):
+        raise complaint(
+            "needs a reference particle that moves",
+            "give motion.reference a momentum, or the first bunch one in the scene",
+            path="motion.window",
+            found=scene.motion.window,
+        )
+    axis = AXES[int(np.argmax(np.abs(reference.mean_momentum)))]
+    across = scene.domain.boundary[axis]
+    if not set(across) <= {"open", "periodic"}:
+        raise complaint(
+            "has a wall across the motion, which the window would take along",
+            'make both faces "open" or "periodic"',
+            path=f"domain.boundary.{axis}",
+            found=list(across),
+        )
+    for kind, given in (("potential", scene.domain.potential), ("slope", scene.domain.slope)):
+        for name, pair in given.items():
+            if any(isinstance(value, str) for value in pair):
+                raise complaint(
+                    "is a formula, which the window would take along",
+                    "give numbers, or the field as an element",
+                    path=f"domain.{kind}.{name}",
+                    found=list(pair),
+                )
+
+
+def _names(scene: SceneParts) -> None:
+    screens = [screen.name for screen in scene.screens]
+    for key, names, taken in (("apertures", aperture_names(scene.apertures), FACES), ("screens", screens, ())):
+        for number, name in repeated_names(names, taken):
+            has_it = "a face of the domain" if name in taken else f"one of the {key} before it"
+            raise complaint(
+                f"is the name of {has_it} already",
+                "give each one of its own",
+                path=f"{key}.{number}.name",
+                found=name,
+            )
+
+
+def _bins(scene: SceneParts) -> None:
+    length, width = scene.domain.upper[2] - scene.domain.lower[2], scene.diagnostics.loss_bin
+    if width is not None and length > MOST_BINS * width:
+        raise complaint(
+            f"makes more than {MOST_BINS} bins of a domain {length:g} m long",
+            "give a longer one",
+            path="diagnostics.loss_bin",
+            found=width,
+        )

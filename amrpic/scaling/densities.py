@@ -19,7 +19,7 @@ from ..run.particle_fields import ParticleFields
 from ..run.tagging_rules import apart, index_boxes, tags_of
 from ..scene.bunch_shapes import GaussianBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
-from ..scene.refinement import ChargeDensityRule, Combination, ParticlesRule, RuleKind
+from ..scene.refinement_rules import ChargeDensityRule, Combination, ParticlesRule, RuleKind
 from ..scene.scene import Scene
 from ..stages.regrid import Regridding, regrid
 from ..stages.tag import Tags
@@ -105,10 +105,11 @@ class Densities:
     def __init__(self, clouds: Sequence[Cloud], hierarchy: Hierarchy) -> None:
         self.hierarchy, self._clouds = hierarchy, clouds
         self.boxes: list[np.ndarray] = []  # numbers of the boxes of each level that meet a cloud
+        self._corners = [hierarchy.boxes(level) for level in range(hierarchy.levels)]
         self._near: list[list[list[Cloud]]] = []  # for each of them, the clouds
         for level in range(hierarchy.levels):
             h, origin = hierarchy.spacing(level), np.array(hierarchy.domain.lower)
-            boxes = hierarchy.boxes(level)
+            boxes = self._corners[level]
             lower, upper = origin + boxes[:, :3] * h, origin + (boxes[:, 3:] + 1) * h
             meets = np.array([((c.lower < upper) & (lower < c.upper)).all(axis=1) for c in clouds], dtype=bool)
             meets = meets.reshape(len(clouds), len(boxes))
@@ -119,7 +120,7 @@ class Densities:
 
     def box_values(self, level: int, place: int, value: Callable[[Cloud], float]) -> np.ndarray:
         """Return the sum over clouds of a value times the share in each cell (nx, ny, nz) of `boxes[level][place]`."""
-        box = self.hierarchy.boxes(level)[self.boxes[level][place]]
+        box = self._corners[level][self.boxes[level][place]]
         h, origin = self.hierarchy.spacing(level), self.hierarchy.domain.lower
         edges = [origin[d] + h[d] * np.arange(box[d], box[3 + d] + 2) for d in range(3)]
         return sum((value(c) * c.shares(edges) for c in self._near[level][place]), np.zeros(()))
@@ -127,7 +128,7 @@ class Densities:
     def cells(self, level: int, value: Callable[[Cloud], float]) -> np.ndarray:
         """Return the same for all cells of `boxes[level]`, x fastest in each."""
         numbers = self.boxes[level]
-        out, at = np.empty(int(cells_of(self.hierarchy.boxes(level)[numbers]).sum())), 0
+        out, at = np.empty(int(cells_of(self._corners[level][numbers]).sum())), 0
         for place in range(len(numbers)):
             values = self.box_values(level, place, value).ravel(order="F")
             out[at : at + values.size] = values

@@ -16,10 +16,15 @@ def traffic() -> list[int]:
     Messages and bytes that this process has sent to other ranks so far, and collective calls.
     """
 
+def take_destinations() -> dict[int, int]:
+    """
+    The ranks that virtual ranks of this process have sent messages to since the last call, and how many bytes.
+    """
+
 def count_collective() -> None:
     """Count a collective call that Python makes."""
 
-def sums_and_largest(comm: int, summed: Sequence[float], compared: Sequence[float]) -> list[float]:
+def sums_and_largest(comm: int | Sequence[int], summed: Sequence[float], compared: Sequence[float]) -> list[float]:
     """
     The sums over all ranks of some numbers, and behind them the largest of others, in one reduction.
     """
@@ -617,7 +622,7 @@ class BeamSums:
     def xu(self) -> list[float]: ...
 
 def beam_sums(
-    comm: int,
+    comm: int | Sequence[int],
     position: NDArray[numpy.float64],
     momentum: NDArray[numpy.float64],
     weight: NDArray[numpy.float64],
@@ -654,7 +659,7 @@ class BeamMoments:
     def highest(self) -> list[float]: ...
 
 def beam_moments(
-    comm: int,
+    comm: int | Sequence[int],
     position: NDArray[numpy.float64],
     momentum: NDArray[numpy.float64],
     weight: NDArray[numpy.float64],
@@ -666,7 +671,7 @@ def beam_moments(
 ) -> list[BeamMoments]: ...
 def joined_moments(parts: Sequence[BeamMoments]) -> BeamMoments: ...
 def amplitude_quantiles(
-    comm: int,
+    comm: int | Sequence[int],
     position: NDArray[numpy.float64],
     momentum: NDArray[numpy.float64],
     weight: NDArray[numpy.float64],

@@ -49,21 +49,54 @@ def _counted(name: str) -> Callable[..., Any]:
     return counting
 
 
+T = TypeVar("T")
+
+
 @dataclass(frozen=True)
 class VirtualRank:
-    """One of any number of ranks that need not exist, in place of a communicator: what follows from metadata alone is the
-    same as on a real rank. Whatever would communicate raises AmrpicError."""
+    """One of any number of ranks that need not exist, in place of a communicator.
+
+    What follows from metadata alone is the same as on a real rank. What it sends is counted and goes nowhere, and what all
+    ranks hold together is its own part alone: what a real rank does can be gone through for its traffic, with wrong numbers.
+    AmrpicError for what is not counted.
+    """
 
     rank: int
     size: int
+
+    def py2f(self) -> tuple[int, int]:
+        """Return what native functions take in place of a communicator's handle."""
+        return self.rank, self.size
+
+    def _count(self) -> None:
+        if self.size > 1:
+            _native.count_collective()
+
+    def allreduce(self, value: T, op: MPI.Op = MPI.SUM) -> T:
+        self._count()
+        return value
+
+    def Allreduce(self, given: Any, all_: np.ndarray, op: MPI.Op = MPI.SUM) -> None:
+        self._count()
+        if given is not MPI.IN_PLACE:
+            all_[...] = given
+
+    def allgather(self, value: T) -> list[T]:
+        self._count()
+        return [value]
+
+    def bcast(self, value: T, root: int = 0) -> T:
+        self._count()
+        return value
+
+    def Barrier(self) -> None:
+        self._count()
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
         raise AmrpicError(f"rank {self.rank} of {self.size} is virtual and has no {name}; run this under mpiexec")
 
-
-T = TypeVar("T")
 
 COLLECTIVES = ("Allreduce", "allgather", "Allgather", "gather", "bcast", "Barrier")  # those that we use
 for _name in COLLECTIVES:

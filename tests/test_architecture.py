@@ -73,6 +73,7 @@ ORDER = (
     "results",
     "run",
     "__init__",
+    "scaling",
     "verify",
     "commands",
 )

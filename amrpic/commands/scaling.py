@@ -1,242 +1,29 @@
-"""amrpic scaling: how a scene's steps speed up with ranks; the same scene on more ranks, and scenes that grow with them.
-
-`study` starts one run per number of ranks by a launcher (mpiexec, srun) and collects what each measured; `python -m
-amrpic.commands.scaling` is such a run.
-"""
+"""amrpic scaling: how a scene's steps speed up with ranks, measured on those there are and planned for any number."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import shlex
-import statistics
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-from mpi4py import MPI
-
-from ..errors import InputError, OutputError
-from ..failure import Meeting, sentence
-from ..mesh.boxes import scaled_cells
-from ..run.plan import Plan
-from ..run.step import advance, begin
-from ..scene.scene import Scene
+from ..errors import InputError
+from ..scaling.measure import CLOCKS
+from ..scaling.measured import Measured, by_kind, medians
+from ..scaling.show import stage_table, table, write
+from ..scaling.study import KINDS, LAUNCHER, Study
 from .arguments import Commands, command, count, scene_arguments, scene_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-KINDS = ("strong", "weak")
-LAUNCHER = "mpiexec -n {ranks}"
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Steps of a scene on so many ranks. Seconds are medians over the steps, each of the slowest rank."""
-
-    kind: str
-    ranks: int
-    cells: int  # of all levels
-    particles: int
-    seconds: float  # of a step
-    stages: dict[str, float]  # s, of each stage of a step
-    traffic: dict[str, dict[str, float]]  # of each stage of a step: messages, bytes and collectives of the busiest rank
-
-    @property
-    def work(self) -> float:
-        """Cells and particles of a rank."""
-        return (self.cells + self.particles) / self.ranks
-
-
-def efficiency(first: Measured, other: Measured) -> float:
-    """Return the part of a rank's speed, in cells and particles per second, that is left of that with fewest ranks."""
-    return (other.work / other.seconds) / (first.work / first.seconds)
-
-
-# ---- one run ----
-
-
-def measure(comm: MPI.Comm, scene: Scene, kind: str, steps: int) -> Measured:
-    """Return what so many steps take, after a first one that is not counted. Collective; nothing is written."""
-    plan = Plan(comm, scene)
-    state = advance(begin(plan), plan)
-    taken: list[float] = []
-    stages: dict[str, list[float]] = {}
-    passed: dict[str, dict[str, list[float]]] = {}
-    for _ in range(steps):
-        comm.Barrier()
-        start = time.perf_counter()
-        state = advance(state, plan)
-        taken.append(comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
-        for stage, spent in state.spent.items():
-            stages.setdefault(stage, []).append(comm.allreduce(spent.seconds, op=MPI.MAX))
-            for what, number in asdict(spent.traffic).items():
-                most = comm.allreduce(number, op=MPI.MAX)
-                passed.setdefault(stage, {}).setdefault(what, []).append(most)
-    mesh = state.hierarchy
-    return Measured(
-        kind,
-        comm.size,
-        sum(mesh.cells(level) for level in range(mesh.levels)),
-        state.particles.global_count(comm),
-        statistics.median(taken),
-        {stage: statistics.median(spent) for stage, spent in stages.items()},
-        {stage: {what: statistics.median(n) for what, n in each.items()} for stage, each in passed.items()},
-    )
-
-
-def grown(scene: Scene, factor: float) -> list[str]:
-    """Return the overrides that give a scene so many times its particles and, nearly, its cells: a finer mesh.
-
-    Along axes whose cells are a multiple of the blocking factor they stay one.
-    """
-    cells = scaled_cells(scene.domain.value.cells, factor ** (1 / 3), scene.refinement.blocking_factor)
-    bunches = scene.to_dict()["bunches"]
-    counts = [
-        0 if "file" in bunch else bunch.get("particles", 0) for bunch in bunches
-    ]  # those of a file are what they are
-    more = [f"bunches.{number}.particles={round(count * factor)}" for number, count in enumerate(counts) if count]
-    return [f"domain.cells={list(cells)}", *more]
-
-
-# ---- the study ----
-
-
-def study(
-    path: str | Path,
-    overrides: Sequence[str] = (),
-    ranks: Sequence[int] = (1, 2),
-    kinds: Sequence[str] = KINDS,
-    steps: int = 5,
-    launcher: str = LAUNCHER,
-) -> Iterator[Measured]:
-    """Yield what each run measures: for each kind the numbers of ranks in ascending order.
-
-    `strong`: the scene as it is; `weak`: particles and cells in proportion to the ranks, the scene as it is on the fewest.
-    `launcher` is the command that starts {ranks} ranks, put before the program. Not for ranks that run already: it starts
-    its own. Raises InputError if a run cannot be started or fails, after what it said itself.
-    """
-    if "{ranks}" not in launcher:
-        raise InputError(f'launcher is "{launcher}"; name the number of ranks in it as {{ranks}}, as in "{LAUNCHER}"')
-    if MPI.COMM_WORLD.size > 1:
-        raise InputError(f"scaling starts ranks of its own, but is on {MPI.COMM_WORLD.size}; start it without mpiexec")
-    counts = sorted(set(ranks))
-    changes = ["output.write=[]", *overrides]
-    scene = Scene.from_toml(path, changes)
-    for kind in kinds:
-        for number in counts:
-            more = grown(scene, number / counts[0]) if kind == "weak" else []
-            yield _launched(launcher, number, [str(path), kind, str(steps), *changes, *more])
-
-
-def _launched(launcher: str, ranks: int, arguments: Sequence[str]) -> Measured:
-    with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:  # here, where all nodes of a cluster see it
-        found = Path(folder) / "measured.json"
-        command = [
-            *shlex.split(launcher.format(ranks=ranks)),
-            sys.executable,
-            "-m",
-            "amrpic.commands.scaling",
-            str(found),
-        ]
-        try:
-            # os.environ is what this process started with; MPI has added to its own that it is a rank of a run
-            status = subprocess.run([*command, *arguments], env=dict(os.environ), check=False).returncode
-        except OSError as reason:
-            raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
-        if status != 0 or not found.exists():
-            raise InputError(f"the run on {ranks} ranks ended with status {status}; correct what it says above")
-        return Measured(**json.loads(found.read_text(encoding="utf-8")))
-
-
-# ---- what is shown ----
-
-
-def table(found: Sequence[Measured]) -> str:
-    """Return the runs as lines of text, each kind against its run on the fewest ranks."""
-    lines = [f"{'':8}{'ranks':>6}{'cells':>13}{'particles':>12}{'s/step':>11}{'faster':>9}{'efficiency':>12}"]
-    for kind, runs in by_kind(found).items():
-        first = runs[0]
-        lines += [
-            f"{kind:8}{one.ranks:6}{one.cells:13}{one.particles:12}{one.seconds:11.4g}{first.seconds / one.seconds:9.2f}"
-            f"{efficiency(first, one):12.0%}"
-            for one in runs
-        ]
-    return "\n".join(lines)
-
-
-def stage_table(one: Measured) -> str:
-    """Return what the stages of a step take and send on the slowest and on the busiest rank, as lines of text."""
-    lines = [f"{one.kind}, {one.ranks} ranks{'ms':>11}{'messages':>12}{'kB':>9}{'collectives':>14}  of a step"]
-    width = len(lines[0].split(" ranks")[0]) + 6
-    for stage, seconds in one.stages.items():
-        sent = one.traffic[stage]
-        lines.append(
-            f"  {stage:{width - 2}}{1e3 * seconds:11.3g}{sent['messages']:12.0f}{sent['bytes'] / 1e3:9.0f}"
-            f"{sent['collectives']:14.0f}"
-        )
-    return "\n".join(lines)
-
-
-def by_kind(found: Sequence[Measured]) -> dict[str, list[Measured]]:
-    """Return the runs of each kind, fewest ranks first."""
-    kinds = dict.fromkeys(one.kind for one in found)
-    return {kind: sorted((o for o in found if o.kind == kind), key=lambda one: one.ranks) for kind in kinds}
-
-
-def write(found: Sequence[Measured], folder: Path) -> list[Path]:
-    """Write scaling.json and scaling.png into a folder; return their paths. Raises OutputError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "scaling.json").write_text(json.dumps([asdict(one) for one in found], indent=1), encoding="utf-8")
-        draw(found).savefig(folder / "scaling.png", dpi=110)
-    except OSError as reason:
-        raise OutputError(f"cannot write into {folder}: {reason.strerror}; choose another --output") from None
-    return [folder / "scaling.json", folder / "scaling.png"]
-
-
-def draw(found: Sequence[Measured]) -> Figure:
-    """Return the efficiency over ranks, and where the time of a rank's work goes, kind by kind."""
-    from matplotlib.figure import Figure
-
-    kinds = by_kind(found)
-    figure = Figure(figsize=(4.2 * (1 + len(kinds)), 3.6), layout="constrained")
-    left, *panels = figure.subplots(1, 1 + len(kinds))
-    for kind, runs in kinds.items():
-        left.plot([one.ranks for one in runs], [efficiency(runs[0], one) for one in runs], "o-", label=kind)
-    left.axhline(1, color="black", linewidth=0.8, linestyle="--")
-    left.set(xlabel="ranks", ylabel="efficiency", xscale="log", ylim=(0, None))
-    left.set_xticks(sorted({one.ranks for one in found}), [str(n) for n in sorted({one.ranks for one in found})])
-    left.minorticks_off()
-    left.legend(frameon=False)
-    names = list(dict.fromkeys(stage for one in found for stage in one.stages))
-    for panel, (kind, runs) in zip(panels, kinds.items(), strict=True):
-        labels = [str(one.ranks) for one in runs]
-        bottom = np.zeros(len(runs))
-        for stage in names:
-            parts = np.array([1e9 * one.stages.get(stage, 0.0) / one.work for one in runs])
-            panel.bar(labels, parts, bottom=bottom, label=stage, width=0.6)
-            bottom += parts
-        panel.set(title=kind, xlabel="ranks", ylabel="ns per cell and particle of a rank")
-    panels[-1].legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
-    return figure
-
-
-# ---- the command ----
+from .text_table import columns
 
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     scaling = command(
-        commands, "scaling", _scaling, "measure how steps of a scene speed up with ranks, which it starts"
+        commands,
+        "scaling",
+        _scaling,
+        "measure how steps of a scene speed up with ranks, or plan it for any number of them",
     )
     scene_arguments(scaling)
     scaling.add_argument("--ranks", type=count, nargs="+", default=[1, 2], metavar="N", help="numbers of ranks")
@@ -247,45 +34,122 @@ def add(commands: Commands) -> None:
     )
     scaling.add_argument("--steps", type=count, default=5, metavar="N", help="steps of a run; it reports medians")
     scaling.add_argument(
+        "--repeat", type=count, default=1, metavar="N", help="starts of each number of ranks, which take turns"
+    )
+    scaling.add_argument(
         "--launcher",
         default=LAUNCHER,
         metavar="COMMAND",
         help='what starts the ranks, such as "srun -n {ranks}"',
     )
+    scaling.add_argument(
+        "--sbatch",
+        metavar="OPTIONS",
+        help='write a batch job for each number of ranks in place of starting it, with options of sbatch, such as "-t 30"',
+    )
+    scaling.add_argument(
+        "--collect",
+        action="store_true",
+        help="show what earlier starts and batch jobs have measured, and start nothing",
+    )
+    scaling.add_argument(
+        "--clock",
+        choices=CLOCKS,
+        default="wall",
+        help="measure by the clock on the wall, or by that of the processor where others use the machine",
+    )
+    scaling.add_argument(
+        "--predict", metavar="NAME", help="show the model with the constants of a machine beside what was measured"
+    )
+    scaling.add_argument(
+        "--plan", type=_list, metavar="N,N,...", help="count and model a step on so many ranks that need not exist"
+    )
+    scaling.add_argument(
+        "--machine",
+        action="append",
+        metavar="NAME",
+        help="constants of the model of --plan: aries, slingshot, two_cores or a TOML file; several if repeated; default aries",
+    )
+    scaling.add_argument("--cycles", type=float, default=2.0, metavar="N", help="of a solve, for --plan; default 2")
+    scaling.add_argument("--calibrate", metavar="FILE", help="measure the constants of this machine into a TOML file")
     scaling.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
+
+
+def _list(text: str) -> list[int]:
+    return sorted({count(part) for part in text.split(",") if part.strip()})
 
 
 def _scaling(chosen: argparse.Namespace) -> int:
     folder = scene_of(chosen).directory
+    if chosen.calibrate is not None:
+        return _calibrate(chosen.launcher, Path(chosen.calibrate))
+    if chosen.plan is not None:
+        return _plan(chosen, folder)
     kinds = KINDS if chosen.kind is None else (chosen.kind,)
-    found = []
-    for measured in study(chosen.scene, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher):
-        found.append(measured)
-        print(f"{measured.kind}, {measured.ranks} ranks: {measured.seconds:.4g} s/step", flush=True)
-    print(table(found))
+    study = Study(chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher, chosen.clock)
+    if chosen.sbatch is not None:
+        for path in study.write_jobs(chosen.sbatch, chosen.repeat):
+            print(f"sbatch {path}")
+        return 0
+    if not chosen.collect:
+        for run in study.start(chosen.repeat):
+            print(f"{run.kind}, {run.ranks} ranks: {sorted(run.seconds)[len(run.seconds) // 2]:.4g} s/step", flush=True)
+    found = medians(study.runs())
+    if not found:
+        raise InputError(f"{study.folder} holds no run of {study.name}; start some without --collect")
+    print(*columns(table(found)), sep="\n")
     for runs in by_kind(found).values():
-        print(stage_table(runs[-1]))
+        print(f"\n{runs[-1].kind}, {runs[-1].ranks} ranks", *columns(stage_table(runs[-1])), sep="\n")
     print(*write(found, folder), sep="\n")
+    if chosen.predict is not None:
+        _predict(chosen, found)
     return 0
 
 
-def _main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m amrpic.commands.scaling")
-    for name in ("output", "scene", "kind"):
-        parser.add_argument(name)
-    parser.add_argument("steps", type=int)
-    parser.add_argument("overrides", nargs="*")
-    given = parser.parse_args()
-    comm = MPI.COMM_WORLD
-    meeting = Meeting(comm)
-    try:
-        found = measure(comm, Scene.from_toml(given.scene, given.overrides), given.kind, given.steps)
-    except Exception as failure:
-        return meeting.report(failure, sentence(failure))
-    if comm.rank == 0:
-        Path(given.output).write_text(json.dumps(asdict(found)), encoding="utf-8")
+def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> None:
+    from ..scaling.machine import Machine
+    from ..scaling.plan import Planner
+    from ..scaling.predict import predicted
+
+    machine, strong = Machine.read(chosen.predict), [one for one in found if one.kind == "strong"]
+    rows, worst = predicted(Planner(scene_of(chosen), _progress()), strong, machine)
+    print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
+
+
+def _calibrate(launcher: str, path: Path) -> int:
+    from ..scaling.calibrate import calibrate  # no other command needs its imports
+
+    calibrate(launcher, say=_progress()).write(path)
+    print(path)
     return 0
 
 
-if __name__ == "__main__":
-    sys.exit(_main())
+def _plan(chosen: argparse.Namespace, folder: Path) -> int:
+    from ..scaling.machine import Machine
+    from ..scaling.plan import Planner
+    from ..scaling.report import write_plans
+
+    machines = [Machine.read(name) for name in chosen.machine or ["aries"]]
+    say = _progress()
+    planner = Planner(scene_of(chosen), say)
+    plans = list(planner.plans(chosen.plan))
+    text, paths = write_plans(planner, plans, machines, chosen.cycles, folder)
+    say("")
+    print(text)
+    print(*paths, sep="\n")
+    return 0
+
+
+def _progress() -> Callable[[str], None]:
+    """Return what says how far a long command is: on stderr, on one line where that is a terminal, else every ten seconds."""
+    latest = [0.0]
+
+    def say(text: str) -> None:
+        terminal, now = sys.stderr.isatty(), time.monotonic()
+        if terminal:
+            print(f"\r{text:<79}" + ("" if text else "\r"), end="", file=sys.stderr, flush=True)
+        elif text and now - latest[0] > 10:
+            latest[0] = now
+            print(text, file=sys.stderr, flush=True)
+
+    return say

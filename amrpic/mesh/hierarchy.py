@@ -48,7 +48,7 @@ class Hierarchy:
     the boxes of an `earlier` hierarchy share what is known of them, and are not checked again.
 
     With a VirtualRank in place of the communicator nothing is collective: boxes, owners and plans of exchanges are those
-    that this rank of so many would have, and nothing that communicates can be done with the hierarchy.
+    that this rank of so many would have, and all that would be sent is only counted.
 
     `comm` may be left out: all ranks. Raises HierarchyError on all ranks for boxes that overlap, leave the domain, are not
     aligned so, or do not nest.
@@ -67,12 +67,11 @@ class Hierarchy:
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
-        is_virtual = isinstance(comm, VirtualRank)
-        self.comm = cast(Communicator, comm) if is_virtual else own(cast(MPI.Comm, comm))
+        self.comm = cast(Communicator, comm) if isinstance(comm, VirtualRank) else own(comm)
         shared = None if earlier is None else earlier.native
         try:
             self.native: _native.Hierarchy = _native.Hierarchy(
-                (self.comm.rank, self.comm.size) if is_virtual else self.comm.py2f(),
+                self.comm.py2f(),
                 domain.lower,
                 domain.upper,
                 domain.cells,

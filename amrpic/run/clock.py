@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from ..parallel import Traffic, traffic
@@ -23,27 +23,26 @@ class Spent:
     def __sub__(self, other: Spent) -> Spent:
         return Spent(self.seconds - other.seconds, self.traffic - other.traffic)
 
-    @classmethod
-    def so_far(cls) -> Spent:
-        """Return what this process has spent since some time in the past."""
-        return cls(time.perf_counter(), traffic())
-
 
 class Clock:
-    """Adds up what stages take; that of a stage within another counts for the inner one alone."""
+    """Adds up what stages take; that of a stage within another counts for the inner one alone.
 
-    def __init__(self) -> None:
+    `now` gives the time in s since some time in the past.
+    """
+
+    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
+        self.now = now
         self._stages: dict[str, Spent] = {}
         self._within: list[Spent] = []  # for each stage that runs, what stages within it have spent
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        start = Spent.so_far()
+        start = Spent(self.now(), traffic())
         self._within.append(Spent())
         try:
             yield
         finally:
-            spent = Spent.so_far() - start
+            spent = Spent(self.now(), traffic()) - start
             self._stages[stage] = self._stages.get(stage, Spent()) + (spent - self._within.pop())
             if self._within:
                 self._within[-1] += spent

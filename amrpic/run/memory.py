@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..io.writer_ranks import Writers, buffer_bytes
+from ..io.writer_ranks import Writers, buffer_bytes, group_of
 from ..mesh.boxes import Array, cells_of, rows_of, table_of
 from ..mesh.raster import pixels_of
 from ..scene.bunches import LatticeBunch, Train
@@ -32,6 +32,7 @@ NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
 BOTTOM = 64  # cells of a multigrid level that is not coarsened further
 LAPLACIAN = ROW + NEIGHBOURS * ENTRY
 PARTICLE = 7 * NUMBER  # position, momentum, id
+PLACING = 2.35  # measured: what a rank holds of particles while they are placed, in its own ones
 
 # The matrix-free backend: a correction and a right-hand side in single precision, with rows padded to whole vectors, the
 # ghosts around boxes, and the coarser values around each box, those of an eighth of the cells and of those beside them; on
@@ -69,23 +70,40 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
 
 
 def rank_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int, held: Share) -> float:
-    """Return the bytes of `run_memory` that one rank takes which holds a share of cells and particles; rank 0 draws."""
+    """Return the bytes of `run_memory` that one rank takes which holds a share of cells and particles.
+
+    Rank 0 draws, from what each rank rasters; writers hold what is on its way into files.
+    """
     parts = run_memory(scene, boxes, particles, ranks)
-    of_all = {
-        "processes": 1 / ranks,
-        "particles": held.particles / max(particles, 1),
-        "pictures": float(held.rank == 0),
-    }
+    group = group_of(_groups(scene, boxes, particles, ranks), held.rank)
+    parts["files"] = _buffers(scene, particles, group) if held.rank == group.start else 0
+    if parts["pictures"] > 0:
+        parts["pictures"] = _rasters(scene) + (DRAWING if held.rank == 0 else 0)
+    of_all = {"processes": 1 / ranks, "particles": held.particles / max(particles, 1), "files": 1, "pictures": 1}
     cells = held.cells / max(sum(int(cells_of(level).sum()) for level in boxes), 1)
     return sum(size * of_all.get(what, cells) for what, size in parts.items())
 
 
+def placing_bytes(scene: Scene) -> float:
+    """Return the bytes that a rank takes for each of its particles while they are made and brought to their servers."""
+    return PLACING * (PARTICLE + (0 if _equal_weights(scene) else NUMBER))
+
+
 def _files(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> int:
     """Return the bytes of what is on its way into files."""
+    return sum(_buffers(scene, particles, group) for group in _groups(scene, boxes, particles, ranks))
+
+
+def _groups(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int) -> list[range]:
+    """Return the groups of ranks that write the largest file together; the first of each writes."""
     largest = NUMBER * max((2 + AXES) * sum(int(cells_of(level).sum()) for level in boxes), 9 * particles)
-    groups = Writers(scene.output.writers, scene.output.part_bytes).groups(ranks, largest)
+    return Writers(scene.output.writers, scene.output.part_bytes).groups(ranks, largest)
+
+
+def _buffers(scene: Scene, particles: int, group: range) -> int:
+    """Return the bytes that the writer of a group holds of what is on its way."""
     merges = bool({"particles", "losses"} & set(scene.output.write)) and particles > 0
-    return sum(buffer_bytes(len(group), merges) for group in groups)
+    return buffer_bytes(len(group), merges)
 
 
 def _rasters(scene: Scene) -> int:
@@ -103,7 +121,7 @@ def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
     copied, weights, copies = _all_copies(scene, boxes)
     operators = sum(_operators(scene, *level) for level in _cycle(scene, cells)) + copies * LAPLACIAN
     of_axis = 3 * ROW * total + 2 * ENTRY * uncovered + _of_covered(scene, cells, covered)
-    vectors = (total + sum(_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER
+    vectors = (total + sum(cells_below(scene))) * (3 * NUMBER + 1 + _smoother(scene)) + total * 2 * NUMBER
     of_copies = copies * (3 * NUMBER + _smoother(scene)) + copied * (NUMBER + ENTRY + ROW) + weights * ENTRY
     return {
         "operators": operators + at_edges,
@@ -114,7 +132,7 @@ def _compressed_rows(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
 
 def _matrix_free(scene: Scene, boxes: Sequence[Array]) -> dict[str, int]:
     """Return the bytes of the matrix-free backend."""
-    swept = sum(int(cells_of(level).sum()) for level in boxes) + sum(_below(scene)) + _all_copies(scene, boxes)[2]
+    swept = sum(int(cells_of(level).sum()) for level in boxes) + sum(cells_below(scene)) + _all_copies(scene, boxes)[2]
     return {"solver": int(SWEPT * swept + FACE_LISTS * _faces(scene, boxes))}
 
 
@@ -133,7 +151,7 @@ def _cycle(scene: Scene, cells: Sequence[int]) -> Iterator[tuple[int, int, int, 
     """Yield of each level of the cycle its cells, the parents of each, how many of them the next finer level covers, and the
     cells of that level. `cells` are those of the base and the refinement levels.
     """
-    below = _below(scene)
+    below = cells_below(scene)
     parents = [fine // coarse for fine, coarse in itertools.pairwise([cells[0], *below])] + [0]
     for level, finer in enumerate([*cells[1:], 0]):
         yield cells[level], CHILDREN if level > 0 else parents[0], finer // CHILDREN, finer
@@ -158,7 +176,7 @@ def _widths(scene: Scene, level: int) -> Array:
     return scene.domain.value.spacing * np.array(scene.solver.stretch) / 2**level
 
 
-def _below(scene: Scene) -> list[int]:
+def cells_below(scene: Scene) -> list[int]:
     """Return the cells of the multigrid levels under the base, fine to coarse: half as many along axes of small spacing."""
     cells, h = np.array(scene.domain.cells), _widths(scene, 0)
     most = np.inf if scene.solver.coarse_levels is None else scene.solver.coarse_levels

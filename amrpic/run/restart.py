@@ -44,7 +44,10 @@ from .state import State
 from .step import state_of
 from .time_step import settle_time_step
 
+FIELDS = ("rho", "phi", "efield_x", "efield_y", "efield_z")
 COLUMNS = ("position", "momentum", "weight", "id")
+ROW_BYTES = (24, 24, 8, 8)  # of each column
+LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
 FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
@@ -159,7 +162,7 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
 def _fields(state: State) -> dict[str, Field]:
     efield = state.efield.with_components()
     # E is kept although it follows from φ: at open walls that takes the charge of the latest solve as well.
-    out = {"rho": state.rho, "phi": state.phi, "efield_x": efield.x, "efield_y": efield.y, "efield_z": efield.z}
+    out = dict(zip(FIELDS, (state.rho, state.phi, efield.x, efield.y, efield.z), strict=True))
     if (magnetic := state.solution.magnetic) is not None:
         out |= {f"bfield_{axis}": field for axis, field in zip(AXES, magnetic.components, strict=True)}
         out |= {f"phi_{number}": part for number, part in enumerate(state.solution.parts)}

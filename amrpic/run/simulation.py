@@ -24,6 +24,7 @@ from ..results.run_results import Results
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
 from .beam_tables import Diagnostic
+from .clock import Clock
 from .course import Reference
 from .field_functions import FieldFunction
 from .flight import kicked
@@ -190,6 +191,11 @@ class Simulation:
             state.window,
             writers=writers_of(self.scene),
         )
+
+    @property
+    def clock(self) -> Clock:
+        """What measures the stages of steps."""
+        return self._plan.clock
 
     @property
     def remarks(self) -> list[str]:

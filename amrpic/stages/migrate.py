@@ -19,6 +19,8 @@ from ..particles.particles import Particles, Sorting
 
 NONE = np.zeros(0, dtype=np.int64)
 BRICK_COST = 64  # particles that take as long as a brick by itself, about: its part of the field is brought to it
+REMOTE_COST = 8192  # the same over a network that is slow for so many ranks, at most
+OF_PARTICLES = 1 / 16  # of the particles of a brick on average; so no rank has many more particles because of it
 MOST_SUMMED = 2**13  # numbers in a sum over ranks
 UNEVEN, FEW = 1.1, 4096  # the most work over its mean, and how many particles more than that do not matter
 
@@ -54,7 +56,7 @@ def migrate_without(
     weight = particles.one_weight(comm)
     given = particles if weight is not None else particles.with_own_weights()
     plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
-    if evenly and _is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
+    if evenly and is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
         servers = shared_out_by_work(particles, hierarchy)
         plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
     here = Particles.allocate(plan.arriving, particles.species, weight)
@@ -75,7 +77,7 @@ PAIR = MPI.INT64_T.Create_contiguous(2).Commit()  # so that no pair is cut in tw
 LARGEST_AND_SUM = MPI.Op.Create(_largest_and_sum, commute=True)
 
 
-def _is_uneven(comm: MPI.Comm, work: int) -> bool:
+def is_uneven(comm: MPI.Comm, work: int) -> bool:
     """Return whether a rank has too much of the work of all, in particles. Collective."""
     found = np.array([work, work], dtype=np.int64)
     comm.Allreduce(MPI.IN_PLACE, [found, 1, PAIR], LARGEST_AND_SUM)
@@ -84,19 +86,24 @@ def _is_uneven(comm: MPI.Comm, work: int) -> bool:
 
 def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:
     """Return servers, as in `Sorting`, that have equally much to do with particles that are sorted, about. Collective."""
-    return share_out(hierarchy.comm, *weights(particles, hierarchy, BRICK_COST))
+    places, counts = weights(particles, hierarchy)
+    return share_out(hierarchy.comm, places, counts + brick_cost(hierarchy.comm, counts))
 
 
-def weights(particles: Particles, hierarchy: Hierarchy, brick_cost: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places on the curve of the bricks that hold particles of this rank, int64 (n,), and their work, int64 (n,).
+def brick_cost(comm: MPI.Comm, counts: np.ndarray) -> int:
+    """Return for how many particles a brick counts that holds some, given how many are in those of this rank. Collective."""
+    particles, bricks = comm.allreduce(np.array([counts.sum(), len(counts)]))
+    return int(np.clip(OF_PARTICLES * particles / max(bricks, 1), BRICK_COST, REMOTE_COST))
 
-    The particles may be sorted on another hierarchy, or not at all; those outside the domain do not count. A brick costs as
-    much as `brick_cost` particles, on each rank that has any.
+
+def weights(particles: Particles, hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places on the curve of the bricks that hold particles of this rank, int64 (n,), and how many, int64 (n,).
+
+    The particles may be sorted on another hierarchy, or not at all; those outside the domain do not count. Nothing on one rank.
     """
     if hierarchy.comm.size == 1:
         return NONE, NONE
-    places, counts = _native.count_per_brick(hierarchy.native, particles.position)
-    return places, counts + brick_cost
+    return _native.count_per_brick(hierarchy.native, particles.position)
 
 
 def share_out(comm: MPI.Comm, places: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -2,11 +2,11 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
-#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include "base/error.hpp"
 #include "bind/bind.hpp"
+#include "bind/communicator.hpp"
 #include "bind/convert.hpp"
 #include "mesh/array_on_box.hpp"
 #include "mesh/cells_around.hpp"
@@ -15,19 +15,6 @@ namespace nb = nanobind;
 using namespace amrpic;
 using namespace nb::literals;
 
-namespace {
-
-/// The Fortran handle of a communicator, or a virtual rank and the number of ranks.
-using Ranks = std::variant<int, std::array<int, 2>>;
-
-Communicator communicator(Ranks const& ranks) {
-  if (auto const* handle = std::get_if<int>(&ranks)) return Communicator(MPI_Comm_f2c(*handle));
-  auto const& [rank, count] = std::get<1>(ranks);
-  return Communicator(rank, count);
-}
-
-}  // namespace
-
 void bind_hierarchy(nb::module_& m) {
   nb::exception<HierarchyError>(m, "HierarchyError");
   nb::exception<SolverError>(m, "SolverError");
@@ -35,7 +22,7 @@ void bind_hierarchy(nb::module_& m) {
   nb::class_<Hierarchy>(m, "Hierarchy")
       .def(
           "__init__",
-          [](Hierarchy* self, Ranks comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
+          [](Hierarchy* self, bind::Ranks comm, Real3 lower, Real3 upper, Index3 cells, std::array<int, 6> boundary,
              std::vector<bind::IntRows> levels, int max_grid_size, int blocking_factor, bind::IntRows base,
              Hierarchy const* earlier) {
             Domain domain{lower, upper, cells, {}};
@@ -43,7 +30,7 @@ void bind_hierarchy(nb::module_& m) {
             std::vector<std::vector<Box>> boxes;
             for (auto const& level : levels) boxes.push_back(bind::to_boxes(level));
             nb::gil_scoped_release release;
-            new (self) Hierarchy(communicator(comm), domain, boxes, max_grid_size, blocking_factor,
+            new (self) Hierarchy(bind::communicator(comm), domain, boxes, max_grid_size, blocking_factor,
                                  bind::to_boxes(base), earlier);
           },
           "comm"_a, "lower"_a, "upper"_a, "cells"_a, "boundary"_a, "levels"_a, "max_grid_size"_a, "blocking_factor"_a,

@@ -1,13 +1,17 @@
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/map.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "base/communicator.hpp"
+#include "base/destinations.hpp"
 #include "base/runtime.hpp"
 #include "bind/bind.hpp"
+#include "bind/communicator.hpp"
 #include "mesh/exchange.hpp"
 
 namespace nb = nanobind;
@@ -37,16 +41,19 @@ void bind_machine(nb::module_& m) {
       },
       "Messages and bytes that this process has sent to other ranks so far, and collective calls.");
   m.def(
+      "take_destinations", [] { return std::exchange(amrpic::destinations(), {}); },
+      "The ranks that virtual ranks of this process have sent messages to since the last call, and how many bytes.");
+  m.def(
       "count_collective", [] { ++amrpic::traffic().collectives; }, "Count a collective call that Python makes.");
   m.def(
       "sums_and_largest",
-      [](int comm, std::vector<amrpic::Real> const& summed, std::vector<amrpic::Real> const& compared) {
+      [](amrpic::bind::Ranks comm, std::vector<amrpic::Real> const& summed, std::vector<amrpic::Real> const& compared) {
         std::vector<Number> numbers;
         for (amrpic::Real value : summed) numbers.push_back({value, 0});
         for (amrpic::Real value : compared) numbers.push_back({value, 1});
         {
           nb::gil_scoped_release release;
-          amrpic::Communicator(MPI_Comm_f2c(comm)).add_each(numbers);
+          amrpic::bind::communicator(comm).add_each(numbers);
         }
         std::vector<amrpic::Real> out;
         for (Number const& number : numbers) out.push_back(number.value);

@@ -8,6 +8,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "bind/bind.hpp"
+#include "bind/communicator.hpp"
 #include "bind/convert.hpp"
 #include "particle/apertures.hpp"
 #include "particle/array_pool.hpp"
@@ -289,12 +290,12 @@ void bind_particle(nb::module_& m) {
       .def_ro("xu", &BeamSums<Real>::xu);
   m.def(
       "beam_sums",
-      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          OnePerParticle mass, ConstColumns later, Real share) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
-        return beam_sums(Communicator(MPI_Comm_f2c(comm)), beam);
+        return beam_sums(bind::communicator(comm), beam);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a);
 
@@ -316,18 +317,18 @@ void bind_particle(nb::module_& m) {
       .def_ro("highest", &BeamMoments::highest);
   m.def(
       "beam_moments",
-      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
-        return beam_moments(Communicator(MPI_Comm_f2c(comm)), beam, parts);
+        return beam_moments(bind::communicator(comm), beam, parts);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "parts"_a);
   m.def("joined_moments", &joined_moments, "parts"_a);
   m.def(
       "amplitude_quantiles",
-      [](int comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
          OnePerParticle mass, ConstColumns later, Real share, std::vector<BeamParts> const& layers,
          std::vector<std::array<Real, 6>> const& centres, std::vector<std::array<Real3, 3>> const& forms,
          std::vector<std::array<Real, amplitude_kinds>> const& typical, std::vector<Real> const& fractions) {
@@ -337,7 +338,7 @@ void bind_particle(nb::module_& m) {
         std::vector<AmplitudeFrame> frames;
         for (std::size_t part = 0; part < centres.size(); ++part)
           frames.push_back({centres[part], forms[part], typical[part]});
-        return amplitude_quantiles(Communicator(MPI_Comm_f2c(comm)), beam, layers, frames, fractions);
+        return amplitude_quantiles(bind::communicator(comm), beam, layers, frames, fractions);
       },
       "comm"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "mass"_a, "later"_a, "share"_a, "layers"_a, "centres"_a,
       "forms"_a, "typical"_a, "fractions"_a);

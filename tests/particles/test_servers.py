@@ -130,7 +130,7 @@ def test_counts_per_brick_are_those_of_numpy_and_need_no_migration(comm):
         one_cell(comm),
         *((h, scattered(h, 999)) for h in (hierarchy_of(c, comm) for c in CASES[::9])),
     ]:
-        places, counts = weights(particles, hierarchy, brick_cost=0)
+        places, counts = weights(particles, hierarchy)
         expected = np.unique(brick_places(hierarchy, particles.position), return_counts=True)
         assert np.array_equal(np.unique(places), expected[0])
         assert np.array_equal(np.bincount(np.searchsorted(expected[0], places), counts), expected[1])

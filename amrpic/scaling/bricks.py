@@ -1,0 +1,175 @@
+"""Bricks of 8³ cells that hold particles, the ranks that serve these, and what passes between them and the owners of cells.
+
+The brick, its place on the curve and the shares of the ranks are those of `stages.migrate`; ranks need not exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .. import _native
+from ..mesh.boxes import Array
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import Traffic
+from ..stages.migrate import brick_cost, share_out
+from .densities import Cloud, Densities
+from .sent import Sent
+
+SIZE = 8  # cells per axis of a brick
+FEWEST = 0.5  # particles of a brick that counts
+NUMBER = 8  # bytes
+HOME = 12  # bytes by which a brick is named in a message
+ANNOUNCED = 3  # messages with charge: how many bricks, which, and their values
+
+
+@dataclass(frozen=True)
+class Bricks:
+    """Bricks with their particles, the same for any distribution over ranks."""
+
+    rows: Array  # int32 (n, 3): level, box, and number in the box
+    cells: Array  # int64 (n, 6): lower and upper corners, in cells of the level
+    particles: Array  # (n,)
+
+    @cached_property
+    def total(self) -> float:
+        return float(self.particles.sum())
+
+
+def bricks_of(clouds: Sequence[Cloud], mesh: Hierarchy) -> Bricks:
+    """Return all bricks of a mesh with particles in cells that no finer level covers."""
+    densities = Densities(clouds, mesh)
+    rows, cells, particles = [], [], []
+    for level in range(mesh.levels):
+        corners = mesh.boxes(level).astype(np.int64)
+        for place, box in enumerate(densities.boxes[level].tolist()):
+            values = densities.box_values(level, place, lambda c: c.particles)
+            if level + 1 < mesh.levels:
+                values = values * (mesh.native.covered(level, box) == 0)
+            starts = [np.arange(0, n, SIZE) for n in values.shape]
+            for axis in range(3):
+                values = np.add.reduceat(values, starts[axis], axis=axis)
+            counts = values.ravel(order="F")  # bricks are numbered x fastest
+            number = np.flatnonzero(counts >= FEWEST)
+            at = np.array(np.unravel_index(number, values.shape, order="F")).T
+            lower = corners[box, :3] + SIZE * at
+            rows.append(np.column_stack([np.full((len(number), 2), (level, box)), number]))
+            cells.append(np.hstack([lower, np.minimum(lower + SIZE - 1, corners[box, 3:])]))
+            particles.append(counts[number])
+    return Bricks(
+        np.concatenate([np.zeros((0, 3)), *rows]).astype(np.int32),
+        np.concatenate([np.zeros((0, 6)), *cells]).astype(np.int64),
+        np.concatenate([np.zeros(0), *particles]),
+    )
+
+
+@dataclass(frozen=True)
+class Served:
+    """Bricks on the ranks of a mesh, and what servers and owners of cells send each other."""
+
+    bricks: Bricks
+    servers: Array  # as in `particles.Sorting`
+    particles: Array  # (ranks,)
+    pairs: Array  # int64 (m, 2): brick, and a rank that serves some of its particles
+    exchange: Exchange
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """What servers of particles and owners of cells send each other, for each two of which one serves what the other owns.
+
+    Charge goes to the owner, behind a list of bricks and an announcement of it, the field to the server.
+    """
+
+    ranks: int
+    server: Array  # (n,)
+    owner: Array  # (n,)
+    names: Array  # (n,) bricks in the list
+    cells: Array  # (n,) in the windows around these
+
+    @property
+    def messages(self) -> Array:
+        """Those that each rank sends, (ranks,)."""
+        return ANNOUNCED * np.bincount(self.server, minlength=self.ranks) + np.bincount(
+            self.owner, minlength=self.ranks
+        )
+
+    def deposit(self, rank: int) -> Sent:
+        """Return what a rank sends of charge; the collective of the announcement is counted elsewhere."""
+        mine = self.server == rank
+        return _sent(ANNOUNCED, self.owner[mine], self._charge[mine])
+
+    def gather(self, rank: int) -> Sent:
+        """Return what a rank sends of the field."""
+        mine = self.owner == rank
+        return _sent(1, self.server[mine], self._field[mine])
+
+    def leaving(self, call: str, ranks_per_node: int) -> float:
+        """Return the most bytes that leave a node by "deposit" or "gather"."""
+        server, owner = self.server // ranks_per_node, self.owner // ranks_per_node
+        node, size = (server, self._charge) if call == "deposit" else (owner, self._field)
+        return float(np.bincount(node, size * (server != owner)).max(initial=0.0))
+
+    @property
+    def _charge(self) -> Array:
+        return NUMBER + HOME * self.names + NUMBER * self.cells
+
+    @property
+    def _field(self) -> Array:
+        return 3 * NUMBER * self.cells
+
+
+def _sent(messages: int, to: Array, size: Array) -> Sent:
+    traffic = Traffic(messages * len(to), int(size.sum()), 0)
+    return Sent(traffic, dict(zip(to.tolist(), size.tolist(), strict=True)))
+
+
+def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
+    """Return who serves the particles on the ranks of a mesh, shared out by work as after a regrid. Local on virtual ranks."""
+    ranks = mesh.comm.size
+    places, parts = _native.brick_windows(mesh.native, bricks.rows, matched)
+    counts = np.rint(bricks.particles).astype(np.int64)
+    servers = share_out(mesh.comm, places, counts + brick_cost(mesh.comm, counts))
+    inner = servers[1:-1]
+    first, last = (np.searchsorted(inner, places + more, side="right") for more in (0, _native.PLACES_PER_BRICK - 1))
+    brick = np.repeat(np.arange(len(places)), last - first + 1)
+    rank = first[brick] + np.arange(len(brick)) - np.searchsorted(brick, brick)
+    begin, stop = (np.clip(servers[rank + i], places[brick], places[brick] + _native.PLACES_PER_BRICK) for i in (0, 1))
+    each = bricks.particles[brick] * ((stop - begin) / _native.PLACES_PER_BRICK)
+    pairs = np.column_stack([brick, rank])
+    return Served(bricks, servers, np.bincount(rank, each, ranks), pairs, exchange(mesh, bricks.rows, pairs, parts))
+
+
+def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array) -> Exchange:
+    """Return what passes because of bricks, `rows` (n, 3), and ranks that serve particles of them, `pairs` (m, 2). Local.
+
+    `parts` is what `_native.brick_windows` returns of the bricks. A brick of a rank's own box needs no messages.
+    """
+    ranks, brick, server = mesh.comm.size, pairs[:, 0], pairs[:, 1]
+    remote = _owners(mesh, rows[:, 0], rows[:, 1])[brick] != server
+    brick, server = brick[remote], server[remote]
+    starts = np.searchsorted(parts[:, 0], np.arange(len(rows) + 1))
+    numbers = starts[brick + 1] - starts[brick]
+    pair = np.repeat(np.arange(len(brick)), numbers)
+    row = np.arange(len(pair)) + np.repeat(starts[brick] - np.cumsum(numbers) + numbers, numbers)
+    owner = _owners(mesh, parts[:, 1], parts[:, 2])[row]
+    other = owner != server[pair]
+    pair, row, owner = pair[other], row[other], owner[other]
+    meetings, member = np.unique(server[pair] * ranks + owner, return_inverse=True)
+    values = np.bincount(member, parts[row, 3], len(meetings))
+    named = np.unique(pair * ranks + owner)  # a brick is named once to each owner of cells around it
+    names = np.searchsorted(meetings, server[named // ranks] * ranks + named % ranks)
+    named_of = np.bincount(names, minlength=len(meetings))
+    return Exchange(ranks, meetings // ranks, meetings % ranks, named_of, values.astype(np.int64))
+
+
+def _owners(mesh: Hierarchy, levels: Array, boxes: Array) -> Array:
+    """Return the owner of each of some boxes, int64 (n,)."""
+    out = np.zeros(len(levels), dtype=np.int64)
+    for level in range(mesh.levels):
+        here = levels == level
+        out[here] = mesh.owners(level)[boxes[here]]
+    return out

@@ -1,0 +1,89 @@
+"""What a machine takes for the work of the stages and for messages: constants of the model, kept in TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Self
+
+from ..errors import InputError
+
+FOLDER = Path(__file__).parent / "machines"
+
+
+@dataclass(frozen=True)
+class Work:
+    """Seconds of a stage: once per step, per cell of a rank, per cell and cycle, per particle of a rank, per patch of ghosts
+    behind open walls, and per interaction of a patch with what holds charge."""
+
+    call: float = 0.0
+    cell: float = 0.0
+    cycle: float = 0.0
+    particle: float = 0.0
+    patch: float = 0.0
+    interaction: float = 0.0
+
+
+@dataclass(frozen=True)
+class Network:
+    """What messages between nodes take; of one node, what they take within it."""
+
+    latency: float  # s per message
+    bandwidth: float  # B/s of a node, which its ranks share
+    ranks_per_node: int
+    collective: float  # s per doubling of the ranks
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Constants of a machine. `alone` are those of `stages` where a rank has the node's memory for itself."""
+
+    name: str
+    source: str  # where the constants come from
+    network: Network
+    stages: Mapping[str, Work]
+    alone: Mapping[str, Work]
+
+    def work(self, ranks: int) -> Mapping[str, Work]:
+        """Return the constants of the stages for runs on so many ranks."""
+        return self.alone if ranks == 1 and self.alone else self.stages
+
+    def scaled(self, what: str, factor: float) -> Machine:
+        """Return the machine with a constant of the network, or "work" for all those of stages, times a factor."""
+        if what != "work":
+            return replace(self, network=replace(self.network, **{what: getattr(self.network, what) * factor}))
+        stages = {n: Work(*(factor * value for value in asdict(w).values())) for n, w in self.stages.items()}
+        return replace(self, stages=stages, alone={})
+
+    def write(self, path: Path) -> None:
+        """Write the constants as TOML."""
+        lines = [f'name = "{self.name}"', f'source = "{self.source}"', "", *_section("network", asdict(self.network))]
+        for prefix, group in ("stages", self.stages), ("alone", self.alone):
+            for name, work in group.items():
+                lines += ["", *_section(f'{prefix}."{name}"', {k: v for k, v in asdict(work).items() if v})]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    @classmethod
+    def read(cls, name: str) -> Self:
+        """Return a machine by the name of one that comes with the package, or by the path of its TOML. Raises InputError."""
+        path = FOLDER / f"{name}.toml" if (FOLDER / f"{name}.toml").exists() else Path(name)
+        try:
+            values: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+            groups = [{key: Work(**of) for key, of in values.get(group, {}).items()} for group in ("stages", "alone")]
+            return cls(values["name"], values["source"], Network(**values["network"]), *groups)
+        except OSError as reason:
+            known = ", ".join(sorted(file.stem for file in FOLDER.glob("*.toml")))
+            raise InputError(
+                f"machine {name} cannot be read ({reason.strerror}); give a TOML file, or one of {known}"
+            ) from None
+        except (ValueError, TypeError, KeyError) as reason:
+            wanted = ", ".join(field.name for field in fields(Network))
+            raise InputError(
+                f"{path} describes no machine ({reason}); give name, source, [network] with {wanted}, and [stages.<stage>]"
+            ) from None
+
+
+def _section(name: str, values: Mapping[str, Any]) -> list[str]:
+    return [f"[{name}]", *(f"{key} = {value:.4g}" for key, value in values.items())]

@@ -1,0 +1,160 @@
+"""One run of a scaling study: steps of a scene on the ranks that there are. `python -m amrpic.scaling.measure` is one."""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import shutil
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ..errors import InputError
+from ..failure import Meeting, sentence
+from ..mesh.boxes import cells_of
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import own, together
+from ..run.clock import Spent
+from ..run.simulation import Simulation
+from ..scene.scene import Scene
+from .measured import WALLS, Run, Stage
+
+UNCOUNTED = 1  # first steps, in which memory is touched for the first time
+
+
+CLOCKS: Mapping[str, Callable[[], float]] = {"wall": time.perf_counter, "processor": time.process_time}
+
+
+def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name: str = "", clock: str = "wall") -> Run:
+    """Return what so many steps of a run take, after the uncounted first ones, with all that the scene writes. Collective.
+
+    Files go into the scene's folder. What a step writes counts for the next one; what the end writes stands apart. By the clock
+    of the "processor" the time in which others use it does not count, nor what a rank waits for another without polling.
+    """
+    comm, now = own(comm), CLOCKS[clock]
+    run = Simulation(comm, _with_steps(scene, UNCOUNTED + steps))
+    run.clock.now = now
+    seconds: list[float] = []
+    stages: list[dict[str, Stage]] = []
+    cycles: list[int] = []
+    since = now()
+
+    def step_over(of: Simulation) -> None:
+        nonlocal since
+        taken = now() - since
+        if of.step > UNCOUNTED:
+            seconds.append(comm.allreduce(taken, op=MPI.MAX))
+            stages.append(over_ranks(comm, _with_walls(of.state.spent, of.report.seconds)))
+            cycles.append(of.report.cycles)
+        comm.Barrier()
+        since = now()
+
+    run.on_step(step_over)
+    run.run()
+    end = comm.allreduce(now() - since, op=MPI.MAX)
+    mesh, number = run.hierarchy, len(run.particles)
+    total = run.particles.global_count(comm)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
+    return Run(
+        kind,
+        comm.size,
+        name,
+        sum(mesh.cells(level) for level in range(mesh.levels)),
+        total,
+        cell_imbalance(mesh),
+        comm.allreduce(number, op=MPI.MAX) * comm.size / total if total else 1.0,
+        _spread(comm, np.array([memory]))[0],
+        cycles,
+        seconds,
+        stages,
+        end,
+    )
+
+
+def _with_steps(scene: Scene, steps: int) -> Scene:
+    schedule = scene.schedule.model_copy(update={"steps": steps, "solves": None})
+    return scene.model_copy(update={"schedule": schedule})
+
+
+def _with_walls(spent: Mapping[str, Spent], of_solve: Mapping[str, float]) -> dict[str, Spent]:
+    """Return what stages spent, with the open walls' part of the latest solve as a stage of its own; messages stay."""
+    part = of_solve.get("open boundary", 0.0) / max(sum(of_solve.values()), 1e-300)
+    if part == 0 or "solve" not in spent:
+        return dict(spent)
+    seconds = part * spent["solve"].seconds  # by whatever clock
+    return {**spent, "solve": spent["solve"] - Spent(seconds), WALLS: Spent(seconds)}
+
+
+def _spread(comm: MPI.Comm, values: np.ndarray) -> list[tuple[float, float, float]]:
+    """Return the least, mean and most of each value over the ranks. Collective."""
+    least, total, most = (_reduced(comm, values, op) for op in (MPI.MIN, MPI.SUM, MPI.MAX))
+    return list(zip(least.tolist(), (total / comm.size).tolist(), most.tolist(), strict=True))
+
+
+def _reduced(comm: MPI.Comm, values: np.ndarray, op: MPI.Op) -> np.ndarray:
+    out = np.empty_like(values)
+    comm.Allreduce(values, out, op=op)
+    return out
+
+
+def over_ranks(comm: MPI.Comm, spent: Mapping[str, Spent]) -> dict[str, Stage]:
+    """Return what all ranks spent on the stages of a step. Collective."""
+    seconds = _spread(comm, np.array([of.seconds for of in spent.values()]))
+    traffic = np.array([list(asdict(of.traffic).values()) for of in spent.values()], dtype=float).reshape(-1, 3)
+    busiest = _reduced(comm, traffic, MPI.MAX)
+    return {name: Stage(*s, *t) for name, s, t in zip(spent, seconds, busiest.tolist(), strict=True)}
+
+
+def cells_of_ranks(mesh: Hierarchy) -> np.ndarray:
+    """Return the cells of each level on each rank, int64 (levels, ranks)."""
+    return np.array(
+        [
+            np.bincount(mesh.owners(level), cells_of(mesh.boxes(level)), mesh.comm.size).astype(np.int64)
+            for level in range(mesh.levels)
+        ]
+    )
+
+
+def cell_imbalance(mesh: Hierarchy) -> float:
+    """Return Σ_l max ÷ Σ_l mean over ranks of the cells of level l: a cycle visits the levels in turn."""
+    cells = cells_of_ranks(mesh)
+    return float(cells.max(axis=1).sum() / cells.mean(axis=1).sum())
+
+
+def main() -> int:
+    """Go through one start of a study under mpiexec, and return its exit status. Collective.
+
+    Of the kind "alone" each rank runs the scene by itself, all at the same time; what is written is that of rank 0.
+    """
+    parser = argparse.ArgumentParser(prog="python -m amrpic.scaling.measure")
+    for name in ("output", "scene", "kind", "name"):
+        parser.add_argument(name)
+    parser.add_argument("steps", type=int)
+    parser.add_argument("clock", choices=CLOCKS)
+    parser.add_argument("overrides", nargs="*")
+    given = parser.parse_args()
+    world = MPI.COMM_WORLD
+    meeting = Meeting(world)
+    comm: MPI.Comm = MPI.COMM_SELF if given.kind == "alone" else world
+    folder = Path(given.output).with_suffix(f".{world.rank if given.kind == 'alone' else 0}")
+    try:
+        with together(world, InputError):
+            scene = Scene.from_toml(given.scene, [*given.overrides, f"output.directory={folder}"])
+        found = measure(comm, scene, given.steps, given.kind, given.name, given.clock)
+        if world.rank == 0:
+            found.write(Path(given.output))
+    except Exception as failure:
+        return meeting.report(failure, sentence(failure))
+    finally:
+        if comm.rank == 0:
+            shutil.rmtree(folder, ignore_errors=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

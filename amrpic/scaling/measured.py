@@ -1,0 +1,140 @@
+"""What runs on some ranks measured, as files, and medians of them."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+from ..errors import InputError, OutputError
+
+OUTPUT = "output"  # the stage of series, diagnostics and dumps in the course of a run
+WALLS = "open walls"  # the part of a solve that finds the potential at them
+END = "end"  # what a run writes at its end; not part of a step
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What a stage of one step took: seconds of the fastest rank, of ranks on average and of the slowest; the rest is of the
+    busiest rank."""
+
+    least: float
+    mean: float
+    most: float
+    messages: float = 0
+    bytes: float = 0
+    collectives: float = 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one start of a scene on so many ranks measured."""
+
+    kind: str  # strong or weak
+    ranks: int
+    scene: str  # what the scene is known by: see `study.name_of`
+    cells: int  # of all levels
+    particles: int
+    cell_imbalance: float  # Σ_l max ÷ Σ_l mean over ranks of the cells of level l: levels are visited in turn
+    particle_imbalance: float  # max ÷ mean over ranks
+    memory: tuple[float, float, float]  # bytes of a rank at its fullest: least, mean, most
+    cycles: list[int]  # of the solves of each step
+    seconds: list[float]  # of each step, of the slowest rank
+    steps: list[dict[str, Stage]]
+    end: float  # s, what is written at the end
+
+    def write(self, path: Path) -> None:
+        """Write the run as JSON. Raises OutputError."""
+        try:
+            path.write_text(json.dumps(asdict(self), indent=1), encoding="utf-8")
+        except OSError as reason:
+            raise OutputError(f"cannot write {path}: {reason.strerror}; choose another --output") from None
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Return a run that was written. Raises InputError if it is none."""
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))
+            values["steps"] = [{name: Stage(**of) for name, of in step.items()} for step in values["steps"]]
+            values["memory"] = tuple(values["memory"])
+            return cls(**values)
+        except (OSError, ValueError, TypeError, KeyError) as reason:
+            raise InputError(f"{path} is no run of a scaling study ({reason}); remove it") from None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All runs of a kind on so many ranks: medians over their steps."""
+
+    kind: str
+    ranks: int
+    cells: int
+    particles: int
+    cell_imbalance: float
+    particle_imbalance: float
+    memory: tuple[float, float, float]
+    runs: int
+    steps: int  # of all runs, over which medians are taken
+    cycles: float
+    seconds: float  # of a step
+    stages: dict[str, Stage]
+
+    @property
+    def work(self) -> float:
+        """Cells and particles of a rank."""
+        return (self.cells + self.particles) / self.ranks
+
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> Self:
+        """Return the medians of runs of one kind and number of ranks."""
+        first, steps = runs[0], [step for run in runs for step in run.steps]
+        names = dict.fromkeys(name for step in steps for name in step)
+        stages = {name: _median(step.get(name, Stage(0, 0, 0)) for step in steps) for name in names}
+        ends = [run.end for run in runs]
+        stages[END] = Stage(min(ends), statistics.fmean(ends), statistics.median(ends))
+        return cls(
+            first.kind,
+            first.ranks,
+            first.cells,
+            first.particles,
+            first.cell_imbalance,
+            first.particle_imbalance,
+            _each(max, [run.memory for run in runs]),
+            len(runs),
+            len(steps),
+            statistics.median(cycles for run in runs for cycles in run.cycles),
+            statistics.median(seconds for run in runs for seconds in run.seconds),
+            stages,
+        )
+
+
+def _median(stages: Iterable[Stage]) -> Stage:
+    return Stage(*_each(statistics.median, [tuple(asdict(stage).values()) for stage in stages]))
+
+
+def _each(function: Callable[[Any], float], rows: Sequence[Sequence[float]]) -> tuple[Any, ...]:
+    return tuple(float(function(column)) for column in zip(*rows, strict=True))
+
+
+def medians(runs: Iterable[Run]) -> list[Measured]:
+    """Return the medians of runs by kind and number of ranks, fewest ranks first."""
+    groups: dict[tuple[str, int], list[Run]] = {}
+    for run in runs:
+        groups.setdefault((run.kind, run.ranks), []).append(run)
+    return [Measured.of(groups[key]) for key in sorted(groups)]
+
+
+def by_kind(found: Sequence[Measured]) -> dict[str, list[Measured]]:
+    """Return the numbers of ranks of each kind, fewest first."""
+    kinds = dict.fromkeys(one.kind for one in found)
+    return {kind: sorted((o for o in found if o.kind == kind), key=lambda one: one.ranks) for kind in kinds}
+
+
+def efficiency(first: Measured, other: Measured, stage: str | None = None) -> float:
+    """Return the part of a rank's speed that is left of that with fewest ranks: cells and particles per second of a step, or of
+    one of its stages (by its slowest rank); nan where a stage takes no time."""
+    before, after = (one.seconds if stage is None else one.stages[stage].most for one in (first, other))
+    return (other.work / after) / (first.work / before) if before > 0 and after > 0 else float("nan")

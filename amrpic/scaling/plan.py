@@ -1,0 +1,287 @@
+"""What ranks that do not exist would hold and send of a scene: a plan for each number of them, made by one process."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .. import _native
+from ..io.checkpoint_writer import loads
+from ..io.writer_ranks import Load
+from ..mesh.boxes import Array
+from ..mesh.hierarchy import Hierarchy
+from ..parallel import Traffic
+from ..run.memory import Share, cells_below, placing_bytes, rank_memory
+from ..run.restart import FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
+from ..scene.motion import Leapfrog
+from ..scene.scene import Scene
+from .bricks import Bricks, Exchange, Served, bricks_of, served
+from .densities import charged_regions, clouds_of, planned_mesh
+from .measure import cells_of_ranks
+from .sent import Sent
+from .virtual_ranks import (
+    chosen_ranks,
+    counts,
+    cycle_work,
+    distributed,
+    moved_on,
+    particles_of,
+    sample,
+    without_open_walls,
+)
+
+SAMPLE = 10**5  # particles of a scene of which momenta are taken
+MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
+LOOKED_AT = 24  # ranks of which messages are counted
+NODE = 36  # ranks of a node of which all are looked at
+
+
+@dataclass(frozen=True)
+class Walls:
+    """What the potential at open walls takes of a rank that was looked at."""
+
+    patches: int  # of 8 x 8 ghosts, and larger ones, evaluated
+    interactions: int  # of these with nodes and leaves
+    traffic: Traffic
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was counted of one rank."""
+
+    sent: dict[str, Sent]  # by call
+    relaxed: dict[int, tuple[float, int]]  # cells and sweeps of a cycle, by level, those below the base negative
+    walls: Walls
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What ranks hold at most without one of the choices: see `Plan`."""
+
+    with_whole_boxes: float  # Σ_l max ÷ Σ_l mean of cells
+    particles_with_cells: float  # most ÷ mean particles
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scene on so many ranks."""
+
+    ranks: int
+    cells: Array  # (levels, ranks)
+    boxes: Array  # (levels, ranks)
+    particles: Array  # (ranks,)
+    memory: Array  # (ranks,) bytes at the fullest
+    start_memory: Array  # (ranks,) bytes while particles are made and placed
+    checkpoint: list[Load]  # of each writer
+    looked_at: list[
+        int
+    ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
+    sent: list[dict[str, Sent]]  # of these, by call
+    nodes: list[range]  # ranks of these nodes
+    relaxed: (
+        float  # Σ_l max over these of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank
+    )
+    walls: list[Walls]  # of these
+    without: Choices
+    exchange: Exchange  # between servers of particles and owners of cells
+    estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
+
+    @property
+    def cell_imbalance(self) -> float:
+        """Σ_l max ÷ Σ_l mean over ranks of the cells of level l."""
+        return imbalance(self.cells)
+
+    @property
+    def particle_imbalance(self) -> float:
+        """Max ÷ mean over ranks."""
+        return float(self.particles.max() / self.particles.mean()) if self.particles.any() else 1.0
+
+    @property
+    def swept_cells(self) -> float:
+        """Cells of all levels times `relaxed`: those that a cycle takes the time of, halos and multigrid levels included."""
+        return float(self.cells.sum()) * self.relaxed
+
+    def all_cycles(self, cycles: float) -> float:
+        """Return the cycles of a solve that improves the potential by so many."""
+        return cycles + (self.estimates if cycles > 0 else 0)
+
+    @property
+    def wall_work(self) -> tuple[float, float]:
+        """The most patches and interactions of a rank at open walls."""
+        return float(max(one.patches for one in self.walls)), float(max(one.interactions for one in self.walls))
+
+    def most(self, call: str, what: str) -> float:
+        """Return the most of messages, bytes or collectives by a call, over the ranks that were looked at."""
+        return max(getattr(of[call].traffic, what) for of in self.sent)
+
+    def neighbours(self) -> int:
+        """Return the most ranks that one sends to in a cycle."""
+        return max(len(of["cycle"].to) for of in self.sent)
+
+    def leaving(self, call: str, ranks_per_node: int) -> float:
+        """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
+        what servers of particles and owners of cells send each other, of all nodes."""
+        shared = {"deposit": self.exchange.deposit, "gather": self.exchange.gather}.get(call)
+        each = {
+            rank: (of[call] - shared(rank) if shared else of[call]).leaving(rank, ranks_per_node)
+            for rank, of in zip(self.looked_at, self.sent, strict=True)
+        }
+        busiest = max(sum(each[rank] for rank in node) / len(node) for node in self.nodes)
+        return ranks_per_node * busiest + (self.exchange.leaving(call, ranks_per_node) if shared else 0.0)
+
+
+def imbalance(cells: Array) -> float:
+    """Return Σ_l max ÷ Σ_l mean over ranks of cells (levels, ranks): levels are visited in turn."""
+    return float(cells.max(axis=1).sum() / cells.mean(axis=1).sum())
+
+
+def has_open_walls(mesh: Hierarchy) -> bool:
+    return any("open" in faces for faces in mesh.domain.boundary)
+
+
+def walls_of(found: Mapping[str, Any]) -> Walls:
+    """Return what `OpenWallPlans.counts` gives of a rank; what collectives bring counts as bytes."""
+    collectives = found["collectives"]
+    traffic = Traffic(found["messages"], found["bytes"] + sum(collectives), len(collectives))
+    return Walls(found["patches"], found["far"] + found["near"], traffic)
+
+
+class Planner:
+    """A scene with its mesh and the particles of each brick, from which plans for any number of ranks follow."""
+
+    def __init__(self, scene: Scene, say: Callable[[str], None] = lambda text: None) -> None:
+        self.scene, self._say = scene, say
+        self._clouds = clouds_of(scene)
+        say("mesh from the densities of the bunches")
+        self.mesh, self.notes = planned_mesh(scene, self._clouds)
+        say("particles of each brick")
+        self._bricks = bricks_of(self._clouds, self.mesh)
+        self._sample = sample(scene, SAMPLE)
+
+    def plans(self, ranks: Sequence[int], looked_at: int = LOOKED_AT) -> Iterator[Plan]:
+        """Yield a plan for each number of ranks."""
+        for number in ranks:
+            yield self.plan(number, looked_at)
+
+    def plan(self, ranks: int, looked_at: int = LOOKED_AT) -> Plan:
+        """Return the plan for so many ranks; messages of at most `looked_at` of them are counted."""
+        scene = self.scene
+        self._say(f"{ranks} ranks: boxes and owners")
+        mesh = distributed(self.mesh, ranks)
+        closed, cells = without_open_walls(mesh), cells_of_ranks(mesh)
+        held = served(self._on(mesh), mesh, scene.particles.interface == "matched")
+        chosen = chosen_ranks(np.vstack([cells, held.particles, held.exchange.messages]), looked_at)
+        other, walls_at = moved_on(closed), self._walls(mesh)
+        looks: dict[int, Look] = {}
+
+        def look(rank: int) -> Look:
+            if rank not in looks:
+                self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
+                looks[rank] = self._look(closed.seen_by(rank), held, other.seen_by(rank), walls_at(rank))
+            return looks[rank]
+
+        nodes = []
+        for call in ("cycle", "migrate") if ranks > NODE else ():
+            busiest = max(chosen, key=lambda rank: look(rank).sent[call].leaving(rank, NODE))
+            first = busiest // NODE * NODE
+            nodes.append(range(first, min(first + NODE, ranks)))
+        for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
+            look(rank)
+        counted, found = list(looks), list(looks.values())
+        return Plan(
+            ranks,
+            cells,
+            np.array([np.bincount(mesh.owners(level), minlength=ranks) for level in range(mesh.levels)]),
+            held.particles,
+            *self._memory(mesh, cells, held),
+            self._checkpoint(cells, held),
+            counted,
+            [one.sent for one in found],
+            nodes or [range(ranks)],
+            self._relaxed([one.relaxed for one in found]),
+            [one.walls for one in found],
+            self._without(mesh, held),
+            held.exchange,
+            int(scene.solver.tolerance == "discretization"),
+        )
+
+    def _on(self, mesh: Hierarchy) -> Bricks:
+        """Return the bricks of a mesh, whose boxes may be cut in another way for more ranks."""
+        same = all(np.array_equal(mesh.boxes(level), self.mesh.boxes(level)) for level in range(mesh.levels))
+        return self._bricks if same else bricks_of(self._clouds, mesh)
+
+    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls) -> Look:
+        """Return what a virtual rank, that of the mesh, sends and relaxes."""
+        rank = mesh.comm.rank
+        mine, each = particles_of(rank, held, mesh, self._sample, MOVED)
+        sent = counts(self.scene, mesh, mine, held.servers, other)
+        sent["migrate"] = sent["migrate"].times(each)
+        sent["deposit"] += held.exchange.deposit(rank)
+        sent["gather"] += held.exchange.gather(rank)
+        sent["open walls"] = Sent(walls.traffic)
+        return Look(sent, {level.level: (level.relaxed, level.sweeps) for level in cycle_work(self.scene, mesh)}, walls)
+
+    def _relaxed(self, of_ranks: Sequence[Mapping[int, tuple[float, int]]]) -> float:
+        """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""
+        cells = dict(enumerate(self.mesh.cells(level) for level in range(self.mesh.levels)))
+        cells |= {-number: n for number, n in enumerate(cells_below(self.scene), start=1)}
+        visits = {level: sweeps for of in of_ranks for level, (_, sweeps) in of.items()}
+        most = sum(max(of[level][0] for of in of_ranks if level in of) for level in visits)
+        return most / sum(cells[level] * sweeps for level, sweeps in visits.items())
+
+    # ---- open walls ----
+
+    def _walls(self, mesh: Hierarchy) -> Callable[[int], Walls]:
+        """Return what gives the part of a rank in the potential at open walls."""
+        if not has_open_walls(mesh):
+            return lambda rank: Walls(0, 0, Traffic())
+        plans, charged = _native.OpenWallPlans(mesh.native), charged_regions(self._clouds, mesh)
+        return lambda rank: walls_of(plans.counts(rank, charged))
+
+    # ---- memory and files ----
+
+    def _memory(self, mesh: Hierarchy, cells: Array, held: Served) -> tuple[Array, Array]:
+        """Return the bytes of each rank at the fullest of a run, and while its particles are made and placed."""
+        boxes = [mesh.boxes(level) for level in range(mesh.levels)]
+        total, ranks = round(held.bricks.total), mesh.comm.size
+
+        def need(rank: int, cells: int, particles: int) -> float:
+            return rank_memory(self.scene, boxes, total, ranks, Share(rank, cells, particles))
+
+        last, many = ranks - 1, 10**6  # writes nothing unless it is alone in its group; it grows in proportion to both
+        metadata = sum(mesh.native.metadata_bytes(level) for level in range(mesh.levels))
+        none = np.full(ranks, need(last, 0, 0) + metadata)
+        writers = [load.ranks.start for load in self._checkpoint(cells, held)]
+        of_cells = (need(last, many, 0) - need(last, 0, 0)) / many * cells.sum(axis=0)
+        of_particles = (need(last, 0, many) - need(last, 0, 0)) / many * held.particles
+        full = none + of_cells + of_particles
+        full[writers] += need(0, 0, 0) - need(last, 0, 0)
+        return full, none + placing_bytes(self.scene) * held.particles
+
+    def _checkpoint(self, cells: Array, held: Served) -> list[Load]:
+        """Return what each writer of a checkpoint does."""
+        columns = [*ROW_BYTES, *([LAGGING_BYTES] if isinstance(self.scene.motion, Leapfrog) else [])]
+        particles = np.repeat(np.rint(held.particles)[:, None], len(columns), axis=1)
+        rows = np.hstack([np.repeat(cells.T, len(FIELDS), axis=1), particles]).astype(np.int64)
+        sizes = [8] * (len(cells) * len(FIELDS)) + columns
+        return loads(rows, sizes, writers_of(self.scene))
+
+    # ---- what choices are worth ----
+
+    def _without(self, mesh: Hierarchy, held: Served) -> Choices:
+        """Return what ranks would hold with whole boxes, and with particles where their cells are."""
+        whole = self.mesh
+        boxes = [whole.boxes(level) for level in range(1, whole.levels)]
+        uncut = Hierarchy(mesh.comm, whole.domain, boxes, whole.max_grid_size, whole.blocking_factor, whole.boxes(0))
+        rows = held.bricks.rows
+        at_home = np.zeros(mesh.comm.size)
+        for level in range(mesh.levels):
+            here = rows[:, 0] == level
+            owners = mesh.owners(level)[rows[here, 1]]
+            at_home += np.bincount(owners, held.bricks.particles[here], mesh.comm.size)
+        most = float(at_home.max() / at_home.mean()) if at_home.any() else 1.0
+        return Choices(imbalance(cells_of_ranks(uncut)), most)

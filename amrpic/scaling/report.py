@@ -1,0 +1,206 @@
+"""Plans as tables and pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import OutputError
+from .machine import Machine
+from .model import NETWORK, STAGES, Amounts, efficiency, sensitivity, step_time, total
+from .plan import Plan, Planner
+from .show import MIB, draw_times, over_ranks
+from .virtual_ranks import CALLS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Rows = list[list[str]]
+
+
+def write_plans(
+    planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine], cycles: float, folder: Path
+) -> tuple[str, list[Path]]:
+    """Write plan.md, plan.json and a picture for each machine; return the text and the paths. Raises OutputError."""
+    text = markdown(planner, plans, machines, cycles)
+    paths = [folder / "plan.md", folder / "plan.json"]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths[0].write_text(text + "\n", encoding="utf-8")
+        paths[1].write_text(json.dumps([_values(plan, machines, cycles) for plan in plans], indent=1), encoding="utf-8")
+        for machine in machines:
+            paths.append(folder / f"plan_{machine.name}.png")
+            draw(plans, machine, cycles).savefig(paths[-1], dpi=110)
+    except OSError as reason:
+        raise OutputError(f"cannot write into {folder}: {reason.strerror}; choose another --output") from None
+    return text, paths
+
+
+def markdown(planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine], cycles: float) -> str:
+    """Return all tables of plans as Markdown."""
+    mesh = planner.mesh
+    levels = ", ".join(f"{len(mesh.boxes(l)):,} boxes of {mesh.cells(l):,} cells" for l in range(mesh.levels))
+    parts = [
+        f"## Plan of {planner.scene.name}",
+        f"Levels: {levels}; {planner.scene.particle_count():,} particles. Messages are those of the {len(plans[0].looked_at)} "
+        "heaviest and evenly chosen ranks, all else of all ranks.",
+        *(f"Note: {note}." for note in planner.notes),
+        *("### " + title + "\n\n" + _table(rows) for title, rows in _held(plans)),
+    ]
+    for machine in machines:
+        parts += [
+            f"### Modelled on {machine.name}, {cycles:g} cycles per solve",
+            f"{machine.source}.",
+            _table(_times(plans, machine, cycles)),
+            "What each choice costs if it is switched off alone, ms per step:",
+            _table(_choices(plans, machine, cycles)),
+            "Step with each constant halved and doubled, ms:",
+            _table(_sensitivity(plans, machine, cycles)),
+        ]
+    return "\n\n".join(parts)
+
+
+def _held(plans: Sequence[Plan]) -> list[tuple[str, Rows]]:
+    levels = range(len(plans[0].cells))
+    head = [
+        "ranks",
+        *(f"cells of level {l}, most" for l in levels),
+        "Σ max/Σ mean",
+        "particles, mean",
+        "most",
+        "most/mean",
+    ]
+    held = [
+        [*head, "MiB, most", "MiB at the start, most", "writers", "MiB of a writer, most"],
+        *(
+            [
+                f"{p.ranks:,}",
+                *(f"{n:,}" for n in p.cells.max(axis=1)),
+                f"{p.cell_imbalance:.2f}",
+                f"{p.particles.mean():.3g}",
+                f"{p.particles.max():.3g}",
+                f"{p.particle_imbalance:.2f}",
+                f"{p.memory.max() / MIB:,.0f}",
+                f"{p.start_memory.max() / MIB:,.0f}",
+                f"{len(p.checkpoint)}",
+                f"{max(load.bytes for load in p.checkpoint) / MIB:,.0f}",
+            ]
+            for p in plans
+        ),
+    ]
+    what = "messages", "kB", "collectives"
+    sent: Rows = [["ranks", "neighbours", *(f"{call}" for call in CALLS)]]
+    for p in plans:
+        numbers = [[p.most(call, key) for key in ("messages", "bytes", "collectives")] for call in CALLS]
+        sent.append(
+            [f"{p.ranks:,}", f"{p.neighbours()}", *(f"{m:.0f} / {b / 1e3:.0f} / {c:.0f}" for m, b, c in numbers)]
+        )
+    return [("What a rank holds", held), (f"What the busiest rank sends by each call: {' / '.join(what)}", sent)]
+
+
+def _times(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
+    rows: Rows = [["ranks", *STAGES, "step, ms", "efficiency", "of solve"]]
+    first = step_time(plans[0], machine, cycles)
+    for plan in plans:
+        times = step_time(plan, machine, cycles)
+        part = [
+            efficiency((plans[0].ranks, before), (plan.ranks, after))
+            for before, after in ((total(first), total(times)), (first["solve"].total, times["solve"].total))
+            if after > 0
+        ]
+        rows.append(
+            [
+                f"{plan.ranks:,}",
+                *(f"{1000.0 * time.total:.3g}" for time in times.values()),
+                f"{1000.0 * total(times):.3g}",
+                *(f"{one:.0%}" for one in part),
+            ]
+        )
+    return rows
+
+
+def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
+    """Return the step as it is, and with each choice switched off alone."""
+    rows: Rows = [
+        ["ranks", "as it is", "particles where their cells are", "whole boxes", "open walls' work on every rank"]
+    ]
+    for plan in plans:
+        now = Amounts.of(plan, cycles)
+        uneven = plan.without.particles_with_cells / plan.particle_imbalance
+        larger = plan.without.with_whole_boxes / plan.cell_imbalance
+        without = (
+            now,
+            replace(now, particles=now.particles * uneven),
+            replace(now, cells=now.cells * larger, swept=now.swept * larger),
+            replace(now, patches=now.patches * plan.ranks, interactions=now.interactions * plan.ranks),
+        )
+        rows.append(
+            [f"{plan.ranks:,}", *(f"{1e3 * total(step_time(plan, machine, cycles, one)):.3g}" for one in without)]
+        )
+    return rows
+
+
+def _sensitivity(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
+    rows: Rows = [["ranks", "work", *NETWORK]]
+    for plan in plans:
+        found = sensitivity(plan, machine, cycles)
+        rows.append([f"{plan.ranks:,}", *(f"{1e3 * low:.3g} to {1e3 * high:.3g}" for low, high in found.values())])
+    return rows
+
+
+def _table(rows: Rows) -> str:
+    head, *rest = rows
+    return "\n".join(["| " + " | ".join(row) + " |" for row in (head, ["---:"] * len(head), *rest)])
+
+
+def _values(plan: Plan, machines: Sequence[Machine], cycles: float) -> dict[str, object]:
+    return {
+        "ranks": plan.ranks,
+        "cells_most": plan.cells.max(axis=1).tolist(),
+        "cell_imbalance": plan.cell_imbalance,
+        "boxes_most": plan.boxes.max(axis=1).tolist(),
+        "particles_mean": float(plan.particles.mean()),
+        "particles_most": float(plan.particles.max()),
+        "memory_most": float(plan.memory.max()),
+        "start_memory_most": float(plan.start_memory.max()),
+        "checkpoint_most": {key: max(getattr(load, key) for load in plan.checkpoint) for key in ("bytes", "received")},
+        "writers": len(plan.checkpoint),
+        "swept_cells": plan.swept_cells,
+        "walls_most": plan.wall_work,
+        "without": asdict(plan.without),
+        "neighbours": plan.neighbours(),
+        "sent": {call: {key: plan.most(call, key) for key in ("messages", "bytes", "collectives")} for call in CALLS},
+        "seconds": {
+            machine.name: {name: time.total for name, time in step_time(plan, machine, cycles).items()}
+            for machine in machines
+        },
+    }
+
+
+def draw(plans: Sequence[Plan], machine: Machine, cycles: float) -> Figure:
+    """Return the modelled time of a step by stage over ranks, and what a rank holds at most over the mean."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    ranks, modelled = [plan.ranks for plan in plans], [step_time(plan, machine, cycles) for plan in plans]
+    times = {"step": [1e3 * total(times) for times in modelled]}
+    times |= {name: values for name in STAGES if any(values := [1e3 * times[name].total for times in modelled])}
+    draw_times(left, ranks, times, [1 / number for number in ranks])
+    left.set(title=machine.name, ylabel="ms per step, modelled")
+    left.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    for label, values in (
+        ("cells, Σ max/Σ mean", [plan.cell_imbalance for plan in plans]),
+        ("particles, max/mean", [plan.particle_imbalance for plan in plans]),
+        ("GiB of the largest rank", [plan.memory.max() / 2**30 for plan in plans]),
+    ):
+        right.plot(ranks, np.array(values), "o-", markersize=4, label=label)
+    over_ranks(right, ranks)
+    right.set(yscale="log")
+    right.legend(fontsize=8, frameon=False)
+    return figure

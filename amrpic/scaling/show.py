@@ -1,0 +1,128 @@
+"""Tables and pictures of what was measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import OutputError
+from .measured import END, Measured, by_kind, efficiency
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MIB = 2**20
+
+
+def table(found: Sequence[Measured]) -> list[list[str]]:
+    """Return a row per kind and number of ranks, under a head: each kind against its fewest ranks."""
+    rows = [
+        [
+            "",
+            "ranks",
+            "cells",
+            "particles",
+            "cycles",
+            "ms per step",
+            "faster",
+            "efficiency",
+            "of solve",
+            "cells max/mean",
+            "particles max/mean",
+            "MiB per rank",
+            "steps",
+        ]
+    ]
+    for kind, all_ in by_kind(found).items():
+        first = all_[0]
+        for one in all_:
+            solve = f"{efficiency(first, one, 'solve'):.0%}" if "solve" in one.stages else "-"
+            rows.append(
+                [
+                    kind,
+                    f"{one.ranks}",
+                    f"{one.cells}",
+                    f"{one.particles}",
+                    f"{one.cycles:g}",
+                    f"{1000.0 * one.seconds:.4g}",
+                    f"{first.seconds / one.seconds:.2f}",
+                    f"{efficiency(first, one):.0%}",
+                    solve,
+                    f"{one.cell_imbalance:.2f}",
+                    f"{one.particle_imbalance:.2f}",
+                    f"{one.memory[2] / MIB:.0f}",
+                    f"{one.steps}",
+                ]
+            )
+    return rows
+
+
+def stage_table(one: Measured) -> list[list[str]]:
+    """Return what each stage of a step takes and sends: a row per stage, under a head."""
+    rows = [["stage of a step", "ms least", "mean", "most", "messages", "kB", "collectives"]]
+    for name, stage in one.stages.items():
+        times = [f"{1e3 * seconds:.3g}" for seconds in (stage.least, stage.mean, stage.most)]
+        label = "at the end of the run" if name == END else name
+        rows.append([label, *times, f"{stage.messages:.0f}", f"{stage.bytes / 1e3:.0f}", f"{stage.collectives:.0f}"])
+    return rows
+
+
+def write(found: Sequence[Measured], folder: Path) -> list[Path]:
+    """Write scaling.json and scaling.png into a folder; return their paths. Raises OutputError."""
+    paths = [folder / "scaling.json", folder / "scaling.png"]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        paths[0].write_text(json.dumps([asdict(one) for one in found], indent=1), encoding="utf-8")
+        draw(found).savefig(paths[1], dpi=110)
+    except OSError as reason:
+        raise OutputError(f"cannot write into {folder}: {reason.strerror}; choose another --output") from None
+    return paths
+
+
+def draw(found: Sequence[Measured]) -> Figure:
+    """Return the efficiency over ranks, and for each kind the time of a step by stage with the ideal line."""
+    from matplotlib.figure import Figure
+
+    kinds = by_kind(found)
+    figure = Figure(figsize=(4.4 * (1 + len(kinds)), 3.8), layout="constrained")
+    left, *panels = figure.subplots(1, 1 + len(kinds))
+    for kind, all_ in kinds.items():
+        ranks = [one.ranks for one in all_]
+        left.plot(ranks, [efficiency(all_[0], one) for one in all_], "o-", label=kind)
+    left.axhline(1, color="black", linewidth=0.8, linestyle="--")
+    left.set(xlabel="ranks", ylabel="efficiency of a step", ylim=(0, None))
+    over_ranks(left, sorted({one.ranks for one in found}))
+    left.legend(frameon=False)
+    for panel, (kind, all_) in zip(panels, kinds.items(), strict=True):
+        times = {"step": [1e3 * one.seconds for one in all_]}
+        for name in dict.fromkeys(name for one in all_ for name in one.stages if name != END):
+            times[name] = [1e3 * one.stages[name].most if name in one.stages else 0.0 for one in all_]
+        draw_times(panel, [one.ranks for one in all_], times, [one.work for one in all_])
+        panel.set(title=kind, ylabel="ms per step, slowest rank")
+    panels[-1].legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure
+
+
+def draw_times(panel: Axes, ranks: Sequence[int], times: dict[str, list[float]], work: Sequence[float]) -> None:
+    """Draw times by stage over ranks; that of the first entry, the step, with the ideal line, in proportion to the work of a
+    rank."""
+    for number, (name, values) in enumerate(times.items()):
+        heavy = {"color": "black", "linewidth": 2.0} if number == 0 else {"linewidth": 1.2}
+        panel.plot(ranks, [value or float("nan") for value in values], "o-", markersize=4, label=name, **heavy)
+    first = next(iter(times.values()))[0]
+    panel.plot(ranks, [first * one / work[0] for one in work], "k--", linewidth=0.8, label="ideal")
+    panel.set(
+        yscale="log", ylim=(max(first * 1e-4, min(v for all_ in times.values() for v in all_ if v > 0) / 2), None)
+    )
+    over_ranks(panel, ranks)
+
+
+def over_ranks(panel: Axes, ranks: Sequence[int]) -> None:
+    """Give a panel an axis of numbers of ranks."""
+    panel.set(xlabel="ranks", xscale="log")
+    panel.set_xticks(list(ranks), [f"{n:,}" for n in ranks])
+    panel.minorticks_off()

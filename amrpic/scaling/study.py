@@ -1,0 +1,164 @@
+"""A scaling study: runs of a scene on lists of ranks, started here or as batch jobs, whose files add up in a folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from mpi4py import MPI
+
+from ..errors import InputError, OutputError
+from ..mesh.boxes import scaled_cells
+from ..scene.scene import Scene
+from .measured import Run
+
+KINDS = ("strong", "weak")
+LAUNCHER = "mpiexec -n {ranks}"
+RUNS = "scaling"  # folder of the runs of a study, in that of the scene
+
+
+def name_of(path: str | Path, overrides: Sequence[str]) -> str:
+    """Return what a scene is known by in a study: its name, and a digest of all but where and how long it runs."""
+    scene = Scene.from_toml(path, overrides)
+    values = {key: value for key, value in scene.to_dict().items() if key not in ("output", "schedule")}
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True, default=str).encode()).hexdigest()
+    return f"{scene.name} {digest[:12]}"
+
+
+def grown(scene: Scene, factor: float) -> list[str]:
+    """Return the overrides that give a scene so many times its particles and, nearly, its cells: a finer mesh.
+
+    Along axes whose cells are a multiple of the blocking factor they stay one.
+    """
+    cells = scaled_cells(scene.domain.value.cells, factor ** (1 / 3), scene.refinement.blocking_factor)
+    bunches = scene.to_dict()["bunches"]
+    counts = [
+        0 if "file" in bunch else bunch.get("particles", 0) for bunch in bunches
+    ]  # those of a file are what they are
+    more = [f"bunches.{number}.particles={round(count * factor)}" for number, count in enumerate(counts) if count]
+    return [f"domain.cells={list(cells)}", *more]
+
+
+class Study:
+    """Runs of a scene, in ascending numbers of ranks, kept as files of a folder to which each start adds one.
+
+    `strong`: the scene as it is; `weak`: particles and cells in proportion to the ranks, the scene as it is on the fewest.
+    `launcher` is the command that starts {ranks} ranks, put before the program. Raises InputError for one that does not say so.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        folder: Path,
+        overrides: Sequence[str] = (),
+        ranks: Sequence[int] = (1, 2),
+        kinds: Sequence[str] = KINDS,
+        steps: int = 5,
+        launcher: str = LAUNCHER,
+        clock: str = "wall",
+    ) -> None:
+        if "{ranks}" not in launcher:
+            raise InputError(
+                f'launcher is "{launcher}"; name the number of ranks in it as {{ranks}}, as in "{LAUNCHER}"'
+            )
+        if MPI.COMM_WORLD.size > 1:
+            raise InputError(
+                f"scaling starts ranks of its own, but is on {MPI.COMM_WORLD.size}; start it without mpiexec"
+            )
+        self.path, self.overrides, self.ranks, self.kinds = path, list(overrides), sorted(set(ranks)), kinds
+        self.steps, self.launcher, self.clock, self.name = steps, launcher, clock, name_of(path, overrides)
+        if clock != "wall":
+            self.name += f" by the {clock}'s clock"
+        self.folder = folder / RUNS
+        self._scene = Scene.from_toml(path, overrides)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as reason:
+            raise OutputError(f"cannot make {self.folder}: {reason.strerror}; choose another --output") from None
+
+    def start(self, repeat: int = 1) -> Iterator[Run]:
+        """Yield what each start measures. All numbers of ranks take turns, `repeat` times: a machine that is loaded for a while
+        slows down each of them, not one. InputError if a run cannot be started or fails, after what it said itself."""
+        for _ in range(repeat):
+            for kind in self.kinds:
+                for ranks in self.ranks:
+                    output = self._file(kind, ranks)
+                    self._launch(ranks, self.command(kind, ranks, output))
+                    yield Run.read(output)
+
+    def command(self, kind: str, ranks: int, output: Path | str) -> list[str]:
+        """Return the command that measures a number of ranks, without the launcher's part."""
+        more = grown(self._scene, ranks / self.ranks[0]) if kind == "weak" else []
+        program = [sys.executable, "-m", "amrpic.scaling.measure"]
+        return [
+            *program,
+            str(output),
+            str(self.path),
+            kind,
+            self.name,
+            str(self.steps),
+            self.clock,
+            *self.overrides,
+            *more,
+        ]
+
+    def runs(self) -> list[Run]:
+        """Return all runs of this scene in the folder, from earlier starts too. Raises InputError for files that are none."""
+        found = [Run.read(path) for path in sorted(self.folder.glob("*.json"))]
+        return [run for run in found if run.scene == self.name]
+
+    def write_jobs(self, options: str, repeat: int = 1) -> list[Path]:
+        """Write a script for sbatch for each kind and number of ranks, with `options` of sbatch; return their paths.
+
+        Each adds its runs to the folder, where `runs` finds them later.
+        """
+        written = []
+        for kind in self.kinds:
+            for ranks in self.ranks:
+                path = self.folder / f"{kind}_{ranks}.sbatch"
+                output = self.folder.resolve() / f"{kind}_{ranks}_job"
+                launcher = self.launcher.format(ranks=ranks)
+                command = shlex.join(self.command(kind, ranks, "OUTPUT"))
+                command = command.replace("OUTPUT", f'"{output}${{SLURM_JOB_ID}}_$run.json"')
+                lines = [
+                    "#!/bin/bash",
+                    f"#SBATCH --ntasks={ranks} --job-name=amrpic_{kind}_{ranks}",
+                    *([f"#SBATCH {options}"] if options else []),
+                    f"cd {shlex.quote(str(Path.cwd()))}",
+                    f"for run in $(seq {repeat}); do",
+                    f"  {launcher} {command}",
+                    "done",
+                ]
+                try:
+                    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+                except OSError as reason:
+                    raise OutputError(f"cannot write {path}: {reason.strerror}; choose another --output") from None
+                written.append(path)
+        return written
+
+    def _file(self, kind: str, ranks: int) -> Path:
+        numbers = (number for number in range(10**6) if not self._numbered(kind, ranks, number).exists())
+        return self._numbered(kind, ranks, next(numbers))
+
+    def _numbered(self, kind: str, ranks: int, number: int) -> Path:
+        return self.folder / f"{kind}_{ranks}_{number:03}.json"
+
+    def _launch(self, ranks: int, command: Sequence[str]) -> None:
+        whole = [*shlex.split(self.launcher.format(ranks=ranks)), *command]
+        with tempfile.TemporaryFile() as said:
+            try:
+                # os.environ is what this process started with; MPI has added to its own that it is a rank of a run
+                status = subprocess.run(whole, env=dict(os.environ), stdout=said, check=False).returncode
+            except OSError as reason:
+                raise InputError(
+                    f"{whole[0]} cannot be started ({reason.strerror}); choose another --launcher"
+                ) from None
+        if status != 0 or not Path(command[3]).exists():
+            raise InputError(f"the run on {ranks} ranks ended with status {status}; correct what it says above")

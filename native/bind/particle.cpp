@@ -290,8 +290,8 @@ void bind_particle(nb::module_& m) {
       .def_ro("xu", &BeamSums<Real>::xu);
   m.def(
       "beam_sums",
-      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         OnePerParticle mass, ConstColumns later, Real share) {
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, OnePerParticle mass, ConstColumns later, Real share) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
@@ -317,8 +317,8 @@ void bind_particle(nb::module_& m) {
       .def_ro("highest", &BeamMoments::highest);
   m.def(
       "beam_moments",
-      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts) {
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, OnePerParticle mass, ConstColumns later, Real share, BeamParts const& parts) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};
@@ -328,10 +328,11 @@ void bind_particle(nb::module_& m) {
   m.def("joined_moments", &joined_moments, "parts"_a);
   m.def(
       "amplitude_quantiles",
-      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         OnePerParticle mass, ConstColumns later, Real share, std::vector<BeamParts> const& layers,
-         std::vector<std::array<Real, 6>> const& centres, std::vector<std::array<Real3, 3>> const& forms,
-         std::vector<std::array<Real, amplitude_kinds>> const& typical, std::vector<Real> const& fractions) {
+      [](bind::Ranks comm, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, OnePerParticle mass, ConstColumns later, Real share,
+         std::vector<BeamParts> const& layers, std::vector<std::array<Real, 6>> const& centres,
+         std::vector<std::array<Real3, 3>> const& forms, std::vector<std::array<Real, amplitude_kinds>> const& typical,
+         std::vector<Real> const& fractions) {
         nb::gil_scoped_release release;
         BeamView const beam{view(position, momentum, weight, id), mass.data(), mass.stride(0) == 0, columns(later),
                             share};

@@ -43,8 +43,8 @@ class Locator {
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
 
-  /// Bring a point into the domain along periodic axes; false if it lies outside along another axis. A point on an upper
-  /// wall is inside, as one on a lower wall is: it moves to the next number below, where the last cell holds it.
+  /// Bring a point into the domain along periodic axes; false if it lies outside along another axis. A point on an
+  /// upper wall is inside, as one on a lower wall is: it moves to the next number below, where the last cell holds it.
   bool wrap(Real3& x) const;
 
   /// Home of a point inside the domain. `hint` is tried first: neighbours in memory are mostly neighbours in space.

@@ -63,7 +63,7 @@ def run_memory(scene: Scene, boxes: Sequence[Array], particles: int, ranks: int)
         "processes": ranks * (PROCESS + (MESSAGES if ranks > 1 else 0) + (QUIET if quiet else 0)),
         **(_compressed_rows if scene.solver.backend == "crs" else _matrix_free)(scene, boxes),
         "fields": int((1 + IDLE) * NUMBER * _fields(scene, boxes)),
-        "particles": particles * _particle(scene),
+        "particles": int(particles * _particle(scene)),
         "files": _files(scene, boxes, particles, ranks),
         "pictures": DRAWING + ranks * _rasters(scene) if "pictures" in scene.output.write else 0,
     }
@@ -249,13 +249,15 @@ def _boundary_cells(scene: Scene, boxes: Sequence[Array]) -> int:
     return total
 
 
-def _particle(scene: Scene) -> int:
+def _particle(scene: Scene) -> float:
     """Bytes per particle in the arrays that live at the same time."""
     each = PARTICLE + (0 if _equal_weights(scene) else NUMBER)
-    if scene.schedule.last_step > 0 and isinstance(scene.motion, Leapfrog):
+    if scene.schedule.last_step == 0:
+        return placing_bytes(scene)
+    if isinstance(scene.motion, Leapfrog):
         # before and after a step; where they are next, before and after
         return 2 * each + 4 * 3 * NUMBER
-    # at the start: bunches, all of them together, sorted, and the memory that this leaves to the next arrays
+    # walked, sorted anew, and the memory that this leaves to the next arrays
     return 5 * each
 
 

@@ -101,7 +101,7 @@ setup: .venv/.system .venv/.packages .venv/.built  ## Debian packages, .venv, na
 	@mkdir -p .venv && touch $@
 
 # The package is installed by the names of its modules, and anew when these change.
-MODULES := $(sort $(wildcard amrpic/*.py amrpic/*/*.py amrpic_command/*.py))
+MODULES := $(sort $(wildcard amrpic/*.py amrpic/*/*.py amrpic/*/*/*.py))
 build/.modules: always
 	@mkdir -p build; echo '$(MODULES)' | cmp -s - $@ || echo '$(MODULES)' > $@
 

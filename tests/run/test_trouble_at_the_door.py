@@ -116,12 +116,16 @@ def test_closed_streams_do_no_harm(tmp_path, closed):
 @pytest.mark.parametrize("after", [0.15, 0.4, 0.8, 1.5])
 def test_ctrl_c_during_the_start_is_one_sentence(tmp_path, after):
     words = [*command(tmp_path), "--output", str(tmp_path / "run"), "--set", "schedule.steps=100000"]
-    process = subprocess.Popen(
-        words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=mpi_batch.ENVIRONMENT, text=True
-    )
-    time.sleep(after)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    with subprocess.Popen(
+        words, stderr=subprocess.PIPE, stdout=subprocess.PIPE, env=mpi_batch.ENVIRONMENT, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests that run in the background ignore it
+    ) as process:  # fmt: skip
+        time.sleep(after)
+        process.send_signal(signal.SIGINT)
+        try:
+            _, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert "Traceback" not in errors and errors.count("\n") <= 1, errors
     if process.returncode == 75:  # on a fast machine it had begun, and leaves a checkpoint
         assert "go on with --restart auto" in errors

@@ -68,14 +68,10 @@ REFUSED = {
     "aperture of a face's name": (["apertures.0.name=x_lower"], ["apertures.0.name", "face of the domain"]),
     "screen of a path": (["screens.0.name=../a"], ["screens.0.name", "letters"]),
     "bins of nothing": (["diagnostics.loss_bin=1e-300"], ["diagnostics.loss_bin", "longer"]),
-    "no step for its gradient": (["elements.0.gradient=1e300", "motion.dt=auto"], ['motion.dt is "auto"', "0 s"]),
+    "a gradient beyond all": (["elements.0.gradient=1e300"], ["elements.0.gradient", "beyond all measure"]),
+    "a step beyond all": (["motion.dt=1e300"], ["motion.dt", "beyond all measure"]),
     "step of nothing": (["motion.dt=0"], ["motion.dt", "greater than 0"]),
 }  # fmt: skip
-
-FAILED_ON_THE_WAY = {
-    "gradient beyond all": ["elements.0.gradient=1e300"],
-    "step beyond all": ["motion.dt=1e300"],
-}
 
 ODD: dict[str, tuple[list[str], str]] = {
     "screen outside": (["screens.0.z=1"], "screens.0 lies outside the domain"),
@@ -99,14 +95,6 @@ def test_beam_line_is_refused(comm: Any, tmp_path: Path, name: str) -> None:
     text = refusal(comm, *command(tmp_path, overrides))
     for word in words:
         assert word in text
-
-
-@pytest.mark.mpi(ranks=2)
-@pytest.mark.parametrize("name", FAILED_ON_THE_WAY)
-def test_numbers_beyond_all_end_the_run_with_one_sentence(comm: Any, tmp_path: Path, name: str) -> None:
-    status, text = ended(comm, *command(tmp_path, FAILED_ON_THE_WAY[name]))
-    said = [line for line in text.splitlines() if not line.startswith("warning: motion.dt")]
-    assert status == 1 and len(said) == 1 and "not finite" in said[0] and "fields of elements" in said[0]
 
 
 @pytest.mark.mpi(ranks=2)

@@ -253,16 +253,17 @@ def test_periodic_axes_wrap_and_walls_lose(comm):
         (0.5, 0.5, 1.0),
         (0.5, 0.5, -1e-9),
         (1e300, -1e300, 0.5),
+        (0.5, 0.5, 1 + 1e-9),
     ]
     mine = at(points) if comm.rank == 0 else at([])
     inside, lost = migrate(mine, hierarchy)
     found = everywhere(comm, inside)
-    assert found["id"].tolist() == [0, 1, 2, 5]
+    assert found["id"].tolist() == [0, 1, 2, 3, 5]  # what lies on a wall is inside
     assert found["position"][:3] == pytest.approx(np.array([(0.25, 0.5, 0.5), (0, 0, 0), (0, 0.75, 0.5)]), abs=1e-15)
-    assert ((found["position"] >= 0) & (found["position"] < 1)).all()
+    assert ((found["position"] >= 0) & (found["position"] < [1, 1, np.nextafter(1, 2)])).all()
     gone = everywhere(comm, lost)
-    assert gone["id"].tolist() == [3, 4]
-    assert gone["position"].tolist() == [[0.5, 0.5, 1.0], [0.5, 0.5, -1e-9]]
+    assert gone["id"].tolist() == [4, 6]
+    assert gone["position"].tolist() == [[0.5, 0.5, -1e-9], [0.5, 0.5, 1 + 1e-9]]
 
 
 @pytest.mark.mpi(ranks=(3, 4), timeout=60)

@@ -46,7 +46,7 @@ from ..stages.tag import living
 from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View
-from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks
+from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks, seconds
 from .preview_warnings import warnings_of
 from .text_table import columns
 
@@ -227,8 +227,9 @@ def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, second
     start, step = (value * comm.size / ranks for value in (found.start, found.step))
     steps = scene.schedule.last_step
     shared = "" if ranks == comm.size else f", if {ranks} ranks share the work of {comm.size} evenly"
-    then = f", then {quantity(step, 's')} per step, {quantity(start + steps * step, 's')} in all" if steps else ""
-    return [f"time: {quantity(start, 's')} to the end of the first solve{then}; from {found.source}{shared}"]
+    then = f", then {quantity(step, 's')} per step, {quantity(start + steps * step, 's')} for all" if steps else ""
+    source = f"from {found.source}{shared}; files and pictures at its end come on top"
+    return [f"time: {quantity(start, 's')} to the end of the first solve{then}; {source}"]
 
 
 def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
@@ -272,20 +273,13 @@ def add(commands: Commands) -> None:
     scene_arguments(added)
     added.add_argument(
         "--seconds",
-        type=_seconds,
+        type=seconds("time for a trial", 0),
         default=5.0,
         metavar="S",
         help="how long to try out what a step takes; default 5, 0: solve nothing",
     )
     added.add_argument("--ranks", type=count, metavar="N", help="ranks of the run; default those of the preview")
     added.add_argument("--output", metavar="DIR", help="where to put the pictures; default runs/<scene>")
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0 <= seconds <= 3600:
-        raise argparse.ArgumentTypeError(f"{text} s is no time for a trial; give 0 to 3600")
-    return seconds
 
 
 def _preview(chosen: argparse.Namespace) -> int:

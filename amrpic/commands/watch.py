@@ -18,7 +18,7 @@ from ..io import time_series
 from ..io.run_status import FINISHED, RUNNING, STOPPED, RunStatus
 from ..results.run_results import SERIES
 from ..units import quantity
-from .arguments import Commands, command
+from .arguments import Commands, command, seconds
 from .run import STOPPED as EXIT_STOPPED
 from .text_table import columns
 
@@ -138,14 +138,13 @@ def add(commands: Commands) -> None:
     added.add_argument(
         "--once", action="store_true", help="show it once; exit status 0 unless it was stopped or failed"
     )
-    added.add_argument("--every", type=_seconds, default=1.0, metavar="SECONDS", help="between two looks; default 1")
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not 0.1 <= seconds <= 3600:
-        raise argparse.ArgumentTypeError(f"{text} s is no time between two looks; give 0.1 to 3600")
-    return seconds
+    added.add_argument(
+        "--every",
+        type=seconds("time between two looks", 0.1),
+        default=1.0,
+        metavar="SECONDS",
+        help="between two looks; default 1",
+    )
 
 
 def _watch(chosen: argparse.Namespace) -> int:

@@ -43,7 +43,7 @@ class Neighbours:
         place = np.repeat(self.start[which] - start[:-1], lengths) + np.arange(start[-1])
         return Neighbours(start, self.index[place], self.reach[which])
 
-    def alike(
+    def equal_surroundings(
         self, targets: np.ndarray, sites: np.ndarray, unit: np.ndarray
     ) -> tuple[Neighbours, np.ndarray, np.ndarray]:
         """Return these neighbours in an order of their offsets, a target for each kind of surroundings, and kinds (n,).

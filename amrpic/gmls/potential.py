@@ -30,7 +30,7 @@ Slopes = tuple[ArrayLike, ArrayLike, ArrayLike]  # numbers of sites, outward nor
 
 @dataclass(frozen=True, eq=False)
 class PointPotential:
-    """The potential on points, and how it was found; the same on all ranks but for `quality`."""
+    """The potential on points, and how it was found; the same on all ranks except `quality`."""
 
     phi: np.ndarray  # (m,) V
     iterations: int  # of GMRES
@@ -52,7 +52,7 @@ def poisson(
 ) -> PointPotential:
     """Return φ on points with -Δφ = ρ/ε₀ there, in 1 to 3 dimensions. Collective; all ranks give all points.
 
-    sites (m, dimension) in m, in the domain and on its boundary, at distances alike; rho (m,) in C/m³. `dirichlet`: numbers
+    sites (m, dimension) in m, in the domain and on its boundary, about evenly spaced; rho (m,) in C/m³. `dirichlet`: numbers
     of the sites whose φ is given, and φ in V. `neumann`: numbers of those whose slope is given, outward normals, and ∂φ/∂n in
     V/m; the equation holds there too. Every site of the boundary should be in one of them. Without `dirichlet` the mean of φ
     is zero, and a uniform density makes up for what charge and slopes lack to balance.
@@ -75,7 +75,7 @@ def poisson(
     if not residual <= tolerance:
         raise SolverError(
             f"GMRES stopped after {iterations} iterations at a residual of {residual:.1e}, not {tolerance:.0e}; take a longer "
-            "reach, another order, or sites at distances more alike"
+            "reach, another order, or more evenly spaced sites"
         )
     values = np.zeros((len(vectors), len(given.sites)))
     values[:, rows.sites] = found

@@ -144,8 +144,8 @@ def stencils(
     and the exact rows, those of least Σ α²/w. A reach that does not determine a target grows by 15 %, at most five times.
 
     aspect: the reach along each axis over the reach, (dimension,); default 1. lattice: (dimension,) in m, where sites lie
-    whole multiples of it from targets, and samples that lie alike are alike, such as the cells of a mesh and half of the
-    finest width: targets with equal surroundings then share one solution, whose reach does not grow.
+    whole multiples of it from targets, and the samples at equal places are equal, such as the cells of a mesh and half of
+    the finest width: targets with equal surroundings then share one solution, whose reach does not grow.
     one_sign: weights off the centre, the sample at the target, of one sign for a single scalar quantity, by a non-negative
     least-squares problem for each target (some tenths of a millisecond). portable: target by target on Kokkos' host
     execution space, slower.
@@ -217,7 +217,7 @@ def _shared(
         raise InputError(
             "with a lattice all targets want the same; leave out the lattice, or exact rows, vectors and places"
         )
-    ordered, representative, kind = near.alike(targets, samples.sites, unit)
+    ordered, representative, kind = near.equal_surroundings(targets, samples.sites, unit)
     few = ordered.of(representative)  # without growth, which would change surroundings
     solved = stencils(targets[representative], few, samples=samples, wanted=wanted, **options)
     place = np.repeat(solved.start[:-1][kind] - ordered.start[:-1], np.diff(ordered.start)) + np.arange(

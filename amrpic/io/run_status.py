@@ -46,7 +46,7 @@ class RunStatus:
     residual: float | None = None
     memory: int = 0  # bytes, the most that a rank has taken
     written: dict[str, int] = field(default_factory=dict)  # the latest step of each kind of output
-    notes: list[str] = field(default_factory=list)  # what the run settled by itself
+    notes: list[str] = field(default_factory=list)  # what the run chose by itself
     warnings: list[str] = field(default_factory=list)
 
     def write(self, folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,7 @@ class Profile:
         return curve(self.distance, self.values, "value", self.unit, f"from ({start}) to ({end})")
 
 
-class FieldViews:
+class FieldViews(ABC):
     """What a field offers to look at it. Planes, lines and pictures show the finest cell at each place, as it is."""
 
     hierarchy: Hierarchy
@@ -55,11 +56,13 @@ class FieldViews:
         return self.hierarchy.comm
 
     @property
+    @abstractmethod
     def patches(self) -> list[Patch]:
-        raise NotImplementedError
+        """This rank's boxes with their values, coarse to fine."""
 
+    @abstractmethod
     def array(self, level: int) -> np.ndarray:
-        raise NotImplementedError
+        """Return this rank's values of a level, 1-D, its boxes one after the other."""
 
     def slice(self, axis: int | str = "z", place: float | None = None, level: int | None = None) -> Raster:
         """Return the values in the plane normal to an axis at a place (m), by default through the middle of the domain.

@@ -39,7 +39,7 @@ class Plan:
         self.dt: float = math.nan if dt == "auto" else dt  # s; `settle_time_step` chooses it for "auto"
         self.clock = Clock()
         self.remarks: list[str] = []
-        self.notes: list[str] = []  # what the run settled by itself, for its log
+        self.notes: list[str] = []  # what the run chose by itself, for its log
         self._solves: list[SolveReport] = []
         self._solvers: dict[Frame, PoissonSolver] = {}
         self.external = ExternalFields.of_scene(scene, self._maps())
@@ -118,7 +118,7 @@ class Plan:
         return self._solvers[frame]
 
     def keep_solvers(self, frames: Frames) -> None:
-        """Let go of the solvers of other frames."""
+        """Free the solvers of other frames."""
         self._solvers = {of: made for of, made in self._solvers.items() if of in frames.members}
 
     def solve(
@@ -205,7 +205,7 @@ class Plan:
         return refinement.follows and refinement.regrid_every > 0 and step % refinement.regrid_every == 0
 
     def note(self, sentence: str) -> None:
-        """Note for the log what the run settled by itself, once."""
+        """Note for the log what the run chose by itself, once."""
         if sentence not in self.notes:
             self.notes.append(sentence)
 

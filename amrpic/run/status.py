@@ -22,7 +22,7 @@ EVERY = 1.0  # s between two versions of the file
 class Status:
     """Writes `status.json`, on rank 0, at the start, then at most once a second, and at the end. Local.
 
-    A file that cannot be written is let go: no run fails because of it.
+    A file that cannot be written is left out: no run fails because of it.
     """
 
     def __init__(self, comm: MPI.Comm, scene: Scene, step: int) -> None:

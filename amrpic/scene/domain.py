@@ -95,7 +95,7 @@ class DomainSection(Section):
 
 
 def _require_measurable(axis: str, lower: float, upper: float, cells: int) -> None:
-    """Refuse a domain whose volumes, or places of cells, are not told by numbers of 64 bits."""
+    """Refuse a domain whose volumes, or places of cells, double precision cannot represent."""
     length, farthest = upper - lower, max(abs(lower), abs(upper))
     if not SHORTEST <= length <= LONGEST:
         raise complaint(

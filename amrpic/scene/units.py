@@ -18,7 +18,7 @@ from .complaints import complaint
 
 LARGEST = 1e60  # of any quantity in SI units, so that products of a few of them are numbers still
 _NUMBER = r"[-+]?(?:\d+(?:_\d+)*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-MICRO, GREEK_MU = "\u00b5", "\u03bc"  # two signs that look alike; keyboards have one or the other
+MICRO, GREEK_MU = "\u00b5", "\u03bc"  # the micro sign and the Greek letter; keyboards have one or the other
 _QUANTITY = re.compile(rf"\s*({_NUMBER})\s*(.*?)\s*")
 
 

@@ -54,7 +54,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         "Least squares: Poisson's equation on points",
         "Order of the rms error of φ on a jittered lattice (±0.25 h) of 10³ to 38³ points in a cube, and of as many along the "
         "diameter of a ball with points on its surface. Potentials are given on the whole boundary, slopes in their place "
-        "where its normal lies along x or z, or slopes everywhere (without a goal, as φ is known but for a constant then). "
+        "where its normal lies along x or z, or slopes everywhere (without a goal, as φ is known up to a constant then). "
         "φ = sin(3x + 0.3) exp(y) cos(2z); reach 1.6; GMRES to 1e-10.",
         ("domain", "slopes", "order", "order of φ", "iterations, 38³", "rms error, 38³"),
         [

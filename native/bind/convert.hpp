@@ -12,6 +12,7 @@ namespace amrpic::bind {
 
 namespace nb = nanobind;
 
+using Starts = nb::ndarray<std::int64_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using IntRows = nb::ndarray<int const, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using RealRows = nb::ndarray<Real const, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Reals = nb::ndarray<Real const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;

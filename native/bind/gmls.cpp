@@ -12,7 +12,6 @@ using namespace amrpic;
 
 namespace {
 
-using Starts = nb::ndarray<std::int64_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Numbers = nb::ndarray<LocalIndex const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Places = nb::ndarray<Real const, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Weights = nb::ndarray<Real, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -63,7 +62,7 @@ void bind_gmls(nb::module_& m) {
           "__init__",
           [](BoundProblem* self, int order, int components, bind::RealRows basis, int weight,
              std::array<Real, 2> parameters, std::array<Real, 3> aspect, bind::RealRows targets, bind::Reals reach,
-             Starts start, Numbers index, bind::RealRows sites, nb::object samples, nb::object wanted,
+             bind::Starts start, Numbers index, bind::RealRows sites, nb::object samples, nb::object wanted,
              nb::object exact) {
             int const dimension = int(targets.shape(1));
             gmls::Problem problem(dimension, order);

@@ -6,17 +6,11 @@ namespace nb = nanobind;
 using namespace nb::literals;
 using namespace amrpic;
 
-namespace {
-
-using Starts = nb::ndarray<std::int64_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-
-}  // namespace
-
 void bind_points(nb::module_& m) {
   m.def(
       "solve_points",
-      [](int ranks, Starts row_start, Starts column, bind::Reals value, bind::RealRows right_hand_sides, Real tolerance,
-         int most_iterations) {
+      [](int ranks, bind::Starts row_start, bind::Starts column, bind::Reals value, bind::RealRows right_hand_sides,
+         Real tolerance, int most_iterations) {
         SharedRows rows;
         rows.row_start.assign(row_start.data(), row_start.data() + row_start.size());
         rows.column.assign(column.data(), column.data() + column.size());

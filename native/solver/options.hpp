@@ -51,7 +51,7 @@ struct SolverOptions {
   BackendKind backend = BackendKind::matrix_free;  ///< the fastest
   matrixfree::Kernels kernels = matrixfree::Kernels::tuned;
   int max_cycles = 100;
-  SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and alike on any decomposition
+  SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and the same on any decomposition
   int pre_sweeps = 2, post_sweeps = 2;
   Real relaxation = 1.28;  ///< of red-black Gauss-Seidel on refined levels of cubes, see relaxation_on
   Prolongation prolongation = Prolongation::trilinear;

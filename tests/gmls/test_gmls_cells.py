@@ -67,7 +67,7 @@ def test_stencils_that_cells_share_are_their_own(order):
     for name in ("value", "gradient"):
         a, b = own.matrix(name), shared.matrix(name)
         assert abs(a - b).max() < 1e-11 * abs(a).max()
-    _, representative, kind = near.alike(targets, sites, unit)
+    _, representative, kind = near.equal_surroundings(targets, sites, unit)
     assert len(representative) < 0.8 * len(targets)
     assert len(kind) == len(targets)
 

@@ -74,7 +74,9 @@ def compare(comm: MPI.Comm, path: Path) -> Compared:
 
 def rows(found: Sequence[Compared]) -> list[tuple[str, ...]]:
     """Return the comparison as rows of a table."""
-    out: list[tuple[str, ...]] = [("scene", "start s", "foreseen", "ratio", "step ms", "foreseen", "ratio", "end s", "from")]
+    out: list[tuple[str, ...]] = [
+        ("scene", "start s", "foreseen", "ratio", "step ms", "foreseen", "ratio", "end s", "from")
+    ]
     for one in found:
         (start, step), (first, then) = one.taken, one.foreseen
         ratios = one.ratios

@@ -94,6 +94,11 @@ class Hierarchy:
         Starts and numbers of the uncovered cells within a radius of each point.
         """
 
+    def leaves_around(self, reach: float) -> tuple:
+        """
+        Uncovered cells, their radii, starts and numbers of those near each, kinds, one of each kind.
+        """
+
 class Field:
     def __init__(self, hierarchy: Hierarchy, zero: bool = True) -> None: ...
     def level(self, level: int) -> NDArray[numpy.float64]: ...

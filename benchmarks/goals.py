@@ -120,6 +120,13 @@ def stencils(found: Found) -> Iterator[Goal]:
         what = f"least squares of order {order}"
         yield Goal(f"{what}, targets/s over LAPACK's dgels", found.ratio(theirs, mine), 5, 8, "×", at_least=True)
         yield Goal(f"{what}, lattice over jittered", found.ratio(mine, lattice), 0.5, 0.8, "×", at_least=True)
+    yield Goal(
+        "least squares of order 2, a leaf of a mesh",
+        1e6 * found.seconds("least squares, order 2, leaves"),
+        1,
+        0.3,
+        " µs",
+    )
 
 
 def solver(found: Found) -> Iterator[Goal]:

@@ -1,7 +1,8 @@
 """Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of bench.py.
 
 Value, gradient and Laplacian at all points of a jittered 22³ lattice (±0.25 h), and of the lattice itself, reach 1.4 times the
-distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not.
+distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not. Then the
+same at order 2 for all cells of a refined mesh, from the cells within 2.1 of their widths; the look-up included.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from pathlib import Path
 
 import numpy as np
 from measuring import Record, write
+from mpi4py import MPI
 
+import amrpic
 from amrpic import gmls
 from amrpic.gmls import problem
 
@@ -24,6 +27,7 @@ POINTS = 22  # per axis
 ORDERS = (2, 3, 4)
 WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
 LAPACK_TARGETS = 400
+LEAVES = "least squares, order 2, leaves"
 
 
 def cloud(jitter: float) -> np.ndarray:
@@ -56,6 +60,23 @@ def ours(order: int, kind: str, runs: int) -> Record:
         "targets whose reach grew": int((quality.growth > 0).sum()),
     }
     return Record(record_name(order, kind), [s / len(x) for s in thread_seconds(runs, solve)], facts=facts)
+
+
+def leaves(runs: int, cells: int) -> Record:
+    """Return the record of the leaves of a mesh of so many base cells along each axis and two refined levels."""
+    domain = amrpic.Domain(0, 1, cells, boundary="dirichlet")
+    boxes = [[((cells // 2,) * 3, (cells + cells // 6 - 1,) * 3)], [((5 * cells // 4,) * 3, (5 * cells // 3 - 1,) * 3)]]
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, boxes, 24, 8)
+
+    def solve() -> gmls.Stencils:
+        sites, _ = gmls.cells(hierarchy)
+        numbers, near = gmls.leaves_around(hierarchy, 2.1)
+        space, samples, lattice = gmls.Scalar(2), gmls.Points(sites), hierarchy.spacing(2) / 2
+        return gmls.stencils(sites[numbers], near, space=space, samples=samples, wanted=WANTED, lattice=lattice)
+
+    solved = solve()
+    facts = {"leaves": float(len(solved)), "entries solved": float(len(solved.solved))}
+    return Record(LEAVES, [s / len(solved) for s in thread_seconds(runs, solve)], facts=facts)
 
 
 def lapack(order: int, runs: int) -> Record:
@@ -105,6 +126,7 @@ def main() -> int:
     records = []
     for order in ORDERS:
         records += [ours(order, "jittered", given.runs), ours(order, "lattice", given.runs), lapack(order, given.runs)]
+    records.append(leaves(given.runs, 96))
     records = [record for record in records if record.seconds]
     for record in records:
         print(f"{record.name}: {1e6 * record.median:.3g} µs per target", flush=True)

@@ -1,7 +1,7 @@
 """Generalized moving least squares: stencils from samples on points of any arrangement. See docs/gmls.md."""
 
 from .functionals import Basis, Functional
-from .neighbours import Neighbours, cells, cells_around, nearby
+from .neighbours import Neighbours, cells, cells_around, leaves_around, nearby
 from .potential import PointPotential, poisson
 from .samples import (
     Along,
@@ -100,6 +100,7 @@ __all__ = [
     "cells",
     "cells_around",
     "edges",
+    "leaves_around",
     "nearby",
     "poisson",
     "polygons",

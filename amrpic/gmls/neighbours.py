@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from .. import _native
 from ..errors import InputError
 from ..mesh.hierarchy import Hierarchy
 from .checks import finite, points
 from .spaces import Scalar
 
 SEARCHED_TOGETHER = 4096  # targets, whose neighbours are Python's lists for a while
+LEAF = 40  # sites of the leaves of a search tree, for which stencils are found fastest
 GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do not determine
 EQUAL = 1 + 1e-9  # distances that rounding alone tells apart
 
@@ -28,6 +30,8 @@ class Neighbours:
     index: np.ndarray  # int32
     reach: np.ndarray  # (n,): where weights vanish, in m
     search: Callable[[np.ndarray, np.ndarray], Neighbours] | None = field(default=None, repr=False)
+    kind: np.ndarray | None = field(default=None, repr=False)  # (n,) of targets with equal surroundings, in equal order
+    representative: np.ndarray | None = field(default=None, repr=False)  # a target of each kind
 
     def __len__(self) -> int:
         return len(self.reach)
@@ -50,6 +54,8 @@ class Neighbours:
 
         Offsets are whole multiples of `unit` (dimension,). InputError for those that are not.
         """
+        if self.kind is not None and self.representative is not None:
+            return self, self.representative, self.kind
         lengths = np.diff(self.start)
         of = np.repeat(np.arange(len(self)), lengths)
         steps = (sites[self.index] - targets[of]) / unit
@@ -109,6 +115,22 @@ def cells_around(hierarchy: Hierarchy, points: ArrayLike, radius: ArrayLike) -> 
     return replace(search(np.arange(len(places)), distances), search=search)
 
 
+def leaves_around(hierarchy: Hierarchy, reach: float) -> tuple[np.ndarray, Neighbours]:
+    """Return the uncovered cells of all levels (n,), and for each those within `reach` times its own longest edge.
+
+    Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Cells with equal
+    surroundings are known at once, for `stencils` with a lattice of half the finest widths. Not collective: boxes are known
+    on all ranks. Raises InputError for a reach below 1 or too long to be told in finest cells.
+    """
+    if not 1 <= reach < np.inf:
+        raise InputError(f"reach is {reach}; it is a number of cells, at least 1, for instance 2.1")
+    try:
+        leaf, radius, start, index, kind, representative = hierarchy.native.leaves_around(float(reach))
+    except _native.HierarchyError as failure:
+        raise InputError(str(failure)) from None
+    return leaf, Neighbours(start, index, radius, None, kind, representative)
+
+
 def nearby(
     sites: ArrayLike,
     targets: ArrayLike,
@@ -129,7 +151,7 @@ def nearby(
         raise InputError(f"sites have {where.shape[1]} coordinates and targets {places.shape[1]}; give as many")
     if (order is None) == (radius is None):
         raise InputError("neighbours need either an order or a radius; give one of them")
-    tree = cKDTree(where)
+    tree = cKDTree(where, leafsize=LEAF)
     tied = np.zeros(len(places), dtype=bool)
     if radius is not None:
         distances = np.broadcast_to(finite(radius, "the radius"), len(places)).copy()
@@ -149,7 +171,7 @@ def nearby(
         counts, found = [], []
         for first in range(0, len(which), SEARCHED_TOGETHER):
             some = slice(first, first + SEARCHED_TOGETHER)
-            lists = tree.query_ball_point(places[which[some]], lengths[some] * EQUAL, return_sorted=True)
+            lists = tree.query_ball_point(places[which[some]], lengths[some] * EQUAL, return_sorted=False)
             counts.append(np.fromiter(map(len, lists), dtype=np.int64, count=len(lists)))
             found.append(np.fromiter(chain.from_iterable(lists), dtype=np.int32, count=int(counts[-1].sum())))
         start = np.concatenate([[0], *counts]).cumsum()

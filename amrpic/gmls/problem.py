@@ -98,10 +98,10 @@ class Problem:
         """Return the stencils, those that cannot be determined with weights that are NaN."""
         if self.per_site > 1 and not self.split:
             near = Neighbours(*_per_component(near, self.per_site), near.reach)
-        kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
-        if len(kinds) <= 1:
-            found = self._solve(near, np.ones(len(self.exact), bool) if len(kinds) == 0 else kinds[0])
+        if self.present.all():
+            found = self._solve(near, np.ones(len(self.exact), bool))
         else:  # targets with the same exact rows together
+            kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
             groups = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
             parts = [(g, self.of(g)._solve(near.of(g), has)) for g, has in zip(groups, kinds, strict=True)]
             found = merged(parts, len(near))

@@ -20,6 +20,7 @@ from .targets import Exact, Wanted
 from .weights import QUADRATIC, Weight
 
 GROWTHS = 5  # at most, of a reach
+TOGETHER = 65_536  # targets whose shared weights are written out at a time
 PATHS = (
     "normal equations",
     "normal equations of less rank",
@@ -52,16 +53,31 @@ class Quality:
 
 @dataclass(frozen=True, eq=False)
 class Stencils:
-    """Weights for n targets; those of target t stand in rows start[t]:start[t + 1]."""
+    """Weights for n targets; those of target t stand in rows start[t]:start[t + 1] of `weights`."""
 
     start: np.ndarray  # (n + 1,)
     index: np.ndarray  # of samples
-    weights: np.ndarray  # (entries, rows wanted)
+    solved: np.ndarray  # weights (entries, rows wanted): of all targets, or of those that others share
     exact_weights: np.ndarray  # (n, exact rows, rows wanted); zero where an exact row is not there
     quality: Quality
     samples: int  # numbers that the samples are in all
     rows: Mapping[str, tuple[slice, tuple[int, ...]]] = field(repr=False)  # of each quantity wanted, and its shape
     exact: tuple[str, ...] = ()
+    first: np.ndarray | None = field(default=None, repr=False)  # (n,): where in `solved` a target's weights begin
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(entries, rows wanted); written out for each target, where targets share them."""
+        return self._weights(slice(None))
+
+    def _weights(self, rows: slice | int, targets: slice = slice(None)) -> np.ndarray:
+        """Return some rows of the weights of some targets."""
+        first, last, _ = targets.indices(len(self))
+        if self.first is None:
+            return self.solved[self.start[first] : self.start[last], rows]
+        start = self.start[first : last + 1]
+        shift = np.repeat(self.first[targets] - start[:-1], np.diff(start))
+        return self.solved[shift + np.arange(start[0], start[-1]), rows]
 
     def __len__(self) -> int:
         return len(self.start) - 1
@@ -74,9 +90,9 @@ class Stencils:
         rows, shape = self._rows(name)
         count = rows.stop - rows.start
         if count == 1:
-            return csr_array((self.weights[:, rows.start], self.index, self.start), (len(self), self.samples))
+            return csr_array((self._weights(rows.start), self.index, self.start), (len(self), self.samples))
         of_target = [
-            csr_array((self.weights[:, r], self.index, self.start), (len(self), self.samples))
+            csr_array((self._weights(r), self.index, self.start), (len(self), self.samples))
             for r in range(rows.start, rows.stop)
         ]
         lengths = np.repeat(np.diff(self.start)[:, None], count, axis=1).ravel()
@@ -104,9 +120,14 @@ class Stencils:
         if set(data) != set(self.exact):
             raise InputError(f"exact data are given for {sorted(data)}; these stencils need {sorted(self.exact)}")
         columns = given.shape[1:]
-        sums = np.empty((len(self), self.weights.shape[1], *columns))
-        for row in range(self.weights.shape[1]):
-            sums[:, row] = csr_array((self.weights[:, row], self.index, self.start), (len(self), self.samples)) @ given
+        sums = np.empty((len(self), self.solved.shape[1], *columns))
+        for first in range(0, len(self), TOGETHER):
+            some = slice(first, min(first + TOGETHER, len(self)))
+            start = self.start[some.start : some.stop + 1]
+            index, weights = self.index[start[0] : start[-1]], self._weights(slice(None), some)
+            for row in range(self.solved.shape[1]):
+                matrix = csr_array((weights[:, row], index, start - start[0]), (len(start) - 1, self.samples))
+                sums[some, row] = matrix @ given
         for number, name in enumerate(self.exact):
             datum = np.asarray(data[name], dtype=float)
             if datum.shape != (len(self), *columns):
@@ -220,15 +241,12 @@ def _shared(
     ordered, representative, kind = near.equal_surroundings(targets, samples.sites, unit)
     few = ordered.of(representative)  # without growth, which would change surroundings
     solved = stencils(targets[representative], few, samples=samples, wanted=wanted, **options)
-    place = np.repeat(solved.start[:-1][kind] - ordered.start[:-1], np.diff(ordered.start)) + np.arange(
-        ordered.start[-1]
-    )
     quality = Quality(*(getattr(solved.quality, f.name)[kind] for f in fields(Quality)))
     return replace(
         solved,
         start=ordered.start,
         index=ordered.index,
-        weights=solved.weights[place],
-        exact_weights=np.empty((len(targets), 0, solved.weights.shape[1])),
+        first=solved.start[:-1][kind],
+        exact_weights=np.empty((len(targets), 0, solved.solved.shape[1])),
         quality=quality,
     )

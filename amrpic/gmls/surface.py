@@ -83,7 +83,7 @@ def surface(
         fit,
         index=near.index,
         samples=len(points),
-        weights=np.column_stack([value, gradient, laplacian]),
+        solved=np.column_stack([value, gradient, laplacian]),
         rows={"value": (slice(0, 1), ()), "gradient": (slice(1, 4), (3,)), "laplace_beltrami": (slice(4, 5), ())},
     )
     normal = (frame[:, 2] - np.einsum("ni,nix->nx", z, frame[:, :2])) / np.sqrt(d)[:, None]

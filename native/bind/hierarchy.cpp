@@ -10,6 +10,7 @@
 #include "bind/convert.hpp"
 #include "mesh/array_on_box.hpp"
 #include "mesh/cells_around.hpp"
+#include "mesh/leaves_around.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -96,5 +97,19 @@ void bind_hierarchy(nb::module_& m) {
             }
             return nb::make_tuple(bind::to_array(std::move(found.start)), bind::to_array(std::move(found.cell)));
           },
-          "points"_a, "radius"_a, "Starts and numbers of the uncovered cells within a radius of each point.");
+          "points"_a, "radius"_a, "Starts and numbers of the uncovered cells within a radius of each point.")
+      .def(
+          "leaves_around",
+          [](Hierarchy const& h, Real reach) {
+            LeavesAround found;
+            {
+              nb::gil_scoped_release release;
+              found = leaves_around(h, reach);
+            }
+            return nb::make_tuple(bind::to_array(std::move(found.leaf)), bind::to_array(std::move(found.radius)),
+                                  bind::to_array(std::move(found.start)), bind::to_array(std::move(found.cell)),
+                                  bind::to_array(std::move(found.kind)),
+                                  bind::to_array(std::move(found.representative)));
+          },
+          "reach"_a, "Uncovered cells, their radii, starts and numbers of those near each, kinds, one of each kind.");
 }

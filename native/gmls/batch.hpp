@@ -24,6 +24,9 @@ typedef Real OneLane __attribute__((may_alias));
 // depends on those before it, as it often does on lattices. Between them only orthogonal factors tell.
 constexpr Real pivot_tolerance = 1e-8, pivot_of_rounding = 1e-13;
 
+/// What a column that depends on others may lack of its right-hand side, relative, before no weights are looked for.
+constexpr Real far_from_dependent = 1e-3;
+
 /// Call f(first, number of columns as a constant) for columns in groups of six, four or two, an even number in all: as
 /// many sums as registers hold, so that none waits for another.
 template <class F>
@@ -71,11 +74,16 @@ class Batch {
     fill(of);
     form();
     factor();
-    std::copy(tau_.begin(), tau_.end(), residual_.begin());
-    std::fill(y_.begin(), y_.end(), V{});
-    for (int pass = 0; pass < 2; ++pass) {  // the second one refines
-      add_solution_of_residual();
-      reproduce();
+    find_contradictions();
+    if (all_contradict())
+      std::fill(z_.begin(), z_.end(), V{});
+    else {
+      std::copy(tau_.begin(), tau_.end(), residual_.begin());
+      std::fill(y_.begin(), y_.end(), V{});
+      for (int pass = 0; pass < 2; ++pass) {  // the second one refines
+        add_solution_of_residual();
+        reproduce();
+      }
     }
     write(of, to, Path::normal_equations);
   }
@@ -299,6 +307,32 @@ class Batch {
     }
   }
 
+  /// Which lanes have no solution, as most lattices have that are too small: the right-hand side of a column that was
+  /// left out is not what those before it make of theirs.
+  void find_contradictions() {
+    V const zero{};
+    contradiction_ = zero;
+    bool dependent = false;
+    for (int l = 0; l < width<V>; ++l) dependent = dependent || number(least_pivot_, std::size_t(l)) <= pivot_tolerance;
+    if (!dependent) return;
+    std::vector<V> rest = tau_;
+    for (int t = 0; t < targets_; ++t)
+      for (int i = 0; i < free_; ++i) {
+        V sum = rest[at(i, wide_, t)];
+        for (int j = 0; j < i; ++j) sum = sum - matrix_[at(i, n_, j)] * rest[at(j, wide_, t)];
+        V const lacking = magnitude(sum) / at_least(size_[std::size_t(t)], zero + std::numeric_limits<Real>::min());
+        contradiction_ = inverse_root_[std::size_t(i)] > zero ? contradiction_ : at_least(lacking, contradiction_);
+        rest[at(i, wide_, t)] = sum * inverse_root_[std::size_t(i)];
+      }
+    V const clear = unclear_ > zero ? zero : contradiction_;
+    contradiction_ = clear > far_from_dependent ? clear : zero;
+  }
+  bool all_contradict() const {
+    for (int l = 0; l < width<V>; ++l)
+      if (number(contradiction_, std::size_t(l)) == 0) return false;
+    return true;
+  }
+
   /// y += (QᵀQ)⁻¹ residual.
   void add_solution_of_residual() {
     in_columns(wide_, [&](int t, auto columns) {
@@ -356,6 +390,10 @@ class Batch {
         sum_of_sizes = at_least(sum[b] / size, sum_of_sizes);
       }
     });
+    if (path == Path::normal_equations) {
+      worst = contradiction_ > V{} ? contradiction_ : worst;
+      sum_of_sizes = contradiction_ > V{} ? V{} : sum_of_sizes;
+    }
     weigh_exact_data();
     for (int j = 0; j < m_; ++j)
       for (int t = 0; t < targets_; ++t) z_[at(j, wide_, t)] = z_[at(j, wide_, t)] * root_weight_[std::size_t(j)];
@@ -406,7 +444,7 @@ class Batch {
   std::vector<V> row_, table_, powers_, reduced_, reflector_, upper_;
   std::vector<V> q_, fixed_q_, root_weight_, largest_, z_;
   std::vector<V> size_, tau_, fixed_tau_, y_, residual_, matrix_, inverse_root_;
-  V least_pivot_{}, unclear_{}, independent_{};
+  V least_pivot_{}, unclear_{}, independent_{}, contradiction_{};
 };
 
 }  // namespace amrpic::gmls

@@ -42,7 +42,52 @@ def test_cells_around_points_are_those_that_a_search_in_space_finds():
     assert np.isclose((widths.prod(axis=1))[leaves].sum(), 12)
 
 
-def test_a_field_on_one_rank_is_numbered_alike():
+@pytest.mark.parametrize("reach", [1.0, 2.1, 3.3])
+def test_leaves_around_leaves_are_cells_around_their_centres(reach):
+    hierarchy = mesh()
+    sites, widths = gmls.cells(hierarchy)
+    leaves, near = gmls.leaves_around(hierarchy, reach)
+    assert np.array_equal(leaves, uncovered(hierarchy))
+    radius = reach * widths[leaves].max(axis=1)
+    assert np.allclose(near.reach, radius, rtol=1e-15)
+    found = gmls.cells_around(hierarchy, sites[leaves], radius)
+    assert np.array_equal(found.start, near.start)
+    of = np.repeat(np.arange(len(leaves)), np.diff(near.start))
+    assert np.array_equal(found.index, near.index[np.lexsort((near.index, of))])
+    assert near.kind is not None and near.representative is not None
+    # of one kind are those that have cells at equal offsets, in equal order, and no others
+    offsets = np.rint((sites[near.index] - sites[leaves][of]) / (hierarchy.spacing(2) / 2)).astype(int)
+    kinds: dict[tuple, int] = {}
+    for t, kind in enumerate(near.kind):
+        key = (widths[leaves[t]].tobytes(), offsets[near.start[t] : near.start[t + 1]].tobytes())
+        assert kinds.setdefault(key, kind) == kind
+    assert sorted(kinds.values()) == list(range(len(near.representative)))
+    assert np.array_equal(near.kind[near.representative], np.arange(len(near.representative)))
+
+
+def test_leaves_share_stencils_that_are_their_own():
+    hierarchy = mesh()
+    sites, widths = gmls.cells(hierarchy)
+    leaves, near = gmls.leaves_around(hierarchy, 2.7)
+    wanted = [gmls.VALUE, gmls.GRADIENT]
+    arguments: dict[str, Any] = dict(space=gmls.Scalar(2), samples=gmls.Points(sites), wanted=wanted)
+    shared = gmls.stencils(sites[leaves], near, lattice=hierarchy.spacing(2) / 2, **arguments)
+    own = gmls.stencils(sites[leaves], gmls.Neighbours(near.start, near.index, near.reach), **arguments)
+    assert len(shared.solved) < 0.6 * len(own.solved) and shared.weights.shape == own.weights.shape
+    assert np.abs(shared.weights - own.weights).max() < 1e-11 * np.abs(own.weights).max()
+    values = np.sin(sites.sum(axis=1))
+    for name in ("value", "gradient"):
+        assert abs(shared.matrix(name) - own.matrix(name)).max() < 1e-11 * abs(own.matrix(name)).max()
+        assert np.allclose(shared.apply(values)[name], own.apply(values)[name], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("reach", [0.9, 0.0, np.nan, np.inf, 1e6])
+def test_a_reach_that_tells_nothing_is_refused(reach):
+    with pytest.raises(InputError, match=r"reach"):
+        gmls.leaves_around(mesh(), reach)
+
+
+def test_a_field_on_one_rank_is_numbered_in_the_same_way():
     hierarchy = mesh()
     field = amrpic.Field(hierarchy)
     field.fill(lambda x, y, z: x + 10 * y + 100 * z)

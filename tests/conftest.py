@@ -1,6 +1,7 @@
 """Fixtures of all tests, and the plugin that gives a test its MPI ranks.
 
-`@pytest.mark.mpi(ranks=(1, 2), timeout=60)` runs a test once per number of ranks, on as many processes.
+`@pytest.mark.mpi(ranks=(1, 2), timeout=60)` runs a test once per number of ranks, on as many processes, which other files
+share unless it asks for `fresh=True`.
 Such a test asks for the fixture `comm`; its `tmp_path` is one directory for all ranks.
 """
 
@@ -17,7 +18,8 @@ import mpi_rank
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
-        "markers", "mpi(ranks=(1, 2), timeout=60): run on so many MPI ranks, each within the timeout"
+        "markers",
+        "mpi(ranks=(1, 2), timeout=60, fresh=False): on so many MPI ranks, within the timeout, in new processes",
     )
     plugin = mpi_rank.Rank(config) if mpi_rank.is_rank() else mpi_batch.Launcher(config)
     config.pluginmanager.register(plugin, "amrpic-mpi")

@@ -1,17 +1,14 @@
-"""The launcher's side: run the MPI tests of a file in as few `mpiexec` calls as can be, and report each test by itself.
+"""The launcher's side: run MPI tests on as few starts of `mpiexec` as can be, and report each test by itself.
 
-All tests of a file with the same number of ranks share one call, for a start takes longer than most tests. When a test
-fails, hangs or crashes, those after it run in a new call, so that none sees the wreck of another.
+All tests of a file with the same number of ranks make a batch, and batches of many files share their processes, for a start
+takes longer than most tests. When a test fails, hangs or crashes, those after it run in new processes, so that none sees the
+wreck of another. `@pytest.mark.mpi(fresh=True)` is for tests that measure their process or leave it changed.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,10 +16,11 @@ from typing import Any
 
 import pytest
 
-import mpi_rank
+from mpi_processes import Processes
 
 PATIENCE = float(os.environ.get("AMRPIC_TEST_PATIENCE", "1"))  # more on slow or emulated processors
 TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes
+KEPT = 2 << 30  # bytes of memory of processes that wait for the next batch
 GRACE = 3.0  # seconds for the other ranks to end a test that failed on one, and for all to tell where they hang
 
 # Taken before anything imports mpi4py, which marks the environment of this process as that of an MPI process.
@@ -55,6 +53,12 @@ def timeout_of(item: pytest.Item) -> float:
     """Seconds that the mark of an MPI test allows."""
     mark = item.get_closest_marker("mpi")
     return PATIENCE * (float(mark.kwargs.get("timeout", TIMEOUT)) if mark else TIMEOUT)
+
+
+def wants_fresh(item: pytest.Item) -> bool:
+    """Whether a test is to have processes that ran none of another file, and run none after it."""
+    mark = item.get_closest_marker("mpi")
+    return mark is not None and bool(mark.kwargs.get("fresh", False))
 
 
 @dataclass
@@ -95,41 +99,46 @@ class Notes:
     def failed(self, nodeid: str) -> bool:
         return any(report.failed for report in self.reports.get(nodeid, []))
 
+    def memory(self) -> int | None:
+        """Bytes that the rank held when it was through with its tests, None before."""
+        told = self.path.with_suffix(".memory")
+        return int(told.read_text()) if told.exists() else None
 
-class Call:
-    """One `mpiexec` for a list of tests of one file, and what is known of them after it."""
 
-    def __init__(self, items: list[pytest.Item], ranks: int, folder: Path) -> None:
+class Batch:
+    """A list of tests of one file on some processes, and what is known of them after it."""
+
+    def __init__(self, items: list[pytest.Item], processes: Processes, folder: Path) -> None:
         self.config = items[0].config
         self.items = items
+        self.processes = processes
         self.folder = folder
+        ranks = processes.ranks
         self.timeouts = {item.nodeid: timeout_of(item) for item in items}
         self.notes = [Notes(folder / f"rank{r}.jsonl") for r in range(ranks)]
         self.hung = False
         (folder / "batch.json").write_text(json.dumps(self.timeouts))
         option = self.config.option
-        self.command = ["mpiexec", "-n", str(ranks), sys.executable, "-m", "mpi4py", "-m", "pytest", "-q", "--color=no"]
-        self.command += ["-p", "no:cacheprovider", f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
-        self.command += ["-o", f"verbosity_assertions={max(0, option.verbose)}", str(items[0].path)]
+        self.arguments = ["-q", "--color=no"]
+        self.arguments += ["-p", "no:cacheprovider", f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
+        self.arguments += ["-o", f"verbosity_assertions={max(0, option.verbose)}", str(items[0].path)]
 
     def run(self) -> None:
         """Run to the end, or to the moment when a test hangs."""
-        environment = {**ENVIRONMENT, mpi_rank.FOLDER: str(self.folder)}
-        with (self.folder / "output").open("wb") as output:
-            self.process = subprocess.Popen(
-                self.command, env=environment, cwd=self.config.rootpath,
-                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-            try:
-                self.watch()
-            finally:
-                self.kill()
+        try:
+            self.processes.order(self.folder, self.arguments)
+            self.watch()
+        except BaseException:
+            self.processes.kill()
+            raise
         self.update()
+        self.processes.pids = [notes.pid for notes in self.notes]
+        self.processes.memory = sum(notes.memory() or 0 for notes in self.notes)
 
     def watch(self) -> None:
-        """Return when the processes have ended, or when they stayed longer in one stage than it may take."""
+        """Return when the tests or processes have ended, or when they stayed longer in one stage than it may take."""
         stage, since = self.stage(), time.monotonic()
-        while self.process.poll() is None and not self.hung:
+        while self.processes.status() is None and not self.hung and not self.through():
             time.sleep(0.02)
             self.update()
             if self.stage() != stage:
@@ -139,6 +148,14 @@ class Call:
     def update(self) -> None:
         for notes in self.notes:
             notes.update(self.config)
+
+    def through(self) -> bool:
+        """True if all ranks are through with their tests."""
+        return all(notes.memory() is not None for notes in self.notes)
+
+    def is_sound(self) -> bool:
+        """True if the processes can be trusted with other tests."""
+        return self.through() and not any(notes.failed(item.nodeid) for notes in self.notes for item in self.items)
 
     def running(self) -> str | None:
         """The test in which at least one rank is."""
@@ -158,19 +175,6 @@ class Call:
             return GRACE
         return PATIENCE * TIMEOUT if running is None else self.timeouts[running] + GRACE
 
-    def kill(self) -> None:
-        """End mpiexec and its ranks if they still run."""
-        if self.process.poll() is not None:
-            return
-        self.process.terminate()
-        try:
-            self.process.wait(5)
-        except subprocess.TimeoutExpired:
-            for pid in [self.process.pid, *(notes.pid for notes in self.notes if notes.pid)]:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-            self.process.wait()
-
     def reports(self) -> dict[str, list[pytest.TestReport]]:
         """The reports of the tests that ran; at least of one."""
         found = {}
@@ -183,10 +187,19 @@ class Call:
         if not found:
             return {item.nodeid: [self.broken(item)] for item in self.items}
         failed = any(report.failed for reports in found.values() for report in reports)
-        if not failed and (self.hung or self.process.returncode):
+        if not failed and not self.through():
             last = next(item for item in reversed(self.items) if item.nodeid in found)
             found[last.nodeid].append(self.broken(last, "teardown"))
         return found
+
+    def bad_end(self, status: int | None) -> pytest.TestReport:
+        """The report of processes that did not end well, after all that they were asked to do."""
+        what = "did not end" if status is None else f"ended with status {status}"
+        last = self.items[-1]
+        text = f"The processes {what}, after all tests.\n{self.processes.said()[-8000:]}"
+        return pytest.TestReport(
+            last.nodeid, last.location, dict.fromkeys(last.keywords, 1), "failed", text, "teardown"
+        )
 
     def merged(self, nodeid: str) -> list[pytest.TestReport]:
         """One report per phase of a test that ended on all ranks."""
@@ -207,14 +220,14 @@ class Call:
         elif self.hung:
             cause = "The processes did not end." if when == "teardown" else f"No end after {timeout_of(item):g} s."
         else:
-            cause = f"mpiexec ended with status {self.process.returncode}."
+            cause = f"mpiexec ended with status {self.processes.status()}."
         return pytest.TestReport(
             item.nodeid, item.location, dict.fromkeys(item.keywords, 1), "failed", f"{cause}\n{self.text()}", when
         )
 
     def text(self) -> str:
         """What the processes printed, and where they hung."""
-        parts = [("output", self.folder / "output")]
+        parts = [("output", self.folder / "output"), ("mpiexec", self.processes.output)]
         parts += [(f"rank {r} hung in", notes.path.with_suffix(".stacks")) for r, notes in enumerate(self.notes)]
         texts = [(title, own_lines(path.read_text(errors="replace"))) for title, path in parts if path.exists()]
         return "\n".join(f"--- {title} ---\n{text}" for title, text in texts if text.strip())
@@ -274,6 +287,7 @@ class Launcher:
         if "OMPI_COMM_WORLD_SIZE" in ENVIRONMENT:
             raise pytest.UsageError("start pytest without mpiexec: it starts the ranks of each test itself")
         self.reports: dict[str, list[pytest.TestReport]] = {}
+        self.waiting: dict[int, Batch] = {}  # the last batch of processes that can have another, by number of ranks
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
@@ -289,13 +303,45 @@ class Launcher:
         return True
 
     def call(self, first: pytest.Item, ranks: int) -> None:
-        """Run a test and those that may share its call."""
-        items = [item for item in first.session.items if self.may_share(item, first, ranks)]
+        """Run a test and those that may share its batch."""
+        items = [first, *(item for item in first.session.items if self.may_share(item, first, ranks))]
         factory: pytest.TempPathFactory = first.config._tmp_path_factory  # type: ignore[attr-defined]
-        call = Call([first, *items], ranks, factory.mktemp("ranks"))
-        call.run()
-        self.reports.update(call.reports())
+        fresh = wants_fresh(first)
+        before = None if fresh else self.waiting.pop(ranks, None)
+        if before is None or before.processes.status() is not None:
+            processes = Processes(ranks, factory.mktemp("processes"), first.config.rootpath, ENVIRONMENT)
+        else:
+            processes = before.processes
+        batch = Batch(items, processes, factory.mktemp("ranks"))
+        batch.run()
+        self.reports.update(batch.reports())
+        if not batch.is_sound():
+            processes.kill()
+        elif fresh:
+            self.reports[items[-1].nodeid] += self.ended(batch)
+        else:
+            self.waiting[ranks] = batch
+            self.make_room(items[-1])
+
+    def make_room(self, item: pytest.Item) -> None:
+        """End the largest of the processes that wait if they hold too much memory; the test's report tells if that fails."""
+        while sum(batch.processes.memory for batch in self.waiting.values()) > KEPT:
+            largest = max(self.waiting, key=lambda ranks: self.waiting[ranks].processes.memory)
+            self.reports[item.nodeid] += self.ended(self.waiting.pop(largest))
+
+    def ended(self, batch: Batch) -> list[pytest.TestReport]:
+        """End processes; a report if they end badly."""
+        status = batch.processes.close()
+        return [] if status == 0 else [batch.bad_end(status)]
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        for batch in self.waiting.values():
+            for report in self.ended(batch):
+                session.config.hook.pytest_runtest_logreport(report=report)
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        self.waiting.clear()
 
     def may_share(self, item: pytest.Item, first: pytest.Item, ranks: int) -> bool:
-        same_call = item.path == first.path and ranks_of(item) == ranks
-        return same_call and item is not first and item.nodeid not in self.reports
+        same = item.path == first.path and ranks_of(item) == ranks and wants_fresh(item) == wants_fresh(first)
+        return same and item is not first and item.nodeid not in self.reports

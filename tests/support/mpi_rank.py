@@ -92,3 +92,7 @@ class Rank:
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         # Failures are in the notes; an exit status other than 0 is left to mean a crash.
         session.exitstatus = 0
+
+    def pytest_unconfigure(self) -> None:
+        self.notes.close()
+        self.stacks.close()

@@ -44,17 +44,29 @@ class _Deferred(io.FileIO):
 class Hdf5Writer:
     """A new HDF5 file, `h5`; `close` adds a checksum for `require_seal`, syncs, and raises OSError if a byte was not written.
 
-    HDF5 crashes the process when it closes a file on a disk that has filled up. Here it never learns of that.
+    HDF5 crashes the process when it closes a file on a disk that has filled up. Here it never learns of that; but what it
+    reads back is missing then, so it may fail with words of its own. The error of `close` is the cause, and comes before.
+    `with` closes the file, also after an error.
     """
 
     def __init__(self, path: Path) -> None:
         self._file = _Deferred(path, "w+")
         self.h5 = h5py.File(self._file, "w", libver=("earliest", "v110"))
 
+    def __enter__(self) -> h5py.File:
+        return self.h5
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
     def close(self, sealed: bool = True) -> None:
         """`sealed`: with the checksum, for which the file is read again, from memory as a rule."""
-        self.h5.close()
         with self._file:
+            try:
+                self.h5.close()
+            except (OSError, RuntimeError):
+                if self._file.error is None:
+                    raise
             if sealed and self._file.error is None:
                 self._file.seek(0)
                 digest = hashlib.file_digest(self._file, "sha256").hexdigest()

@@ -61,22 +61,20 @@ def write(
 
     def write_view() -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        writer = Hdf5Writer(temporary(path))
-        h5 = writer.h5
-        describe_file(h5, path, step, time, about)
-        set_text(h5, "meshesPath", "fields/")
-        for level in range(hierarchy.levels):
-            boxes = boxes_as_written(hierarchy, level)
-            for name, field in fields.items():
-                _add(h5, f"/data/{step}/fields", name, field, level, boxes, hierarchy, _from(path, fields_file))
-        shown = [fields_file]
-        if particles_file is not None:
-            group = f"/data/{step}/particles"
-            set_text(h5, "particlesPath", "particles/")
-            h5[group] = h5py.ExternalLink(_from(path, particles_file), group)
-            shown.append(particles_file)
-        name_parts(h5, path.parent, shown)
-        writer.close()
+        with Hdf5Writer(temporary(path)) as h5:
+            describe_file(h5, path, step, time, about)
+            set_text(h5, "meshesPath", "fields/")
+            for level in range(hierarchy.levels):
+                boxes = boxes_as_written(hierarchy, level)
+                for name, field in fields.items():
+                    _add(h5, f"/data/{step}/fields", name, field, level, boxes, hierarchy, _from(path, fields_file))
+            shown = [fields_file]
+            if particles_file is not None:
+                group = f"/data/{step}/particles"
+                set_text(h5, "particlesPath", "particles/")
+                h5[group] = h5py.ExternalLink(_from(path, particles_file), group)
+                shown.append(particles_file)
+            name_parts(h5, path.parent, shown)
         publish(path)
 
     if hierarchy.comm.rank == 0:

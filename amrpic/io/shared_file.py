@@ -175,14 +175,13 @@ def _write_master(
     path: Path, parts: Mapping[Path, Array], arrays: Mapping[str, Rows], describe: Callable[[h5py.File], object]
 ) -> None:
     """Write and publish the file that shows the parts, with their rows of each array, as one."""
-    writer = Hdf5Writer(temporary(path))
-    for number, (name, rows) in enumerate(arrays.items()):
-        lengths = [int(held[number]) for held in parts.values()]
-        for dataset, _, dtype in _datasets(name, rows):
-            _show_as_one(writer.h5, dataset, dtype, rows.shape[1:], dict(zip(parts, lengths, strict=True)))
-    describe(writer.h5)
-    name_parts(writer.h5, path.parent, list(parts))
-    writer.close()
+    with Hdf5Writer(temporary(path)) as h5:
+        for number, (name, rows) in enumerate(arrays.items()):
+            lengths = [int(held[number]) for held in parts.values()]
+            for dataset, _, dtype in _datasets(name, rows):
+                _show_as_one(h5, dataset, dtype, rows.shape[1:], dict(zip(parts, lengths, strict=True)))
+        describe(h5)
+        name_parts(h5, path.parent, list(parts))
     publish(path)
 
 

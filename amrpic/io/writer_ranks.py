@@ -292,11 +292,11 @@ class Attempts:
             self.message = f"{self._purpose}: {one_line(error)}; {self._remedy}"
             return None
 
-    def always(self, act: Callable[[], object]) -> None:
-        """Do what must also be done after a failure, such as closing a file."""
+    def always(self, close: Callable[[], object]) -> None:
+        """Close a file, also after a failure; if that fails too, it says the cause: the disk was full all along."""
         before, self.message = self.message, None
-        self.attempt(act)
-        self.message = before or self.message
+        self.attempt(close)
+        self.message = self.message or before
 
     def settle(self, comm: MPI.Comm, error: type[Exception] = OutputError) -> None:
         """Raise `error` on all ranks if an act failed on any of them. Collective."""

@@ -20,7 +20,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: always stub docs help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
+.PHONY: always stub docs gallery help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -147,6 +147,9 @@ stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site; docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo "build/site/index.html; with the search: python3 -m http.server -d build/site"
+
+gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md anew
+	@$(BIN)/python docs/site/gallery.py
 
 .venv/.docs: pyproject.toml .venv/.packages
 	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \

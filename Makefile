@@ -146,7 +146,7 @@ stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 
 docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site; docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo "build/site/index.html; with the search: python3 -m http.server -d build/site"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo build/site/index.html
 
 gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md anew
 	@$(BIN)/python docs/site/gallery.py

@@ -75,10 +75,7 @@ verify: setup  ## accuracy against exact answers, into docs/verification.md, and
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
-	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/verify/test_verify.py tests/run/test_decomposition.py \
-	  tests/run/test_kill_restart.py tests/run/test_memory.py tests/solver/test_rounding_floor.py tests/solver/test_invariance.py \
-	  tests/solver/test_every_base.py tests/solver/test_fuzz.py tests/gmls/test_gmls_reproduction.py \
-	  tests/commands/test_every_bad_input.py tests/io/test_fuzzed_files.py $(ARGS); \
+	try $(BIN)/python -m pytest -m long $(ARGS); \
 	exit $$failed
 
 # What the verification compares with where a peer is needed to make it.

@@ -71,11 +71,11 @@ $(ARM)/.packages: .venv/.packages .venv/.qemu
 	  print(*(p.replace(" ", "") for p in project["dependencies"]), "pytest", "pytest-xdist")')
 	@touch $@
 
-verify: setup  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
+verify: setup .venv/.docs .venv/.browser  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
 	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
-	try $(BIN)/python -m pytest -m long $(ARGS); \
+	try $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
 	exit $$failed
 
 # What the verification compares with where a peer is needed to make it.
@@ -147,6 +147,12 @@ docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site;
 
 gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md anew
 	@$(BIN)/python docs/site/gallery.py
+
+.venv/.browser: .venv/.system
+	@command -v chromium >/dev/null || { root=; [ "$$(id -u)" = 0 ] || root=sudo; echo "installing Debian packages: chromium"; \
+	  $$root apt-get update -q >/dev/null; \
+	  $$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends chromium >/dev/null; }
+	@touch $@
 
 .venv/.docs: pyproject.toml .venv/.packages
 	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \

@@ -19,11 +19,16 @@ import mpi_batch
 import mpi_rank
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--need-browser", action="store_true", help="tests that need Chromium or mkdocs fail without")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers",
         "mpi(ranks=(1, 2), timeout=60, fresh=False): on so many MPI ranks, within the timeout, in new processes",
     )
+    config.addinivalue_line("markers", "browser: looks at pages in Chromium; skipped without, unless --need-browser")
     config.addinivalue_line("markers", "long: takes minutes; `pytest -m long` runs these alone, `pytest -m ''` all")
     plugin = mpi_rank.Rank(config) if mpi_rank.is_rank() else mpi_batch.Launcher(config)
     config.pluginmanager.register(plugin, "amrpic-mpi")

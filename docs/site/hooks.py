@@ -18,6 +18,7 @@ import tutorials
 
 INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 BLOCK = re.compile(r'<div class="arithmatex">\s*\\\[(.*?)\\\]\s*</div>', re.DOTALL)
+WIDE = '<div style="overflow-x: auto">{}</div>'  # narrow screens scroll the formula, not the page
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -31,4 +32,4 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_content(content: str, **_: Any) -> str:
     """Return the page with its formulas drawn."""
     content = INLINE.sub(lambda found: convert(html.unescape(found[1]), display="inline"), content)
-    return BLOCK.sub(lambda found: convert(html.unescape(found[1]), display="block"), content)
+    return BLOCK.sub(lambda found: WIDE.format(convert(html.unescape(found[1]), display="block")), content)

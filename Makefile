@@ -10,6 +10,7 @@ JOBS ?= $(shell env -u OMP_NUM_THREADS nproc)
 RANKS ?= 2
 SCENE ?= examples/ten_bunches.toml
 ARGS ?=
+REPORTS := $(if $(PUBLISH),docs/reports,runs/reports)
 SYSTEM := build-essential cmake ninja-build python3-venv python3-dev libopenmpi-dev openmpi-bin trilinos-all-dev
 PEERS := libhypre-dev
 NATIVE := CMakeLists.txt pyproject.toml $(wildcard native/* native/*/*.cpp native/*/*.hpp)
@@ -71,10 +72,10 @@ $(ARM)/.packages: .venv/.packages .venv/.qemu
 	  print(*(p.replace(" ", "") for p in project["dependencies"]), "pytest", "pytest-xdist")')
 	@touch $@
 
-verify: setup .venv/.docs .venv/.browser  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
+verify: setup .venv/.docs .venv/.browser  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
-	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
-	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output $(REPORTS); \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output $(REPORTS); \
 	try $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
 	exit $$failed
 
@@ -160,7 +161,7 @@ gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md 
 	@touch $@
 
 bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; ARGS=--quick: under 2 minutes
-	$(BIN)/python benchmarks/bench.py $(ARGS)
+	$(BIN)/python benchmarks/bench.py $(if $(PUBLISH),--publish) $(ARGS)
 
 # What benchmarks run beside, as far as it can be had here: those that are not are left out of the tables, with a line.
 .venv/.peers: pyproject.toml Makefile
@@ -196,8 +197,8 @@ sanitize: setup  ## tests of the native side under the address and undefined beh
 	$(SANITIZED) $(BIN)/python tests/support/fuzz.py --cases 60 --seed 1 --only-crashes || failed=1; \
 	exit $$failed
 
-solvers: setup  ## measure the solver's menu on 1 and 2 ranks and write docs/solvers.md
-	$(BIN)/python benchmarks/solvers.py
+solvers: setup  ## measure the solver's menu on 1 and 2 ranks; PUBLISH=1: into docs/reports
+	$(BIN)/python benchmarks/solvers.py --output $(REPORTS)/solvers.md $(ARGS)
 
 lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency graphs
 	$(BIN)/ruff check

@@ -13,10 +13,12 @@ from .. import _native, html
 from ..errors import HierarchyError, InputError
 from ..parallel import global_max, global_sum
 from . import exports
+from . import remap as remapping
 from .domain import AXES
 from .field_views import FieldViews, points_of
 from .hierarchy import Hierarchy
 from .patch import Patch
+from .remap import Bounds
 
 if TYPE_CHECKING:
     import pyvista
@@ -206,6 +208,26 @@ class Field(FieldViews):
     def _root(self, unit: str) -> Field:
         return self._combined(0.0, lambda values, _, out: np.sqrt(values, out=out), unit)
 
+    def remap(self, hierarchy: Hierarchy, order: int = 2, bounds: Bounds = None) -> Field:
+        """Return the field, as means over cells, on another mesh of the same cuboid, whose base may be another. Collective.
+
+        In each cell a polynomial of `order` 1 to 4 is fitted by least squares to the means of the cells around; it has the
+        cell's own mean, and is averaged over what cells of the two meshes have in common. So the integral is kept, and
+        smooth fields have an error of h^(order + 1), up to walls; where too few cells lie across the domain the order is
+        lower. Cells that both have are copied, covered ones are the means of their children.
+
+        With `bounds` no value is outside of (least, most), or, "neighbours", of what the cells of the source have that it is
+        made of, and those that touch these: parts of a cell are clipped, and share what was cut off by the room they have.
+
+        Raises HierarchyError for another cuboid or number of ranks, InputError for orders and bounds that make no sense, and
+        for values outside of the bounds.
+        """
+        out = Field(hierarchy, self.unit)
+        remapping.require_order(order)
+        remapping.require_one_domain(self, hierarchy)
+        remapping.remap(self, hierarchy, order, bounds, out)
+        return out
+
     def sample(self, points: ArrayLike) -> np.ndarray:
         """Values at points (n, 3) in m, (n,) on every rank: trilinear in the finest cells there. Collective.
 
@@ -290,6 +312,11 @@ class VectorField:
             return self
         x, y, z = (Field.unset(self.hierarchy, self.unit) for _ in range(3))
         self._deferred.write(x.native, y.native, z.native)
+        return VectorField(x, y, z)
+
+    def remap(self, hierarchy: Hierarchy, order: int = 2, bounds: Bounds = None) -> VectorField:
+        """Return the field on another mesh, each component by itself: see `Field.remap`. Collective."""
+        x, y, z = (component.remap(hierarchy, order, bounds) for component in self.components)
         return VectorField(x, y, z)
 
     def integral_of_square(self) -> float:

@@ -6,6 +6,7 @@ share their weights. Where a level ends, coarser cells take part; finer ones by 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -36,43 +37,46 @@ class Fits:
 
     order: int
     number: dict[bytes, int] = field(default_factory=dict)  # of each kind
-    first: list[int] = field(default_factory=lambda: [0])  # entry of each kind
-    offset: list[Array] = field(default_factory=list)  # (entries, 3) int32: a place of each cell in the dense array
-    weight: list[Array] = field(default_factory=list)  # (entries, monomials)
+    first: Array = field(default_factory=lambda: np.zeros(1, dtype=np.int64))  # entry of each kind
+    offset: Array = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int32))  # a place of each cell, from the middle
+
+    def __post_init__(self) -> None:
+        self.weight = np.zeros((0, len(exponents(self.order))))  # (entries, monomials)
 
     @property
     def width(self) -> int:
         """How far around a cell its surroundings matter."""
         return WIDTH[self.order]
 
+    def prepare(self, cells: Iterable[tuple[Surroundings, Array]]) -> None:
+        """Find the fits of all cells (bool (nx, ny, nz) of each box) whose surroundings are new."""
+        new: dict[bytes, Sites] = {}
+        for around, wanted in cells:
+            where = np.argwhere(wanted)
+            names, first, _ = _kinds(around, where)
+            for name, n in zip(names, first, strict=True):
+                if name not in self.number and name not in new:
+                    new[name] = _sites(around, where[n])
+        for name in new:
+            self.number[name] = len(self.number)
+        self._solve(list(new.values()))
+
     def coefficients(self, around: Surroundings, wanted: Array, values: Array) -> Array:
         """Return the coefficients of the monomials in cells of a box, (monomials, nx, ny, nz), zero where they are not wanted.
 
-        wanted: bool (nx, ny, nz); values: the dense array of the surroundings.
+        wanted: bool (nx, ny, nz), cells for which fits were prepared; values: the dense array of the surroundings.
         """
         cells = np.argwhere(wanted)
-        kinds = self._kinds(around, cells)
-        offset, weight = np.concatenate(self.offset), np.concatenate(self.weight)
-        strides = np.cumprod([1, *values.shape[:2]])
-        place = (cells + self.width) @ strides
-        found = _native.window_sums(values, place, kinds, np.array(self.first), offset, weight)
-        out = np.zeros((weight.shape[1], *wanted.shape))
+        names, _, of = _kinds(around, cells)
+        kinds = np.array([self.number[name] for name in names], dtype=np.int64)[of]
+        place = (cells + self.width) @ np.cumprod([1, *values.shape[:2]])
+        found = _native.window_sums(values, place, kinds, self.first, self.offset, self.weight)
+        out = np.zeros((found.shape[1], *wanted.shape))
         out[(slice(None), *cells.T)] = found.T
         return out
 
-    def _kinds(self, around: Surroundings, cells: Array) -> Array:
-        """Return the kind of each cell (n, 3) of a box, after fits for those that are new."""
-        keys = _keys(around, cells)
-        unique, first, of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        names = [key.tobytes() for key in unique]
-        new = [n for n, name in enumerate(names) if name not in self.number]
-        self._solve([_sites(around, cells[first[n]]) for n in new])
-        for n in new:
-            self.number[names[n]] = len(self.number)
-        return np.array([self.number[name] for name in names], dtype=np.int64)[of.ravel()]
-
     def _solve(self, kinds: list[Sites]) -> None:
-        """Append the weights of some kinds: of the largest order, and within the shortest reach, that they determine."""
+        """Append the weights of new kinds: of the largest order, and within the shortest reach, that they determine."""
         weights: list[Fit | None] = [None] * len(kinds)
         for order in range(self.order, 0, -1):
             reaches = [REACH[self.order] * GROWTH**n for n in range(5)] + [FAR]
@@ -80,15 +84,13 @@ class Fits:
                 left = [n for n, found in enumerate(weights) if found is None]
                 for n, found in zip(left, _fits([kinds[n] for n in left], order, reach), strict=True):
                     weights[n] = found
-        monomials = len(exponents(self.order))
-        for sites, found in zip(kinds, weights, strict=True):
-            used = sites.place[:0] if found is None else sites.place[found.used]
-            whole = np.zeros((len(used), monomials))
-            if found is not None:
-                whole[:, : found.weight.shape[1]] = found.weight  # monomials of lower orders come first
-            self.first.append(self.first[-1] + len(whole))
-            self.offset.append(used)
-            self.weight.append(whole)
+        used = [kind.place[:0] if fit is None else kind.place[fit.used] for kind, fit in zip(kinds, weights, strict=True)]
+        whole = [np.zeros((len(places), self.weight.shape[1])) for places in used]
+        for to, fit in zip(whole, weights, strict=True):
+            if fit is not None:
+                to[:, : fit.weight.shape[1]] = fit.weight  # monomials of lower orders come first
+        self.first = np.concatenate([self.first, self.first[-1] + np.cumsum([len(to) for to in whole], dtype=np.int64)])
+        self.offset, self.weight = np.concatenate([self.offset, *used]), np.concatenate([self.weight, *whole])
 
 
 @dataclass(frozen=True)
@@ -148,22 +150,29 @@ def _window(width: int) -> Array:
     return np.stack([x, y, z], axis=-1).reshape(-1, 3)
 
 
+def _kinds(around: Surroundings, cells: Array) -> tuple[list[bytes], Array, Array]:
+    """Return names of the kinds of surroundings of cells (n, 3) of a box, a cell of each, and which of these each cell has."""
+    unique, first, of = np.unique(_keys(around, cells), return_index=True, return_inverse=True)
+    return [key.tobytes() for key in unique], first, of.ravel()
+
+
 def _keys(around: Surroundings, cells: Array) -> Array:
-    """Return what tells the surroundings of cells apart: numbers (n, 2)."""
-    keys = np.zeros((len(cells), 2), dtype=np.uint64)
+    """Return a number that tells the surroundings of each cell apart, (n,), zero where all cells around are of its level."""
+    keys = np.zeros(len(cells), dtype=np.uint64)
     irregular = np.flatnonzero(around.irregular()[tuple(cells.T)])
-    some = cells[irregular]
+    some, window = cells[irregular], _window(around.width)
     strides = np.cumprod([1, *around.depth.shape[:2]])
-    flat = around.depth.ravel(order="F").astype(np.uint64) + np.uint64(2)  # that of a wall is 1
-    place, window = (some + around.width) @ strides, _window(around.width)
-    total = np.zeros(len(some), dtype=np.uint64)
-    for step, multiplier in zip(window @ strides, _multipliers(len(window)), strict=True):
-        total += flat[place + step] * multiplier
-    keys[irregular, 0] = total
+    depth, place = around.depth.ravel(order="F").astype(np.uint64), (some + around.width) @ strides
+    multipliers = _multipliers(len(window) + 4)
+    total = np.ones(len(some), dtype=np.uint64)
+    for step, multiplier in zip(window @ strides, multipliers, strict=False):
+        total += depth[place + step] * multiplier
     # where coarser cells are near, it matters which of a coarser cell's places the cell has
-    depth = around.largest_depth()[tuple(some.T)].astype(np.int64)
-    places = (some + around.box[:3]) & ((1 << depth) - 1)[:, None]
-    keys[irregular, 1] = 1 + (places @ [1, 1 << 20, 1 << 40] * 32 + depth).astype(np.uint64)
+    deepest = around.largest_depth()[tuple(some.T)].astype(np.int64)
+    places = (some + around.box[:3]) & ((1 << deepest) - 1)[:, None]
+    for number, multiplier in zip([*places.T, deepest], multipliers[len(window) :], strict=True):
+        total += number.astype(np.uint64) * multiplier
+    keys[irregular] = total
     return keys
 
 
@@ -176,9 +185,9 @@ def _sites(around: Surroundings, cell: Array) -> Sites:
     for coarser in range(1, int(depth.max(initial=0)) + 1):
         there = window[depth == coarser]
         index = (cell + around.box[:3] + there) >> coarser
-        index, first = np.unique(index, axis=0, return_index=True)
-        offsets.append((index + 0.5) * 2**coarser - 0.5 - (cell + around.box[:3]))
-        widths.append(np.full(len(index), 2.0**coarser))
+        _, first = np.unique((index - index.min(axis=0)) @ [1, 1 << 10, 1 << 20], return_index=True)
+        offsets.append((index[first] + 0.5) * 2**coarser - 0.5 - (cell + around.box[:3]))
+        widths.append(np.full(len(first), 2.0**coarser))
         places.append(there[first])
     return Sites(np.concatenate(offsets), np.concatenate(widths), np.concatenate(places).astype(np.int32))
 

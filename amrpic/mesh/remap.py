@@ -113,6 +113,7 @@ class _SourceCells:
         }
         around = {one: Surroundings.of_box(source, *one, self._fits.width) for one in cut}
         values = _fetched(source, set().union(*(one.needed for one in around.values())), self.value)
+        self._fits.prepare((around[one], cells) for one, cells in cut.items())
         self._boxes = {
             one: self._fitted(around[one], cut[one], lambda *box: values[box]) for one in cut
         }

@@ -19,7 +19,9 @@ class Interval:
 
     other: Array  # (n,) which one
     there: Array  # (n,) bool: whether it has anything in common
-    moments: Array  # (5, n): means of the powers of the coordinate in the source cell, -1/2 to 1/2, over the common part
+    moments: (
+        Array  # (5, n): means of the powers of the coordinate in the source cell, -1/2 to 1/2, over the common part
+    )
     of_source: Array  # (n,) the common part over the source cell
     of_target: Array  # (n,) the same over the target cell
 
@@ -31,9 +33,7 @@ def intervals(cells: Array, here: int, there: int, source_here: bool) -> list[In
     """
     first = cells * there // here
     count = ((cells + 1) * there - 1) // here - first + 1
-    return [
-        _interval(cells, first + n, n < count, here, there, source_here) for n in range(int(count.max(initial=0)))
-    ]
+    return [_interval(cells, first + n, n < count, here, there, source_here) for n in range(int(count.max(initial=0)))]
 
 
 def _interval(cells: Array, other: Array, valid: Array, here: int, there: int, source_here: bool) -> Interval:
@@ -91,8 +91,7 @@ def _product(axes: Sequence[Array]) -> Array:
 def parts(corners: Array, here: Array, there: Array, source_here: bool) -> Iterator[Part]:
     """Yield the common parts of a box of cells of a lattice with all those of another; lattices by cells along the axes."""
     along = [
-        intervals(np.arange(corners[d], corners[3 + d] + 1), int(here[d]), int(there[d]), source_here)
-        for d in range(3)
+        intervals(np.arange(corners[d], corners[3 + d] + 1), int(here[d]), int(there[d]), source_here) for d in range(3)
     ]
     for z, y, x in product(*along[::-1]):
         yield Part((x, y, z))

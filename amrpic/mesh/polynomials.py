@@ -1,7 +1,7 @@
 """Polynomials in cells: fits to the means of the cells around, by least squares, that keep the cell's own mean.
 
-Coordinates are those from the cell's centre in its own widths, so long cells are treated as cubes. Cells with equal surroundings
-share their weights. Where a level ends, coarser cells take part; finer ones by the mean that their parent holds.
+Coordinates are those from the cell's centre in its own widths, so long cells are treated as cubes. Cells with equal
+surroundings share their weights. Where a level ends, coarser cells take part; finer ones by the mean that their parent holds.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ class Fits:
     order: int
     number: dict[bytes, int] = field(default_factory=dict)  # of each kind
     first: Array = field(default_factory=lambda: np.zeros(1, dtype=np.int64))  # entry of each kind
-    offset: Array = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int32))  # a place of each cell, from the middle
+    offset: Array = field(
+        default_factory=lambda: np.zeros((0, 3), dtype=np.int32)
+    )  # a place of each cell, from the middle
 
     def __post_init__(self) -> None:
         self.weight = np.zeros((0, len(exponents(self.order))))  # (entries, monomials)
@@ -84,7 +86,9 @@ class Fits:
                 left = [n for n, found in enumerate(weights) if found is None]
                 for n, found in zip(left, _fits([kinds[n] for n in left], order, reach), strict=True):
                     weights[n] = found
-        used = [kind.place[:0] if fit is None else kind.place[fit.used] for kind, fit in zip(kinds, weights, strict=True)]
+        used = [
+            kind.place[:0] if fit is None else kind.place[fit.used] for kind, fit in zip(kinds, weights, strict=True)
+        ]
         whole = [np.zeros((len(places), self.weight.shape[1])) for places in used]
         for to, fit in zip(whole, weights, strict=True):
             if fit is not None:
@@ -131,9 +135,7 @@ def _fits(kinds: list[Sites], order: int, reach: float) -> list[Fit | None]:
     at_corner = 0.5 ** exponents(order).sum(axis=1)
     growth = np.add.reduceat(np.abs(found.solved[:, 1:]) @ at_corner, start[:-1])
     good = growth <= MOST_GROWTH  # not where weights are NaN
-    return [
-        Fit(used, found.solved[start[n] : start[n + 1], 1:]) if good[n] else None for n, used in enumerate(near)
-    ]
+    return [Fit(used, found.solved[start[n] : start[n + 1], 1:]) if good[n] else None for n, used in enumerate(near)]
 
 
 @lru_cache
@@ -202,4 +204,3 @@ def neighbour_bounds(around: Surroundings, values: Array) -> tuple[Array, Array]
         part = tuple(slice(int(a), int(b)) for a, b in zip(first + step, last + step, strict=True))
         least, most = np.minimum(least, low[part]), np.maximum(most, high[part])
     return least, most
-

@@ -6,10 +6,10 @@ an order that the two meshes alone settle: the result depends neither on boxes n
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,54 +18,62 @@ from ..errors import HierarchyError, InputError
 from ..parallel import raise_together
 from .hierarchy import Hierarchy
 from .overlaps import Part, parts
+from .patch import Patch
 from .polynomials import Fits, exponents, neighbour_bounds
 from .surroundings import Lattice, Surroundings, block
-
-if TYPE_CHECKING:
-    from .field import Field
 
 Array = NDArray[Any]
 Bounds = str | tuple[float, float] | None
 ORDERS = (1, 2, 3, 4)
 
 
-def remap(field: Field, hierarchy: Hierarchy, order: int, bounds: Bounds, out: Field) -> None:
-    """Set `out`, a field on a hierarchy, to a field on another one of the same domain. Collective; see `Field.remap`."""
-    source, target = Lattice(field.hierarchy), Lattice(hierarchy)
+class Values(Protocol):
+    """Values on a hierarchy: a field."""
+
+    hierarchy: Hierarchy
+
+    @property
+    def patches(self) -> list[Patch]: ...
+
+
+def remap(field: Values, to: Values, order: int, bounds: Bounds) -> None:
+    """Set the uncovered cells of `to` to a field on another hierarchy of the same domain. Collective; see `Field.remap`."""
+    _require_order(order)
+    _require_one_domain(field.hierarchy, to.hierarchy)
+    source, target = Lattice(field.hierarchy), Lattice(to.hierarchy)
     wanted = _checked_bounds(field, bounds)
     cells = _SourceCells(field, source, target, order, wanted)
-    patches = [patch for patch in out.patches if not patch.covered.all()]
+    patches = [patch for patch in to.patches if not patch.covered.all()]
     corners = [target.boxes[patch.level][patch.box] for patch in patches]
     regions = [list(_regions(target, patch.level, box, source)) for patch, box in zip(patches, corners, strict=True)]
     needed = {(region.level, box) for of_box in regions for region in of_box for box in region.boxes}
     boxes = _fetched(source, needed, cells.box)
     for patch, box, of_box in zip(patches, corners, regions, strict=True):
         patch.data[...] = _averaged(box, of_box, boxes, exponents(order))
-    out.average_down()
 
 
-def require_one_domain(field: Field, hierarchy: Hierarchy) -> None:
-    """Raise HierarchyError unless a hierarchy spans the domain of a field's, on as many ranks."""
-    mine, other = field.hierarchy.domain, hierarchy.domain
-    if (mine.lower, mine.upper) != (other.lower, other.upper):
+def _require_one_domain(mine: Hierarchy, other: Hierarchy) -> None:
+    """Raise HierarchyError unless two hierarchies span one domain, on as many ranks."""
+    a, b = mine.domain, other.domain
+    if (a.lower, a.upper) != (b.lower, b.upper):
         raise HierarchyError(
-            f"the field lives on {mine.lower} to {mine.upper} m, the new hierarchy on {other.lower} to {other.upper} m; "
+            f"the field lives on {a.lower} to {a.upper} m, the new hierarchy on {b.lower} to {b.upper} m; "
             "make both on one domain"
         )
-    if field.comm.size != hierarchy.comm.size:
+    if mine.comm.size != other.comm.size:
         raise HierarchyError(
-            f"the field lives on {field.comm.size} ranks and the new hierarchy on {hierarchy.comm.size}; "
+            f"the field lives on {mine.comm.size} ranks and the new hierarchy on {other.comm.size}; "
             "make both on one communicator"
         )
 
 
-def require_order(order: object) -> None:
+def _require_order(order: object) -> None:
     """Raise InputError for what is no order of a fit."""
     if isinstance(order, bool) or order not in ORDERS:
         raise InputError(f"the order of the fit is {order!r}; use 1, 2, 3 or 4")
 
 
-def _checked_bounds(field: Field, bounds: Bounds) -> Bounds:
+def _checked_bounds(field: Values, bounds: Bounds) -> Bounds:
     """Return bounds after checks. InputError on all ranks; collective if they are two numbers."""
     if bounds is None or (isinstance(bounds, str) and bounds == "neighbours"):
         return bounds
@@ -75,13 +83,13 @@ def _checked_bounds(field: Field, bounds: Bounds) -> Bounds:
         raise InputError(f'bounds are {bounds!r:.60}; use "neighbours", or the least and the most value') from None
     if not least <= most:
         raise InputError(f"bounds are {least} and {most}; give the least value first, and none that is not a number")
-    low, high = (float(np.min([p.data.min(where=~p.covered, initial=np.inf) for p in field.patches], initial=np.inf)),
-                 float(np.max([p.data.max(where=~p.covered, initial=-np.inf) for p in field.patches], initial=-np.inf)))  # fmt: skip
-    outside = low if not low >= least else high if not high <= most else None
+    values = [patch.data[~patch.covered] for patch in field.patches]
+    outside = [float(of_box[bad][0]) for of_box in values if (bad := ~((of_box >= least) & (of_box <= most))).any()]
     raise_together(
-        field.comm,
-        None if outside is None else f"the field holds {outside:g}, outside of the bounds {least:g} and {most:g}; "
-        "give bounds around all that it holds",
+        field.hierarchy.comm,
+        f"the field holds {outside[0]:g}, outside of the bounds {least:g} and {most:g}; give bounds around all that it holds"
+        if outside
+        else None,
         InputError,
     )
     return least, most
@@ -102,7 +110,7 @@ class _Box:
 class _SourceCells:
     """This rank's cells of the source."""
 
-    def __init__(self, field: Field, source: Lattice, target: Lattice, order: int, bounds: Bounds) -> None:
+    def __init__(self, field: Values, source: Lattice, target: Lattice, order: int, bounds: Bounds) -> None:
         """Collective."""
         self._values = {(patch.level, patch.box): patch.data for patch in field.patches}
         self._source, self._target, self._fits, self._bounds = source, target, Fits(order), bounds
@@ -114,9 +122,7 @@ class _SourceCells:
         around = {one: Surroundings.of_box(source, *one, self._fits.width) for one in cut}
         values = _fetched(source, set().union(*(one.needed for one in around.values())), self.value)
         self._fits.prepare((around[one], cells) for one, cells in cut.items())
-        self._boxes = {
-            one: self._fitted(around[one], cut[one], lambda *box: values[box]) for one in cut
-        }
+        self._boxes = {one: self._fitted(around[one], cut[one], lambda *box: values[box]) for one in cut}
 
     def value(self, level: int, box: int) -> Array:
         """Return the values in a box."""
@@ -134,7 +140,9 @@ class _SourceCells:
         corners = self._source.boxes[level][box]
         whole = np.zeros(leaves.shape, dtype=bool)
         for region in _regions(self._source, level, corners, self._target):
-            part = next(parts(corners, region.here, region.there, source_here=True))  # with the lowest cell that each meets
+            part = next(
+                parts(corners, region.here, region.there, source_here=True)
+            )  # with the lowest cell that each meets
             whole |= (part.of_source == 1) & region.leaves[region.inside(part)]
         return leaves & ~whole
 
@@ -147,7 +155,7 @@ class _SourceCells:
             if isinstance(self._bounds, str):
                 least, most = neighbour_bounds(around, values)
             else:
-                least, most = (np.full(own.shape, bound) for bound in self._bounds)  # type: ignore[arg-type]
+                least, most = (np.full(own.shape, bound) for bound in self._bounds)
             limits = np.stack([least, most, self._share(around, own, coefficients, least, most)])
         return _Box(own, coefficients, limits)
 
@@ -191,24 +199,24 @@ class _Region:
         """The boxes that hold them."""
         return self.lattice.tables[self.level].meeting(self.lower.tolist(), self.upper.tolist()).tolist()
 
-    def inside(self, part: Part) -> tuple[Array, ...]:
+    def inside(self, part: Part) -> tuple[Any, ...]:
         """Return the cells of a part as indices of the region."""
         ends = zip(part.axes, self.lower, self.upper, strict=True)
         return np.ix_(*(np.minimum(axis.other, high) - low for axis, low, high in ends))
 
-    def assembled(self, of_box: Callable[[int], Array | None]) -> Array | None:
+    def assembled(self, of_boxes: Sequence[Array | None]) -> Array | None:
         """Return an array (..., nx, ny, nz) from those of the boxes, zero where they have none; none if all have none."""
-        out: Array | None = None
-        for box in self.boxes:
-            held = of_box(box)
+        some = next((held for held in of_boxes if held is not None), None)
+        if some is None:
+            return None
+        out = np.zeros((*some.shape[:-3], *(self.upper - self.lower + 1)))
+        for box, held in zip(self.boxes, of_boxes, strict=True):
             if held is None:
                 continue
-            if out is None:
-                out = np.zeros((*held.shape[:-3], *(self.upper - self.lower + 1)))
             corners = self.lattice.boxes[self.level][box]
             low, high = np.maximum(corners[:3], self.lower), np.minimum(corners[3:], self.upper)
             here, there = block(low - self.lower, high - self.lower), block(low - corners[:3], high - corners[:3])
-            out[(..., *here)] = held[(..., *there)]
+            out[(Ellipsis, *here)] = held[(Ellipsis, *there)]
         return out
 
 
@@ -228,9 +236,10 @@ def _averaged(corners: Array, regions: list[_Region], boxes: dict[tuple[int, int
     shape = corners[3:] - corners[:3] + 1
     total, least, most = np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
     for region in regions:
-        values = region.assembled(lambda box, level=region.level: boxes[level, box].values)
-        coefficients = region.assembled(lambda box, level=region.level: boxes[level, box].coefficients)
-        limits = region.assembled(lambda box, level=region.level: boxes[level, box].limits)
+        held = [boxes[region.level, box] for box in region.boxes]
+        values = region.assembled([box.values for box in held])
+        coefficients = region.assembled([box.coefficients for box in held])
+        limits = region.assembled([box.limits for box in held])
         assert values is not None
         for part in parts(corners, region.here, region.there, source_here=False):
             at = region.inside(part)
@@ -267,4 +276,5 @@ def _fetched(
         requests[owners[level][box]].append((level, box))
     asked = comm.alltoall(requests)
     replies = comm.alltoall([[own(*one) for one in boxes] for boxes in asked])
-    return {one: held for boxes, of_rank in zip(requests, replies, strict=True) for one, held in zip(boxes, of_rank, strict=True)}  # fmt: skip
+    pairs = zip(requests, replies, strict=True)
+    return {one: held for boxes, of_rank in pairs for one, held in zip(boxes, of_rank, strict=True)}

@@ -44,9 +44,7 @@ class Lattice:
     def images(self, level: int, lower: Array, upper: Array) -> Iterator[Array]:
         """Yield the shifts by whole periods under which the domain meets a region."""
         cells, periodic = self.extent(level), self.hierarchy.domain.periodic
-        spans = [
-            range(lower[d] // cells[d], upper[d] // cells[d] + 1) if periodic[d] else range(1) for d in range(3)
-        ]
+        spans = [range(lower[d] // cells[d], upper[d] // cells[d] + 1) if periodic[d] else range(1) for d in range(3)]
         for z in spans[2]:
             for y in spans[1]:
                 for x in spans[0]:
@@ -75,7 +73,7 @@ class Lattice:
         return out
 
 
-def block(first: Array, last: Array) -> tuple[slice, ...]:
+def block(first: Array, last: Array) -> tuple[Any, ...]:
     """Return the slices of a block of cells, corners inclusive."""
     return tuple(slice(int(a), int(b) + 1) for a, b in zip(first, last, strict=True))
 
@@ -146,9 +144,7 @@ class Surroundings:
         return other[block(np.full(3, self.width), self.width + self.size - 1)].astype(bool)
 
 
-def _painted(
-    lattice: Lattice, level: int, coarser: int, lower: Array, upper: Array, depth: Array
-) -> Iterator[Piece]:
+def _painted(lattice: Lattice, level: int, coarser: int, lower: Array, upper: Array, depth: Array) -> Iterator[Piece]:
     """Fill places that are unknown so far with cells so many levels coarser, and yield the pieces that do."""
     known = depth != UNKNOWN
     for box, first, last, shift in lattice.meeting(level - coarser, lower >> coarser, upper >> coarser):

@@ -192,7 +192,9 @@ def test_bounds_by_neighbours_are_those_of_the_cells_that_touch():
     fine = whole(carry_over(field, to, 4, "neighbours"), 1)
     padded = np.pad(whole(field, 0), 1, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3, 3))
-    least, most = (np.repeat(np.repeat(np.repeat(f(around, axis=(3, 4, 5)), 2, 0), 2, 1), 2, 2) for f in (np.min, np.max))
+    least, most = (
+        np.repeat(np.repeat(np.repeat(f(around, axis=(3, 4, 5)), 2, 0), 2, 1), 2, 2) for f in (np.min, np.max)
+    )
     assert (fine >= least).all() and (fine <= most).all()
 
 
@@ -282,7 +284,9 @@ def test_constants_stay_what_they_are():
 
 
 def test_vectors_are_carried_component_by_component():
-    parts = [factor * smooth_field for smooth_field in [smooth(in_the_middle(MPI.COMM_SELF, 16))] for factor in (1, -2, 3)]
+    parts = [
+        factor * smooth_field for smooth_field in [smooth(in_the_middle(MPI.COMM_SELF, 16))] for factor in (1, -2, 3)
+    ]
     to = in_the_middle(MPI.COMM_SELF, 20)
     found = VectorField(*parts).remap(to, 3)
     for part, component in zip(parts, found.components, strict=True):
@@ -321,5 +325,7 @@ def test_bad_input_is_refused_in_a_sentence(comm, call, error, message):
 
 @pytest.mark.mpi(ranks=(2,))
 def test_a_mesh_of_other_ranks_is_refused(comm):
-    with pytest.raises(HierarchyError, match="lives on 2 ranks and the new hierarchy on 1; make both on one communicator"):
+    with pytest.raises(
+        HierarchyError, match="lives on 2 ranks and the new hierarchy on 1; make both on one communicator"
+    ):
         waves(in_the_middle(comm, 16)).remap(in_the_middle(MPI.COMM_SELF, 16))

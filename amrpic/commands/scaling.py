@@ -59,6 +59,12 @@ def add(commands: Commands) -> None:
         help="measure by the clock on the wall, or by that of the processor where others use the machine",
     )
     scaling.add_argument(
+        "--apart",
+        action="store_true",
+        help="let the stages of a step begin together on all ranks, so that what ranks wait for each other stands apart; as "
+        "--predict does",
+    )
+    scaling.add_argument(
         "--predict", metavar="NAME", help="show the model with the constants of a machine beside what was measured"
     )
     scaling.add_argument(
@@ -82,11 +88,14 @@ def _list(text: str) -> list[int]:
 def _scaling(chosen: argparse.Namespace) -> int:
     folder = scene_of(chosen).directory
     if chosen.calibrate is not None:
-        return _calibrate(chosen.launcher, Path(chosen.calibrate))
+        return _calibrate(chosen.launcher, chosen.clock, Path(chosen.calibrate))
     if chosen.plan is not None:
         return _plan(chosen, folder)
     kinds = KINDS if chosen.kind is None else (chosen.kind,)
-    study = Study(chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher, chosen.clock)
+    apart = chosen.apart or chosen.predict is not None
+    study = Study(
+        chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher, chosen.clock, apart
+    )
     if chosen.sbatch is not None:
         for path in study.write_jobs(chosen.sbatch, chosen.repeat):
             print(f"sbatch {path}")
@@ -116,10 +125,10 @@ def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> None:
     print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
 
 
-def _calibrate(launcher: str, path: Path) -> int:
+def _calibrate(launcher: str, clock: str, path: Path) -> int:
     from ..scaling.calibrate import calibrate  # no other command needs its imports
 
-    calibrate(launcher, say=_progress()).write(path)
+    calibrate(launcher, clock, say=_progress()).write(path)
     print(path)
     return 0
 

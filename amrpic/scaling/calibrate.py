@@ -1,30 +1,29 @@
-"""The constants of this machine: a few small runs on one rank and on all cores at once, and messages between two ranks.
+"""The constants of this machine: small runs on one rank and on all cores, and messages between two ranks.
 
-Constants are fitted to the work of each run by its plan, the medians of steps by the clock of the processor.
+Constants are fitted to what the plan of each run says that its ranks do, and to the medians of its steps.
 """
 
 from __future__ import annotations
 
 import os
 import platform
-import shlex
-import subprocess
+import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import InputError
 from ..scene.scene import Scene
 from .machine import Machine, Network, Work
-from .measured import Measured, Run, medians
-from .model import OF_WORK, STAGES, Amounts, fitted, parts_of
+from .measured import CHANGED, Measured, Run, medians
+from .model import OF_WORK, PARTS, STAGES, Amounts, constants_of, fitted, network_time, row_of
 from .plan import Plan, Planner
+from .study import grown, launch
 
 SCENE = """
 name = "calibration"
@@ -42,73 +41,97 @@ particles = {particles}
 momentum_spread = 1e-24
 [refinement]
 levels = {levels}
-regrid_every = 0
+regrid_every = {regrid_every}
 rule = {{ kind = "charge-density", relative = 1e-3 }}
 [solver]
 tolerance = {tolerance}
 [motion]
-kind = "leapfrog"
-dt = "20 ps"
+{motion}
 [output]
 write = ["series"]
 """
-SIZES = (  # cells, levels, particles, tolerance: each varied against the others
-    (48, 0, 20_000, 1e-3),
-    (96, 0, 20_000, 1e-7),
-    (96, 0, 1_000_000, '"discretization"'),
-    (64, 1, 300_000, 1e-5),
-    (64, 2, 1_000_000, '"discretization"'),
-    (128, 1, 500_000, 1e-5),
-    (128, 1, 100_000, '"discretization"'),
+LEAPFROG, WALK = 'kind = "leapfrog"\ndt = "20 ps"', 'kind = "random-walk"\namplitude = "{amplitude} mm"'
+SMALL, LARGE = WALK.format(amplitude=0.1), WALK.format(amplitude=0.8)  # compared with bricks
+TO_MESH = '"discretization"'
+SIZES = (  # cells, levels, particles, tolerance, motion, steps between changes of the mesh: each varied against the others
+    (48, 0, 20_000, 1e-3, LEAPFROG, 0),
+    (96, 0, 20_000, 1e-7, LARGE, 0),
+    (96, 0, 1_000_000, TO_MESH, LEAPFROG, 0),
+    (64, 1, 300_000, 1e-5, LARGE, 2),
+    (64, 2, 1_000_000, TO_MESH, LEAPFROG, 0),
+    (64, 2, 600_000, TO_MESH, LARGE, 2),
+    (128, 1, 500_000, 1e-5, LEAPFROG, 0),
+    (128, 1, 100_000, TO_MESH, SMALL, 0),
+    (96, 2, 1_000_000, TO_MESH, LARGE, 4),
 )
 STEPS = 8
-CLOCK = "processor"
 
 
-def calibrate(launcher: str, repeat: int = 2, say: Callable[[str], None] = lambda text: None) -> Machine:
-    """Return this machine. Raises InputError if ranks cannot be started."""
-    cores = len(os.sched_getaffinity(0))
+def calibrate(
+    launcher: str, clock: str = "wall", repeat: int = 2, say: Callable[[str], None] = lambda text: None
+) -> Machine:
+    """Return this machine: constants of one rank, of as many as it has cores, and of its messages. Raises InputError if ranks
+    cannot be started."""
+    cores = max(len(os.sched_getaffinity(0)), 2)
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-        found: dict[int, list[Run]] = {1: [], cores: []}
-        plans: list[Plan] = []
-        for turn in range(repeat):
-            for number, size in enumerate(SIZES):
-                cells, levels, particles, tolerance = size
-                scene = Path(folder) / f"scene_{number}.toml"
-                text = SCENE.format(cells=cells, levels=levels, particles=particles, tolerance=tolerance)
-                scene.write_text(text, encoding="utf-8")
-                if turn == 0:
-                    plans.append(Planner(Scene.from_toml(scene)).plan(1))
-                for ranks in found:
-                    say(f"run {turn + 1} of {repeat}, size {number + 1} of {len(SIZES)}, {ranks} at once")
-                    output = Path(folder) / f"{turn}_{number}_{ranks}.json"
-                    _start(launcher, ranks, "measure", output, scene, "alone", f"{number}", STEPS, CLOCK)
-                    found[ranks].append(Run.read(output))
+        runs = list(_runs(Path(folder), launcher, cores, clock, repeat, say))
         say("messages between two ranks")
         output = Path(folder) / "network.txt"
-        _start(launcher, 2, "calibrate", output)
+        launch(launcher, 2, ["amrpic.scaling.calibrate", str(output)], "a calibration")
         latency, per_byte, collective = np.loadtxt(output)
+        network = Network(float(latency), float(cores / per_byte), cores, float(collective))
+        found = measured(runs, [Path(folder) / f"scene_{number}.toml" for number in range(len(SIZES))], say)
     return Machine(
         platform.node() or "this machine",
-        f"measured by amrpic scaling --calibrate on {cores} cores of {_processor()}, ranks on one node",
-        Network(float(latency), float(cores / per_byte), cores, float(collective)),
-        _fits(found[cores], plans),
-        _fits(found[1], plans),
+        f"measured by amrpic scaling --calibrate on {cores} cores of {_processor()}, ranks on one node: medians of steps by "
+        f"{'the clock on the wall' if clock == 'wall' else 'that of the processor'}",
+        network,
+        fits(found[cores], network),
+        fits(found[1], network),
     )
 
 
-def _start(launcher: str, ranks: int, module: str, *arguments: object) -> None:
-    command = [*shlex.split(launcher.format(ranks=ranks)), sys.executable, "-m", f"amrpic.scaling.{module}"]
-    try:
-        done = subprocess.run(
-            [*command, *map(str, arguments)], env=dict(os.environ), stdout=subprocess.DEVNULL, check=False
-        )
-    except OSError as reason:
-        raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
-    if done.returncode != 0:
-        raise InputError(
-            f"a calibration on {ranks} ranks ended with status {done.returncode}; correct what it says above"
-        )
+def _runs(
+    folder: Path, launcher: str, cores: int, clock: str, repeat: int, say: Callable[[str], None]
+) -> Iterator[Run]:
+    """Yield runs of scenes of all sizes on one rank and on all cores, in turns; they are named by the number of their size."""
+    for turn in range(repeat):
+        for number, (cells, levels, particles, tolerance, motion, regrid_every) in enumerate(SIZES):
+            scene = folder / f"scene_{number}.toml"
+            scene.write_text(
+                SCENE.format(
+                    cells=cells,
+                    levels=levels,
+                    particles=particles,
+                    tolerance=tolerance,
+                    motion=motion,
+                    regrid_every=regrid_every,
+                ),
+                encoding="utf-8",
+            )
+            for ranks in (1, cores):
+                say(f"run {turn + 1} of {repeat}, size {number + 1} of {len(SIZES)}, {ranks} ranks")
+                output = folder / f"{turn}_{number}_{ranks}.json"
+                arguments = [output, scene, "strong", number, STEPS, clock, "apart", *_for(scene, ranks)]
+                launch(launcher, ranks, ["amrpic.scaling.measure", *map(str, arguments)], "a calibration")
+                yield Run.read(output)
+
+
+def _for(scene: Path, ranks: int) -> list[str]:
+    """Return overrides that give each of more ranks what it has of two."""
+    return grown(Scene.from_toml(scene), ranks / 2) if ranks > 2 else []
+
+
+def measured(
+    runs: Sequence[Run], scenes: Sequence[Path], say: Callable[[str], None]
+) -> dict[int, list[tuple[Measured, Plan]]]:
+    """Return by ranks the medians of runs, which are named by the numbers of their scenes, with plans of these."""
+    found: dict[int, list[tuple[Measured, Plan]]] = {}
+    for number, scene in enumerate(scenes):
+        for one in medians(run for run in runs if run.scene == f"{number}"):
+            plan = Planner(Scene.from_toml(scene, _for(scene, one.ranks)), say).plan(one.ranks)
+            found.setdefault(one.ranks, []).append((one, plan))
+    return found
 
 
 def _processor() -> str:
@@ -116,28 +139,28 @@ def _processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
-def _fits(runs: Sequence[Run], plans: Sequence[Plan]) -> dict[str, Work]:
-    """Return the constants of each stage that come nearest to the medians of runs, named by the numbers of their plans."""
-    found = [
-        (int(name), medians([run for run in runs if run.scene == name])[0]) for name in {run.scene for run in runs}
-    ]
+def fits(found: Sequence[tuple[Measured, Plan]], network: Network) -> dict[str, Work]:
+    """Return the constants of each stage that come nearest to what runs measured on plans of their ranks."""
+    taken: dict[str, list[tuple[dict[str, float], float]]] = {}
+    for one, plan in found:
+        amounts = amounts_of(one, plan)
+        for stage in (*STAGES, CHANGED):
+            seconds = one.stages[stage].most if stage in one.stages else 0.0
+            seconds -= sum(network_time(stage, plan, network, amounts))
+            if seconds > 0:
+                taken.setdefault(constants_of(stage, plan), []).append((row_of(stage, plan, amounts), seconds))
     out = {}
-    for stage in STAGES:
-        parts = parts_of(stage)
-        taken = [
-            (amounts_of(one, plans[number]), one.stages[stage].most) for number, one in found if stage in one.stages
-        ]
-        taken = [(amounts, seconds) for amounts, seconds in taken if seconds > 0]
-        if taken:
-            rows = np.array([[1.0, *(getattr(amounts, what) for what in parts)] for amounts, _ in taken])
-            call, *each = fitted(rows, np.array([seconds for _, seconds in taken])).tolist()
-            out[stage] = Work(call, **{OF_WORK[what]: value for what, value in zip(parts, each, strict=True)})
+    for name, rows in taken.items():
+        parts = PARTS[name]
+        matrix = np.array([[1.0, *(row[what] for what in parts)] for row, _ in rows])
+        call, *each = fitted(matrix, np.array([seconds for _, seconds in rows])).tolist()
+        out[name] = Work(call, **{OF_WORK[what]: value for what, value in zip(parts, each, strict=True)})
     return out
 
 
 def amounts_of(one: Measured, plan: Plan) -> Amounts:
     """Return what a run had to do, on the mesh and with the cycles that were measured."""
-    of_plan = Amounts.of(plan, one.cycles)
+    of_plan = Amounts.with_all(plan, statistics.median(plan.all_cycles(cycles) for cycles in one.of_solves))
     grown = one.cells / float(plan.cells.sum())
     return replace(of_plan, cells=of_plan.cells * grown, swept=of_plan.swept * grown)
 
@@ -171,6 +194,6 @@ def ping_pong(comm: MPI.Comm, seconds: float = 0.3) -> tuple[float, float, float
 
 
 if __name__ == "__main__":
-    measured = ping_pong(MPI.COMM_WORLD)
+    taken = ping_pong(MPI.COMM_WORLD)
     if MPI.COMM_WORLD.rank == 0:
-        np.savetxt(sys.argv[1], measured)
+        np.savetxt(sys.argv[1], taken)

@@ -15,15 +15,22 @@ FOLDER = Path(__file__).parent / "machines"
 
 @dataclass(frozen=True)
 class Work:
-    """Seconds of a stage: once per step, per cell of a rank, per cell and cycle, per particle of a rank, per patch of ghosts
-    behind open walls, and per interaction of a patch with what holds charge."""
+    """Seconds of a stage: once per step, and for each of what is named.
+
+    `cell`, `particle` and `brick`, one with particles, are those of a rank; `cycle` is a cell of a cycle, `moved` a particle
+    that comes into another brick, `patch` one of ghosts behind open walls, `interaction` one of a patch with what holds charge,
+    `byte` one that a rank sends, for its packing and unpacking.
+    """
 
     call: float = 0.0
     cell: float = 0.0
     cycle: float = 0.0
     particle: float = 0.0
+    moved: float = 0.0
+    brick: float = 0.0
     patch: float = 0.0
     interaction: float = 0.0
+    byte: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
 from ..run.memory import Share, cells_below, placing_bytes, rank_memory
 from ..run.restart import FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
-from ..scene.motion import Leapfrog
+from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
@@ -29,6 +29,7 @@ from .virtual_ranks import (
     cycle_work,
     distributed,
     moved_on,
+    moved_part,
     particles_of,
     sample,
     without_open_walls,
@@ -74,6 +75,9 @@ class Plan:
     cells: Array  # (levels, ranks)
     boxes: Array  # (levels, ranks)
     particles: Array  # (ranks,)
+    bricks: Array  # (ranks,) that hold some of these
+    moved: float  # the part of the particles that come into another brick in a step
+    walks: bool  # whether particles move by a random walk
     memory: Array  # (ranks,) bytes at the fullest
     start_memory: Array  # (ranks,) bytes while particles are made and placed
     checkpoint: list[Load]  # of each writer
@@ -197,6 +201,9 @@ class Planner:
             cells,
             np.array([np.bincount(mesh.owners(level), minlength=ranks) for level in range(mesh.levels)]),
             held.particles,
+            np.bincount(held.pairs[:, 1], minlength=ranks),
+            moved_part(scene, held.bricks, mesh, self._sample),
+            isinstance(scene.motion, RandomWalk),
             *self._memory(mesh, cells, held),
             self._checkpoint(cells, held),
             counted,

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from .calibrate import amounts_of
 from .machine import Machine
-from .measured import Measured
-from .model import STAGES, step_time
-from .plan import Planner
+from .measured import CHANGED, Measured
+from .model import Time, stage_time, step_time
+from .plan import Plan, Planner
 
 LEAST = 0.05  # of a step: shorter stages do not count
 
@@ -24,10 +24,12 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
     worst = 0.0
     for one in found:
         plan = planner.plan(one.ranks)
-        times = step_time(plan, machine, one.cycles, amounts_of(one, plan))
-        stages = {name: one.stages[name].most for name in STAGES if name in one.stages}
+        times = _modelled(plan, machine, one)
+        stages = {name: one.stages[name].most for name in times if name in one.stages}
+        often = {CHANGED: one.changes}
+        step = sum(often.get(name, 1.0) * seconds for name, seconds in stages.items())
         for name, seconds in stages.items():
-            part = seconds / sum(stages.values())
+            part = often.get(name, 1.0) * seconds / step
             if part < LEAST:
                 continue
             modelled = times[name].total
@@ -35,3 +37,9 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
             cells = f"{part:.0%}", f"{1e3 * seconds:.4g}", f"{1e3 * modelled:.4g}", f"{modelled / seconds - 1:+.0%}"
             rows.append([f"{one.ranks}", name, *cells])
     return rows, worst
+
+
+def _modelled(plan: Plan, machine: Machine, one: Measured) -> dict[str, Time]:
+    amounts = amounts_of(one, plan)
+    changed = stage_time(CHANGED, plan, machine, amounts)
+    return {**step_time(plan, machine, one.cycles, amounts), CHANGED: changed}

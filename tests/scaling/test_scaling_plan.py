@@ -135,7 +135,24 @@ def invented() -> Plan:
     between = Exchange(8, *([np.array(values) for values in ([2], [7], [1], [100])]))
     walls, without = [Walls(600, 70, Traffic())], Choices(2.0, 5.0)
     return Plan(
-        8, cells, cells // 50, np.arange(8.0), ones, ones, [], [0], [sent], [range(1)], 0.2, walls, without, between, 0
+        8,
+        cells,
+        cells // 50,
+        np.arange(8.0),
+        np.arange(8),
+        0.5,
+        False,
+        ones,
+        ones,
+        [],
+        [0],
+        [sent],
+        [range(1)],
+        0.2,
+        walls,
+        without,
+        between,
+        0,
     )
 
 

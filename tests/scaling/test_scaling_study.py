@@ -27,12 +27,14 @@ SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000", "
 
 def one(kind: str, ranks: int, cells: int, particles: int, seconds: float) -> Measured:
     stages = {"solve": Stage(seconds / 4, seconds / 3, seconds / 2, 12, 3e4, 5), "end": Stage(1, 1, 1)}
-    return Measured(kind, ranks, cells, particles, 1.0, 1.0, (1e6, 1e6, 1e6), 1, 5, 2, seconds, stages)
+    return Measured(kind, ranks, cells, particles, 1.0, 1.0, (1e6, 1e6, 1e6), 1, 5, 2, seconds, stages, 0.0, [2])
 
 
 def run(seconds: list[float], kind: str = "strong", ranks: int = 1) -> Run:
     steps = [{"solve": Stage(s / 4, s / 3, s / 2)} for s in seconds]
-    return Run(kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, 0.1)
+    return Run(
+        kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, [False] * len(seconds), 0.1
+    )
 
 
 def test_efficiency_is_one_where_time_falls_with_ranks_or_work_grows_with_them():

@@ -37,6 +37,12 @@ STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
 }
 OF_CHANGES: Sequence[tuple[str, bool]] = (("set-up", False), ("regrid", False), ("migrate", False), ("deposit", False))
 NETWORK = ("latency", "bandwidth", "collective")
+OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "faces", "swept_faces"  # what grows with a rank's cells
+OF_WALLS = "patches", "interactions", "near"
+CELL_BYTES = (
+    40  # of a cell that a cycle reads and writes: potential, right-hand side, correction, residual, what is copied
+)
+FITS = 20  # rounds, in which errors are measured by what the one before found
 WALK = "random walk"  # the push of particles without momenta, whose constants are others
 
 
@@ -60,28 +66,40 @@ class Amounts:
     cycles: float  # of a solve, those included that find the error of the mesh
     cells: float
     swept: float  # cells, times cycles
+    spilled: float  # cells for which the cache has no room
+    swept_spilled: float
+    faces: float
+    swept_faces: float
     particles: float
     moved: float
     bricks: float
     patches: float
     interactions: float
+    near: float
 
     @classmethod
-    def of(cls, plan: Plan, cycles: float) -> Self:
+    def of(cls, plan: Plan, machine: Machine, cycles: float) -> Self:
         """Return those of a plan with so many cycles that improve the potential."""
-        return cls.with_all(plan, plan.all_cycles(cycles))
+        return cls.with_all(plan, machine, plan.all_cycles(cycles))
 
     @classmethod
-    def with_all(cls, plan: Plan, cycles: float) -> Self:
-        """Return those of a plan with so many cycles."""
-        particles = float(plan.particles.max())
+    def with_all(cls, plan: Plan, machine: Machine, cycles: float, grown: float = 1.0) -> Self:
+        """Return those of a plan with so many cycles, and so many times its cells and bricks."""
+        particles, faces = float(plan.particles.max()), float(plan.faces.max(axis=1).sum())
+        cells, swept = grown * float(plan.cells.max(axis=1).sum()), grown * plan.swept_cells
+        cached = machine.cache / min(machine.network.ranks_per_node, plan.ranks) / CELL_BYTES
+        spilled = max(1 - cached / cells, 0.0)
         return cls(
             cycles,
-            float(plan.cells.max(axis=1).sum()),
-            plan.swept_cells * cycles,
+            cells,
+            swept * cycles,
+            spilled * cells,
+            spilled * swept * cycles,
+            grown * faces,
+            grown * faces * cycles,
             particles,
             particles * plan.moved,
-            float(plan.bricks.max()),
+            grown * float(plan.bricks.max()),
             *plan.wall_work,
         )
 
@@ -91,21 +109,26 @@ PARTS: Mapping[str, Sequence[str]] = {
     "push": ("particles",),
     WALK: ("particles",),
     "migrate": ("cells", "particles", "moved", "bricks", "bytes"),
-    "deposit": ("cells", "particles", "bricks", "bytes"),
-    "solve": ("cells", "swept", "bytes"),
-    "open walls": ("cells", "patches", "interactions", "bytes"),
+    "deposit": ("cells", "faces", "particles", "bricks", "bytes"),
+    "solve": ("cells", "swept", "swept_spilled", "swept_faces", "bytes"),
+    "open walls": ("cells", "patches", "interactions", "near", "bytes"),
     "gather": ("cells", "particles", "bricks", "bytes"),
     "output": ("cells", "particles"),
-    CHANGED: ("cells", "particles"),
+    CHANGED: ("cells", "spilled"),
 }
 OF_WORK = {
     "cells": "cell",
+    "spilled": "spilled",
     "swept": "cycle",
+    "swept_spilled": "cycle_spilled",
+    "faces": "face",
+    "swept_faces": "cycle_face",
     "particles": "particle",
     "moved": "moved",
     "bricks": "brick",
     "patches": "patch",
     "interactions": "interaction",
+    "near": "near",
     "bytes": "byte",
 }
 
@@ -125,7 +148,7 @@ def row_of(stage: str, plan: Plan, amounts: Amounts) -> dict[str, float]:
 
 def step_time(plan: Plan, machine: Machine, cycles: float, amounts: Amounts | None = None) -> dict[str, Time]:
     """Return the time of each stage of a step with so many cycles per solve; `amounts` may stand for those of the plan."""
-    found = amounts or Amounts.of(plan, cycles)
+    found = amounts or Amounts.of(plan, machine, cycles)
     return {stage: stage_time(stage, plan, machine, found) for stage in STAGES}
 
 
@@ -174,9 +197,16 @@ def sensitivity(plan: Plan, machine: Machine, cycles: float, factor: float = 2.0
     }
 
 
-def fitted(rows: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """Return the constants, not negative, whose sums over `rows` (n, constants) come nearest to seconds (n,) in proportion."""
+def fitted(rows: np.ndarray, seconds: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return the constants, none below the `least`, whose sums over `rows` (n, constants) come nearest to seconds (n,).
+
+    Errors are in proportion; half as much and twice as much are equally far: they are over the geometric mean of both.
+    """
     from scipy.optimize import nnls
 
     scale = np.maximum(rows.max(axis=0), 1e-300)
-    return nnls(rows / scale / seconds[:, None], np.ones(len(seconds)))[0] / scale
+    found, of, at_least = np.zeros(len(scale)), seconds, np.broadcast_to(least, len(scale))
+    for _ in range(FITS):
+        found = at_least + nnls(rows / scale / of[:, None], (seconds - rows @ at_least) / of)[0] / scale
+        of = np.sqrt(seconds * np.maximum(rows @ found, seconds / 10))
+    return found

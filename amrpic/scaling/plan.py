@@ -21,7 +21,7 @@ from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
-from .measure import cells_of_ranks
+from .measure import cells_of_ranks, faces_of_ranks
 from .sent import Sent
 from .virtual_ranks import (
     chosen_ranks,
@@ -46,7 +46,8 @@ class Walls:
     """What the potential at open walls takes of a rank that was looked at."""
 
     patches: int  # of 8 x 8 ghosts, and larger ones, evaluated
-    interactions: int  # of these with nodes and leaves
+    interactions: int  # of these with nodes
+    near: int  # of these with leaves
     traffic: Traffic
 
 
@@ -74,6 +75,7 @@ class Plan:
     ranks: int
     cells: Array  # (levels, ranks)
     boxes: Array  # (levels, ranks)
+    faces: Array  # (levels, ranks) cells on the faces of boxes
     particles: Array  # (ranks,)
     bricks: Array  # (ranks,) that hold some of these
     moved: float  # the part of the particles that come into another brick in a step
@@ -114,9 +116,10 @@ class Plan:
         return cycles + (self.estimates if cycles > 0 else 0)
 
     @property
-    def wall_work(self) -> tuple[float, float]:
-        """The most patches and interactions of a rank at open walls."""
-        return float(max(one.patches for one in self.walls)), float(max(one.interactions for one in self.walls))
+    def wall_work(self) -> tuple[float, float, float]:
+        """The most patches of a rank at open walls, and of their interactions with nodes and with leaves."""
+        rows = np.array([(one.patches, one.interactions, one.near) for one in self.walls], dtype=float)
+        return tuple(rows.max(axis=0).tolist())
 
     def most(self, call: str, what: str) -> float:
         """Return the most of messages, bytes or collectives by a call, over the ranks that were looked at."""
@@ -151,7 +154,7 @@ def walls_of(found: Mapping[str, Any]) -> Walls:
     """Return what `OpenWallPlans.counts` gives of a rank; what collectives bring counts as bytes."""
     collectives = found["collectives"]
     traffic = Traffic(found["messages"], found["bytes"] + sum(collectives), len(collectives))
-    return Walls(found["patches"], found["far"] + found["near"], traffic)
+    return Walls(found["patches"], found["far"], found["near"], traffic)
 
 
 class Planner:
@@ -200,6 +203,7 @@ class Planner:
             ranks,
             cells,
             np.array([np.bincount(mesh.owners(level), minlength=ranks) for level in range(mesh.levels)]),
+            faces_of_ranks(mesh),
             held.particles,
             np.bincount(held.pairs[:, 1], minlength=ranks),
             moved_part(scene, held.bricks, mesh, self._sample),
@@ -245,7 +249,7 @@ class Planner:
     def _walls(self, mesh: Hierarchy) -> Callable[[int], Walls]:
         """Return what gives the part of a rank in the potential at open walls."""
         if not has_open_walls(mesh):
-            return lambda rank: Walls(0, 0, Traffic())
+            return lambda rank: Walls(0, 0, 0, Traffic())
         plans, charged = _native.OpenWallPlans(mesh.native), charged_regions(self._clouds, mesh)
         return lambda rank: walls_of(plans.counts(rank, charged))
 

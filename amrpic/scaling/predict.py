@@ -40,6 +40,6 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
 
 
 def _modelled(plan: Plan, machine: Machine, one: Measured) -> dict[str, Time]:
-    amounts = amounts_of(one, plan)
+    amounts = amounts_of(one, plan, machine)
     changed = stage_time(CHANGED, plan, machine, amounts)
     return {**step_time(plan, machine, one.cycles, amounts), CHANGED: changed}

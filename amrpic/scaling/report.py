@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import OutputError
 from .machine import Machine
-from .model import NETWORK, STAGES, Amounts, efficiency, sensitivity, step_time, total
+from .model import NETWORK, OF_CELLS, STAGES, Amounts, efficiency, sensitivity, step_time, total
 from .plan import Plan, Planner
 from .show import MIB, draw_times, over_ranks
 from .virtual_ranks import CALLS
@@ -130,14 +130,19 @@ def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
         ["ranks", "as it is", "particles where their cells are", "whole boxes", "open walls' work on every rank"]
     ]
     for plan in plans:
-        now = Amounts.of(plan, cycles)
+        now = Amounts.of(plan, machine, cycles)
         uneven = plan.without.particles_with_cells / plan.particle_imbalance
         larger = plan.without.with_whole_boxes / plan.cell_imbalance
         without = (
             now,
             replace(now, particles=now.particles * uneven),
-            replace(now, cells=now.cells * larger, swept=now.swept * larger),
-            replace(now, patches=now.patches * plan.ranks, interactions=now.interactions * plan.ranks),
+            replace(now, **{what: larger * getattr(now, what) for what in OF_CELLS}),
+            replace(
+                now,
+                patches=now.patches * plan.ranks,
+                interactions=now.interactions * plan.ranks,
+                near=now.near * plan.ranks,
+            ),
         )
         rows.append(
             [f"{plan.ranks:,}", *(f"{1e3 * total(step_time(plan, machine, cycles, one)):.3g}" for one in without)]

@@ -49,7 +49,7 @@ def scene() -> Scene:
     return Scene.from_dict(SCENE)
 
 
-@pytest.mark.mpi(ranks=(2, 4), timeout=240)
+@pytest.mark.mpi(ranks=(2, 3, 4), timeout=300)
 def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
     made = scene()
     mesh = without_open_walls(planned_mesh(made, clouds_of(made))[0])
@@ -120,8 +120,9 @@ def test_rules_that_need_fields_are_replaced_and_said():
 def machine(**network: float) -> Machine:
     constants = {"latency": 1e-6, "bandwidth": 1e9, "ranks_per_node": 4, "collective": 2e-6, **network}
     stages = {
-        "solve": Work(call=1e-3, cell=1e-9, cycle=1e-8),
-        "deposit": Work(particle=1e-8),
+        "solve": Work(call=1e-3, cell=1e-9, cycle=1e-8, cycle_face=1e-7, byte=1e-10),
+        "deposit": Work(particle=1e-8, face=2e-9),
+        "migrate": Work(moved=3e-8, brick=1e-7, byte=1e-9),
         "open walls": Work(patch=1e-9, interaction=1e-10),
     }
     return Machine("test", "invented", Network(**constants), stages, {})  # type: ignore[arg-type]
@@ -133,11 +134,12 @@ def invented() -> Plan:
     ones = np.ones(8)
     cells = np.array([[100, 50] * 4, [0, 80] * 4])
     between = Exchange(8, *([np.array(values) for values in ([2], [7], [1], [100])]))
-    walls, without = [Walls(600, 70, Traffic())], Choices(2.0, 5.0)
+    walls, without = [Walls(600, 70, 5, Traffic())], Choices(2.0, 5.0)
     return Plan(
         8,
         cells,
         cells // 50,
+        cells // 5,
         np.arange(8.0),
         np.arange(8),
         0.5,
@@ -160,11 +162,15 @@ def test_the_model_is_its_formula():
     plan = invented()
     cells = plan.cells.sum()
     times = step_time(plan, machine(), cycles=2)
-    assert times["solve"].work == pytest.approx(1e-3 + 180 * 1e-9 + 0.2 * cells * 2 * 1e-8)
+    swept = 0.2 * cells * 2 * 1e-8 + 36 * 2 * 1e-7
+    assert times["solve"].work == pytest.approx(1e-3 + 180 * 1e-9 + swept + 3 * 4000 * 1e-10)
+    assert times["migrate"].work == pytest.approx(7 * 0.5 * 3e-8 + 7 * 1e-7 + 4000 * 1e-9)
     leaving = 3000 * 4  # to rank 5, from each of four ranks of a node
     assert times["solve"].messages == pytest.approx(3 * (3e-6 + leaving / 1e9))
     assert times["solve"].collectives == pytest.approx(3 * 2 * 3 * 2e-6)
-    assert times["deposit"].work == pytest.approx(7e-8) and times["open walls"].work == pytest.approx(6.07e-7)
+    assert times["deposit"].work == pytest.approx(7e-8 + 36 * 2e-9) and times["open walls"].work == pytest.approx(
+        6.07e-7
+    )
     assert plan.exchange.leaving("deposit", 4) == 8 + 12 + 800 and plan.exchange.leaving("gather", 4) == 2400
     assert plan.exchange.leaving("deposit", 8) == 0
     assert total(step_time(plan, machine().scaled("latency", 2), 2)) > total(times)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from ..scaling.show import stage_table, table, write
 from ..scaling.study import KINDS, LAUNCHER, Study
 from .arguments import Commands, command, count, scene_arguments, scene_of
 from .text_table import columns
+
+CYCLES = 2.0
 
 
 def add(commands: Commands) -> None:
@@ -76,7 +79,16 @@ def add(commands: Commands) -> None:
         metavar="NAME",
         help="constants of the model of --plan: aries, slingshot, two_cores or a TOML file; several if repeated; default aries",
     )
-    scaling.add_argument("--cycles", type=float, default=2.0, metavar="N", help="of a solve, for --plan; default 2")
+    scaling.add_argument(
+        "--targets", type=Path, metavar="FILE", help="what the plans are to reach, as TOML: shown beside what they find"
+    )
+    scaling.add_argument(
+        "--page",
+        type=Path,
+        metavar="FILE",
+        help="where the text of --plan goes, as Markdown; default plan.md in --output",
+    )
+    scaling.add_argument("--cycles", type=float, default=CYCLES, metavar="N", help="of a solve, for --plan; default 2")
     scaling.add_argument("--calibrate", metavar="FILE", help="measure the constants of this machine into a TOML file")
     scaling.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
 
@@ -117,11 +129,10 @@ def _scaling(chosen: argparse.Namespace) -> int:
 
 def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> None:
     from ..scaling.machine import Machine
-    from ..scaling.plan import Planner
     from ..scaling.predict import predicted
 
     machine, strong = Machine.read(chosen.predict), [one for one in found if one.kind == "strong"]
-    rows, worst = predicted(Planner(scene_of(chosen), _progress()), strong, machine)
+    rows, worst = predicted(scene_of(chosen), strong, machine, _progress())
     print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
 
 
@@ -137,16 +148,28 @@ def _plan(chosen: argparse.Namespace, folder: Path) -> int:
     from ..scaling.machine import Machine
     from ..scaling.plan import Planner
     from ..scaling.report import write_plans
+    from ..scaling.targets import Targets
 
+    targets = None if chosen.targets is None else Targets.read(chosen.targets)
     machines = [Machine.read(name) for name in chosen.machine or ["aries"]]
     say = _progress()
     planner = Planner(scene_of(chosen), say)
     plans = list(planner.plans(chosen.plan))
-    text, paths = write_plans(planner, plans, machines, chosen.cycles, folder)
+    text, paths = write_plans(planner, plans, machines, chosen.cycles, folder, chosen.page, targets, _said(chosen))
     say("")
     print(text)
     print(*paths, sep="\n")
     return 0
+
+
+def _said(chosen: argparse.Namespace) -> str:
+    """Return the command that makes a plan, as it is shown."""
+    changes = [part for change in chosen.set for part in ("--set", change)]
+    machines = [part for name in chosen.machine or [] for part in ("--machine", name)]
+    cycles = [] if chosen.cycles == CYCLES else ["--cycles", f"{chosen.cycles:g}"]
+    targets = [] if chosen.targets is None else ["--targets", str(chosen.targets)]
+    plan = ["--plan", ",".join(map(str, chosen.plan))]
+    return shlex.join(["amrpic", "scaling", str(chosen.scene), *changes, *plan, *machines, *cycles, *targets])
 
 
 def _progress() -> Callable[[str], None]:

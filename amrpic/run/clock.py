@@ -27,11 +27,12 @@ class Spent:
 class Clock:
     """Adds up what stages take; that of a stage within another counts for the inner one alone.
 
-    `now` gives the time in s since some time in the past. `before` is called ahead of each stage, and counts for none.
+    `now` gives the time in s since some time in the past. `before` is called with the name of each stage
+    ahead of it, and counts for none.
     """
 
     def __init__(
-        self, now: Callable[[], float] = time.perf_counter, before: Callable[[], object] = lambda: None
+        self, now: Callable[[], float] = time.perf_counter, before: Callable[[str], object] = lambda stage: None
     ) -> None:
         self.now, self.before = now, before
         self._stages: dict[str, Spent] = {}
@@ -40,7 +41,7 @@ class Clock:
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         entered = Spent(self.now(), traffic())
-        self.before()
+        self.before(stage)
         start = Spent(self.now(), traffic())
         self._within.append(Spent())
         try:

@@ -20,7 +20,8 @@ from mpi4py import MPI
 
 from ..scene.scene import Scene
 from .machine import Machine, Network, Work
-from .measured import CHANGED, Measured, Run, medians
+from .measure import UNCOUNTED
+from .measured import NEW_MESH, Measured, Run, medians
 from .model import OF_WORK, PARTS, STAGES, Amounts, constants_of, fitted, network_time, row_of
 from .plan import Plan, Planner
 from .study import grown, launch
@@ -54,7 +55,7 @@ tolerance = {tolerance}
 write = ["series"]
 """
 LEAPFROG, WALK = 'kind = "leapfrog"\ndt = "20 ps"', 'kind = "random-walk"\namplitude = "{amplitude} mm"'
-SMALL, LARGE = WALK.format(amplitude=0.1), WALK.format(amplitude=0.8)  # compared with bricks
+SMALL, LARGE = WALK.format(amplitude=0.1), WALK.format(amplitude=0.5)  # compared with bricks
 TO_MESH = '"discretization"'
 VARIED = "cells", "boxes", "levels", "bunches", "particles", "tolerance", "motion", "regrid_every"
 NONE = 'kind = "none"'
@@ -68,7 +69,7 @@ SIZES = (
     (64, 32, 2, 1, 1_000_000, TO_MESH, LEAPFROG, 0),
     (64, 16, 2, 1, 600_000, TO_MESH, LARGE, 2),
     (128, 16, 1, 1, 500_000, TO_MESH, LEAPFROG, 0),
-    (128, 32, 1, 2, 50_000, TO_MESH, SMALL, 0),
+    (128, 32, 1, 2, 50_000, TO_MESH, LARGE, 3),
     (80, 16, 2, 2, 500_000, TO_MESH, LARGE, 4),
     (96, 16, 1, 1, 800_000, TO_MESH, NONE, 0),
     (96, 32, 2, 1, 100_000, TO_MESH, NONE, 0),
@@ -119,6 +120,11 @@ def _runs(
                 yield Run.read(output)
 
 
+def middle(one: Measured) -> int:
+    """Return the middle of the steps of runs that were measured."""
+    return UNCOUNTED + (one.steps // one.runs + 1) // 2
+
+
 def _least_disturbed(runs: Sequence[Run]) -> list[Run]:
     """Return of each number of ranks the fastest run: others may use the machine for as long as one takes."""
     best: dict[int, Run] = {}
@@ -139,7 +145,7 @@ def measured(
     found: dict[int, list[tuple[Measured, Plan]]] = {}
     for number, scene in enumerate(scenes):
         for one in medians(_least_disturbed([run for run in runs if run.scene == f"{number}"])):
-            plan = Planner(Scene.from_toml(scene, _for(scene, one.ranks)), say).plan(one.ranks)
+            plan = Planner(Scene.from_toml(scene, _for(scene, one.ranks)), say, middle(one)).plan(one.ranks)
             found.setdefault(one.ranks, []).append((one, plan))
     return found
 
@@ -166,7 +172,7 @@ def fits(found: Sequence[tuple[Measured, Plan]], machine: Machine, least: Mappin
     taken: dict[str, list[tuple[dict[str, float], float]]] = {}
     for one, plan in found:
         amounts = amounts_of(one, plan, machine)
-        for stage in (*STAGES, CHANGED):
+        for stage in (*STAGES, NEW_MESH):
             seconds = one.stages[stage].most if stage in one.stages else 0.0
             seconds -= sum(network_time(stage, plan, machine.network, amounts))
             if seconds > 0:

@@ -17,8 +17,8 @@ FOLDER = Path(__file__).parent / "machines"
 class Work:
     """Seconds of a stage: once per step, and for each of what is named.
 
-    `cell`, `particle` and `brick`, one with particles, are of a rank. `spilled` is a cell for which the cache has no room,
-    `face` one on the face of a box; `cycle`, `cycle_spilled` and `cycle_face` are the same in a cycle. `moved` is a particle
+    `cell`, `particle` and `brick`, one with particles, are of a rank. `spilled` is a cell for which the cache has no room;
+    `cycle` and `cycle_spilled` are the same in a cycle, and `cycle_face` is a cell on the face of a box. `moved` is a particle
     that comes into another brick, `patch` one of ghosts behind open walls, `interaction` one of a patch with a node that holds
     charge, `near` with a leaf, and `byte` one that a rank sends, for its packing and unpacking.
     """
@@ -28,7 +28,6 @@ class Work:
     spilled: float = 0.0
     cycle: float = 0.0
     cycle_spilled: float = 0.0
-    face: float = 0.0
     cycle_face: float = 0.0
     particle: float = 0.0
     moved: float = 0.0

@@ -48,22 +48,22 @@ def measure(
     comm, now = own(comm), CLOCKS[clock]
     run = Simulation(comm, _with_steps(scene, UNCOUNTED + steps))
     run.clock.now = now
-    waited = _begin_together(run, comm) if apart else (lambda: {})
+    between = Between(run, comm, apart)
     seconds: list[float] = []
     stages: list[dict[str, Stage]] = []
     cycles: list[int] = []
-    changed: list[bool] = []
+    meshes: list[int] = []
     since = now()
 
     def step_over(of: Simulation) -> None:
         nonlocal since
-        taken, waiting = now() - since, waited()
+        taken, made, waiting = now() - since, between.meshes, between.waited()
         if of.step > UNCOUNTED:
             seconds.append(comm.allreduce(taken, op=MPI.MAX))
             walls = of.report.seconds.get("open boundary", 0.0) * _pace(of, clock)
             stages.append(over_ranks(comm, {**_with_walls(of.state.spent, walls), **waiting}))
             cycles.append(of.report.cycles)
-            changed.append(of.state.regridded)
+            meshes.append(made)
         comm.Barrier()
         since = now()
 
@@ -85,7 +85,7 @@ def measure(
         cycles,
         seconds,
         stages,
-        changed,
+        meshes,
         end,
     )
 
@@ -95,23 +95,30 @@ def _with_steps(scene: Scene, steps: int) -> Scene:
     return scene.model_copy(update={"schedule": schedule})
 
 
-def _begin_together(run: Simulation, comm: MPI.Comm) -> Callable[[], dict[str, Spent]]:
-    """Let the stages of a run begin together; return what gives the time that a rank has waited for it since the last call."""
-    clock, seconds = run.clock, 0.0
+class Between:
+    """What happens between the stages of a run: its ranks wait for each other, if stages are to begin together."""
 
-    def meet() -> None:
-        nonlocal seconds
-        since = clock.now()
-        MPI.Intracomm.Barrier(comm)  # is not counted among the collective calls of the run
-        seconds += clock.now() - since
+    def __init__(self, run: Simulation, comm: MPI.Comm, together: bool) -> None:
+        self._comm, self._clock, self._together = comm, run.clock, together
+        self._waited, self._sorted = 0.0, 0
+        run.clock.before = self._enter
 
-    def waited() -> dict[str, Spent]:
-        nonlocal seconds
-        taken, seconds = seconds, 0.0
-        return {WAITING: Spent(taken)} if comm.size > 1 else {}
+    def _enter(self, stage: str) -> None:
+        self._sorted += stage == "migrate"
+        if self._together:
+            since = self._clock.now()
+            MPI.Intracomm.Barrier(self._comm)  # is not counted among the collective calls of the run
+            self._waited += self._clock.now() - since
 
-    clock.before = meet
-    return waited
+    @property
+    def meshes(self) -> int:
+        """New meshes of a step: particles are sorted once anyway, and on each of them."""
+        return max(self._sorted - 1, 0)
+
+    def waited(self) -> dict[str, Spent]:
+        """Return the time that this rank has waited since the last call, as a stage, and begin a step."""
+        seconds, self._waited, self._sorted = self._waited, 0.0, 0
+        return {WAITING: Spent(seconds)} if self._together and self._comm.size > 1 else {}
 
 
 def _pace(of: Simulation, clock: str) -> float:

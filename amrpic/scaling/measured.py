@@ -16,7 +16,7 @@ from ..errors import InputError, OutputError
 OUTPUT = "output"  # the stage of series, diagnostics and dumps in the course of a run
 WALLS = "open walls"  # the part of a solve that finds the potential at them
 WAITING = "waiting"  # for other ranks, between the stages, where these begin together
-CHANGED = "changed mesh"  # what a step that changes the mesh takes more than others, in all its stages
+NEW_MESH = "new mesh"  # what a step takes more for each new mesh, in all its stages
 END = "end"  # what a run writes at its end; not part of a step
 
 
@@ -51,7 +51,7 @@ class Run:
     cycles: list[int]  # of the solves of each step
     seconds: list[float]  # of each step, of the slowest rank
     steps: list[dict[str, Stage]]
-    changed: list[bool]  # whether each step changed the mesh
+    meshes: list[int]  # new ones of each step
     end: float  # s, what is written at the end
 
     def write(self, path: Path) -> None:
@@ -89,7 +89,7 @@ class Measured:
     cycles: float
     seconds: float  # of a step
     stages: dict[str, Stage]
-    changes: float  # the part of the steps that changed the mesh
+    meshes: float  # new ones of a step, on average
     of_solves: list[int]  # cycles of the solves from which the stages come
 
     @property
@@ -101,12 +101,12 @@ class Measured:
     def of(cls, runs: Sequence[Run]) -> Self:
         """Return the medians of runs of one kind and number of ranks."""
         first = runs[0]
-        all_ = [one for run in runs for one in zip(run.steps, run.cycles, run.changed, strict=True)]
+        all_ = [one for run in runs for one in zip(run.steps, run.cycles, run.meshes, strict=True)]
         steps = [one for one in all_ if not one[2]] or all_
         names = dict.fromkeys(name for step, _, _ in all_ for name in step)
         stages = {name: _median(step.get(name, NOTHING) for step, _, _ in steps) for name in names}
         if len(steps) < len(all_):
-            stages[CHANGED] = _more([step for step, _, changed in all_ if changed], stages)
+            stages[NEW_MESH] = _more([(step, meshes) for step, _, meshes in all_ if meshes], stages)
         ends = [run.end for run in runs]
         stages[END] = Stage(min(ends), statistics.fmean(ends), statistics.median(ends))
         return cls(
@@ -122,7 +122,7 @@ class Measured:
             statistics.median(cycles for run in runs for cycles in run.cycles),
             statistics.median(seconds for run in runs for seconds in run.seconds),
             stages,
-            statistics.fmean(changed for _, _, changed in all_),
+            statistics.fmean(meshes for _, _, meshes in all_),
             [cycles for _, cycles, _ in steps],
         )
 
@@ -131,14 +131,15 @@ def _median(stages: Iterable[Stage]) -> Stage:
     return Stage(*_each(statistics.median, [tuple(asdict(stage).values()) for stage in stages]))
 
 
-def _more(steps: Sequence[dict[str, Stage]], usual: dict[str, Stage]) -> Stage:
-    """Return the median of what steps take more than usual, all stages together."""
+def _more(steps: Sequence[tuple[dict[str, Stage], int]], usual: dict[str, Stage]) -> Stage:
+    """Return the median of what steps take more than usual for each of their new meshes, all stages together."""
 
     def total(step: dict[str, Stage]) -> Any:
         rows = [astuple(stage) for name, stage in step.items() if name != WAITING]
         return np.array(rows, dtype=float).sum(axis=0)
 
-    return Stage(*np.maximum(np.median([total(step) for step in steps], axis=0) - total(usual), 0.0).tolist())
+    each = [(total(step) - total(usual)) / meshes for step, meshes in steps]
+    return Stage(*np.maximum(np.median(each, axis=0), 0.0).tolist())
 
 
 def _each(function: Callable[[Any], float], rows: Sequence[Sequence[float]]) -> tuple[Any, ...]:

@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from .machine import Machine, Network, Work
-from .measured import CHANGED
+from .measured import NEW_MESH
 from .plan import Plan
 
 # Calls of a stage that are counted on virtual ranks, and whether they are made once per cycle.
@@ -35,9 +35,9 @@ STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
     "gather": (("gather", False),),
     "output": (("output", False),),
 }
-OF_CHANGES: Sequence[tuple[str, bool]] = (("set-up", False), ("regrid", False), ("migrate", False), ("deposit", False))
+OF_NEW_MESH: Sequence[tuple[str, bool]] = (("set-up", False), ("regrid", False), ("migrate", False), ("deposit", False))
 NETWORK = ("latency", "bandwidth", "collective")
-OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "faces", "swept_faces"  # what grows with a rank's cells
+OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "swept_faces"  # what grows with a rank's cells
 OF_WALLS = "patches", "interactions", "near"
 CELL_BYTES = (
     40  # of a cell that a cycle reads and writes: potential, right-hand side, correction, residual, what is copied
@@ -68,7 +68,6 @@ class Amounts:
     swept: float  # cells, times cycles
     spilled: float  # cells for which the cache has no room
     swept_spilled: float
-    faces: float
     swept_faces: float
     particles: float
     moved: float
@@ -95,7 +94,6 @@ class Amounts:
             swept * cycles,
             spilled * cells,
             spilled * swept * cycles,
-            grown * faces,
             grown * faces * cycles,
             particles,
             particles * plan.moved,
@@ -109,19 +107,18 @@ PARTS: Mapping[str, Sequence[str]] = {
     "push": ("particles",),
     WALK: ("particles",),
     "migrate": ("cells", "particles", "moved", "bricks", "bytes"),
-    "deposit": ("cells", "faces", "particles", "bricks", "bytes"),
+    "deposit": ("cells", "spilled", "particles", "bricks", "bytes"),
     "solve": ("cells", "swept", "swept_spilled", "swept_faces", "bytes"),
-    "open walls": ("cells", "patches", "interactions", "near", "bytes"),
+    "open walls": ("cells", "spilled", "patches", "interactions", "near", "bytes"),
     "gather": ("cells", "particles", "bricks", "bytes"),
     "output": ("cells", "particles"),
-    CHANGED: ("cells", "spilled"),
+    NEW_MESH: ("cells", "spilled", "particles"),
 }
 OF_WORK = {
     "cells": "cell",
     "spilled": "spilled",
     "swept": "cycle",
     "swept_spilled": "cycle_spilled",
-    "faces": "face",
     "swept_faces": "cycle_face",
     "particles": "particle",
     "moved": "moved",
@@ -140,7 +137,7 @@ def constants_of(stage: str, plan: Plan) -> str:
 
 def row_of(stage: str, plan: Plan, amounts: Amounts) -> dict[str, float]:
     """Return the amounts that a stage's work grows with."""
-    calls = OF_CHANGES if stage == CHANGED else STAGES[stage]
+    calls = OF_NEW_MESH if stage == NEW_MESH else STAGES[stage]
     given = {what: getattr(amounts, what) for what in OF_WORK if what != "bytes"}
     given["bytes"] = sum(times * plan.most(call, "bytes") for call, times in _times(calls, amounts))
     return {what: given[what] for what in PARTS[constants_of(stage, plan)]}
@@ -153,7 +150,7 @@ def step_time(plan: Plan, machine: Machine, cycles: float, amounts: Amounts | No
 
 
 def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Time:
-    """Return the time of a stage of `STAGES`, or of what a step that changes the mesh takes more."""
+    """Return the time of a stage of `STAGES`, or of what a step takes more for a new mesh."""
     work = machine.work(plan.ranks).get(constants_of(stage, plan), Work())
     seconds = work.call + sum(
         value * getattr(work, OF_WORK[what]) for what, value in row_of(stage, plan, amounts).items()
@@ -167,7 +164,7 @@ def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> 
         return 0.0, 0.0
     here = min(network.ranks_per_node, plan.ranks)
     messages = collectives = 0.0
-    for call, times in _times(OF_CHANGES if stage == CHANGED else STAGES[stage], amounts):
+    for call, times in _times(OF_NEW_MESH if stage == NEW_MESH else STAGES[stage], amounts):
         leaving = plan.leaving(call, here) if plan.ranks > here else here * plan.most(call, "bytes")
         messages += times * (plan.most(call, "messages") * network.latency + leaving / network.bandwidth)
         collectives += times * plan.most(call, "collectives") * math.log2(plan.ranks) * network.collective

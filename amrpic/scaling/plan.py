@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +23,7 @@ from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
 from .measure import cells_of_ranks, faces_of_ranks
+from .neighbours import neighbours_of_ranks
 from .sent import Sent
 from .virtual_ranks import (
     chosen_ranks,
@@ -95,6 +97,8 @@ class Plan:
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
     estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
+    met: Array  # (ranks,) other ranks that one meets, of all levels together
+    seconds: float  # that the plan took to make
 
     @property
     def cell_imbalance(self) -> float:
@@ -129,6 +133,16 @@ class Plan:
         """Return the most ranks that one sends to in a cycle."""
         return max(len(of["cycle"].to) for of in self.sent)
 
+    def at_most(self, call: str) -> float:
+        """Return how many messages a rank that was not looked at sends by a call at most, if it sends no more for each rank
+        that it meets than the worst of those that were."""
+        others = np.delete(self.met, self.looked_at)
+        each = max(
+            of[call].traffic.messages / max(self.met[rank], 1)
+            for rank, of in zip(self.looked_at, self.sent, strict=True)
+        )
+        return float(each * others.max(initial=0))
+
     def leaving(self, call: str, ranks_per_node: int) -> float:
         """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
         what servers of particles and owners of cells send each other, of all nodes."""
@@ -158,16 +172,21 @@ def walls_of(found: Mapping[str, Any]) -> Walls:
 
 
 class Planner:
-    """A scene with its mesh and the particles of each brick, from which plans for any number of ranks follow."""
+    """A scene with its mesh and the particles of each brick, from which plans for any number of ranks follow.
 
-    def __init__(self, scene: Scene, say: Callable[[str], None] = lambda text: None) -> None:
-        self.scene, self._say = scene, say
+    The mesh is that of the start. Particles are where they are after so many `steps`, as far as a random walk takes them.
+    """
+
+    def __init__(self, scene: Scene, say: Callable[[str], None] = lambda text: None, steps: int = 0) -> None:
+        self.scene, self._say, since = scene, say, time.perf_counter()
         self._clouds = clouds_of(scene)
         say("mesh from the densities of the bunches")
         self.mesh, self.notes = planned_mesh(scene, self._clouds)
         say("particles of each brick")
+        self._clouds = clouds_of(scene, steps) if steps > 0 else self._clouds
         self._bricks = bricks_of(self._clouds, self.mesh)
         self._sample = sample(scene, SAMPLE)
+        self.seconds = time.perf_counter() - since  # before the first plan
 
     def plans(self, ranks: Sequence[int], looked_at: int = LOOKED_AT) -> Iterator[Plan]:
         """Yield a plan for each number of ranks."""
@@ -176,12 +195,14 @@ class Planner:
 
     def plan(self, ranks: int, looked_at: int = LOOKED_AT) -> Plan:
         """Return the plan for so many ranks; messages of at most `looked_at` of them are counted."""
-        scene = self.scene
+        scene, since = self.scene, time.perf_counter()
         self._say(f"{ranks} ranks: boxes and owners")
         mesh = distributed(self.mesh, ranks)
         closed, cells = without_open_walls(mesh), cells_of_ranks(mesh)
         held = served(self._on(mesh), mesh, scene.particles.interface == "matched")
-        chosen = chosen_ranks(np.vstack([cells, held.particles, held.exchange.messages]), looked_at)
+        neighbours = neighbours_of_ranks(mesh)
+        met = neighbours.sum(axis=0)
+        chosen = chosen_ranks(np.vstack([met, neighbours, cells, held.particles, held.exchange.messages]), looked_at)
         other, walls_at = moved_on(closed), self._walls(mesh)
         looks: dict[int, Look] = {}
 
@@ -218,6 +239,8 @@ class Planner:
             self._without(mesh, held),
             held.exchange,
             int(scene.solver.tolerance == "discretization"),
+            met,
+            time.perf_counter() - since,
         )
 
     def _on(self, mesh: Hierarchy) -> Bricks:

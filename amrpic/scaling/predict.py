@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from .calibrate import amounts_of
+from ..scene.scene import Scene
+from .calibrate import amounts_of, middle
 from .machine import Machine
-from .measured import CHANGED, Measured
+from .measured import NEW_MESH, Measured
 from .model import Time, stage_time, step_time
 from .plan import Plan, Planner
 
@@ -15,7 +16,9 @@ LEAST = 0.05  # of a step: shorter stages do not count
 Rows = list[list[str]]
 
 
-def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> tuple[Rows, float]:
+def predicted(
+    scene: Scene, found: Sequence[Measured], machine: Machine, say: Callable[[str], None] = lambda text: None
+) -> tuple[Rows, float]:
     """Return a row for each stage above `LEAST` of a step of measured runs, and the largest error, relative.
 
     The model is given the mesh and the cycles of the run, since it does not predict these.
@@ -23,10 +26,10 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
     rows: Rows = [["ranks", "stage", "of the step", "measured, ms", "modelled, ms", "off by"]]
     worst = 0.0
     for one in found:
-        plan = planner.plan(one.ranks)
+        plan = Planner(scene, say, middle(one)).plan(one.ranks)
         times = _modelled(plan, machine, one)
         stages = {name: one.stages[name].most for name in times if name in one.stages}
-        often = {CHANGED: one.changes}
+        often = {NEW_MESH: one.meshes}
         step = sum(often.get(name, 1.0) * seconds for name, seconds in stages.items())
         for name, seconds in stages.items():
             part = often.get(name, 1.0) * seconds / step
@@ -41,5 +44,5 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
 
 def _modelled(plan: Plan, machine: Machine, one: Measured) -> dict[str, Time]:
     amounts = amounts_of(one, plan, machine)
-    changed = stage_time(CHANGED, plan, machine, amounts)
-    return {**step_time(plan, machine, one.cycles, amounts), CHANGED: changed}
+    changed = stage_time(NEW_MESH, plan, machine, amounts)
+    return {**step_time(plan, machine, one.cycles, amounts), NEW_MESH: changed}

@@ -121,7 +121,7 @@ def machine(**network: float) -> Machine:
     constants = {"latency": 1e-6, "bandwidth": 1e9, "ranks_per_node": 4, "collective": 2e-6, **network}
     stages = {
         "solve": Work(call=1e-3, cell=1e-9, cycle=1e-8, cycle_face=1e-7, byte=1e-10),
-        "deposit": Work(particle=1e-8, face=2e-9),
+        "deposit": Work(particle=1e-8, brick=2e-9),
         "migrate": Work(moved=3e-8, brick=1e-7, byte=1e-9),
         "open walls": Work(patch=1e-9, interaction=1e-10),
     }
@@ -155,6 +155,8 @@ def invented() -> Plan:
         without,
         between,
         0,
+        np.ones(8, dtype=int),
+        1.0,
     )
 
 
@@ -168,7 +170,7 @@ def test_the_model_is_its_formula():
     leaving = 3000 * 4  # to rank 5, from each of four ranks of a node
     assert times["solve"].messages == pytest.approx(3 * (3e-6 + leaving / 1e9))
     assert times["solve"].collectives == pytest.approx(3 * 2 * 3 * 2e-6)
-    assert times["deposit"].work == pytest.approx(7e-8 + 36 * 2e-9) and times["open walls"].work == pytest.approx(
+    assert times["deposit"].work == pytest.approx(7e-8 + 7 * 2e-9) and times["open walls"].work == pytest.approx(
         6.07e-7
     )
     assert plan.exchange.leaving("deposit", 4) == 8 + 12 + 800 and plan.exchange.leaving("gather", 4) == 2400

@@ -33,7 +33,7 @@ def one(kind: str, ranks: int, cells: int, particles: int, seconds: float) -> Me
 def run(seconds: list[float], kind: str = "strong", ranks: int = 1) -> Run:
     steps = [{"solve": Stage(s / 4, s / 3, s / 2)} for s in seconds]
     return Run(
-        kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, [False] * len(seconds), 0.1
+        kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, [0] * len(seconds), 0.1
     )
 
 

@@ -197,7 +197,7 @@ def sensitivity(plan: Plan, machine: Machine, cycles: float, factor: float = 2.0
 def fitted(rows: np.ndarray, seconds: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
     """Return the constants, none below the `least`, whose sums over `rows` (n, constants) come nearest to seconds (n,).
 
-    Errors are in proportion; half as much and twice as much are equally far: they are over the geometric mean of both.
+    Errors are in proportion, and of times for the same work the harmonic mean is found: what disturbs a run makes it longer.
     """
     from scipy.optimize import nnls
 

@@ -85,7 +85,7 @@ def markdown(
         f"Levels: {levels}; {planner.scene.particle_count():,} particles.",
         *(f"Note: {note}." for note in planner.notes),
         *([] if targets is None else [_asked(targets.beside(plans, machines, cycles, peak, planner.seconds))]),
-        *(where(plan, machine, cycles) for machine in machines for plan in dict.fromkeys((first, plans[-1]))),
+        *(where(plan, machine, cycles) for machine in machines for plan in (first, *plans[1:][-1:])),
         *(f"![Modelled on {name}]({path})" for name, path in (pictures or {}).items()),
         *("## " + title + "\n\n" + _table(rows) for title, rows in _held(plans)),
         _looked_at(plans),

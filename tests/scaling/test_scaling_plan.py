@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +23,11 @@ from amrpic.scaling.bricks import Exchange, bricks_of, exchange, served
 from amrpic.scaling.densities import clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work
 from amrpic.scaling.model import fitted, step_time, total
+from amrpic.scaling.neighbours import neighbours_of_ranks
 from amrpic.scaling.plan import Choices, Plan, Planner, Walls
 from amrpic.scaling.sent import Sent
-from amrpic.scaling.virtual_ranks import chosen_ranks, counts, moved_on, without_open_walls
+from amrpic.scaling.targets import Targets
+from amrpic.scaling.virtual_ranks import chosen_ranks, counts, distributed, moved_on, without_open_walls
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
@@ -182,6 +185,10 @@ def test_constants_are_found_again_from_times():
     rng = np.random.default_rng(3)
     rows = np.column_stack([np.ones(9), rng.uniform(1e5, 1e7, 9), rng.uniform(1e4, 1e6, 9)])
     assert fitted(rows, rows @ [1e-3, 2e-9, 1e-8]) == pytest.approx([1e-3, 2e-9, 1e-8])
+    bounded = fitted(rows, rows @ [1e-3, 2e-9, 1e-8], np.array([0, 3e-9, 0]))
+    assert bounded[1] == pytest.approx(3e-9) and bounded[2] < 1e-8
+    twice = fitted(np.ones((2, 1)), np.array([1.0, 4.0]))
+    assert twice == pytest.approx([1.6])  # the harmonic mean
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
@@ -226,9 +233,74 @@ def test_command_writes_plans(tmp_path):
     from amrpic.commands.main import parser
 
     file = Path(__file__).parents[2] / "examples" / "sphere.toml"
+    (tmp_path / "targets.toml").write_text(
+        'machine = "slingshot"\nmemory_gib = 2\ncollectives_per_cycle = 0\n[efficiency]\n64 = 0.01\n[step_ms]\n64 = 1e-3'
+    )
     arguments = ["scaling", str(file), "--plan", "4,64", "--machine", "aries", "--machine", "slingshot"]
-    chosen = parser().parse_args([*arguments, "--set", "domain.cells=32", "--output", str(tmp_path)])
+    arguments += ["--targets", str(tmp_path / "targets.toml"), "--page", str(tmp_path / "pages" / "sphere.md")]
+    chosen = parser().parse_args([*arguments, "--set", "domain.cells=32", "--output", str(tmp_path / "plans")])
     assert chosen.command(chosen) == 0
-    text = (tmp_path / "plan.md").read_text()
-    assert "| 64 |" in text and "Modelled on slingshot" in text
-    assert all((tmp_path / f"plan_{name}.png").stat().st_size > 1000 for name in ("aries", "slingshot"))
+    text = (tmp_path / "pages" / "sphere.md").read_text()
+    assert (
+        "| 64 |" in text and "Modelled on slingshot" in text and f"`amrpic scaling {file} --set domain.cells=32" in text
+    )
+    for name in ("aries", "slingshot"):
+        assert (
+            f"](../plans/plan_{name}.png)" in text and (tmp_path / "plans" / f"plan_{name}.png").stat().st_size > 1000
+        )
+    found = re.findall(r"^\| (.+) \| (.+) \| (met|missed) \|$", text, re.MULTILINE)
+    assert [(what, met) for what, _, met in found] == [
+        ("worst rank, start included ≤ 2 GiB", "met"),
+        ("collectives per cycle ≤ 0", "missed"),
+        ("step ≥ 1% efficient at 64, from 4", "met"),
+        ("step ≤ 0.001 ms at 64", "missed"),
+    ]
+
+
+def test_targets_that_cannot_be_shown_are_refused(tmp_path):
+    file = tmp_path / "targets.toml"
+    file.write_text('machine = "elsewhere"')
+    with pytest.raises(InputError, match="targets are for machine elsewhere; add --machine elsewhere"):
+        list(Targets.read(file).beside([invented()], [machine()], 2, 1e9, 1.0))
+    file.write_text('machine = "aries"\nspeed = 3')
+    with pytest.raises(InputError, match=r"holds no targets .*speed.*; give machine, and some of .*cell_imbalance"):
+        Targets.read(file)
+    with pytest.raises(InputError, match="cannot be read"):
+        Targets.read(tmp_path / "none.toml")
+
+
+def test_all_neighbours_are_found():
+    mesh = planned_mesh(scene(), clouds_of(scene()))[0]
+    shared = distributed(mesh, 40)
+    found = neighbours_of_ranks(shared)
+    for level in range(mesh.levels):
+        boxes, owners = shared.boxes(level).astype(int), shared.owners(level)
+        near = (boxes[:, None, :3] <= boxes[:, 3:] + 8) & (boxes[:, :3] - 8 <= boxes[:, None, 3:])
+        pairs = {(owners[i], owners[j]) for i, j in np.argwhere(near.all(axis=2)) if owners[i] != owners[j]}
+        assert found[level].tolist() == np.bincount([i for i, _ in pairs], minlength=40).tolist()
+    assert found.sum() > 100
+
+
+def test_few_ranks_show_what_the_busiest_one_sends():
+    planner = Planner(scene())
+    few, all_ = planner.plan(40, looked_at=10), planner.plan(40, looked_at=40)
+    assert len(all_.looked_at) == 40
+    for call in ("cycle", "deposit", "gather"):
+        most = all_.most(call, "messages")
+        assert few.most(call, "messages") >= 0.9 * most
+        assert few.most(call, "messages") <= most <= max(few.most(call, "messages"), few.at_most(call))
+
+
+def test_a_random_walk_spreads_the_particles_of_a_plan():
+    walk = {"motion": {"kind": "random-walk", "amplitude": "3 mm"}}
+    made = Scene.from_dict({**SCENE, **walk})
+    cells = np.linspace(-0.02, 0.02, 201)
+    middle = (cells[1:] + cells[:-1]) / 2
+    for before, after in zip(clouds_of(made), clouds_of(made, steps=4), strict=True):
+        spread = []
+        for cloud in (before, after):
+            along = cloud.shares([cells] * 3).sum(axis=(1, 2))
+            mean = (along * middle).sum() / along.sum()
+            spread.append((along * (middle - mean) ** 2).sum() / along.sum())
+        assert spread[1] - spread[0] == pytest.approx(4 * 0.003**2 / 3, rel=0.1)
+    assert Planner(made).plan(1).moved > 0.5 > Planner(scene()).plan(1).moved > 0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -39,8 +39,14 @@ from .virtual_ranks import (
 
 SAMPLE = 10**5  # particles of a scene of which momenta are taken
 MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
-LOOKED_AT = 24  # ranks of which messages are counted
+LOOKED_AT = 24  # ranks of which all messages are counted
+SECONDS = 45.0  # of the processor, in which as many ranks as can be are gone through for cycles, and for open walls
+FEWEST = 32  # that are gone through anyway
 NODE = 36  # ranks of a node of which all are looked at
+
+
+Cycle = list[_native.LevelWork]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,7 @@ class Look:
     """What was counted of one rank."""
 
     sent: dict[str, Sent]  # by call
-    relaxed: dict[int, tuple[float, int]]  # cells and sweeps of a cycle, by level, those below the base negative
-    walls: Walls
+    cycle: Cycle
 
 
 @dataclass(frozen=True)
@@ -90,10 +95,9 @@ class Plan:
     ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
     nodes: list[range]  # ranks of these nodes
-    relaxed: (
-        float  # Σ_l max over these of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank
-    )
-    walls: list[Walls]  # of these
+    relaxed: float  # Σ_l max over ranks gone through of the cells relaxed in a cycle, as a part of those of the whole mesh on one
+    walls: list[Walls]  # of ranks that were gone through
+    gone_through: tuple[int, int]  # how many, for cycles and for open walls
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
     estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
@@ -160,6 +164,38 @@ def imbalance(cells: Array) -> float:
     return float(cells.max(axis=1).sum() / cells.mean(axis=1).sum())
 
 
+def in_time(ranks: Iterable[int], work: Callable[[int], T], seconds: float) -> dict[int, T]:
+    """Return what `work` gives of as many ranks as so many seconds of the processor allow, and of a few at least."""
+    out: dict[int, T] = {}
+    end = time.process_time() + seconds
+    for rank in map(int, ranks):
+        if len(out) >= FEWEST and time.process_time() > end:
+            break
+        out[rank] = work(rank)
+    return out
+
+
+def spread_out(ranks: int) -> Iterator[int]:
+    """Yield all ranks, so that those yielded at any time are spread evenly over all."""
+    bits = max(ranks - 1, 0).bit_length()
+    reversed_ = (int(f"{number:0{bits}b}"[::-1], 2) if bits else 0 for number in range(1 << bits))
+    return (rank for rank in reversed_ if rank < ranks)
+
+
+def _busy_in_cycles(cycles: Mapping[int, Cycle], ranks: int) -> list[Array]:
+    """Return the messages and the bytes of a cycle, (ranks,) each; 0 for those that were not gone through."""
+    return [
+        _values_of(ranks, {rank: sum(getattr(of, what) for of in work) for rank, work in cycles.items()})
+        for what in ("messages", "bytes")
+    ]
+
+
+def _values_of(ranks: int, values: Mapping[int, float]) -> Array:
+    out = np.zeros(ranks)
+    out[list(values)] = list(values.values())
+    return out
+
+
 def has_open_walls(mesh: Hierarchy) -> bool:
     return any("open" in faces for faces in mesh.domain.boundary)
 
@@ -202,14 +238,26 @@ class Planner:
         held = served(self._on(mesh), mesh, scene.particles.interface == "matched")
         neighbours = neighbours_of_ranks(mesh)
         met = neighbours.sum(axis=0)
-        chosen = chosen_ranks(np.vstack([met, neighbours, cells, held.particles, held.exchange.messages]), looked_at)
-        other, walls_at = moved_on(closed), self._walls(mesh)
+        self._say(f"{ranks} ranks: cycles")
+        cycles = in_time(np.argsort(-met, kind="stable"), lambda rank: cycle_work(scene, closed.seen_by(rank)), SECONDS)
+        self._say(f"{ranks} ranks: open walls")
+        walls_at = self._walls(mesh)
+        walls = in_time(spread_out(ranks), walls_at, SECONDS)
+        busy = [
+            *_busy_in_cycles(cycles, ranks),
+            _values_of(ranks, {rank: of.traffic.messages for rank, of in walls.items()}),
+        ]
+        chosen = chosen_ranks(
+            np.vstack([*busy, met, neighbours, cells, held.particles, held.exchange.messages]), looked_at
+        )
+        other = moved_on(closed)
         looks: dict[int, Look] = {}
 
         def look(rank: int) -> Look:
             if rank not in looks:
                 self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
-                looks[rank] = self._look(closed.seen_by(rank), held, other.seen_by(rank), walls_at(rank))
+                walls[rank] = walls[rank] if rank in walls else walls_at(rank)
+                looks[rank] = self._look(closed.seen_by(rank), held, other.seen_by(rank), walls[rank])
             return looks[rank]
 
         nodes = []
@@ -219,6 +267,7 @@ class Planner:
             nodes.append(range(first, min(first + NODE, ranks)))
         for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
             look(rank)
+        cycles |= {rank: one.cycle for rank, one in looks.items()}
         counted, found = list(looks), list(looks.values())
         return Plan(
             ranks,
@@ -234,8 +283,9 @@ class Planner:
             counted,
             [one.sent for one in found],
             nodes or [range(ranks)],
-            self._relaxed([one.relaxed for one in found]),
-            [one.walls for one in found],
+            self._relaxed(list(cycles.values())),
+            list(walls.values()),
+            (len(cycles), len(walls)),
             self._without(mesh, held),
             held.exchange,
             int(scene.solver.tolerance == "discretization"),
@@ -257,15 +307,17 @@ class Planner:
         sent["deposit"] += held.exchange.deposit(rank)
         sent["gather"] += held.exchange.gather(rank)
         sent["open walls"] = Sent(walls.traffic)
-        return Look(sent, {level.level: (level.relaxed, level.sweeps) for level in cycle_work(self.scene, mesh)}, walls)
+        return Look(sent, cycle_work(self.scene, mesh))
 
-    def _relaxed(self, of_ranks: Sequence[Mapping[int, tuple[float, int]]]) -> float:
+    def _relaxed(self, of_ranks: Sequence[Cycle]) -> float:
         """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""
         cells = dict(enumerate(self.mesh.cells(level) for level in range(self.mesh.levels)))
         cells |= {-number: n for number, n in enumerate(cells_below(self.scene), start=1)}
-        visits = {level: sweeps for of in of_ranks for level, (_, sweeps) in of.items()}
-        most = sum(max(of[level][0] for of in of_ranks if level in of) for level in visits)
-        return most / sum(cells[level] * sweeps for level, sweeps in visits.items())
+        visits = {of.level: of.sweeps for work in of_ranks for of in work}
+        most: dict[int, float] = {}
+        for of in itertools.chain.from_iterable(of_ranks):
+            most[of.level] = max(most.get(of.level, 0.0), of.relaxed)
+        return sum(most.values()) / sum(cells[level] * sweeps for level, sweeps in visits.items())
 
     # ---- open walls ----
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Rows = list[list[str]]
-BOUNDED = "cycle", "deposit", "gather"  # calls whose messages go to ranks that own cells nearby
+BOUNDED = "deposit", "gather"  # calls whose messages go to ranks that own cells nearby
 
 
 def write_plans(
@@ -133,19 +133,16 @@ def _span(values: Sequence[float]) -> str:
 
 def _looked_at(plans: Sequence[Plan]) -> str:
     """Return which ranks' messages are counted, and how many others may send."""
-    rows: Rows = [["ranks", "looked at", *(f"{call}: most seen" + " / of others" for call in BOUNDED)]]
-    rows += [
-        [
-            f"{plan.ranks:,}",
-            f"{len(plan.looked_at)}",
-            *(f"{plan.most(call, 'messages'):.0f} / {plan.at_most(call):.0f}" for call in BOUNDED),
-        ]
-        for plan in plans
-    ]
+    rows: Rows = [["ranks", "cycles", "open walls", "all calls", *(f"{call}: most / of others" for call in BOUNDED)]]
+    for plan in plans:
+        bounds = [f"{plan.most(call, 'messages'):.0f} / {plan.at_most(call):.0f}" for call in BOUNDED]
+        numbers = (plan.ranks, *plan.gone_through, len(plan.looked_at))
+        rows.append([*(f"{number:,}" for number in numbers), *bounds])
     return (
-        "Cells, particles, memory and the ranks that each one meets are those of all ranks. Messages are counted of those with "
-        "the most of these, of some at even distances, and of two busy nodes. What others send at most, if none sends more for "
-        "each rank that it meets than the worst of those:\n\n" + _table(rows)
+        "Cells, particles and memory are those of all ranks. Cycles, the ranks that meet most others first, and open walls are "
+        "gone through for as many ranks as a time allows; all calls for the busiest of them, for those with most of what they "
+        "hold, for some at even distances and for two busy nodes. How many that is, and what other ranks send at most if none "
+        "sends more for each rank that it meets than the worst of those:\n\n" + _table(rows)
     )
 
 

@@ -24,7 +24,7 @@ from amrpic.scaling.densities import clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work
 from amrpic.scaling.model import fitted, step_time, total
 from amrpic.scaling.neighbours import neighbours_of_ranks
-from amrpic.scaling.plan import Choices, Plan, Planner, Walls
+from amrpic.scaling.plan import Choices, Plan, Planner, Walls, in_time, spread_out
 from amrpic.scaling.sent import Sent
 from amrpic.scaling.targets import Targets
 from amrpic.scaling.virtual_ranks import chosen_ranks, counts, distributed, moved_on, without_open_walls
@@ -155,6 +155,7 @@ def invented() -> Plan:
         [range(1)],
         0.2,
         walls,
+        (1, 1),
         without,
         between,
         0,
@@ -214,6 +215,16 @@ def test_heavy_ranks_are_looked_at():
     chosen = chosen_ranks(loads, 10)
     assert {17, 801} <= set(chosen) and len(chosen) == 10 == len(set(chosen))
     assert chosen_ranks(loads, 1000) == list(range(1000))
+
+
+def test_ranks_are_gone_through_as_far_as_time_allows():
+    assert (
+        sorted(spread_out(11)) == list(range(11))
+        and list(spread_out(8))[:4] == [0, 4, 2, 6]
+        and list(spread_out(1)) == [0]
+    )
+    assert in_time(range(10**6), str, 0.0).keys() == set(range(32))
+    assert in_time(range(5), str, 0.0) == {rank: f"{rank}" for rank in range(5)}
 
 
 def test_plans_of_all_ranks_hold_all_cells_and_particles():
@@ -284,8 +295,10 @@ def test_all_neighbours_are_found():
 def test_few_ranks_show_what_the_busiest_one_sends():
     planner = Planner(scene())
     few, all_ = planner.plan(40, looked_at=10), planner.plan(40, looked_at=40)
-    assert len(all_.looked_at) == 40
-    for call in ("cycle", "deposit", "gather"):
+    assert len(all_.looked_at) == 40 and few.gone_through == (40, 40)
+    assert few.most("cycle", "messages") == all_.most("cycle", "messages")
+    assert few.most("open walls", "messages") == all_.most("open walls", "messages")
+    for call in ("deposit", "gather"):
         most = all_.most(call, "messages")
         assert few.most(call, "messages") >= 0.9 * most
         assert few.most(call, "messages") <= most <= max(few.most(call, "messages"), few.at_most(call))

@@ -40,7 +40,7 @@ from .virtual_ranks import (
 SAMPLE = 10**5  # particles of a scene of which momenta are taken
 MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
 LOOKED_AT = 24  # ranks of which all messages are counted
-SECONDS = 45.0  # of the processor, in which as many ranks as can be are gone through for cycles, and for open walls
+SECONDS = 30.0  # of the processor, in which as many ranks as can be are gone through for cycles, and for open walls
 FEWEST = 32  # that are gone through anyway
 NODE = 36  # ranks of a node of which all are looked at
 
@@ -57,14 +57,6 @@ class Walls:
     interactions: int  # of these with nodes
     near: int  # of these with leaves
     traffic: Traffic
-
-
-@dataclass(frozen=True)
-class Look:
-    """What was counted of one rank."""
-
-    sent: dict[str, Sent]  # by call
-    cycle: Cycle
 
 
 @dataclass(frozen=True)
@@ -251,24 +243,24 @@ class Planner:
             np.vstack([*busy, met, neighbours, cells, held.particles, held.exchange.messages]), looked_at
         )
         other = moved_on(closed)
-        looks: dict[int, Look] = {}
+        looks: dict[int, dict[str, Sent]] = {}
 
-        def look(rank: int) -> Look:
+        def look(rank: int) -> dict[str, Sent]:
             if rank not in looks:
                 self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
                 walls[rank] = walls[rank] if rank in walls else walls_at(rank)
-                looks[rank] = self._look(closed.seen_by(rank), held, other.seen_by(rank), walls[rank])
+                mesh_there = closed.seen_by(rank)
+                cycles[rank] = cycles[rank] if rank in cycles else cycle_work(scene, mesh_there)
+                looks[rank] = self._look(mesh_there, held, other.seen_by(rank), walls[rank], cycles[rank])
             return looks[rank]
 
         nodes = []
         for call in ("cycle", "migrate") if ranks > NODE else ():
-            busiest = max(chosen, key=lambda rank: look(rank).sent[call].leaving(rank, NODE))
+            busiest = max(chosen, key=lambda rank: look(rank)[call].leaving(rank, NODE))
             first = busiest // NODE * NODE
             nodes.append(range(first, min(first + NODE, ranks)))
         for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
             look(rank)
-        cycles |= {rank: one.cycle for rank, one in looks.items()}
-        counted, found = list(looks), list(looks.values())
         return Plan(
             ranks,
             cells,
@@ -280,8 +272,8 @@ class Planner:
             isinstance(scene.motion, RandomWalk),
             *self._memory(mesh, cells, held),
             self._checkpoint(cells, held),
-            counted,
-            [one.sent for one in found],
+            list(looks),
+            list(looks.values()),
             nodes or [range(ranks)],
             self._relaxed(list(cycles.values())),
             list(walls.values()),
@@ -298,16 +290,16 @@ class Planner:
         same = all(np.array_equal(mesh.boxes(level), self.mesh.boxes(level)) for level in range(mesh.levels))
         return self._bricks if same else bricks_of(self._clouds, mesh)
 
-    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls) -> Look:
+    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls, cycle: Cycle) -> dict[str, Sent]:
         """Return what a virtual rank, that of the mesh, sends and relaxes."""
         rank = mesh.comm.rank
         mine, each = particles_of(rank, held, mesh, self._sample, MOVED)
-        sent = counts(self.scene, mesh, mine, held.servers, other)
+        sent = counts(self.scene, mesh, mine, held.servers, other, cycle)
         sent["migrate"] = sent["migrate"].times(each)
         sent["deposit"] += held.exchange.deposit(rank)
         sent["gather"] += held.exchange.gather(rank)
         sent["open walls"] = Sent(walls.traffic)
-        return Look(sent, cycle_work(self.scene, mesh))
+        return sent
 
     def _relaxed(self, of_ranks: Sequence[Cycle]) -> float:
         """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""

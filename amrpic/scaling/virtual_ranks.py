@@ -6,7 +6,7 @@ So counts come from the plans that a run uses; there is no second copy of them h
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -126,13 +126,19 @@ def particles_of(rank: int, held: Served, mesh: Hierarchy, like: Particles, most
 
 
 def counts(
-    scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndarray, other: Hierarchy
+    scene: Scene,
+    mesh: Hierarchy,
+    particles: Particles,
+    servers: np.ndarray,
+    other: Hierarchy,
+    work: Sequence[_native.LevelWork],
 ) -> dict[str, Sent]:
     """Return what a virtual rank, that of the mesh, sends by each of CALLS.
 
     "cycle" is one cycle of the solver with the residual after it, "solve" all else that a solve sends, without what finds the
     potential at open walls; "regrid" carries the potential over to the `other` mesh; "migrate" what follows a step without
     forces, of `particles` of this rank. In "deposit" and "gather" is not what passes because of others' bricks: see `bricks`.
+    `work` is that of a cycle of this rank.
     """
     count, clouds = Counter(), Clouds(scene.particles.shape, matched=scene.particles.interface == "matched")
     none = particles.select(slice(0))
@@ -162,7 +168,6 @@ def counts(
         carry_over(phi, other)
     count.sent["cycle"] = count.sent["cycle"] - count.sent["solve"]
     count.sent["solve"] = count.sent["solve"] - count.sent["cycle"]
-    work = cycle_work(scene, mesh)
     # Whether a solve looks at the rounding floor besides depends on its numbers, which are wrong here.
     collectives = sum(level.collectives for level in work) + (OF_NORM if mesh.comm.size > 1 else 0)
     cycle = count.sent["cycle"]

@@ -27,7 +27,7 @@ from amrpic.scaling.neighbours import neighbours_of_ranks
 from amrpic.scaling.plan import Choices, Plan, Planner, Walls, in_time, spread_out
 from amrpic.scaling.sent import Sent
 from amrpic.scaling.targets import Targets
-from amrpic.scaling.virtual_ranks import chosen_ranks, counts, distributed, moved_on, without_open_walls
+from amrpic.scaling.virtual_ranks import chosen_ranks, counts, cycle_work, distributed, moved_on, without_open_walls
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
@@ -60,10 +60,11 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
     real = Hierarchy(comm, mesh.domain, boxes, 16, 8)
     mine, _ = migrate(make_particles(real.comm, made), real)
     servers = mine.sorted_on(real).servers
-    sent = counts(made, real, mine, servers, moved_on(real))
+    sent = counts(made, real, mine, servers, moved_on(real), cycle_work(made, real))
     virtual = Hierarchy(VirtualRank(0, comm.size), mesh.domain, boxes, 16, 8).seen_by(comm.rank)
     everyone = make_particles(MPI.COMM_SELF, made)
-    planned = counts(made, virtual, migrate(everyone, virtual, servers)[0], servers, moved_on(virtual))
+    there = migrate(everyone, virtual, servers)[0]
+    planned = counts(made, virtual, there, servers, moved_on(virtual), cycle_work(made, virtual))
     for call in sent:
         if call != "set-up":  # Trilinos and the first use of a communicator
             # A solve may look at the rounding floor or not, as numbers go, which are wrong on virtual ranks.

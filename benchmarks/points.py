@@ -1,7 +1,8 @@
 """Time operators at points and at Gauss's points: the bakeoff problems BP1 to BP4. A worker of bench.py.
 
 Each product with an operator beside the machine's peak of fused products and sums, measured in turns with it, and beside
-libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and back alone.
+libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and
+back alone.
 Thread time on one rank; on two ranks wall time of the slower one.
 """
 

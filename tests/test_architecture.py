@@ -24,6 +24,7 @@ NATIVE = {
     "operators": {"mesh", "stencil", "base"},
     "freespace": {"mesh", "stencil", "base"},
     "fem": {"mesh", "base"},
+    "material": {"base"},
     "matrixfree": {"operators", "stencil", "mesh", "base"},
     "solver": {"matrixfree", "operators", "freespace", "fem", "stencil", "mesh", "base"},
     "external": {"base"},
@@ -40,6 +41,7 @@ NATIVE = {
         "mesh",
         "gmls",
         "fem",
+        "material",
         "base",
     },
 }

@@ -22,10 +22,11 @@ class Points:
     """This rank's integration points: those of its elements, sorted by element. Made by `fem.jittered` and the like.
 
     Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `reference` (n, 3) where it lies in that,
-    from -1 to 1, `volume` and `weight` (n,) in m³, `number` (n,) that of the point among those of all ranks. `exact_to`
-    (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m, exactly; -1 where
-    it has no points or is not full, so that its weights are the volumes; None for weights "volume". `gauss`: they are so many
-    of Gauss's points along each axis of all elements, x fastest, and have his weights.
+    from -1 to 1, `volume` and `weight` (n,) in m³, `number` (n,) that of the point among those of all ranks.
+
+    `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
+    exactly; -1 where it has no points or is not full, so that its weights are the volumes; None for weights "volume". `gauss`:
+    they are so many of Gauss's points along each axis of all elements, x fastest, and have his weights.
     """
 
     def __init__(

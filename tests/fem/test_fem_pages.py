@@ -75,5 +75,7 @@ def test_orders_are_those_of_their_elements_and_volumes_lose_them(comm):
 def test_a_wrong_operator_is_found(monkeypatch):
     row = operators._beside_dense(MPI.COMM_SELF, 2, fem.Poisson)
     assert all(cell.met for cell in row[2:])
-    monkeypatch.setattr(operators, "matrix", lambda points, kind: 1.0001 * np.eye(operators.rows_at(points)[0].shape[1]))
+    monkeypatch.setattr(
+        operators, "matrix", lambda points, kind: 1.0001 * np.eye(operators.rows_at(points)[0].shape[1])
+    )
     assert not all(cell.met for cell in operators._beside_dense(MPI.COMM_SELF, 2, fem.Poisson)[2:])

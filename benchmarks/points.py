@@ -126,7 +126,7 @@ def large(runs: int, small: bool) -> list[Record]:
     """Return the record of BP3 at points, few that stay in the cache or millions that do not, on all ranks. Collective."""
     comm, shape = MPI.COMM_WORLD, BEYOND_CACHE
     cells = (8, 8, 8) if small else shape["cells"]
-    mesh = fem.Mesh(comm, 0, 1, cells, degree=int(shape["degree"]))  # type: ignore[arg-type, call-overload]
+    mesh = fem.Mesh(comm, 0, 1, cells, degree=int(shape["degree"]))  # type: ignore[call-overload]
     points = fem.jittered(mesh, int(shape["per_axis"]), weights="volume")  # type: ignore[call-overload]
     operator, u = fem.Poisson(points), vector(mesh, 1)
     repeats = 40 if small else 1
@@ -162,7 +162,8 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="BP3 alone")
     parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
     given = parser.parse_args()
-    comm, records, core = MPI.COMM_WORLD, [], {}
+    comm, records = MPI.COMM_WORLD, []
+    core: dict[str, Any] = {}
     if comm.size == 1:
         peer = ceed_peer.library() is not None
         if not peer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -15,14 +16,25 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import own, together, world_by_default
 
 DEGREES = (1, 2, 3, 4)
+BLOCK = 2  # elements that boxes are made of along each axis
+LARGEST_BOX = 8  # elements along each axis: what a kernel touches of their nodes stays in a second-level cache
+BOXES_PER_RANK = 4  # that equal shares need
+
+
+def _box_size(cells: Sequence[int], ranks: int) -> int:
+    size = LARGEST_BOX
+    while size > BLOCK and ranks > 1 and math.prod(-(-n // size) for n in cells) < BOXES_PER_RANK * ranks:
+        size //= 2
+    return size
 
 
 class Mesh:
     """A cuboid cut into equal hexahedra with Lagrange's polynomials on Gauss-Lobatto nodes. Collective to make.
 
     `lower` and `upper` are corners in m, `cells` the numbers of elements along the axes, at least 2 each; three values, or one
-    for all axes. Elements are dealt to ranks by boxes of at most `max_grid_size` along each axis. A vector on the mesh is this
-    rank's part alone, (own nodes,) or (own nodes, components), in the order of `nodes`.
+    for all axes. Elements are dealt to ranks by boxes of at most `max_grid_size` along each axis, 8 unless that leaves a rank
+    less than four boxes. A vector on the mesh is this rank's part alone, (own nodes,) or (own nodes, components), in the order
+    of `nodes`.
 
     `comm` may be left out: all ranks. Raises InputError for a degree outside 1 to 4, and HierarchyError for a domain or boxes
     that cannot be; on all ranks.
@@ -36,7 +48,7 @@ class Mesh:
         upper: Sequence[float] | float,
         cells: Sequence[int] | int,
         degree: int = 1,
-        max_grid_size: int = 8,
+        max_grid_size: int | None = None,
     ) -> None:
         self.comm = own(comm)
         with together(self.comm, InputError):
@@ -44,7 +56,8 @@ class Mesh:
                 raise InputError(f"degree is {degree!r}; elements have degree 1, 2, 3 or 4")
             self.domain = Domain(lower, upper, cells, "dirichlet")
         self.degree = int(degree)
-        self.hierarchy = Hierarchy(self.comm, self.domain, (), max_grid_size, blocking_factor=2)
+        size = _box_size(self.domain.cells, self.comm.size) if max_grid_size is None else max_grid_size
+        self.hierarchy = Hierarchy(self.comm, self.domain, (), size, BLOCK)
         self.native = _native.FemLattice(self.hierarchy.native, self.degree)
 
     @property

@@ -25,7 +25,7 @@ class Points:
     from -1 to 1, `volume` and `weight` (n,) in m³, `number` (n,) that of the point among those of all ranks.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
-    exactly; -1 where it has no points or is not full, so that its weights are the volumes; None for weights "volume". `gauss`:
+    exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `gauss`:
     they are so many of Gauss's points along each axis of all elements, x fastest, and have his weights.
     """
 
@@ -44,7 +44,7 @@ class Points:
         self.reference = np.ascontiguousarray(reference, dtype=np.float64)
         self.volume = np.ascontiguousarray(volume, dtype=np.float64)
         self.number = number
-        self.weight, self.exact_to = self.volume, None
+        self.weight, self.exact_to = self.volume, np.full(len(mesh.elements), -1, dtype=np.int32)
         if gauss:
             self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1, dtype=np.int32)
         elif weights == "moments":
@@ -66,9 +66,8 @@ class Points:
         return lower + (at + (self.reference + 1) / 2) * self.mesh.spacing
 
     def exactness(self) -> dict[int, int]:
-        """Return for each degree that weights reached the number of elements of all ranks, the lowest first. Collective."""
-        reached = np.zeros(0, dtype=np.int64) if self.exact_to is None else self.exact_to
-        counts = self.mesh.comm.allreduce(np.bincount(reached + 1, minlength=HIGHEST_DEGREE + 2))
+        """Return how many elements of all ranks have each value of `exact_to`, the lowest first. Collective."""
+        counts = self.mesh.comm.allreduce(np.bincount(self.exact_to + 1, minlength=HIGHEST_DEGREE + 2))
         return {int(degree) - 1: int(counts[degree]) for degree in np.flatnonzero(counts)}
 
     def values(self, u: ArrayLike) -> np.ndarray:

@@ -16,6 +16,7 @@ from mpi4py import MPI
 from amrpic import fem
 from amrpic.verify import operators
 from amrpic.verify.operators import SOLUTIONS, difference, error, exact, order, source
+from amrpic.verify.table import Goal
 
 ROOT = Path(__file__).parents[2]
 
@@ -74,8 +75,9 @@ def test_orders_are_those_of_their_elements_and_volumes_lose_them(comm):
 
 def test_a_wrong_operator_is_found(monkeypatch):
     row = operators._beside_dense(MPI.COMM_SELF, 2, fem.Poisson)
-    assert all(cell.met for cell in row[2:])
+    assert all(cell.met for cell in row[2:] if isinstance(cell, Goal))
     monkeypatch.setattr(
         operators, "matrix", lambda points, kind: 1.0001 * np.eye(operators.rows_at(points)[0].shape[1])
     )
-    assert not all(cell.met for cell in operators._beside_dense(MPI.COMM_SELF, 2, fem.Poisson)[2:])
+    again = operators._beside_dense(MPI.COMM_SELF, 2, fem.Poisson)
+    assert not all(cell.met for cell in again[2:] if isinstance(cell, Goal))

@@ -98,27 +98,33 @@ def _minus_laplacian(factors: Sequence[Factor], x: np.ndarray) -> np.ndarray:
 # ---- errors and orders ----
 
 
-def error(comm: MPI.Comm, problem: str, solution: str, degree: int, cells: int, make: Make) -> float:
-    """The L2 error of a problem, by Gauss's degree + 3 points along each axis of the mesh's elements. Collective."""
-    kind, components = PROBLEMS[problem]
+def errors(
+    comm: MPI.Comm, solution: str, degree: int, cells: int, make: Make, problems: Sequence[str] = tuple(PROBLEMS)
+) -> dict[str, float]:
+    """The L2 error of each problem, by Gauss's degree + 3 points along each axis of the mesh's elements. Collective."""
     mesh = fem.Mesh(comm, 0, 1, cells, degree=degree)
-    points = make(mesh)
-    right = (exact if kind is fem.Mass else source)(solution, points.position, components)
-    operator, load = kind(points, components=components), points.integrate(right)
-    if kind is fem.Mass:
-        u, report = fem.solve(operator, load, preconditioner="jacobi", tolerance=1e-11)
-    else:
-        u, report = fem.solve(operator, load, fixed=mesh.boundary, tolerance=1e-11)
-    assert report.converged, report.reason
-    at = fem.gauss(mesh, degree + 3)
-    wrong = (at.values(u) - exact(solution, at.position, components)).reshape(len(at), components)
-    return float(np.sqrt(mesh.comm.allreduce((at.weight * (wrong**2).sum(axis=1)).sum())))
+    points, at = make(mesh), fem.gauss(mesh, degree + 3)
+    out = {}
+    for name in problems:
+        kind, components = PROBLEMS[name]
+        right = (exact if kind is fem.Mass else source)(solution, points.position, components)
+        operator, load = kind(points, components=components), points.integrate(right)
+        if kind is fem.Mass:
+            u, report = fem.solve(operator, load, preconditioner="jacobi", tolerance=1e-11)
+        else:
+            u, report = fem.solve(operator, load, fixed=mesh.boundary, tolerance=1e-11)
+        assert report.converged, report.reason
+        wrong = (at.values(u) - exact(solution, at.position, components)).reshape(len(at), components)
+        out[name] = float(np.sqrt(mesh.comm.allreduce((at.weight * (wrong**2).sum(axis=1)).sum())))
+    return out
 
 
-def order(comm: MPI.Comm, problem: str, solution: str, degree: int, make: Make) -> tuple[float, float]:
-    """The order of the error between two meshes, and the error on the finer one. Collective."""
-    coarse, fine = (error(comm, problem, solution, degree, n * COARSE[degree], make) for n in (1, 2))
-    return float(np.log2(coarse / fine)), fine
+def orders(
+    comm: MPI.Comm, solution: str, degree: int, make: Make, problems: Sequence[str] = tuple(PROBLEMS)
+) -> dict[str, tuple[float, float]]:
+    """For each problem the order of the error between two meshes, and the error on the finer one. Collective."""
+    coarse, fine = (errors(comm, solution, degree, n * COARSE[degree], make, problems) for n in (1, 2))
+    return {name: (float(np.log2(coarse[name] / fine[name])), fine[name]) for name in problems}
 
 
 # ---- layouts ----
@@ -186,28 +192,27 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
 
 
 def _at_gauss(comm: MPI.Comm, solution: str, degree: int) -> list[str | float | Goal]:
-    found = {name: order(comm, name, solution, degree, fem.gauss) for name in PROBLEMS}
-    orders: list[float | Goal] = [
+    found = orders(comm, solution, degree, fem.gauss)
+    shown: list[float | Goal] = [
         Goal(o, degree + 0.8, least=True) if solution == "smooth" else o for o, _ in found.values()
     ]
-    return [solution, degree, *orders, found["BP3"][1]]
+    return [solution, degree, *shown, found["BP3"][1]]
 
 
 def _at_points(comm: MPI.Comm, layout: Layout) -> list[str | float | Goal]:
-    cells: list[str | float | Goal] = [layout.degree, f"{layout.kind} {layout.per_axis}³", layout.weights]
-    cells.append(_reached(comm, layout))
-    over_gauss: list[float | Goal] = []
-    for problem, (kind, _) in PROBLEMS.items():
-        seeds = SEEDS if layout.kind != "uniform" and problem == "BP3" else SEEDS[:1]
-        found = [order(comm, problem, "smooth", layout.degree, layout.make(seed)) for seed in seeds]
-        median = float(np.median([o for o, _ in found]))
-        least = layout.degree + 0.8 if kind is fem.Mass else layout.least
-        cells.append(median if least is None else Goal(median, least, least=True))
-        if kind is fem.Poisson:
-            fine = error(comm, problem, "smooth", layout.degree, 2 * COARSE[layout.degree], fem.gauss)
-            ratio = float(np.median([e for _, e in found])) / fine
-            over_gauss.append(Goal(ratio, MOST_OF_GAUSS) if layout.as_gauss else ratio)
-    return [*cells, *over_gauss]
+    found = {name: [values] for name, values in orders(comm, "smooth", layout.degree, layout.make(SEEDS[0])).items()}
+    for seed in SEEDS[1:] if layout.kind != "uniform" else ():
+        found["BP3"].append(orders(comm, "smooth", layout.degree, layout.make(seed), ["BP3"])["BP3"])
+    at_gauss = errors(comm, "smooth", layout.degree, 2 * COARSE[layout.degree], fem.gauss, ["BP3", "BP4"])
+    shown: list[float | Goal] = []
+    for name, values in found.items():
+        least = layout.degree + 0.8 if PROBLEMS[name][0] is fem.Mass else layout.least
+        median = float(np.median([o for o, _ in values]))
+        shown.append(median if least is None else Goal(median, least, least=True))
+    for name, of_gauss in at_gauss.items():
+        ratio = float(np.median([e for _, e in found[name]])) / of_gauss
+        shown.append(Goal(ratio, MOST_OF_GAUSS) if layout.as_gauss else ratio)
+    return [layout.degree, f"{layout.kind} {layout.per_axis}³", layout.weights, _reached(comm, layout), *shown]
 
 
 def _reached(comm: MPI.Comm, layout: Layout) -> str:

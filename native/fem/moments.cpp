@@ -5,6 +5,7 @@
 #include "fem/moments.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 
@@ -28,6 +29,24 @@ Real dot(Real const* a, Real const* b, std::size_t count) {
   Real out = 0;
   for (int l = 0; l < native_lane_count; ++l) out += sums[l];
   for (; n < count; ++n) out += a[n] * b[n];
+  return out;
+}
+
+constexpr std::size_t tile = 4;
+
+/// Products of so many rows with another one, which is read once for all.
+std::array<Real, tile> dots(Real const* rows, Real const* b, std::size_t count) {
+  NativeLanes sums[tile] = {};
+  std::size_t n = 0;
+  for (; n + native_lane_count <= count; n += native_lane_count) {
+    auto const other = load<NativeLanes>(b + n);
+    for (std::size_t r = 0; r < tile; ++r) sums[r] += load<NativeLanes>(rows + r * count + n) * other;
+  }
+  std::array<Real, tile> out{};
+  for (std::size_t r = 0; r < tile; ++r) {
+    for (int l = 0; l < native_lane_count; ++l) out[r] += sums[r][l];
+    for (std::size_t rest = n; rest < count; ++rest) out[r] += rows[r * count + rest] * b[rest];
+  }
   return out;
 }
 
@@ -132,11 +151,16 @@ class Fit {
   bool newton(std::vector<Real>& residual) {
     constexpr Real shift = 1e-12, independent = 1e-9;
     h_.resize(moments_ * moments_);
-    Array scaled(points_);
-    for (std::size_t i = 0; i < moments_; ++i) {
-      for (std::size_t p = 0; p < points_; ++p)
-        scaled[p] = 1 + slope_[p] > least_weight ? volume_[p] * row(i)[p] : Real(0);
-      for (std::size_t j = 0; j <= i; ++j) h_[i * moments_ + j] = dot(scaled.data(), row(j), points_);
+    std::vector<Real> scaled(tile * points_);
+    for (std::size_t i = 0; i < moments_; i += tile) {
+      std::size_t const rows = std::min(tile, moments_ - i);
+      for (std::size_t r = 0; r < rows; ++r)
+        for (std::size_t p = 0; p < points_; ++p)
+          scaled[r * points_ + p] = 1 + slope_[p] > least_weight ? volume_[p] * row(i + r)[p] : Real(0);
+      for (std::size_t j = 0; j < i + rows; ++j) {  // the lower triangle, and a little more
+        auto const products = dots(scaled.data(), row(j), points_);
+        for (std::size_t r = 0; r < rows; ++r) h_[(i + r) * moments_ + j] = products[r];
+      }
     }
     Cholesky const root(h_, moments_, shift);
     root.solve(residual);

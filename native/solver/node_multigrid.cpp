@@ -31,7 +31,7 @@ Teuchos::ParameterList aggregation(int components) {
   list.set("verbosity", "none");
   list.set("number of equations", components);
   list.set("smoother: type", "CHEBYSHEV");
-  sweeps.set("chebyshev: degree", 2);
+  sweeps.set("chebyshev: degree", 3);
   list.set("smoother: params", sweeps);
   list.set("coarse: max size", 200);
   list.set("coarse: type", "RELAXATION");  // KLU2 gives wrong answers on several ranks

@@ -27,7 +27,7 @@ from ..scene.solver_options import SolverOptions
 from ..stages.deposit import deposit
 from ..stages.diagnostics import measure, moments
 from ..stages.gather import gather
-from ..stages.migrate import NONE, is_uneven, migrate, migrate_without
+from ..stages.migrate import NONE, migrate, migrate_without
 from ..stages.poisson import PoissonSolver
 from ..stages.push import push, random_walk
 from ..stages.regrid import carry_over
@@ -161,7 +161,6 @@ def counts(
     moved = _moved(scene, particles, efield, clouds)
     with count("migrate"):
         migrate_without(moved, mesh, NONE, servers)
-        is_uneven(mesh.comm, 0)
     with count("output"):
         measure(here, moments(mesh.comm, here), none, rho, phi, efield, {})
     with count("regrid"):

@@ -591,6 +591,8 @@ END_OF_CURVE: int = 9223372036854775807
 
 PLACES_PER_BRICK: int = 2097152
 
+MOST_PARTICLES: int = 2147483583
+
 class Migration:
     def __init__(
         self,

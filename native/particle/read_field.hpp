@@ -3,12 +3,14 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <type_traits>
 #include <vector>
 
 #include "base/fetch.hpp"
 #include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
+#include "particle/compensator.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
@@ -380,6 +382,8 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
 
   RemotePlan const& plan = remote.plan(clouds.matched);
   RemoteField const remote_field(field, plan);
+  std::optional<Compensator> compensator;
+  if (field.compensation().density) compensator.emplace(field.compensation(), mesh, remote, clouds.matched);
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   auto const read_tile = [&](int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
@@ -396,13 +400,16 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
       CoarseCells const& c = buffer->coarse[r - 1];
       tiles[r].reset(c.box);
       fill_coarse(places.ghosts(slot).matched[r - 1], coarse[c.level], tiles[r]);
+      if (compensator) compensator->add_to_coarse(slot, r, c, tiles[r]);
     }
+    if (compensator) compensator->begin(slot);
     Filler const filler(field, at, places.ghosts(slot), own);
     Box const& box = hierarchy.level(at.level).box(at.box);
     bool precedes = false;  // whether tiles[0] is that of the slab before
     for_each_slab(mesh, at.level, box, planes_per_slab(box, lanes), particles, first, last,
                   [&](Box const& slab, auto from, auto to) {
                     if (from < to) filler.fill(slab, precedes, tiles[0]);
+                    if (from < to && compensator) compensator->add_to_slab(slab, precedes, tiles[0]);
                     precedes = from < to;
                     read_tile(at.level, slab, buffer, from, to);
                   });
@@ -411,9 +418,11 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
     BrickWindows const& brick = plan.bricks()[n];
     tiles[0].reset(brick.cells);
     remote_field.fill(n, 0, tiles[0]);
+    if (compensator) compensator->add_to_remote(n, 0, tiles[0]);
     for (std::size_t r = 1; r <= brick.buffer.coarse.size(); ++r) {
       tiles[r].reset(brick.buffer.coarse[r - 1].box);
       remote_field.fill(n, r, tiles[r]);
+      if (compensator) compensator->add_to_remote(n, r, tiles[r]);
     }
     read_tile(brick.home.level, brick.cells, brick.buffer.coarse.empty() ? nullptr : &brick.buffer, first, last);
   };

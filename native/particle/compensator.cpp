@@ -34,35 +34,29 @@ Real interpolated(Index3 const& cell, Level const& coarser, At const& at) {
   return out;
 }
 
-/// Write the differences of a density across cells of a row, component by component.
-void write_differences(Real const* density, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count,
-                       Real* out) {
+/// Add the differences of a density across the cells of a row to the tile's cells.
+void add_differences(Real const* density, std::ptrdiff_t y, std::ptrdiff_t z, Real3 const& factor, int count,
+                     Real* to) {
   std::ptrdiff_t const step[3] = {1, y, z};
-  for (int d = 0; d < 3; ++d) {
-    Real const *const below = density - step[d], *const above = density + step[d];
-    Real* __restrict const to = out + std::ptrdiff_t(d) * count;
-    for (int i = 0; i < count; ++i) to[i] = field_between(factor[std::size_t(d)], below[i], above[i]);
-  }
-}
-
-/// Add three components, `count` numbers each, to the cells of a row.
-void add_to_cells(Real const* components, int count, Real* to) {
-  Real const *const x = components, *const y = x + count, *const z = y + count;
+  auto const across = [&](auto const& at, int i, std::size_t d) {
+    return field_between(factor[d], at(density + i - step[d]), at(density + i + step[d]));
+  };
+  auto const eight = [](Real const* from) { return load<Lanes>(from); };
+  auto const one = [](Real const* from) { return *from; };
   int i = 0;
-  for (; i + lane_count <= count; i += lane_count, to += 4 * lane_count) {
-    auto const cells = interleaved(load<Lanes>(x + i), load<Lanes>(y + i), load<Lanes>(z + i));
-    for (std::size_t n = 0; n < cells.size(); ++n) {
-      Real* const at = to + lane_count * n;
-      store(at, load<Lanes>(at) + cells[n]);
-    }
+  for (; i + lane_count <= count; i += lane_count) {
+    auto const cells = interleaved(across(eight, i, 0), across(eight, i, 1), across(eight, i, 2));
+    for (std::size_t n = 0; n < cells.size(); ++n, to += lane_count) store(to, load<Lanes>(to) + cells[n]);
   }
-  for (; i < count; ++i, to += 4) store(to, load<Cell>(to) + Cell{x[i], y[i], z[i], 0});
+  for (; i < count; ++i, to += Compensator::per_cell)
+    store(to, load<Cell>(to) + Cell{across(one, i, 0), across(one, i, 1), across(one, i, 2), 0});
 }
 
 }  // namespace
 
 Compensator::Compensator(Compensation const& compensation, ParticleMesh& mesh, RemoteBricks const& remote, bool matched)
     : compensation_(compensation),
+      matched_(matched),
       hierarchy_(mesh.hierarchy()),
       places_(mesh.density_places(matched)),
       plan_(remote.plan(matched, reach)),
@@ -77,11 +71,11 @@ Compensator::Compensator(Compensation const& compensation, ParticleMesh& mesh, R
 void Compensator::reset(Box const& tile) {
   cells_ = tile.grow(reach);
   values_.resize(std::max(values_.size(), std::size_t(cells_.cells())));
-  row_.resize(std::max(row_.size(), std::size_t(3 * cells_.extent(0))));
 }
 
-void Compensator::begin(std::size_t slot) {
+void Compensator::begin(std::size_t slot, OccupiedRows rows) {
   box_ = &places_.ghosts(slot);
+  rows_ = std::move(rows);
   reset(hierarchy_.level(box_->level).box(box_->box));
   filled_ = cells_.lower[2] - 1;
 }
@@ -89,37 +83,65 @@ void Compensator::begin(std::size_t slot) {
 void Compensator::add_to_slab(Box const& slab, bool precedes, Tile<per_cell>& tile) {
   for (int k = std::max(filled_ + 1, slab.lower[2] - reach); k <= slab.upper[2] + reach; ++k) fill_plane(k);
   filled_ = slab.upper[2] + reach;
-  add(box_->level, slab.lower[2] - tile_reach + (precedes ? 2 * tile_reach : 0), slab.upper[2] + tile_reach, tile);
+  add(box_->level, rows_, slab.lower[2] - tile_reach + (precedes ? 2 * tile_reach : 0), slab.upper[2] + tile_reach,
+      tile);
 }
 
-/// Bring the density in a plane of the box's cells and ghost cells into `values_`.
+/// Bring the density in a plane of the box's cells and ghost cells into `values_`, where particles are near.
 void Compensator::fill_plane(int k) {
   Level const& level = hierarchy_.level(box_->level);
   Box const& box = level.box(box_->box);
-  box_->ghosts.for_each_run(k, [&](GhostRun const& run) {
-    Real* out = values_.data() + cells_.offset(run.first);
-    std::ptrdiff_t const stride = cells_.stride(run.axis);
-    for (LocalIndex n = 0; n < run.count; ++n, out += stride)
-      *out = run.place >= 0
-                 ? at(box_->level, run.place + n * run.place_stride)
-                 : interpolated(level.fold_at_walls(run.cell(n)), hierarchy_.level(box_->level - 1),
-                                [&](Index3 const& from) -> Real const* {
-                                  LocalIndex const place = box_->coarse[std::size_t(box_->parents.offset(from))];
-                                  return place < 0 ? nullptr : &at(box_->level - 1, place);
-                                });
-  });
+  near_.clear();
+  for (int j = cells_.lower[1]; j <= cells_.upper[1]; ++j) near_.push_back(rows_.near(j, k, reach));
+  box_->ghosts.for_each_run(k, [&](GhostRun const& run) { fill_run(run); });
   if (k < box.lower[2] || k > box.upper[2]) return;
-  Real const* from = compensation_.density->level(box_->level).data() + level.local_offset(box_->box) +
-                     box.offset({box.lower[0], box.lower[1], k});
-  for (int j = box.lower[1]; j <= box.upper[1]; ++j, from += box.extent(0))
-    std::copy_n(from, box.extent(0), values_.data() + cells_.offset({box.lower[0], j, k}));
+  Real const* const own = compensation_.density->level(box_->level).data() + level.local_offset(box_->box);
+  for (int j = box.lower[1]; j <= box.upper[1]; ++j) {
+    RowPart const& part = near(j);
+    int const first = std::max(part.first, box.lower[0]), last = std::min(part.last, box.upper[0]);
+    if (first > last) continue;
+    std::copy_n(own + box.offset({first, j, k}), last - first + 1, values_.data() + cells_.offset({first, j, k}));
+  }
+}
+
+/// The same of a run of ghost cells, of which those near particles are wanted.
+void Compensator::fill_run(GhostRun const& run) {
+  Index3 const& at = run.first;
+  LocalIndex first = 0, last = run.count - 1;
+  if (run.axis == 0) {
+    RowPart const& part = near(at[1]);
+    if (part.first > part.last) return;
+    first = std::max(part.first, at[0]) - at[0], last = std::min(part.last, at[0] + last) - at[0];
+  }
+  auto const is_near = [&](LocalIndex n) {
+    return run.axis == 0 || (at[0] >= near(at[1] + n).first && at[0] <= near(at[1] + n).last);
+  };
+  Real* const out = values_.data() + cells_.offset(at);
+  std::ptrdiff_t const stride = cells_.stride(run.axis);
+  if (run.place < 0) {  // with matched clouds no particle reads what follows from there
+    for (LocalIndex n = first; !matched_ && n <= last; ++n)
+      if (is_near(n)) out[n * stride] = interpolated_at(run.cell(n));
+    return;
+  }
+  Real const* const from = &this->at(box_->level, run.place);
+  for (LocalIndex n = first; n <= last; ++n)
+    if (is_near(n)) out[n * stride] = from[std::ptrdiff_t(n) * run.place_stride];
+}
+
+Real Compensator::interpolated_at(Index3 const& cell) const {
+  int const coarser = box_->level - 1;
+  return interpolated(hierarchy_.level(box_->level).fold_at_walls(cell), hierarchy_.level(coarser),
+                      [&](Index3 const& from) -> Real const* {
+                        LocalIndex const place = box_->coarse[std::size_t(box_->parents.offset(from))];
+                        return place < 0 ? nullptr : &at(coarser, place);
+                      });
 }
 
 void Compensator::add_to_coarse(std::size_t slot, std::size_t r, CoarseCells const& coarse, Tile<per_cell>& tile) {
   reset(coarse.box);
   Real* out = values_.data();
   for (LocalIndex place : places_.matched(slot)[r - 1]) *out++ = place < 0 ? 0 : at(coarse.level, place);
-  add(coarse.level, coarse.box.lower[2] - tile_reach, coarse.box.upper[2] + tile_reach, tile);
+  add(coarse.level, OccupiedRows(coarse.box), coarse.box.lower[2] - tile_reach, coarse.box.upper[2] + tile_reach, tile);
 }
 
 void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>& tile) {
@@ -131,7 +153,6 @@ void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>
   };
   cells_ = window.cells;
   values_.assign(value(w, cells_.lower), value(w, cells_.lower) + cells_.cells());
-  row_.resize(std::max(row_.size(), std::size_t(3 * cells_.extent(0))));
   if (!window.whole && w + 1 < windows.size()) {
     auto const coarse = [&](Index3 const& from) -> Real const* {
       for (Window::Part const& part : windows[w + 1].parts)
@@ -146,27 +167,28 @@ void Compensator::add_to_remote(std::size_t brick, std::size_t w, Tile<per_cell>
     Index3 const from = level.fold_at_walls(cell);
     if (from != cell) values_[std::size_t(cells_.offset(cell))] = values_[std::size_t(cells_.offset(from))];
   });
-  add(window.level, tile.cells().lower[2], tile.cells().upper[2], tile);
+  add(window.level, OccupiedRows(tile.cells().grow(-tile_reach)), tile.cells().lower[2], tile.cells().upper[2], tile);
 }
 
-/// Add to planes [first, last] of a tile. A cell behind a wall has what the wall cell has.
-void Compensator::add(int l, int first, int last, Tile<per_cell>& tile) {
+/// Add to planes [first, last] of a tile, where particles are near. A cell behind a wall has what the wall cell has.
+void Compensator::add(int l, OccupiedRows const& rows, int first, int last, Tile<per_cell>& tile) const {
   Level const& level = hierarchy_.level(l);
   Box const& all = tile.cells();
   Box const inside = level.cut_at_walls(all);
-  int const count = inside.extent(0);
+  auto const add_part = [&](Index3 const& to, int from_x, int count) {
+    Index3 const from = level.fold_at_walls({from_x, to[1], to[2]});
+    add_differences(values_.data() + cells_.offset(from), cells_.stride(1), cells_.stride(2),
+                    compensation_.factor[std::size_t(l)], count, tile.row(to[0], to[1], to[2]));
+  };
   for (int k = first; k <= last; ++k)
     for (int j = all.lower[1]; j <= all.upper[1]; ++j) {
-      Index3 const from = level.fold_at_walls({inside.lower[0], j, k});
-      write_differences(values_.data() + cells_.offset(from), cells_.stride(1), cells_.stride(2),
-                        compensation_.factor[std::size_t(l)], count, row_.data());
-      add_to_cells(row_.data(), count, tile.row(inside.lower[0], j, k));
-      for (int i : {all.lower[0], all.upper[0]}) {
-        if (i >= inside.lower[0] && i <= inside.upper[0]) continue;
-        Real const* const end = row_.data() + (i < inside.lower[0] ? 0 : count - 1);
-        Real* const out = tile.row(i, j, k);
-        store(out, load<Cell>(out) + Cell{end[0], end[count], end[2 * count], 0});
-      }
+      RowPart const part = rows.near(j, k, tile_reach);
+      int const from = std::max(part.first, inside.lower[0]), to = std::min(part.last, inside.upper[0]);
+      if (from > to) continue;
+      add_part({from, j, k}, from, to - from + 1);
+      for (int i : {all.lower[0], all.upper[0]})
+        if ((i < inside.lower[0] || i > inside.upper[0]) && i >= part.first && i <= part.last)
+          add_part({i, j, k}, i < inside.lower[0] ? inside.lower[0] : inside.upper[0], 1);
     }
 }
 

@@ -5,6 +5,7 @@
 
 #include "mesh/electric_field.hpp"
 #include "particle/density_places.hpp"
+#include "particle/occupied_rows.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
@@ -23,8 +24,8 @@ class Compensator {
   /// Collective.
   Compensator(Compensation const& compensation, ParticleMesh& mesh, RemoteBricks const& remote, bool matched);
 
-  /// The tiles that follow are those of a box of this rank.
-  void begin(std::size_t slot);
+  /// The tiles that follow are those of a box of this rank; `rows`: where it holds particles.
+  void begin(std::size_t slot, OccupiedRows rows);
   /// `precedes`: the tile's first planes are those of the slab before, which have theirs.
   void add_to_slab(Box const& slab, bool precedes, Tile<per_cell>& tile);
   /// The tile of clouds that are r levels coarser than their box.
@@ -34,7 +35,10 @@ class Compensator {
 
  private:
   void fill_plane(int k);
-  void add(int level, int first, int last, Tile<per_cell>& tile);
+  void fill_run(GhostRun const& run);
+  RowPart const& near(int j) const { return near_[std::size_t(j - cells_.lower[1])]; }
+  Real interpolated_at(Index3 const& cell) const;
+  void add(int level, OccupiedRows const& rows, int first, int last, Tile<per_cell>& tile) const;
   void reset(Box const& tile);
   Real const& at(int level, LocalIndex place) const {
     auto const& own = compensation_.density->level(level);
@@ -43,6 +47,7 @@ class Compensator {
   }
 
   Compensation const& compensation_;
+  bool matched_;
   Hierarchy const& hierarchy_;
   DensityPlaces const& places_;
   RemotePlan const& plan_;
@@ -50,10 +55,11 @@ class Compensator {
   std::vector<Real> remote_;              ///< in all windows
   // of the tile under way, or of the box whose slabs they are
   BoxGhosts const* box_ = nullptr;
-  int filled_ = 0;            ///< planes of `values_` up to this one are filled
-  Box cells_;                 ///< on which `values_` are
-  std::vector<Real> values_;  ///< the density
-  std::vector<Real> row_;     ///< of differences
+  OccupiedRows rows_;
+  std::vector<RowPart> near_;  ///< of the rows of the plane under way, what is near particles
+  int filled_ = 0;             ///< planes of `values_` up to this one are filled
+  Box cells_;                  ///< on which `values_` are
+  std::vector<Real> values_;   ///< the density
 };
 
 }  // namespace amrpic

@@ -106,12 +106,13 @@ void interpolate(Index3 const& cell, Level const& coarser, At const& at, Real* o
 /// Brings the field of one box and its ghost cells into tiles of its slabs, plane by plane.
 class Filler {
  public:
-  /// `fields`: in the boundary cells, level by level.
+  /// `fields`: in the boundary cells, level by level; `rows`: where the box holds particles.
   Filler(ElectricField const& field, BoxGhosts const& at, BoundaryPlaces::GhostPlaces const& ghosts,
-         std::vector<BoundaryField> const& fields)
+         std::vector<BoundaryField> const& fields, OccupiedRows const& rows)
       : field_(field),
         at_(at),
         ghosts_(ghosts),
+        rows_(rows),
         level_(field.hierarchy().level(at.level)),
         coarser_(field.hierarchy().level(std::max(0, at.level - 1))),
         box_(level_.box(at.box)),
@@ -138,16 +139,23 @@ class Filler {
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
       if (run.place >= 0) return boundary_.write(run.place, run.place_stride, run.count, out, stride);
       for (LocalIndex n = 0; n < run.count; ++n)
-        interpolate(
-            level_.fold_at_walls(run.cell(n)), coarser_,
-            [&](Index3 const& from) { return coarse_.at(ghosts_.coarse[std::size_t(at_.parents.offset(from))]); },
-            out + n * stride);
+        if (is_near(run.cell(n)))
+          interpolate(
+              level_.fold_at_walls(run.cell(n)), coarser_,
+              [&](Index3 const& from) { return coarse_.at(ghosts_.coarse[std::size_t(at_.parents.offset(from))]); },
+              out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;
     if (field_.potential())
       fill_by_potential(k, tile);
     else
       fill_by_components(k, tile);
+  }
+
+  /// Whether clouds of particles may touch a cell. What is interpolated elsewhere would be for nothing.
+  bool is_near(Index3 const& cell) const {
+    RowPart const part = rows_.near(cell[1], cell[2], tile_reach);
+    return cell[0] >= part.first && cell[0] <= part.last;
   }
 
   /// The ones of plane k: rows and columns here and there in memory, which processors do not foresee.
@@ -195,6 +203,7 @@ class Filler {
   ElectricField const& field_;
   BoxGhosts const& at_;
   BoundaryPlaces::GhostPlaces const& ghosts_;
+  OccupiedRows const& rows_;
   Level const &level_, &coarser_;
   Box box_;
   BoundaryField const &boundary_, &coarse_;
@@ -402,9 +411,10 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
       fill_coarse(places.ghosts(slot).matched[r - 1], coarse[c.level], tiles[r]);
       if (compensator) compensator->add_to_coarse(slot, r, c, tiles[r]);
     }
-    if (compensator) compensator->begin(slot);
-    Filler const filler(field, at, places.ghosts(slot), own);
     Box const& box = hierarchy.level(at.level).box(at.box);
+    OccupiedRows const rows(box, mesh.locator().coordinates(at.level), particles, first, last);
+    if (compensator) compensator->begin(slot, rows);
+    Filler const filler(field, at, places.ghosts(slot), own, rows);
     bool precedes = false;  // whether tiles[0] is that of the slab before
     for_each_slab(mesh, at.level, box, planes_per_slab(box, lanes), particles, first, last,
                   [&](Box const& slab, auto from, auto to) {

@@ -84,9 +84,9 @@ def matched_pays(number: float, sizes: np.ndarray) -> bool:
 
 # Particles per cell where a bunch is densest, over the square of its smallest size in cells, from which compensation pays.
 PAYING: dict[Shape, float] = {
-    "nearest-grid-point": 2.0,
-    "cloud-in-cell": 1.25,
-    "triangular-shaped-cloud": 0.75,
+    "nearest-grid-point": 1.2,
+    "cloud-in-cell": 0.8,
+    "triangular-shaped-cloud": 0.5,
 }
 
 

@@ -196,8 +196,9 @@ class Plan:
             return
         widths = scene.domain.value.spacing / 2**scene.refinement.levels
         shape = scene.particles.shape
-        moves = isinstance(scene.motion, Leapfrog) and len(bunches) > 0
-        pays = moves and all(self._has(bunch, widths, partial(compensation_pays, shape=shape)) for bunch in bunches)
+        moves = isinstance(scene.motion, Leapfrog)
+        few = [bunch for bunch in bunches if self._has(bunch, widths, lambda *of: not compensation_pays(*of, shape))]
+        pays = moves and not few
         self.scene = scene.with_compensation("clouds" if pays else "none")
         if moves:
             why = "every bunch has more than" if pays else "a bunch has at most"

@@ -30,7 +30,7 @@ class ParticlesSection(Section):
         description="What gather gives back of the field that clouds smooth, by the slope of the density. clouds: what they "
         "smooth in deposit and gather, all of it where cells are cubes in the frame of the field, else that over the narrowest "
         "width. clouds-and-mesh: in cubes also most of the solver's own error. Noise grows by a fifth to a half. auto: clouds "
-        "where every bunch has more than 0.75 (σ/h)² particles per cell where it is densest (1.25 with cloud-in-cell, 2 with "
+        "where every bunch has more than 0.5 (σ/h)² particles per cell where it is densest (0.8 with cloud-in-cell, 1.2 with "
         "nearest-grid-point), σ its smallest rms size in cells h of the finest level, else none; the log and the scene in the "
         "outputs say which was taken.",
     )

@@ -197,7 +197,11 @@ class Plan:
         widths = scene.domain.value.spacing / 2**scene.refinement.levels
         shape = scene.particles.shape
         moves = isinstance(scene.motion, Leapfrog)
-        few = [bunch for bunch in bunches if self._has(bunch, widths, lambda *of: not compensation_pays(*of, shape))]
+
+        def loses(number: float, sizes: np.ndarray) -> bool:
+            return not compensation_pays(number, sizes, shape)
+
+        few = [bunch for bunch in bunches if self._has(bunch, widths, loses)]
         pays = moves and not few
         self.scene = scene.with_compensation("clouds" if pays else "none")
         if moves:

@@ -105,6 +105,8 @@ def load(
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
+    if scene.particles.compensation == "auto":
+        scene = scene.with_compensation(header.about.scene["particles"].get("compensation", "none"))
     _require_same_mesh(scene, header, path)
     require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
     refinement = scene.refinement
@@ -141,6 +143,8 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
     efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
     frames = _frames(extra)
+    if frames.only is not None:
+        plan.compensate(efield, fields["rho"], frames.only)
     magnetic: VectorField | None = None
     parts: tuple[Field, ...] = ()
     if frames.only is None:

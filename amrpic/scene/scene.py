@@ -81,6 +81,10 @@ class Scene(SceneParts):
         """Return the scene with `particles.interface` as given."""
         return self.model_copy(update={"particles": self.particles.model_copy(update={"interface": interface})})
 
+    def with_compensation(self, compensation: str) -> Self:
+        """Return the scene with `particles.compensation` as given."""
+        return self.model_copy(update={"particles": self.particles.model_copy(update={"compensation": compensation})})
+
     @property
     def directory(self) -> Path:
         """Where the run writes."""

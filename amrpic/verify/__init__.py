@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..scene import solver_options
 from ..scene.scene import Scene
 from . import (
+    accuracy,
     backends,
     conservation,
     convergence,
@@ -37,6 +38,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "open-boundary": openboundary.tables,
     "peers": peers.tables,
     "self-force": selfforce.tables,
+    "accuracy": accuracy.tables,
     "stopping": stopping.tables,
     "conservation": conservation.tables,
     "hard-cases": hard.tables,

@@ -233,7 +233,7 @@ def test_killed_it_ends_the_same_on_another_number_of_ranks(undisturbed, ranks):
     folder = reference.parent / f"killed{ranks}"
     assert killed_when(while_writing(folder, LAST // 2), 2, folder)
     finish(ranks, folder)
-    found, expected = last_state(folder), last_state(reference)
+    found, expected = last_state(folder, LAST), last_state(reference, LAST)
     for left, right in zip(found.header.boxes, expected.header.boxes, strict=True):
         np.testing.assert_array_equal(left, right)
     for name in ("phi", "rho"):

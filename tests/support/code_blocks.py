@@ -84,6 +84,7 @@ class Reader:
             f'#!/bin/bash\n[ "$1" = run ] || exec {binaries}/amrpic "$@"\nexec {binaries}/amrpic "$@" {self.shorter}\n'
         )
         (tools / "amrpic").chmod(0o755)
+        (tools / "activate").touch()
         (self.folder / "examples").symlink_to(ROOT / "examples")
 
     def follow(self, block: Block) -> None:

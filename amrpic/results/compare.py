@@ -13,14 +13,14 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ..io import particle_reader, time_series
+from ..io import openpmd_reader, particle_reader, time_series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
 from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields
-from .run_results import PARTICLES, SERIES, Results
+from .run_results import LOSSES, PARTICLES, SERIES, Results
 
 Table = NDArray[Any]
 
@@ -55,7 +55,7 @@ class Comparison:
     """What differs between two runs. Parts that one of them did not write are not in `parts`."""
 
     scenes: list[tuple[str, Any, Any]]  # key, value of the first run, of the second
-    parts: Mapping[str, list[Difference]]  # of what they found: series, beam, fields, particles
+    parts: Mapping[str, list[Difference]]  # of what they found: series, beam, fields, particles, losses
     speed: list[tuple[str, float, float]]  # what, in s or bytes, of both
 
     def beyond(self, tolerance: float) -> dict[str, list[Difference]]:
@@ -79,7 +79,7 @@ def compare(first: Path, second: Path) -> Comparison:
     tables = [time_series.read(run.folder / SERIES) for run in runs]
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
-    for name, part in (("beam", _beam), ("fields", _fields), ("particles", _particles)):
+    for name, part in (("beam", _beam), ("fields", _fields), ("particles", _particles), ("losses", _losses)):
         with contextlib.suppress(_Missing):
             parts[name] = list(part(*runs))
     return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)))
@@ -208,6 +208,39 @@ def _particles(one: Results, other: Results) -> Iterator[Difference]:
         spread = _spread(mine, what)
         worst = float(np.abs(apart).max(initial=0.0))
         yield Difference(f"{what} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
+
+
+def _losses(one: Results, other: Results) -> Iterator[Difference]:
+    """Compare the lost particles, by their numbers: which they are, at what, when and where they were lost."""
+    paths = [run.folder / LOSSES for run in (one, other)]
+    if not all(path.exists() for path in paths):
+        raise _Missing
+    tables = [_lost(path) for path in paths]
+    _, here, there = np.intersect1d(tables[0]["id"], tables[1]["id"], return_indices=True)
+    alone = len(tables[0]["id"]) + len(tables[1]["id"]) - 2 * len(here)
+    yield Difference("lost particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
+    mine, theirs = (
+        {name: values[rows] for name, values in t.items()} for t, rows in zip(tables, (here, there), strict=True)
+    )
+    elsewhere = int(np.count_nonzero(mine["cause"] != theirs["cause"]))
+    yield Difference(
+        "causes of losses", math.inf if elsewhere else 0.0, f"{elsewhere} at something else" if elsewhere else ""
+    )
+    for what in ("time", "position"):
+        spread = float(np.sqrt(np.mean(np.square(mine[what])))) if len(here) else 0.0
+        worst = float(np.abs(mine[what] - theirs[what]).max(initial=0.0))
+        yield Difference(f"{what} of losses over its rms", worst / spread if spread > 0 else worst)
+
+
+def _lost(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the numbers, causes, times (s) and places (m) of lost particles, of all species."""
+    records = list(openpmd_reader.records(path))
+    return {
+        "id": np.concatenate([record.id for record in records]),
+        "cause": np.concatenate([np.asarray(record.cause, dtype=str) for record in records]),
+        "time": np.concatenate([record.time for record in records]),
+        "position": np.concatenate([record.position for record in records]),
+    }
 
 
 def _spread(particles: Particles, what: str) -> float:

@@ -141,3 +141,19 @@ def test_what_cannot_be_compared_is_one_sentence(comm, tmp_path, monkeypatch, ca
         main(["compare", *arguments])
     error = capfd.readouterr().err
     assert ended.value.code == 2 and message in error and error.count("\n") == 1
+
+
+def test_lost_particles_are_compared_by_their_numbers(comm, tmp_path):
+    pipe = amrpic.RoundAperture(name="pipe", radius="18 mm")
+    for name, kick in (("a", 0.0), ("b", 0.0), ("c", 1e-21)):
+        given = scene(tmp_path / name, apertures=[pipe]).replace(
+            motion=amrpic.Leapfrog(dt="2 ns"), output={"directory": str(tmp_path / name), "write": ["series", "losses"]}
+        )
+        simulation = amrpic.Simulation(given)
+        simulation.kick(np.full((len(simulation.particles), 3), kick))
+        simulation.run(log="silent")
+    assert len(amrpic.open(tmp_path / "a").losses) > 20
+    same = compare(tmp_path / "a", tmp_path / "b")
+    assert set(largest(same, "losses").values()) == {0.0} and len(same.parts["losses"]) == 4
+    kicked = largest(compare(tmp_path / "a", tmp_path / "c"), "losses")
+    assert kicked["lost particles"] == math.inf and 0 < kicked["time of losses over its rms"] < 10

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,7 @@ def compare(first: Path, second: Path) -> Comparison:
     with contextlib.suppress(_Missing):
         parts["beam"] = list(_beam(*runs))
     with contextlib.suppress(_Missing):
-        parts["fields"] = list(_fields(*runs, remarks))
+        parts["fields"] = list(_fields(runs[0], runs[1], remarks))
     with contextlib.suppress(_Missing):
         parts["particles"] = list(_particles(*runs))
     return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)
@@ -174,8 +174,8 @@ def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Differ
     if (domains[0].lower, domains[0].upper) != (domains[1].lower, domains[1].upper):
         yield Difference("domain", math.inf, f"the fields of step {step} live on two domains; their norms are compared")
         for name in names:
-            norms = [_scalar(fields[name]) for fields in (mine, theirs)]
-            yield from _of_norms(name, step, lambda kind, both=norms: abs(both[0].norm(kind) - both[1].norm(kind)), norms)
+            a, b = _scalar(mine[name]), _scalar(theirs[name])
+            yield from _of_norms(name, step, {kind: abs(a.norm(kind) - b.norm(kind)) for kind in NORMS}, (a, b))
         return
     moved: Mapping[str, Field | VectorField] = theirs.on(mine.hierarchy)
     if not _same_cells(mine, theirs):
@@ -185,16 +185,19 @@ def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Differ
         )
     for name in names:
         apart = _apart(mine[name], moved[name])
-        yield from _of_norms(name, step, apart.norm, [_scalar(mine[name]), _scalar(moved[name])])
+        both = _scalar(mine[name]), _scalar(moved[name])
+        yield from _of_norms(name, step, {kind: apart.norm(kind) for kind in NORMS}, both)
 
 
-def _of_norms(
-    name: str, step: int, difference: Callable[[str], float], both: Sequence[Field]
-) -> Iterator[Difference]:
-    """Yield a difference in the norms l2 and max, over the larger norm of both fields."""
-    for kind in ("l2", "max"):
-        scale, apart = max(field.norm(kind) for field in both), difference(kind)
-        yield Difference(f"{name} in the {kind} norm", apart / scale if scale > 0 else apart, f"at step {step}")
+NORMS = ("l2", "max")
+
+
+def _of_norms(name: str, step: int, apart: Mapping[str, float], both: Sequence[Field]) -> Iterator[Difference]:
+    """Yield the differences of a field in some norms, over the larger norm of both fields."""
+    for kind, difference in apart.items():
+        scale = max(field.norm(kind) for field in both)
+        relative = difference / scale if scale > 0 else difference
+        yield Difference(f"{name} in the {kind} norm", relative, f"at step {step}")
 
 
 def _same_cells(mine: DumpedFields, theirs: DumpedFields) -> bool:

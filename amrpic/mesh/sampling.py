@@ -24,7 +24,9 @@ Array = NDArray[Any]
 REACH = {1: 1.8, 2: 2.3, 3: 2.6, 4: 3.1}  # in cell widths of the finest level at the point
 GROWTH, GROWTHS = 1.15, 8  # of reaches that do not determine a fit
 MOST_GROWTH = 30.0  # Σ|α| of the weights of a value that is used: 21 at order 3 in a corner of walls, below 4 within
-MOST_RESIDUAL = 2e-14  # error of reproduction: with more the cells barely determine the fit; the longest reach is taken as it is
+MOST_RESIDUAL = (
+    2e-14  # error of reproduction: with more the cells barely determine the fit; the longest reach is taken as it is
+)
 TOGETHER = 2048  # points
 CANDIDATES = 1 << 20  # cells that are looked up together
 QUANTITIES = ("value", "gradient")
@@ -177,9 +179,7 @@ class _Sampler:
 
     # ---- the fit ----
 
-    def _fitted(
-        self, which: Array, reach: float, shape: tuple[int, ...], most_residual: float
-    ) -> tuple[Array, Array]:
+    def _fitted(self, which: Array, reach: float, shape: tuple[int, ...], most_residual: float) -> tuple[Array, Array]:
         """Return what is wanted at some points, from the cells within a reach, and where these determine it. Collective.
 
         Each rank finds the weights for its share of the points.

@@ -35,8 +35,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     yield Table(
         "Least squares: fields at points",
         f"`Field.sample` on the same meshes with a third level in the corner of walls, at {POINTS} places, half of them beside "
-        "faces of the levels, the same function at cell centres: orders of the rms error, of the largest error of values, and the "
-        "largest error for a cubic on n = 16.",
+        "faces of the levels, the same function at cell centres: orders of the rms error, of the largest error of values, "
+        "and the largest error for a cubic on n = 16.",
         ("order", "values, rms", "values, largest", "gradients, rms", "largest error, n = 40", "error for a cubic"),
         [_sampled(comm, order) for order in (2, 3, 4)],
     )
@@ -98,7 +98,9 @@ def _largest_within(error: Field) -> float:
     h = error.hierarchy.spacing(0)
     inside = Field(error.hierarchy).fill(
         lambda x, y, z: (
-            (np.abs(x - 0.25) < 0.25 - 2 * h[0]) & (np.abs(y - 0.5) < 0.5 - 2 * h[1]) & (np.abs(z - 0.5) < 0.5 - 2 * h[2])
+            (np.abs(x - 0.25) < 0.25 - 2 * h[0])
+            & (np.abs(y - 0.5) < 0.5 - 2 * h[1])
+            & (np.abs(z - 0.5) < 0.5 - 2 * h[2])
         )
     )
     return (error * inside).max_abs()

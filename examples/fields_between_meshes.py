@@ -55,5 +55,5 @@ if picture:
         panels[3].plot(x, error, colour, label="trilinear" if order == 1 else f"fit of order {order}")
     panels[3].set(title="error of sample(), smooth field", xlabel="x (m)", ylabel="V")
     panels[3].title.set_fontsize("medium")
-    panels[3].legend(fontsize="small")
+    panels[3].legend(fontsize="small", loc="lower right")
     figure.savefig(picture, dpi=110)

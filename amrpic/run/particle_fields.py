@@ -101,4 +101,8 @@ class ParticleFields:
             return self.phi if self.known is not None else None
 
     def _carried(self, field: Field) -> Field:
-        return field if field.hierarchy is self.hierarchy else carry_over(field, self.hierarchy)
+        if field.hierarchy is self.hierarchy:
+            return field
+        if field.hierarchy.domain != self.hierarchy.domain:  # of a checkpoint of another base
+            return field.remap(self.hierarchy)
+        return carry_over(field, self.hierarchy)

@@ -32,7 +32,7 @@ class Clock:
     """
 
     def __init__(
-        self, now: Callable[[], float] = time.perf_counter, before: Callable[[str], object] = lambda stage: None
+        self, now: Callable[[], float] = time.perf_counter, before: Callable[[str], object] | None = None
     ) -> None:
         self.now, self.before = now, before
         self._stages: dict[str, Spent] = {}
@@ -40,9 +40,10 @@ class Clock:
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        entered = Spent(self.now(), traffic())
-        self.before(stage)
-        start = Spent(self.now(), traffic())
+        entered = start = Spent(self.now(), traffic())
+        if self.before is not None:
+            self.before(stage)
+            start = Spent(self.now(), traffic())
         self._within.append(Spent())
         try:
             yield

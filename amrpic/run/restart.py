@@ -28,6 +28,7 @@ from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
 from ..scene.differences import differences
+from ..scene.domain import DomainSection
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.encounters import Flights
@@ -131,8 +132,9 @@ def load(
 
 def _mesh_of(header: Header) -> tuple[Domain, tuple[int, int]]:
     """Return the domain of a checkpoint, and the largest extent of its boxes and their blocking factor."""
-    scene = Scene.from_dict(header.about.scene, source="the scene of the checkpoint")
-    return scene.domain.value, (scene.refinement.max_grid_size, scene.refinement.blocking_factor)
+    refinement = header.about.scene["refinement"]
+    domain = DomainSection.model_validate(header.domain).value
+    return domain, (refinement["max_grid_size"], refinement["blocking_factor"])
 
 
 def _mesh_is_another(scene: Scene, header: Header) -> bool:

@@ -34,17 +34,6 @@ class Page:
     files: dict[str, str] = field(default_factory=dict)
 
 
-PAGES = {
-    "README": Page(shorter="--set bunches.0.particles=20000", needs=("pandas", "xarray")),
-    "batch": Page(),
-    "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + "[schedule]\nsteps = 0\n"}),
-    "elements": Page(shorter="--set schedule.steps=3 --set bunches.0.particles=500"),
-    "following": Page(("first", "drift", "drift_on_one_rank"), loosely=True),
-    "halo": Page(shorter=f"--set schedule.steps=5 {SMALL}", needs=("pandas",)),
-    "losses": Page(("scene",), needs=("pandas", "beamphysics")),
-    "outputs": Page(("first",)),
-    "sources": Page(("waist",), needs=("beamphysics",)),
-}
 LOSSY = """
 [[bunches]]
 name = "tail"
@@ -75,6 +64,17 @@ steps = 40
 [output]
 write = ["series", "checkpoint", "losses", "particles"]
 """
+PAGES = {
+    "README": Page(shorter="--set bunches.0.particles=20000", needs=("pandas", "xarray")),
+    "batch": Page(),
+    "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + LOSSY}),
+    "elements": Page(shorter="--set schedule.steps=3 --set bunches.0.particles=500"),
+    "following": Page(("first", "drift", "drift_on_one_rank"), loosely=True),
+    "halo": Page(shorter=f"--set schedule.steps=5 {SMALL}", needs=("pandas",)),
+    "losses": Page(("scene",), needs=("pandas", "beamphysics")),
+    "outputs": Page(("first",)),
+    "sources": Page(("waist",), needs=("beamphysics",)),
+}
 MOVES = """
 [motion]
 kind = "leapfrog"

@@ -105,7 +105,7 @@ class Reader:
     def _sh(self, block: Block) -> None:
         subprocess.run(["bash", "-n", "-c", block.text], check=True)
         commands = list(split(block.text))
-        if any(Path(word).name in ELSEWHERE for command in commands for word in command[:1]):
+        if any("SCENE" in command or Path(command[0]).name in ELSEWHERE for command in commands if command):
             for arguments in filter(None, map(of_amrpic, commands)):
                 parser().parse_args(arguments)
         else:

@@ -2,48 +2,14 @@
 #pragma once
 
 #include <array>
-#include <cstdint>
-#include <stdexcept>
 
 #include "operators/cell_shape.hpp"
-#include "operators/row.hpp"
+#include "operators/form.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/laplacian.hpp"
 #include "stencil/odd_extents.hpp"
 
 namespace amrpic {
-
-/// A cell near that of a row, on its level or on the next coarser or finer one, by its offset there: from the row's
-/// cell, its parent or its first child.
-struct Unknown {
-  enum class On : std::int8_t { coarser, own, finer } level;
-  std::array<std::int8_t, 3> offset;
-  bool operator==(Unknown const& other) const { return level == other.level && offset == other.offset; }
-};
-
-using Form = LinearForm<Unknown>;
-
-/// A form as rows of three operators, by the level of the columns.
-struct Terms {
-  Row own_row, coarse_row, fine_row;
-
-  /// The row of a cell that has the form.
-  void set(Form const& form, StencilCells const& n, Index3 const& cell) {
-    own_row.clear(), coarse_row.clear(), fine_row.clear();
-    Index3 const parent = parent_of(cell), child = first_child_of(cell);
-    for (auto const& [unknown, weight] : form.terms()) {
-      auto append = [w = weight, o = unknown.offset](Row& row, ArrayOnBox<GlobalIndex> const& numbers,
-                                                     Index3 const& from) {
-        GlobalIndex const number = numbers({from[0] + o[0], from[1] + o[1], from[2] + o[2]});
-        if (number == no_cell) throw std::logic_error("a stencil reached for a cell that does not exist");
-        row.append(number, w);
-      };
-      if (unknown.level == Unknown::On::own) append(own_row, n.own, cell);
-      if (unknown.level == Unknown::On::coarser) append(coarse_row, n.coarse, parent);
-      if (unknown.level == Unknown::On::finer) append(fine_row, n.fine, child);
-    }
-  }
-};
 
 /// Values near a cell of a level, as forms.
 class FormsNear {
@@ -125,6 +91,11 @@ inline Form laplacian_form(Equation const& equation, Form const& here, Across&& 
   Form out(here.terms()[0].column, 0);
   return out +=
          laplacian(equation, here, across(0, 0), across(0, 1), across(1, 0), across(1, 1), across(2, 0), across(2, 1));
+}
+
+/// L phi in a cell whose neighbours are of its level.
+inline Form regular_laplacian(Equation const& equation, FormsNear const& near) {
+  return laplacian_form(equation, near.own(), [&](int axis, int side) { return near.across({}, axis, side); });
 }
 
 }  // namespace amrpic

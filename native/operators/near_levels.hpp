@@ -32,12 +32,11 @@ struct NearLevels {
   /// any of its cells.
   ArrayOnBox<LocalIndex> add(Box const& box, StencilCells const& n, Box const& parents) {
     own_places.add(own->places(n.own.box()));
-    Box const none;
     if (coarser) coarse_places.add(coarser->places(n.coarse.box().empty() ? parents : n.coarse.box()));
-    Box const children = box.refine(ratio_above);
-    ArrayOnBox<LocalIndex> fine(none, no_place);
-    if (finer && finer->level().intersects(children))
-      fine = finer->places(n.fine.box().empty() ? children : n.fine.box());
+    Box children = n.fine.box();  // those beside other boxes' refined cells included
+    if (finer && children.empty() && finer->level().intersects(box.refine(ratio_above)))
+      children = box.refine(ratio_above);
+    auto fine = children.empty() ? ArrayOnBox<LocalIndex>(children, no_place) : finer->places(children);
     if (finer) fine_places.add(fine);
     return fine;
   }

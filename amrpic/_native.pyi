@@ -140,6 +140,18 @@ class BoxTable:
     def outer_faces(self) -> int:
         """Number of cell faces on the surface of the union of the boxes."""
 
+def window_sums(
+    value: NDArray[numpy.float64],
+    place: NDArray[numpy.int64],
+    kind: NDArray[numpy.int64],
+    first: NDArray[numpy.int64],
+    offset: NDArray[numpy.int32],
+    weight: NDArray[numpy.float64],
+) -> NDArray[numpy.float64]:
+    """
+    Sums of weights times differences from the own value, (cells, rows), for cells at places of a dense array.
+    """
+
 def carry_over(from_: Field, to: Field) -> None: ...
 
 class EngeFringe:

@@ -81,8 +81,8 @@ def require_backend(name: str | None) -> None:
 
 
 OPENING = (
-    "# Verification\n\nWritten by `amrpic verify --output docs` (`make verify`). A goal stands in brackets behind each "
-    "measured value that has one; a missed goal is marked and fails the command.\n"
+    "# Verification\n\nWritten by `amrpic verify --output FOLDER`; `make verify PUBLISH=1` writes it into `docs/reports`. A "
+    "goal stands in brackets behind each measured value that has one; a missed goal is marked and fails the command.\n"
 )
 
 

@@ -44,7 +44,7 @@ SparseMatrix::SparseMatrix(T::LocalMatrix const& local, LevelCells const& rows, 
   // The diagonal comes first, then the neighbours, in the same order on any ranks.
   auto const matrix =
       Teuchos::rcp(new T::Matrix(local, rows.maps().own, columns.maps().all, columns.maps().own, rows.maps().own,
-                                 columns.maps().to_all, Teuchos::null, local_rows()));
+                                 columns.maps().to_all, Teuchos::null, unsorted_rows()));
   auto const occupied = occupied_rows(local);
   bool const full = occupied.extent(0) == 0 && local.nnz() > 0;
   objects_ =

@@ -59,11 +59,10 @@ auto local_size(Map const& map) -> decltype(map.getNodeNumElements()) {
   return map.getNodeNumElements();
 }
 
-/// Columns of a row need not ascend, and nothing that all ranks must sum up is asked of a matrix.
-inline Teuchos::RCP<Teuchos::ParameterList> local_rows() {
+/// What tells Tpetra that columns of a row do not ascend.
+inline Teuchos::RCP<Teuchos::ParameterList> unsorted_rows() {
   auto const out = Teuchos::rcp(new Teuchos::ParameterList);
   out->set("sorted", false);
-  out->set("compute global constants", false);
   return out;
 }
 

@@ -67,6 +67,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
         Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
         *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
         Part("least squares", "least_squares.py", 1, repeats_of_gamma),
+        *(Part("points", "points.py", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
         Part("agreement", "agreement.py", 1, small),
     ]
 

@@ -21,6 +21,7 @@ from . import (
     hard,
     least_squares,
     openboundary,
+    operators,
     pareto,
     peers,
     selfforce,
@@ -42,6 +43,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "backends": backends.tables,
     "dynamics": dynamics.tables,
     "least-squares": least_squares.tables,
+    "operators": operators.tables,
 }
 
 

@@ -44,6 +44,18 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
   return out;
 }
 
+/// So many cells of a rank stay near the processor from one half of a sweep to the next, which then costs less than
+/// deep copies; with more, all sweeps go over them in one pass.
+constexpr GlobalIndex in_cache = 300'000;
+
+/// Whether the copies of a level without a cycle of its own are one layer deep. The same on all ranks.
+bool has_thin_copies(Level const& level, GhostRules const& rules) {
+  bool even = true;  // with odd rings, cells of one colour meet
+  for (int d = 0; d < 3; ++d)
+    even = even && !rules.seams()[d] && !(level.periodic()[d] && level.domain().extent(d) % 2);
+  return level.ranks() > 1 && even && level.cells() <= in_cache * level.ranks_in_use();
+}
+
 constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
@@ -77,7 +89,8 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
     if (multigrid_.refines(l))
       copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const halo = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
+    int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
+    int const halo = copies.empty() && has_thin_copies(*multigrid_.levels[l], rules) ? 1 : deep;
     level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
@@ -168,22 +181,26 @@ std::vector<LevelWork> Cycle::work() const {
     out[l].sweeps += sweeps;
     out[l].relaxed += levels_[l].swept->relaxed_cells(sweeps, further);
   };
-  run_cycle(multigrid_, {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
-                         [&](std::size_t l, Guess guess) {
-                           Coarsening const& c = *levels_[l].coarsening;
-                           Traffic const sent = levels_[l].swept->of_right_hand_sides() + c.of_restriction(true);
-                           add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent,
-                               sweeps_beside(levels_[l], relaxation_.pre_sweeps), 1);
-                         },
-                         [&](std::size_t l) {
-                           auto const& local = levels_[l].local;
-                           add(l, levels_[l].coarsening->of_prolongation(),
-                               sweeps_beside(levels_[l], relaxation_.post_sweeps), local ? 1 : 0);
-                           if (!local) return;
-                           out[l].traffic = out[l].traffic + local->traffic();
-                           out[l].relaxed += local->relaxed_cells();
-                         },
-                         [&] { out[0].traffic.collectives += multigrid_.levels.front()->ranks() > 1; }});
+  run_cycle(multigrid_,
+            {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
+             [&](std::size_t l, Guess guess) {
+               Coarsening const& c = *levels_[l].coarsening;
+               SweptLevel const& swept = *levels_[l].swept;
+               int const sweeps = sweeps_beside(levels_[l], relaxation_.pre_sweeps);
+               Traffic const sent = swept.of_right_hand_sides() + c.of_restriction(true) +
+                                    swept.of_sweeps(sweeps, guess == Guess::zero, true);
+               add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent, sweeps, 1);
+             },
+             [&](std::size_t l) {
+               auto const& local = levels_[l].local;
+               int const sweeps = sweeps_beside(levels_[l], relaxation_.post_sweeps);
+               add(l, levels_[l].coarsening->of_prolongation() + levels_[l].swept->of_sweeps(sweeps, false, false),
+                   sweeps, local ? 1 : 0);
+               if (!local) return;
+               out[l].traffic = out[l].traffic + local->traffic();
+               out[l].relaxed += local->relaxed_cells();
+             },
+             [&] { out[0].traffic.collectives += multigrid_.levels.front()->ranks() > 1; }});
   return out;
 }
 

@@ -18,6 +18,7 @@ from . import (
     conservation,
     convergence,
     dynamics,
+    gaps,
     hard,
     least_squares,
     openboundary,
@@ -42,6 +43,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "backends": backends.tables,
     "dynamics": dynamics.tables,
     "least-squares": least_squares.tables,
+    "gaps": gaps.tables,
 }
 
 

@@ -44,6 +44,19 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
   return out;
 }
 
+constexpr int reach_in_gaps = 4;  ///< how many cells away those lie that fits in gaps take
+
+/// Which levels have gaps behind their faces, on any rank. Collective.
+std::vector<int> levels_with_gaps(Communicator const& comm, MultigridLevels const& multigrid) {
+  std::vector<int> out(multigrid.levels.size());
+  for (std::size_t l = multigrid.base + 1; l < out.size(); ++l)
+    for (BoxFaces const& faces : *multigrid.faces[l])
+      for (Box const& gap : gaps_behind(faces, *multigrid.levels[l], *multigrid.levels[l - 1]))
+        out[l] = out[l] || !gap.empty();
+  comm.largest_each(out);
+  return out;
+}
+
 constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
@@ -68,6 +81,7 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
                                {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max())),
       relaxation_(relaxation) {
   OpenWalls const open_walls(multigrid_);
+  auto const has_gaps = levels_with_gaps(comm, multigrid_);
   for (std::size_t l = 0; l < multigrid_.levels.size(); ++l) {
     CycleLevel level;
     GhostRules const rules = ghost_rules_of(multigrid_, open_walls, l);
@@ -77,11 +91,13 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
     if (multigrid_.refines(l))
       copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const halo = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
+    int const halo =
+        std::max(own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0), has_gaps[l] ? reach_in_gaps : 0);
     level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
-          comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l], multigrid_.refines(l),
+          comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
+          Coarsening::Refinement{multigrid_.refines(l), has_gaps[l] != 0, multigrid_.beside(l).finer},
           CoarseGhosts{[&](Index3 const& cell, int axis, int side) {
                          return prolonged_end(multigrid_, open_walls, l - 1, cell, axis, side);
                        },

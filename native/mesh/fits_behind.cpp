@@ -1,5 +1,6 @@
 #include "mesh/fits_behind.hpp"
 
+#include <algorithm>
 #include <map>
 
 #include "mesh/hierarchy.hpp"
@@ -43,6 +44,26 @@ class GapsOfBoxes {
   std::map<int, std::array<Box, 6>> known_;
 };
 
+/// Call f(number of the face, fits) for the faces of a box behind which coarser cells lie.
+template <class F>
+void for_each_fits_behind(BoxFaces const& faces, Level const& level, Level const& coarser, F&& f) {
+  if (!faces.ends_level()) return;
+  Box const near = faces.box.coarsen(refinement_ratio).grow(plane_reach + 1);
+  auto const coarse = overlaps(coarser, near), refined = overlaps(level, near.refine(refinement_ratio));
+  for (int n = 0; n < 6; ++n)
+    if (faces.sides[std::size_t(n)].has_coarser)
+      f(n, fits_behind(faces.sides[std::size_t(n)], n / 2, coarse, refined));
+}
+
+std::vector<ArrayOnBox<FitNumber>> fits_with_gaps(BoxFaces const& faces, Level const& level, Level const& coarser) {
+  std::vector<ArrayOnBox<FitNumber>> out;
+  for_each_fits_behind(faces, level, coarser, [&](int, ArrayOnBox<FitNumber> const& fits) {
+    auto const& values = fits.values();
+    if (std::find(values.begin(), values.end(), fit_in_gap) != values.end()) out.push_back(fits);
+  });
+  return out;
+}
+
 Box with_neighbours(Box const& gap) { return gap.empty() ? gap : gap.grow(1); }
 
 }  // namespace
@@ -81,13 +102,9 @@ GapCells::GapCells(Box const& coarse, std::vector<Overlap> const& coarser, std::
 
 std::array<Box, 6> gaps_behind(BoxFaces const& faces, Level const& level, Level const& coarser) {
   std::array<Box, 6> out;
-  if (!faces.ends_level()) return out;
-  Box const near = faces.box.coarsen(refinement_ratio).grow(plane_reach + 1);
-  auto const coarse = overlaps(coarser, near), refined = overlaps(level, near.refine(refinement_ratio));
-  for (int f = 0; f < 6; ++f)
-    if (faces.sides[std::size_t(f)].has_coarser)
-      out[std::size_t(f)] = hull_of_fits(fits_behind(faces.sides[std::size_t(f)], f / 2, coarse, refined),
-                                         [](FitNumber fit) { return fit == fit_in_gap; });
+  for_each_fits_behind(faces, level, coarser, [&](int f, ArrayOnBox<FitNumber> const& fits) {
+    out[std::size_t(f)] = hull_of_fits(fits, [](FitNumber fit) { return fit == fit_in_gap; });
+  });
   return out;
 }
 
@@ -120,6 +137,27 @@ Reads fine_reads_before_gaps(Level const& coarser, Level const& level) {
             read(with_neighbours(gap.intersect(coarser.box(c))).refine(refinement_ratio));
           }
       });
+}
+
+std::vector<CellOfBox> cells_behind_gaps(Level const& coarser, Level const& level) {
+  std::vector<CellOfBox> out;
+  std::map<int, std::vector<ArrayOnBox<FitNumber>>> known;  // fits behind the faces of finer boxes
+  for (int c = coarser.first_local_box(); c < coarser.last_local_box(); ++c) {
+    ArrayOnBox<char> behind(coarser.box(c), 0);
+    for (Overlap const& o : overlaps(level, coarser.box(c).grow(1).refine(refinement_ratio))) {
+      auto const [at, is_new] = known.try_emplace(o.box);
+      if (is_new) at->second = fits_with_gaps(BoxFaces(level, level.box(o.box)), level, coarser);
+      for (auto const& fits : at->second)
+        for_each_cell(fits.box(), [&](Index3 const& cell) {
+          Index3 const image{cell[0] + o.shift[0] / 2, cell[1] + o.shift[1] / 2, cell[2] + o.shift[2] / 2};
+          if (fits(cell) == fit_in_gap && behind.box().contains(image)) behind(image) = 1;
+        });
+    }
+    for_each_cell(behind.box(), [&](Index3 const& cell) {
+      if (behind(cell)) out.push_back({c, cell});
+    });
+  }
+  return out;
 }
 
 }  // namespace amrpic

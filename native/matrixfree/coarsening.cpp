@@ -134,7 +134,6 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   if (has_gaps_) {
     fine_.run(stages);
     stages.clear();
-    interface_.start();
     update_gaps();
   }
   stages.push_back([&](std::size_t b, int k) {
@@ -158,6 +157,11 @@ void Coarsening::update_gaps() {
   fine_.exchange_corrections(false);
   fine_.run({});
   interface_.subtract_in_gaps(fine_.correction(), fine_.right_hand_side());
+}
+
+void Coarsening::refresh_gaps() {
+  update_gaps();
+  fine_.exchange_corrections(true);
 }
 
 void Coarsening::restrict_right_hand_side() {

@@ -38,6 +38,13 @@ class Coarsening {
   /// The same for a finer correction of zero, whose values are not read. Collective.
   void restrict_right_hand_side();
 
+  /// Where there are gaps: begin with a finer correction of zero; and take what its fits have of it after sweeps into its
+  /// right-hand side, since sweeps do not see that. Collective.
+  bool has_gaps() const { return has_gaps_; }
+  void start() { interface_.start(); }
+  void refresh_gaps();
+  Traffic of_refresh() const { return fine_.of_corrections(false) + fine_.of_corrections(true); }
+
   /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
   /// adds it to the finer correction, or takes its place, and is to be run first. Planes that other ranks copy have it
   /// already, and are on their way to them. Collective.

@@ -122,14 +122,38 @@ void Cycle::run() {
                          [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
 }
 
+/// The stages with sweeps after them, of which all but the last have run where there are gaps: their fits are taken into
+/// account between sweeps.
+std::vector<PlaneStage> Cycle::relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps,
+                                           bool from_zero, int further) {
+  auto const append = [&](int count) {
+    for (auto& stage : level.swept->relaxations(count, from_zero, further)) stages.push_back(stage);
+    from_zero = false;
+  };
+  for (; level.coarsening->has_gaps() && sweeps > 1; --sweeps) {
+    append(1);
+    level.swept->run(stages);
+    stages.clear();
+    level.coarsening->refresh_gaps();
+  }
+  append(sweeps);
+  return stages;
+}
+
+Traffic Cycle::between_sweeps(CycleLevel const& level, int sweeps) const {
+  Traffic out;
+  for (int s = 1; s < sweeps && level.coarsening->has_gaps(); ++s) out = out + level.coarsening->of_refresh();
+  return out;
+}
+
 /// Smooth, then leave the right-hand side of the coarser level.
 void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
   level.swept->exchange_right_hand_sides();
   std::vector<PlaneStage> stages;
   if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
   int const sweeps = sweeps_beside(level, relaxation_.pre_sweeps);
-  for (auto& stage : level.swept->relaxations(sweeps, guess == Guess::zero, 1)) stages.push_back(stage);
-  level.coarsening->sweep_and_restrict(stages);
+  level.coarsening->start();
+  level.coarsening->sweep_and_restrict(relaxations(level, stages, sweeps, guess == Guess::zero, 1));
 }
 
 /// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own
@@ -138,7 +162,7 @@ void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
   int const sweeps = sweeps_beside(level, relaxation_.post_sweeps);
   int const further = level.local ? 1 : 0;  // a residual is taken there
-  for (auto& stage : level.swept->relaxations(sweeps, false, further)) stages.push_back(stage);
+  stages = relaxations(level, stages, sweeps, false, further);
   if (level.local) stages = level.local->improve(stages);
   level.swept->run(stages);
 }
@@ -188,13 +212,15 @@ std::vector<LevelWork> Cycle::work() const {
                          [&](std::size_t l, Guess guess) {
                            Coarsening const& c = *levels_[l].coarsening;
                            Traffic const sent = levels_[l].swept->of_right_hand_sides() + c.of_restriction(true);
-                           add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent,
-                               sweeps_beside(levels_[l], relaxation_.pre_sweeps), 1);
+                           int const sweeps = sweeps_beside(levels_[l], relaxation_.pre_sweeps);
+                           Traffic const swept = sent + between_sweeps(levels_[l], sweeps);
+                           add(l, guess == Guess::coarser ? swept + c.of_prolongation() : swept, sweeps, 1);
                          },
                          [&](std::size_t l) {
                            auto const& local = levels_[l].local;
-                           add(l, levels_[l].coarsening->of_prolongation(),
-                               sweeps_beside(levels_[l], relaxation_.post_sweeps), local ? 1 : 0);
+                           int const sweeps = sweeps_beside(levels_[l], relaxation_.post_sweeps);
+                           add(l, levels_[l].coarsening->of_prolongation() + between_sweeps(levels_[l], sweeps), sweeps,
+                               local ? 1 : 0);
                            if (!local) return;
                            out[l].traffic = out[l].traffic + local->traffic();
                            out[l].relaxed += local->relaxed_cells();

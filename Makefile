@@ -10,6 +10,7 @@ JOBS ?= $(shell env -u OMP_NUM_THREADS nproc)
 RANKS ?= 2
 SCENE ?= examples/ten_bunches.toml
 ARGS ?=
+REPORTS := $(if $(PUBLISH),docs/reports,runs/reports)
 SYSTEM := build-essential cmake ninja-build python3-venv python3-dev libopenmpi-dev openmpi-bin trilinos-all-dev
 PEERS := libhypre-dev
 NATIVE := CMakeLists.txt pyproject.toml $(wildcard native/* native/*/*.cpp native/*/*.hpp)
@@ -20,7 +21,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 
-.PHONY: always stub docs help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
+.PHONY: always stub docs gallery help setup build run test nehalem aarch64 verify impactx sanitize bench solvers lint format clean
 
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
@@ -71,14 +72,11 @@ $(ARM)/.packages: .venv/.packages .venv/.qemu
 	  print(*(p.replace(" ", "") for p in project["dependencies"]), "pytest", "pytest-xdist")')
 	@touch $@
 
-verify: setup  ## accuracy against exact answers, into docs/verification.md, and the long forms of tests
+verify: setup .venv/.docs .venv/.browser  ## accuracy against exact answers, and the long tests; PUBLISH=1: into docs/reports
 	@failed=0; try() { echo "$$@"; "$$@" || failed=1; }; \
-	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output docs; \
-	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output docs; \
-	try env AMRPIC_TEST_LONG=1 AMRPIC_KILLS=10 $(BIN)/python -m pytest tests/verify/test_verify.py tests/run/test_decomposition.py \
-	  tests/run/test_kill_restart.py tests/run/test_memory.py tests/solver/test_rounding_floor.py tests/solver/test_invariance.py \
-	  tests/solver/test_every_base.py tests/solver/test_fuzz.py tests/gmls/test_gmls_reproduction.py \
-	  tests/commands/test_every_bad_input.py tests/io/test_fuzzed_files.py $(ARGS); \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --output $(REPORTS); \
+	try mpiexec -n $(RANKS) $(BIN)/amrpic verify --quick --pareto examples/drift.toml --pareto examples/waist.toml --output $(REPORTS); \
+	try $(BIN)/python -m pytest -m "long or browser" --need-browser $(ARGS); \
 	exit $$failed
 
 # What the verification compares with where a peer is needed to make it.
@@ -146,7 +144,16 @@ stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 
 docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site; docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo "build/site/index.html; with the search: python3 -m http.server -d build/site"
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo build/site/index.html
+
+gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md anew
+	@$(BIN)/python docs/site/gallery.py
+
+.venv/.browser: .venv/.system
+	@command -v chromium >/dev/null || { root=; [ "$$(id -u)" = 0 ] || root=sudo; echo "installing Debian packages: chromium"; \
+	  $$root apt-get update -q >/dev/null; \
+	  $$root env DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends chromium >/dev/null; }
+	@touch $@
 
 .venv/.docs: pyproject.toml .venv/.packages
 	@$(BIN)/python -m pip install -q --disable-pip-version-check $$($(BIN)/python -c 'import tomllib; \
@@ -154,7 +161,7 @@ docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site;
 	@touch $@
 
 bench: setup .venv/.peers  ## speed next to peers and goals, into runs/bench; ARGS=--quick: under 2 minutes
-	$(BIN)/python benchmarks/bench.py $(ARGS)
+	$(BIN)/python benchmarks/bench.py $(if $(PUBLISH),--publish) $(ARGS)
 
 # What benchmarks run beside, as far as it can be had here: those that are not are left out of the tables, with a line.
 .venv/.peers: pyproject.toml Makefile
@@ -190,8 +197,8 @@ sanitize: setup  ## tests of the native side under the address and undefined beh
 	$(SANITIZED) $(BIN)/python tests/support/fuzz.py --cases 60 --seed 1 --only-crashes || failed=1; \
 	exit $$failed
 
-solvers: setup  ## measure the solver's menu on 1 and 2 ranks and write docs/solvers.md
-	$(BIN)/python benchmarks/solvers.py
+solvers: setup  ## measure the solver's menu on 1 and 2 ranks; PUBLISH=1: into docs/reports
+	$(BIN)/python benchmarks/solvers.py --output $(REPORTS)/solvers.md $(ARGS)
 
 lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency graphs
 	$(BIN)/ruff check

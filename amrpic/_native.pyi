@@ -36,6 +36,11 @@ def exchange(
     Values of parcels between ranks, (rank, number) each, once; pack(n) gives those that rank asked[n][0] reads.
     """
 
+def measure_fma_peak() -> float:
+    """
+    Most operations per second of products and sums of vectors in registers, two each, the best of many short runs.
+    """
+
 def initialize() -> None:
     """Start Kokkos and Tpetra on MPI_COMM_WORLD, once; MPI must be up."""
 
@@ -140,6 +145,18 @@ class BoxTable:
     def outer_faces(self) -> int:
         """Number of cell faces on the surface of the union of the boxes."""
 
+def window_sums(
+    value: NDArray[numpy.float64],
+    place: NDArray[numpy.int64],
+    kind: NDArray[numpy.int64],
+    first: NDArray[numpy.int64],
+    offset: NDArray[numpy.int32],
+    weight: NDArray[numpy.float64],
+) -> NDArray[numpy.float64]:
+    """
+    Sums of weights times differences from the own value, (cells, rows), for cells at places of a dense array.
+    """
+
 def carry_over(from_: Field, to: Field) -> None: ...
 
 class EngeFringe:
@@ -239,6 +256,75 @@ class ExternalFields:
         Means of E (V/m) and B (T) along flights position + velocity τ, τ from `start` to `stop` (s).
         """
 
+def fem_gauss_rule(count: int) -> tuple:
+    """Places and weights of Gauss's rule on [-1, 1]."""
+
+def fem_lobatto_nodes(degree: int) -> NDArray[numpy.float64]:
+    """Nodes of an element along an axis, from -1 to 1."""
+
+def fem_fit_moments(
+    first: NDArray[numpy.int64],
+    reference: NDArray[numpy.float64],
+    volume: NDArray[numpy.float64],
+    element_volume: float,
+    highest: int,
+) -> tuple:
+    """
+    Weights of points near their volumes, and to which degree they are exact in each element.
+    """
+
+class FemLattice:
+    """
+    Nodes of elements on the base cells of a hierarchy; amrpic.fem.Mesh has it.
+    """
+
+    def __init__(self, hierarchy: Hierarchy, degree: int) -> None: ...
+    def nodes(self) -> NDArray[numpy.int32]: ...
+    def elements(self) -> NDArray[numpy.int32]: ...
+    @property
+    def first_node(self) -> int: ...
+    def locate(self, places: NDArray[numpy.float64]) -> tuple:
+        """The element of each place among this rank's, or -1, and where in it."""
+
+class FemPoints:
+    """Integration points; amrpic.fem.Points has them."""
+
+    def __init__(
+        self,
+        lattice: FemLattice,
+        element: NDArray[numpy.int32],
+        reference: NDArray[numpy.float64],
+        weight: NDArray[numpy.float64],
+        gauss: bool,
+    ) -> None: ...
+    @property
+    def bytes(self) -> int: ...
+    def values(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def slopes(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def integrals(self, components: int, values: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+
+class FemOperator:
+    """Mass or Poisson at points; amrpic.fem has both."""
+
+    def __init__(self, points: FemPoints, poisson: bool, components: int) -> None: ...
+    def apply(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def diagonal(self) -> NDArray[numpy.float64]: ...
+    def entries(self) -> tuple: ...
+    def corner_rows(self, fixed: NDArray[numpy.bool_]) -> tuple:
+        """
+        This rank's rows of an operator of degree 1, as the coarse level of a solve has them.
+        """
+
+    def solve(
+        self,
+        f: NDArray[numpy.float64],
+        fixed: NDArray[numpy.bool_],
+        values: NDArray[numpy.float64],
+        preconditioner: int,
+        tolerance: float,
+        most_iterations: int,
+    ) -> tuple: ...
+
 def lattice_green(spacing: Sequence[float], reach: Sequence[int]) -> NDArray[numpy.float64]:
     """
     Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach.
@@ -316,6 +402,38 @@ class GmlsProblem:
         """
         Weighted rows of a target's samples (m, n), roots of their weights, and the targets (n, rows wanted): weights are root * z with rows.T @ z = targets.
         """
+
+class NeoHookean:
+    def __init__(self, mu: float, lambda_: float) -> None: ...
+    def energy(self, f: Sequence[Sequence[float]]) -> float:
+        """Per initial volume."""
+
+    def stress(self, f: Sequence[Sequence[float]]) -> list[list[float]]:
+        """Kirchhoff's."""
+
+    def change_initially(
+        self, f: Sequence[Sequence[float]], change: Sequence[Sequence[float]]
+    ) -> list[list[float]]: ...
+    def change(self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]]) -> list[list[float]]: ...
+
+class Ogden:
+    def __init__(self, terms: Sequence[tuple[float, float]], lambda_: float) -> None: ...
+    def energy(self, f: Sequence[Sequence[float]]) -> float: ...
+    def stress(self, f: Sequence[Sequence[float]]) -> list[list[float]]: ...
+    def change_initially(
+        self, f: Sequence[Sequence[float]], change: Sequence[Sequence[float]]
+    ) -> list[list[float]]: ...
+    def change(self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]]) -> list[list[float]]: ...
+
+class DamagedNeoHookean:
+    def __init__(self, mu: float, lambda_: float, residual: float) -> None: ...
+    def energy(self, f: Sequence[Sequence[float]], damage: float) -> float: ...
+    def driving_energy(self, f: Sequence[Sequence[float]]) -> float: ...
+    def stress(self, f: Sequence[Sequence[float]], damage: float) -> list[list[float]]: ...
+    def damage_of(self, driving: float, toughness: float, length: float) -> float: ...
+    def change(
+        self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]], damage: float
+    ) -> list[list[float]]: ...
 
 def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
     """
@@ -472,6 +590,8 @@ def brick_windows(hierarchy: Hierarchy, bricks: NDArray[numpy.int32], matched: b
 END_OF_CURVE: int = 9223372036854775807
 
 PLACES_PER_BRICK: int = 2097152
+
+MOST_PARTICLES: int = 2147483583
 
 class Migration:
     def __init__(

@@ -1,8 +1,8 @@
 """Measure how fast the code is, next to its peers and to its goals: `make bench`, or `make bench ARGS=--quick`.
 
 Each part runs in processes of its own, on the ranks that it needs. Ends with the table of goals; writes a JSON of all that was
-measured, charts, and, after a whole run, docs/performance.md. The exit status is 1 if a part failed; a goal that is missed is
-reported, not an error.
+measured and charts, with `--publish` docs/reports/performance.md. The exit status is 1 if a part failed; a goal that is missed
+is reported, not an error.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
         Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
         *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
         Part("least squares", "least_squares.py", 1, repeats_of_gamma),
+        *(Part("points", "points.py", ranks, (*repeats_of_gamma, *small)) for ranks in (1, 2)),
         Part("agreement", "agreement.py", 1, small),
     ]
 
@@ -127,7 +128,10 @@ def main() -> int:
     parser.add_argument(
         "--output", type=Path, default=ROOT / "runs" / "bench", help="folder of the JSON and the charts"
     )
+    parser.add_argument("--publish", action="store_true", help="write docs/reports/performance.md, after a whole run")
     given = parser.parse_args()
+    if given.publish and (given.quick or len(given.only) < len(NAMES)):
+        parser.error("only a whole run is published; leave out --quick and --only")
     given.output.mkdir(parents=True, exist_ok=True)
     about = {"machine": machine(), "quick": given.quick, "backend": given.backend, "runs": given.runs}
     start = time.perf_counter()
@@ -143,8 +147,8 @@ def main() -> int:
             print("\n" + printed(more))
     if (found := laws(records)) != []:
         print("\n" + printed(rows(found)))
-    if not (given.quick or failed or len(given.only) < len(NAMES)):
-        print(performance.write(given.output / "bench.json", ROOT / "docs"))
+    if given.publish and not failed:
+        print(performance.write(given.output / "bench.json", ROOT / "docs" / "reports"))
     if (share := share_of_core(records)) < QUIET:
         print(f"The machine did other work: a rank had {share:.0%} of a core, so times are too long.")
     for sentence in failed:

@@ -15,6 +15,8 @@ from least_squares import record_name as stencil_record
 from measuring import Record
 from particles import OWN_B, SOLENOID, record_name
 from pic_step import IMPACTX_WALLS, step_name
+from points import beyond_cache_name, layout_name
+from points import record_name as product_name
 from solving import BESIDE_DST, BOXES, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
 
@@ -77,6 +79,9 @@ class Found:
         record = self.records.get(name)
         return NAN if record is None else float(record.facts.get(what, NAN))
 
+    def unknowns_per_second(self, name: str) -> float:
+        return self.fact(name, "unknowns") / self.seconds(name)
+
     def ratio(self, name: str, other: str) -> float:
         """How many times as long one takes as another. Of runs in turns the median of the ratios."""
         one, two = self.records.get(name), self.records.get(other)
@@ -109,6 +114,7 @@ def goals(records: Sequence[Record]) -> list[Goal]:
             step,
             backends,
             stencils,
+            elements,
         )
         for goal in topic(found)
     ]
@@ -126,6 +132,48 @@ def stencils(found: Found) -> Iterator[Goal]:
         1,
         0.3,
         " µs",
+    )
+
+
+def elements(found: Found) -> Iterator[Goal]:
+    for problem in ("BP3", "BP4"):
+        for degree, per_axis in ((2, 4), (3, 4), (4, 5)):
+            layout = layout_name(degree, per_axis)
+            record = found.records.get(product_name(problem, degree, layout))
+            share = (
+                NAN if record is None else 100 * record.facts["nominal flops"] / record.median / record.facts["peak"]
+            )
+            yield Goal(
+                f"{problem} at points, degree {degree}, {layout}: nominal flops over the peak",
+                share,
+                50,
+                70,
+                " %",
+                True,
+            )
+        mine, theirs = (product_name(problem, 2, layout_name(2, 3), who) for who in ("amrpic", "libCEED"))
+        faster = found.unknowns_per_second(mine) / found.unknowns_per_second(theirs)
+        yield Goal(f"{problem} at 27 points, degree 2, against libCEED's basis", faster, 25, 50, "×", at_least=True)
+    for problem in ("BP1", "BP2", "BP3", "BP4"):
+        for degree in (2, 3, 4):
+            mine, theirs = (product_name(problem, degree, "Gauss", who) for who in ("amrpic", "libCEED"))
+            faster = found.unknowns_per_second(mine) / found.unknowns_per_second(theirs)
+            yield Goal(f"{problem} at Gauss points, degree {degree}, against libCEED", faster, 2, 4, "×", at_least=True)
+    rates = {
+        (ranks, size): found.fact(name, "points") / found.seconds(name)
+        for ranks in (1, 2)
+        for size in ("in cache", "beyond it")
+        for name in (beyond_cache_name(ranks, size),)
+    }
+    beyond = rates[1, "beyond it"] / rates[1, "in cache"]
+    yield Goal("7.4 million points against points in cache, each", beyond, 0.6, 0.8, "×", at_least=True)
+    yield Goal(
+        "7.4 million points, 2 ranks against 1",
+        rates[2, "beyond it"] / rates[1, "beyond it"],
+        1.8,
+        1.95,
+        "×",
+        at_least=True,
     )
 
 

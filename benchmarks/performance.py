@@ -1,4 +1,7 @@
-"""Write docs/performance.md and its pictures from what `make bench` measured: python benchmarks/performance.py BENCH.json"""
+"""Write docs/reports/performance.md and its pictures from what `make bench` measured.
+
+Run it by `python benchmarks/performance.py BENCH.json`.
+"""
 
 from __future__ import annotations
 
@@ -369,7 +372,7 @@ the rest. A gather at half a particle per cell spends some 40 % of its time on f
 
 Every step adds a row to the time series. Means, sizes, emittances, momentum and kinetic energy of the beam come from one
 pass over the particles (`moments`), deviations being taken from the means so far; energies of the fields from one pass over
-each. The tables of groups of particles cost more and come every 20 steps ([diagnostics.md](diagnostics.md#what-it-costs)).
+each. The tables of groups of particles cost more and come every 20 steps ([diagnostics.md](../diagnostics.md#what-it-costs)).
 
 ![Particle stages](pictures/performance_particles.png)
 
@@ -419,7 +422,7 @@ def write(bench: Path, folder: Path) -> Path:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("bench", type=Path, help="bench.json of a run")
-    parser.add_argument("--output", type=Path, default=ROOT / "docs", help="folder of the document")
+    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "reports", help="folder of the document")
     given = parser.parse_args()
     print(write(given.bench, given.output))
     return 0

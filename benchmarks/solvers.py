@@ -1,4 +1,4 @@
-"""Measure every choice of the solver's menu, and write docs/solvers.md: `make solvers`.
+"""Measure every choice of the solver's menu, and write a report: `make solvers`.
 
 One thing at a time is varied from the default. Each row converges to 1e-10 to the default's potential, or is refused at
 construction with the reason; any other row makes the exit status 1.
@@ -332,7 +332,7 @@ HEAD = f"""# The solver's menu, measured
 
 Made by `make solvers` (`benchmarks/solvers.py`), which fails unless every row below converges to a residual of
 {TOLERANCE:.0e} (max norm) to the default's potential within {SAME:.0e} of its largest value, or is refused at construction.
-What the options mean, and why the defaults are what they are: `[solver]` in [scene.md](scene.md).
+What the options mean, and why the defaults are what they are: `[solver]` in [scene.md](../scene.md).
 
 The menu is that of compressed rows (`backend = "crs"`), which offer all of it; without matrices there is one choice, the
 row "backend matrix-free". Each row differs from the default with compressed rows in what it names. *Solve* is the faster
@@ -389,7 +389,9 @@ def run(case: str, ranks: int, quick: bool) -> Table:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--output", type=Path, default=ROOT / "docs" / "solvers.md", help="the document to write")
+    parser.add_argument(
+        "--output", type=Path, default=ROOT / "runs" / "reports" / "solvers.md", help="the document to write"
+    )
     parser.add_argument("--quick", action="store_true", help="tiny cases and few rows, to see that it works")
     parser.add_argument("--ranks", type=int, nargs="+", default=[1, 2], help="numbers of ranks")
     parser.add_argument("--case", choices=CASES, help="measure this case on the ranks at hand, as JSON")
@@ -403,6 +405,7 @@ def main() -> int:
     for case, ranks in itertools.product(CASES, given.ranks):
         print(f"{case} on {ranks} ranks", flush=True)
         tables.append(run(case, ranks, given.quick))
+    given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text(document(tables), encoding="utf-8")
     unsound = [(table, row) for table in tables for row in table.rows if not row.sound]
     for table, row in unsound:

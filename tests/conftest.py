@@ -3,6 +3,9 @@
 `@pytest.mark.mpi(ranks=(1, 2), timeout=60)` runs a test once per number of ranks, on as many processes, which other files
 share unless it asks for `fresh=True`.
 Such a test asks for the fixture `comm`; its `tmp_path` is one directory for all ranks.
+
+A test with an argument `long` has two forms, short for False; the long ones carry the marker `long`, as do tests that have
+no short form. `pytest` leaves them out unless it is given `-m`.
 """
 
 from __future__ import annotations
@@ -16,16 +19,24 @@ import mpi_batch
 import mpi_rank
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--need-browser", action="store_true", help="tests that need Chromium or mkdocs fail without")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers",
         "mpi(ranks=(1, 2), timeout=60, fresh=False): on so many MPI ranks, within the timeout, in new processes",
     )
+    config.addinivalue_line("markers", "browser: looks at pages in Chromium; skipped without, unless --need-browser")
+    config.addinivalue_line("markers", "long: takes minutes; `pytest -m long` runs these alone, `pytest -m ''` all")
     plugin = mpi_rank.Rank(config) if mpi_rank.is_rank() else mpi_batch.Launcher(config)
     config.pluginmanager.register(plugin, "amrpic-mpi")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "long" in metafunc.fixturenames:
+        metafunc.parametrize("long", [False, pytest.param(True, marks=pytest.mark.long)], ids=["short", "long"])
     mark = metafunc.definition.get_closest_marker("mpi")
     if mark is not None:
         metafunc.fixturenames.append("ranks")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from ..scaling.show import stage_table, table, write
 from ..scaling.study import KINDS, LAUNCHER, Study
 from .arguments import Commands, command, count, scene_arguments, scene_of
 from .text_table import columns
+
+CYCLES = 2.0
 
 
 def add(commands: Commands) -> None:
@@ -59,6 +62,12 @@ def add(commands: Commands) -> None:
         help="measure by the clock on the wall, or by that of the processor where others use the machine",
     )
     scaling.add_argument(
+        "--apart",
+        action="store_true",
+        help="let the stages of a step begin together on all ranks, so that what ranks wait for each other stands apart; as "
+        "--predict does",
+    )
+    scaling.add_argument(
         "--predict", metavar="NAME", help="show the model with the constants of a machine beside what was measured"
     )
     scaling.add_argument(
@@ -70,7 +79,16 @@ def add(commands: Commands) -> None:
         metavar="NAME",
         help="constants of the model of --plan: aries, slingshot, two_cores or a TOML file; several if repeated; default aries",
     )
-    scaling.add_argument("--cycles", type=float, default=2.0, metavar="N", help="of a solve, for --plan; default 2")
+    scaling.add_argument(
+        "--targets", type=Path, metavar="FILE", help="what the plans are to reach, as TOML: shown beside what they find"
+    )
+    scaling.add_argument(
+        "--page",
+        type=Path,
+        metavar="FILE",
+        help="where the text of --plan goes, as Markdown; default plan.md in --output",
+    )
+    scaling.add_argument("--cycles", type=float, default=CYCLES, metavar="N", help="of a solve, for --plan; default 2")
     scaling.add_argument("--calibrate", metavar="FILE", help="measure the constants of this machine into a TOML file")
     scaling.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
 
@@ -82,11 +100,14 @@ def _list(text: str) -> list[int]:
 def _scaling(chosen: argparse.Namespace) -> int:
     folder = scene_of(chosen).directory
     if chosen.calibrate is not None:
-        return _calibrate(chosen.launcher, Path(chosen.calibrate))
+        return _calibrate(chosen.launcher, chosen.clock, Path(chosen.calibrate))
     if chosen.plan is not None:
         return _plan(chosen, folder)
     kinds = KINDS if chosen.kind is None else (chosen.kind,)
-    study = Study(chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher, chosen.clock)
+    apart = chosen.apart or chosen.predict is not None
+    study = Study(
+        chosen.scene, folder, chosen.set, chosen.ranks, kinds, chosen.steps, chosen.launcher, chosen.clock, apart
+    )
     if chosen.sbatch is not None:
         for path in study.write_jobs(chosen.sbatch, chosen.repeat):
             print(f"sbatch {path}")
@@ -108,18 +129,17 @@ def _scaling(chosen: argparse.Namespace) -> int:
 
 def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> None:
     from ..scaling.machine import Machine
-    from ..scaling.plan import Planner
     from ..scaling.predict import predicted
 
     machine, strong = Machine.read(chosen.predict), [one for one in found if one.kind == "strong"]
-    rows, worst = predicted(Planner(scene_of(chosen), _progress()), strong, machine)
+    rows, worst = predicted(scene_of(chosen), strong, machine, _progress())
     print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
 
 
-def _calibrate(launcher: str, path: Path) -> int:
+def _calibrate(launcher: str, clock: str, path: Path) -> int:
     from ..scaling.calibrate import calibrate  # no other command needs its imports
 
-    calibrate(launcher, say=_progress()).write(path)
+    calibrate(launcher, clock, say=_progress()).write(path)
     print(path)
     return 0
 
@@ -128,16 +148,28 @@ def _plan(chosen: argparse.Namespace, folder: Path) -> int:
     from ..scaling.machine import Machine
     from ..scaling.plan import Planner
     from ..scaling.report import write_plans
+    from ..scaling.targets import Targets
 
+    targets = None if chosen.targets is None else Targets.read(chosen.targets)
     machines = [Machine.read(name) for name in chosen.machine or ["aries"]]
     say = _progress()
     planner = Planner(scene_of(chosen), say)
     plans = list(planner.plans(chosen.plan))
-    text, paths = write_plans(planner, plans, machines, chosen.cycles, folder)
+    text, paths = write_plans(planner, plans, machines, chosen.cycles, folder, chosen.page, targets, _said(chosen))
     say("")
     print(text)
     print(*paths, sep="\n")
     return 0
+
+
+def _said(chosen: argparse.Namespace) -> str:
+    """Return the command that makes a plan, as it is shown."""
+    changes = [part for change in chosen.set for part in ("--set", change)]
+    machines = [part for name in chosen.machine or [] for part in ("--machine", name)]
+    cycles = [] if chosen.cycles == CYCLES else ["--cycles", f"{chosen.cycles:g}"]
+    targets = [] if chosen.targets is None else ["--targets", str(chosen.targets)]
+    plan = ["--plan", ",".join(map(str, chosen.plan))]
+    return shlex.join(["amrpic", "scaling", str(chosen.scene), *changes, *plan, *machines, *cycles, *targets])
 
 
 def _progress() -> Callable[[str], None]:

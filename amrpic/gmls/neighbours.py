@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from .. import _native
 from ..errors import InputError
-from ..mesh.hierarchy import Hierarchy
 from .checks import finite, points
 from .spaces import Scalar
 
@@ -20,6 +20,24 @@ SEARCHED_TOGETHER = 4096  # targets, whose neighbours are Python's lists for a w
 LEAF = 40  # sites of the leaves of a search tree, for which stencils are found fastest
 GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do not determine
 EQUAL = 1 + 1e-9  # distances that rounding alone tells apart
+
+
+class Mesh(Protocol):
+    """Levels of boxes, as an `amrpic.Hierarchy` has them."""
+
+    native: _native.Hierarchy
+
+    @property
+    def levels(self) -> int: ...
+
+    @property
+    def lower(self) -> np.ndarray: ...
+
+    def boxes(self, level: int) -> np.ndarray: ...
+
+    def cells(self, level: int) -> int: ...
+
+    def spacing(self, level: int) -> np.ndarray: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +98,7 @@ class Neighbours:
         return Neighbours(self.start, self.index[order], self.reach), representative, kind
 
 
-def cells(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
+def cells(hierarchy: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and widths, (m, 3) each in m, of the cells of all levels, box by box, x fastest; covered ones too.
 
     They are numbered as `cells_around` numbers them, and as a field on one rank holds them, level after level.
@@ -90,12 +108,12 @@ def cells(hierarchy: Hierarchy) -> tuple[np.ndarray, np.ndarray]:
         h = hierarchy.spacing(level)
         for box in hierarchy.boxes(level):
             k, j, i = np.meshgrid(*[np.arange(box[d], box[d + 3] + 1) for d in (2, 1, 0)], indexing="ij")
-            centres.append(hierarchy.domain.lower + (np.stack([i, j, k], axis=-1).reshape(-1, 3) + 0.5) * h)
+            centres.append(hierarchy.lower + (np.stack([i, j, k], axis=-1).reshape(-1, 3) + 0.5) * h)
         widths.append(np.broadcast_to(h, (hierarchy.cells(level), 3)))
     return np.concatenate(centres), np.concatenate(widths)
 
 
-def cells_around(hierarchy: Hierarchy, points: ArrayLike, radius: ArrayLike) -> Neighbours:
+def cells_around(hierarchy: Mesh, points: ArrayLike, radius: ArrayLike) -> Neighbours:
     """Return the uncovered cells of all levels whose centres lie within a radius of points (n, 3), by index; in m.
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Not collective: boxes are
@@ -115,7 +133,7 @@ def cells_around(hierarchy: Hierarchy, points: ArrayLike, radius: ArrayLike) -> 
     return replace(search(np.arange(len(places)), distances), search=search)
 
 
-def leaves_around(hierarchy: Hierarchy, reach: float) -> tuple[np.ndarray, Neighbours]:
+def leaves_around(hierarchy: Mesh, reach: float) -> tuple[np.ndarray, Neighbours]:
     """Return the uncovered cells of all levels (n,), and for each those within `reach` times its own longest edge.
 
     Cells are numbered as by `cells`. Neighbours end at the faces of the domain, periodic ones too. Cells with equal

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,12 @@ class Dump(Composite):
         except ValueError as error:
             self._h5.close()
             raise self._refusal(str(error)) from None
+
+    @cached_property
+    def periodic(self) -> tuple[bool, bool, bool]:
+        boundary = json.loads(self.scene_text).get("domain", {}).get("boundary", {})
+        x, y, z = ("periodic" in boundary.get(axis, ()) for axis in AXES)
+        return x, y, z
 
     @property
     def label(self) -> str:

@@ -46,6 +46,11 @@ class Composite(ABC):
 
     @property
     @abstractmethod
+    def periodic(self) -> tuple[bool, bool, bool]:
+        """Whether space repeats along each axis."""
+
+    @property
+    @abstractmethod
     def label(self) -> str:
         """What messages call it."""
 
@@ -141,6 +146,10 @@ class LiveFields(Composite):
         self.lower, self.upper = np.array(hierarchy.domain.lower), np.array(hierarchy.domain.upper)
         self.units = {name: parts[0].unit for name, parts in fields.items()}
         self.levels = [self._level(level) for level in range(hierarchy.levels)]
+
+    @property
+    def periodic(self) -> tuple[bool, bool, bool]:
+        return self._hierarchy.domain.periodic
 
     @property
     def label(self) -> str:

@@ -109,6 +109,11 @@ class Hierarchy:
         return _native.ParticleMesh(self.native)
 
     @property
+    def lower(self) -> np.ndarray:
+        """The domain's lower corner, (3,) in m."""
+        return np.array(self.domain.lower)
+
+    @property
     def levels(self) -> int:
         """Number of levels, the base included."""
         return self.native.levels

@@ -182,10 +182,12 @@ def curve(distance: Array, values: Array, symbol: str, unit: str, title: str) ->
     return figure
 
 
-def draw_curve(panel: Axes, along: Array, values: Array, symbol: str, unit: str, colour: str = "C0") -> None:
-    """Draw values, constant in each cell, into a panel whose abscissa is `along`."""
+def draw_curve(
+    panel: Axes, along: Array, values: Array, symbol: str, unit: str, colour: str = "C0", steps: bool = True
+) -> None:
+    """Draw values into a panel whose abscissa is `along`: by steps, as they are constant in cells, or joined by lines."""
     factor, label = _scaled(symbol, unit, values)
-    panel.plot(along, values / factor, color=colour, linewidth=1.0, drawstyle="steps-mid")
+    panel.plot(along, values / factor, color=colour, linewidth=1.0, drawstyle="steps-mid" if steps else "default")
     panel.set_ylabel(label)
     panel.grid(alpha=0.3)
     panel.margins(x=0)

@@ -168,16 +168,16 @@ class Particles:
         """Whether the weights are one number that is repeated."""
         return self.weight.strides == (0,)
 
-    def one_weight(self, comm: MPI.Comm) -> float | None:
-        """The weight that all particles on all ranks are known to have, if there is one. Collective."""
-        if len(self) == 0:
-            bounds = np.array([np.inf, np.inf])
-        elif self.equal_weights:
-            bounds = np.array([self.weight[0], -self.weight[0]])
-        else:
-            bounds = np.array([-np.inf, -np.inf])
+    def one_weight_and_most(self, comm: MPI.Comm) -> tuple[float | None, int]:
+        """The weight that all particles on all ranks are known to have, if there is one, and the most particles of a rank.
+
+        Collective.
+        """
+        bounds = np.array([np.inf, np.inf, -len(self)])
+        if len(self) > 0:
+            bounds[:2] = [self.weight[0], -self.weight[0]] if self.equal_weights else -np.inf
         comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MIN)
-        return float(bounds[0]) if bounds[0] == -bounds[1] else None
+        return float(bounds[0]) if bounds[0] == -bounds[1] else None, int(-bounds[2])
 
     def with_own_weights(self) -> Particles:
         """The same particles, with memory for the weight of each even if all are equal."""

@@ -27,25 +27,30 @@ class Spent:
 class Clock:
     """Adds up what stages take; that of a stage within another counts for the inner one alone.
 
-    `now` gives the time in s since some time in the past.
+    `now` gives the time in s since some time in the past. `before` is called with the name of each stage
+    ahead of it, and counts for none.
     """
 
-    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
-        self.now = now
+    def __init__(
+        self, now: Callable[[], float] = time.perf_counter, before: Callable[[str], object] = lambda stage: None
+    ) -> None:
+        self.now, self.before = now, before
         self._stages: dict[str, Spent] = {}
         self._within: list[Spent] = []  # for each stage that runs, what stages within it have spent
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
+        entered = Spent(self.now(), traffic())
+        self.before(stage)
         start = Spent(self.now(), traffic())
         self._within.append(Spent())
         try:
             yield
         finally:
-            spent = Spent(self.now(), traffic()) - start
-            self._stages[stage] = self._stages.get(stage, Spent()) + (spent - self._within.pop())
+            left = Spent(self.now(), traffic())
+            self._stages[stage] = self._stages.get(stage, Spent()) + (left - start - self._within.pop())
             if self._within:
-                self._within[-1] += spent
+                self._within[-1] += left - entered
 
     def take(self) -> dict[str, Spent]:
         """Return what each stage took since the last call."""

@@ -42,7 +42,7 @@ def place(bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan)
     servers = share_out(plan.comm, *(np.concatenate(column) for column in zip(*counted, strict=True)))
     lost, portions = Record.empty(species, causes(scene)), []
     for made in _portions(plan.comm, bunches):
-        here, outside = migrate_without(made, base, NONE, servers)
+        here, outside, _ = migrate_without(made, base, NONE, servers)
         portions.append(here)
         left = Flights(made.position, made.position, base.domain, window, window).exits(outside)
         momentum = window.to_laboratory(made.momentum[outside])
@@ -81,13 +81,13 @@ def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Par
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)
     stopped = flights.losses(plan.apertures) if scene.apertures else NOTHING
     servers = state.particles.sorted_on(hierarchy).servers
-    particles, outside = migrate_without(moved, hierarchy, stopped.flight, servers, evenly=True)
+    particles, outside, missing = migrate_without(moved, hierarchy, stopped.flight, servers, evenly=True)
     lost = replace(stopped, what=stopped.what + len(FACES))
     if len(outside) > 0:
         lost = lost.joined(flights.exits(outside))
     planes, screens = [screen.z for screen in scene.screens], [screen.name for screen in scene.screens]
     passed = flights.crossings(planes, lost) if planes else NOTHING
-    if not plan.comm.allreduce(len(lost) + len(passed)):
+    if missing == 0 and not (planes and plan.comm.allreduce(len(passed))):
         return particles, state.lost, state.screens
     met = np.unique(np.concatenate([lost.flight, passed.flight]))
     before = state.window.to_laboratory(_momenta(state, plan, met))

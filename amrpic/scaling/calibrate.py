@@ -1,30 +1,30 @@
-"""The constants of this machine: a few small runs on one rank and on all cores at once, and messages between two ranks.
+"""The constants of this machine: small runs on one rank and on all cores, and messages between two ranks.
 
-Constants are fitted to the work of each run by its plan, the medians of steps by the clock of the processor.
+Constants are fitted to what the plan of each run says that its ranks do, and to the medians of its steps.
 """
 
 from __future__ import annotations
 
 import os
 import platform
-import shlex
-import subprocess
+import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
-from ..errors import InputError
 from ..scene.scene import Scene
 from .machine import Machine, Network, Work
-from .measured import Measured, Run, medians
-from .model import OF_WORK, STAGES, Amounts, fitted, parts_of
+from .measure import UNCOUNTED
+from .measured import NEW_MESH, Measured, Run, medians
+from .model import OF_WORK, PARTS, STAGES, Amounts, constants_of, fitted, network_time, row_of
 from .plan import Plan, Planner
+from .study import grown, launch
 
 SCENE = """
 name = "calibration"
@@ -35,6 +35,8 @@ cells = {cells}
 boundary = "open"
 [[bunches]]
 distribution = "gaussian"
+count = {bunches}
+spacing = [0, 0, "20 mm"]
 species = "electron"
 sigma = "2 mm"
 charge = "-10 pC"
@@ -42,73 +44,110 @@ particles = {particles}
 momentum_spread = 1e-24
 [refinement]
 levels = {levels}
-regrid_every = 0
+max_grid_size = {boxes}
+regrid_every = {regrid_every}
 rule = {{ kind = "charge-density", relative = 1e-3 }}
 [solver]
 tolerance = {tolerance}
 [motion]
-kind = "leapfrog"
-dt = "20 ps"
+{motion}
 [output]
 write = ["series"]
 """
-SIZES = (  # cells, levels, particles, tolerance: each varied against the others
-    (48, 0, 20_000, 1e-3),
-    (96, 0, 20_000, 1e-7),
-    (96, 0, 1_000_000, '"discretization"'),
-    (64, 1, 300_000, 1e-5),
-    (64, 2, 1_000_000, '"discretization"'),
-    (128, 1, 500_000, 1e-5),
-    (128, 1, 100_000, '"discretization"'),
+LEAPFROG, WALK = 'kind = "leapfrog"\ndt = "20 ps"', 'kind = "random-walk"\namplitude = "{amplitude} mm"'
+SMALL, LARGE = WALK.format(amplitude=0.1), WALK.format(amplitude=0.5)  # compared with bricks
+TO_MESH = '"discretization"'
+VARIED = "cells", "boxes", "levels", "bunches", "particles", "tolerance", "motion", "regrid_every"
+NONE = 'kind = "none"'
+SIZES = (
+    (48, 32, 0, 1, 20_000, 1e-3, LEAPFROG, 0),
+    (48, 16, 1, 1, 100_000, 1e-9, SMALL, 2),
+    (96, 16, 0, 2, 10_000, 1e-7, LARGE, 0),
+    (96, 32, 0, 1, 1_000_000, TO_MESH, LEAPFROG, 0),
+    (64, 16, 1, 1, 300_000, 1e-5, LARGE, 2),
+    (64, 16, 1, 2, 100_000, 1e-8, LEAPFROG, 0),
+    (64, 32, 2, 1, 1_000_000, TO_MESH, LEAPFROG, 0),
+    (64, 16, 2, 1, 600_000, TO_MESH, LARGE, 2),
+    (128, 16, 1, 1, 500_000, TO_MESH, LEAPFROG, 0),
+    (128, 32, 1, 2, 50_000, TO_MESH, LARGE, 3),
+    (80, 16, 2, 2, 500_000, TO_MESH, LARGE, 4),
+    (96, 16, 1, 1, 800_000, TO_MESH, NONE, 0),
+    (96, 32, 2, 1, 100_000, TO_MESH, NONE, 0),
 )
 STEPS = 8
-CLOCK = "processor"
 
 
-def calibrate(launcher: str, repeat: int = 2, say: Callable[[str], None] = lambda text: None) -> Machine:
-    """Return this machine. Raises InputError if ranks cannot be started."""
-    cores = len(os.sched_getaffinity(0))
+def calibrate(
+    launcher: str, clock: str = "wall", repeat: int = 2, say: Callable[[str], None] = lambda text: None
+) -> Machine:
+    """Return this machine: constants of one rank, of as many as it has cores, and of its messages. Raises InputError if ranks
+    cannot be started."""
+    cores = max(len(os.sched_getaffinity(0)), 2)
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-        found: dict[int, list[Run]] = {1: [], cores: []}
-        plans: list[Plan] = []
-        for turn in range(repeat):
-            for number, size in enumerate(SIZES):
-                cells, levels, particles, tolerance = size
-                scene = Path(folder) / f"scene_{number}.toml"
-                text = SCENE.format(cells=cells, levels=levels, particles=particles, tolerance=tolerance)
-                scene.write_text(text, encoding="utf-8")
-                if turn == 0:
-                    plans.append(Planner(Scene.from_toml(scene)).plan(1))
-                for ranks in found:
-                    say(f"run {turn + 1} of {repeat}, size {number + 1} of {len(SIZES)}, {ranks} at once")
-                    output = Path(folder) / f"{turn}_{number}_{ranks}.json"
-                    _start(launcher, ranks, "measure", output, scene, "alone", f"{number}", STEPS, CLOCK)
-                    found[ranks].append(Run.read(output))
+        runs = list(_runs(Path(folder), launcher, cores, clock, repeat, say))
         say("messages between two ranks")
         output = Path(folder) / "network.txt"
-        _start(launcher, 2, "calibrate", output)
+        launch(launcher, 2, ["amrpic.scaling.calibrate", str(output)], "a calibration")
         latency, per_byte, collective = np.loadtxt(output)
-    return Machine(
+        network = Network(float(latency), float(cores / per_byte), cores, float(collective))
+        found = measured(runs, [Path(folder) / f"scene_{number}.toml" for number in range(len(SIZES))], say)
+    blank = Machine(
         platform.node() or "this machine",
-        f"measured by amrpic scaling --calibrate on {cores} cores of {_processor()}, ranks on one node",
-        Network(float(latency), float(cores / per_byte), cores, float(collective)),
-        _fits(found[cores], plans),
-        _fits(found[1], plans),
+        f"measured by amrpic scaling --calibrate on {cores} cores of {_processor()}, ranks on one node: medians of steps by "
+        f"{'the clock on the wall' if clock == 'wall' else 'that of the processor'}",
+        network,
+        {},
+        {},
+        _cache(),
     )
+    alone = fits(found[1], blank, {})
+    return replace(blank, stages=fits(found[cores], blank, alone), alone=alone)
 
 
-def _start(launcher: str, ranks: int, module: str, *arguments: object) -> None:
-    command = [*shlex.split(launcher.format(ranks=ranks)), sys.executable, "-m", f"amrpic.scaling.{module}"]
-    try:
-        done = subprocess.run(
-            [*command, *map(str, arguments)], env=dict(os.environ), stdout=subprocess.DEVNULL, check=False
-        )
-    except OSError as reason:
-        raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
-    if done.returncode != 0:
-        raise InputError(
-            f"a calibration on {ranks} ranks ended with status {done.returncode}; correct what it says above"
-        )
+def _runs(
+    folder: Path, launcher: str, cores: int, clock: str, repeat: int, say: Callable[[str], None]
+) -> Iterator[Run]:
+    """Yield runs of scenes of all sizes on one rank and on all cores, in turns; they are named by the number of their size."""
+    for turn in range(repeat):
+        for number, size in enumerate(SIZES):
+            scene = folder / f"scene_{number}.toml"
+            scene.write_text(SCENE.format(**dict(zip(VARIED, size, strict=True))), encoding="utf-8")
+            for ranks in (1, cores):
+                say(f"run {turn + 1} of {repeat}, size {number + 1} of {len(SIZES)}, {ranks} ranks")
+                output = folder / f"{turn}_{number}_{ranks}.json"
+                arguments = [output, scene, "strong", number, STEPS, clock, "apart", *_for(scene, ranks)]
+                launch(launcher, ranks, ["amrpic.scaling.measure", *map(str, arguments)], "a calibration")
+                yield Run.read(output)
+
+
+def middle(one: Measured) -> int:
+    """Return the middle of the steps of runs that were measured."""
+    return UNCOUNTED + (one.steps // one.runs + 1) // 2
+
+
+def _least_disturbed(runs: Sequence[Run]) -> list[Run]:
+    """Return of each number of ranks the fastest run: others may use the machine for as long as one takes."""
+    best: dict[int, Run] = {}
+    for run in sorted(runs, key=lambda run: statistics.median(run.seconds)):
+        best.setdefault(run.ranks, run)
+    return list(best.values())
+
+
+def _for(scene: Path, ranks: int) -> list[str]:
+    """Return overrides that give each of more ranks what it has of two."""
+    return grown(Scene.from_toml(scene), ranks / 2) if ranks > 2 else []
+
+
+def measured(
+    runs: Sequence[Run], scenes: Sequence[Path], say: Callable[[str], None]
+) -> dict[int, list[tuple[Measured, Plan]]]:
+    """Return by ranks the medians of runs, which are named by the numbers of their scenes, with plans of these."""
+    found: dict[int, list[tuple[Measured, Plan]]] = {}
+    for number, scene in enumerate(scenes):
+        for one in medians(_least_disturbed([run for run in runs if run.scene == f"{number}"])):
+            plan = Planner(Scene.from_toml(scene, _for(scene, one.ranks)), say, middle(one)).plan(one.ranks)
+            found.setdefault(one.ranks, []).append((one, plan))
+    return found
 
 
 def _processor() -> str:
@@ -116,30 +155,43 @@ def _processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
-def _fits(runs: Sequence[Run], plans: Sequence[Plan]) -> dict[str, Work]:
-    """Return the constants of each stage that come nearest to the medians of runs, named by the numbers of their plans."""
-    found = [
-        (int(name), medians([run for run in runs if run.scene == name])[0]) for name in {run.scene for run in runs}
-    ]
+def _cache() -> float:
+    """Return the bytes of the last level of cache; 0 if the system does not say."""
+    units, size = {"K": 2**10, "M": 2**20, "": 1}, 0
+    for path in Path("/sys/devices/system/cpu/cpu0/cache").glob("index*/size"):
+        text = path.read_text(encoding="utf-8").strip()
+        size = max(size, int(text.rstrip("KM")) * units[text.lstrip("0123456789")])
+    return float(size)
+
+
+def fits(found: Sequence[tuple[Measured, Plan]], machine: Machine, least: Mapping[str, Work]) -> dict[str, Work]:
+    """Return the constants of each stage that come nearest to what runs measured on plans of their ranks.
+
+    None is below that of `least`: a rank among others does nothing faster than one alone.
+    """
+    taken: dict[str, list[tuple[dict[str, float], float]]] = {}
+    for one, plan in found:
+        amounts = amounts_of(one, plan, machine)
+        for stage in (*STAGES, NEW_MESH):
+            seconds = one.stages[stage].most if stage in one.stages else 0.0
+            seconds -= sum(network_time(stage, plan, machine.network, amounts))
+            if seconds > 0:
+                taken.setdefault(constants_of(stage, plan), []).append((row_of(stage, plan, amounts), seconds))
     out = {}
-    for stage in STAGES:
-        parts = parts_of(stage)
-        taken = [
-            (amounts_of(one, plans[number]), one.stages[stage].most) for number, one in found if stage in one.stages
-        ]
-        taken = [(amounts, seconds) for amounts, seconds in taken if seconds > 0]
-        if taken:
-            rows = np.array([[1.0, *(getattr(amounts, what) for what in parts)] for amounts, _ in taken])
-            call, *each = fitted(rows, np.array([seconds for _, seconds in taken])).tolist()
-            out[stage] = Work(call, **{OF_WORK[what]: value for what, value in zip(parts, each, strict=True)})
+    for name, rows in taken.items():
+        parts = PARTS[name]
+        matrix = np.array([[1.0, *(row[what] for what in parts)] for row, _ in rows])
+        constants = ["call", *(OF_WORK[what] for what in parts)]
+        bound = np.array([getattr(least.get(name, Work()), constant) for constant in constants])
+        each = fitted(matrix, np.array([seconds for _, seconds in rows]), bound).tolist()
+        out[name] = Work(**dict(zip(constants, each, strict=True)))
     return out
 
 
-def amounts_of(one: Measured, plan: Plan) -> Amounts:
+def amounts_of(one: Measured, plan: Plan, machine: Machine) -> Amounts:
     """Return what a run had to do, on the mesh and with the cycles that were measured."""
-    of_plan = Amounts.of(plan, one.cycles)
-    grown = one.cells / float(plan.cells.sum())
-    return replace(of_plan, cells=of_plan.cells * grown, swept=of_plan.swept * grown)
+    cycles = statistics.median(plan.all_cycles(cycles) for cycles in one.of_solves)
+    return Amounts.with_all(plan, machine, cycles, one.cells / float(plan.cells.sum()))
 
 
 def ping_pong(comm: MPI.Comm, seconds: float = 0.3) -> tuple[float, float, float]:
@@ -171,6 +223,6 @@ def ping_pong(comm: MPI.Comm, seconds: float = 0.3) -> tuple[float, float, float
 
 
 if __name__ == "__main__":
-    measured = ping_pong(MPI.COMM_WORLD)
+    taken = ping_pong(MPI.COMM_WORLD)
     if MPI.COMM_WORLD.rank == 0:
-        np.savetxt(sys.argv[1], measured)
+        np.savetxt(sys.argv[1], taken)

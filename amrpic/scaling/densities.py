@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +20,7 @@ from ..run.particle_fields import ParticleFields
 from ..run.tagging_rules import apart, index_boxes, tags_of
 from ..scene.bunch_shapes import GaussianBunch
 from ..scene.bunches import Bunch, LatticeBunch, Train
+from ..scene.motion import RandomWalk
 from ..scene.refinement_rules import ChargeDensityRule, Combination, ParticlesRule, RuleKind
 from ..scene.scene import Scene
 from ..stages.regrid import Regridding, regrid
@@ -42,12 +44,17 @@ class Cloud:
     shares: Callable[[Edges], np.ndarray]  # of the bunch in the cells (nx, ny, nz) between edges along x, y, z in m
 
 
-def clouds_of(scene: Scene) -> list[Cloud]:
-    """Return the bunches of a scene as densities. Raises InputError for those that are known only once a file is read."""
-    return [cloud for number, bunch in enumerate(scene.bunches) for cloud in _clouds(scene, number, bunch)]
+def clouds_of(scene: Scene, steps: int = 0) -> list[Cloud]:
+    """Return the bunches of a scene as densities, after so many steps of a random walk if they take one.
+
+    Raises InputError for those that are known only once a file is read.
+    """
+    walked = scene.motion.amplitude * math.sqrt(steps / 3) if isinstance(scene.motion, RandomWalk) else 0.0
+    return [cloud for number, bunch in enumerate(scene.bunches) for cloud in _clouds(scene, number, bunch, walked)]
 
 
-def _clouds(scene: Scene, number: int, bunch: Bunch) -> Iterator[Cloud]:
+def _clouds(scene: Scene, number: int, bunch: Bunch, walked: float) -> Iterator[Cloud]:
+    """Yield the densities of a bunch, each convolved with a Gaussian of rms size `walked` m: of many steps, evenly drawn."""
     if isinstance(bunch, LatticeBunch):
         lower, upper = np.array(scene.domain.lower), np.array(scene.domain.upper)
         yield Cloud(
@@ -66,11 +73,14 @@ def _clouds(scene: Scene, number: int, bunch: Bunch) -> Iterator[Cloud]:
     for place in bunch.places():
         centre, rms = np.array(place), np.array(bunch.rms)
         if isinstance(bunch, GaussianBunch) and rms.min() > 0:
+            rms = np.hypot(rms, walked)
             axes = [_normal(c, s) for c, s in zip(centre, rms, strict=True)]
             yield Cloud(bunch.number, bunch.bunch_charge, centre - REACH * rms, centre + REACH * rms, _product(axes))
             continue
         unit = bunch.unit(draw(bunch.sampling, scene.seed, 0, 0, min(bunch.number, SAMPLES)))
         points = centre + rms * unit[:3].T
+        if walked > 0:
+            points = points + walked * np.random.default_rng(number).standard_normal(points.shape)
         if len(points):
             yield Cloud(bunch.number, bunch.bunch_charge, points.min(axis=0), points.max(axis=0), _counted(points))
 

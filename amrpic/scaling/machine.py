@@ -15,15 +15,27 @@ FOLDER = Path(__file__).parent / "machines"
 
 @dataclass(frozen=True)
 class Work:
-    """Seconds of a stage: once per step, per cell of a rank, per cell and cycle, per particle of a rank, per patch of ghosts
-    behind open walls, and per interaction of a patch with what holds charge."""
+    """Seconds of a stage: once per step, and for each of what is named.
+
+    `cell`, `particle` and `brick`, one with particles, are of a rank. `spilled` is a cell for which the cache has no room;
+    `cycle` and `cycle_spilled` are the same in a cycle, and `cycle_face` is a cell on the face of a box. `moved` is a particle
+    that comes into another brick, `patch` one of ghosts behind open walls, `interaction` one of a patch with a node that holds
+    charge, `near` with a leaf, and `byte` one that a rank sends, for its packing and unpacking.
+    """
 
     call: float = 0.0
     cell: float = 0.0
+    spilled: float = 0.0
     cycle: float = 0.0
+    cycle_spilled: float = 0.0
+    cycle_face: float = 0.0
     particle: float = 0.0
+    moved: float = 0.0
+    brick: float = 0.0
     patch: float = 0.0
     interaction: float = 0.0
+    near: float = 0.0
+    byte: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -38,13 +50,14 @@ class Network:
 
 @dataclass(frozen=True)
 class Machine:
-    """Constants of a machine. `alone` are those of `stages` where a rank has the node's memory for itself."""
+    """Constants of a machine. `alone` are those of `stages` on one rank, which has the node's memory for itself."""
 
     name: str
     source: str  # where the constants come from
     network: Network
     stages: Mapping[str, Work]
     alone: Mapping[str, Work]
+    cache: float = 0.0  # bytes of a node's last level of cache, which its ranks share; 0 where no constant needs it
 
     def work(self, ranks: int) -> Mapping[str, Work]:
         """Return the constants of the stages for runs on so many ranks."""
@@ -59,7 +72,12 @@ class Machine:
 
     def write(self, path: Path) -> None:
         """Write the constants as TOML."""
-        lines = [f'name = "{self.name}"', f'source = "{self.source}"', "", *_section("network", asdict(self.network))]
+        head = [
+            f'name = "{self.name}"',
+            f'source = "{self.source}"',
+            *([f"cache = {self.cache:.0f}"] if self.cache else []),
+        ]
+        lines = [*head, "", *_section("network", asdict(self.network))]
         for prefix, group in ("stages", self.stages), ("alone", self.alone):
             for name, work in group.items():
                 lines += ["", *_section(f'{prefix}."{name}"', {k: v for k, v in asdict(work).items() if v})]
@@ -71,8 +89,11 @@ class Machine:
         path = FOLDER / f"{name}.toml" if (FOLDER / f"{name}.toml").exists() else Path(name)
         try:
             values: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-            groups = [{key: Work(**of) for key, of in values.get(group, {}).items()} for group in ("stages", "alone")]
-            return cls(values["name"], values["source"], Network(**values["network"]), *groups)
+            stages, alone = (
+                {key: Work(**of) for key, of in values.get(group, {}).items()} for group in ("stages", "alone")
+            )
+            network, cache = Network(**values["network"]), float(values.get("cache", 0))
+            return cls(values["name"], values["source"], network, stages, alone, cache)
         except OSError as reason:
             known = ", ".join(sorted(file.stem for file in FOLDER.glob("*.toml")))
             raise InputError(

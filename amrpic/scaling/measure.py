@@ -22,7 +22,7 @@ from ..parallel import own, together
 from ..run.clock import Spent
 from ..run.simulation import Simulation
 from ..scene.scene import Scene
-from .measured import WALLS, Run, Stage
+from .measured import WAITING, WALLS, Run, Stage
 
 UNCOUNTED = 1  # first steps, in which memory is touched for the first time
 
@@ -30,27 +30,40 @@ UNCOUNTED = 1  # first steps, in which memory is touched for the first time
 CLOCKS: Mapping[str, Callable[[], float]] = {"wall": time.perf_counter, "processor": time.process_time}
 
 
-def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name: str = "", clock: str = "wall") -> Run:
+def measure(
+    comm: MPI.Comm,
+    scene: Scene,
+    steps: int,
+    kind: str = "strong",
+    name: str = "",
+    clock: str = "wall",
+    apart: bool = False,
+) -> Run:
     """Return what so many steps of a run take, after the uncounted first ones, with all that the scene writes. Collective.
 
     Files go into the scene's folder. What a step writes counts for the next one; what the end writes stands apart. By the clock
     of the "processor" the time in which others use it does not count, nor what a rank waits for another without polling.
+    Stages that are kept `apart` begin together on all ranks; what ranks wait for each other then is a stage of its own.
     """
     comm, now = own(comm), CLOCKS[clock]
     run = Simulation(comm, _with_steps(scene, UNCOUNTED + steps))
     run.clock.now = now
+    between = Between(run, comm, apart)
     seconds: list[float] = []
     stages: list[dict[str, Stage]] = []
     cycles: list[int] = []
+    meshes: list[int] = []
     since = now()
 
     def step_over(of: Simulation) -> None:
         nonlocal since
-        taken = now() - since
+        taken, made, waiting = now() - since, between.meshes, between.waited()
         if of.step > UNCOUNTED:
             seconds.append(comm.allreduce(taken, op=MPI.MAX))
-            stages.append(over_ranks(comm, _with_walls(of.state.spent, of.report.seconds)))
+            walls = of.report.seconds.get("open boundary", 0.0) * _pace(of, clock)
+            stages.append(over_ranks(comm, {**_with_walls(of.state.spent, walls), **waiting}))
             cycles.append(of.report.cycles)
+            meshes.append(made)
         comm.Barrier()
         since = now()
 
@@ -72,6 +85,7 @@ def measure(comm: MPI.Comm, scene: Scene, steps: int, kind: str = "strong", name
         cycles,
         seconds,
         stages,
+        meshes,
         end,
     )
 
@@ -81,13 +95,43 @@ def _with_steps(scene: Scene, steps: int) -> Scene:
     return scene.model_copy(update={"schedule": schedule})
 
 
-def _with_walls(spent: Mapping[str, Spent], of_solve: Mapping[str, float]) -> dict[str, Spent]:
-    """Return what stages spent, with the open walls' part of the latest solve as a stage of its own; messages stay."""
-    part = of_solve.get("open boundary", 0.0) / max(sum(of_solve.values()), 1e-300)
-    if part == 0 or "solve" not in spent:
+class Between:
+    """What happens between the stages of a run: its ranks wait for each other, if stages are to begin together."""
+
+    def __init__(self, run: Simulation, comm: MPI.Comm, together: bool) -> None:
+        self._comm, self._clock, self._together = comm, run.clock, together
+        self._waited, self._sorted = 0.0, 0
+        run.clock.before = self._enter
+
+    def _enter(self, stage: str) -> None:
+        self._sorted += stage == "migrate"
+        if self._together:
+            since = self._clock.now()
+            MPI.Intracomm.Barrier(self._comm)  # is not counted among the collective calls of the run
+            self._waited += self._clock.now() - since
+
+    @property
+    def meshes(self) -> int:
+        """New meshes of a step: particles are sorted once anyway, and on each of them."""
+        return max(self._sorted - 1, 0)
+
+    def waited(self) -> dict[str, Spent]:
+        """Return the time that this rank has waited since the last call, as a stage, and begin a step."""
+        seconds, self._waited, self._sorted = self._waited, 0.0, 0
+        return {WAITING: Spent(seconds)} if self._together and self._comm.size > 1 else {}
+
+
+def _pace(of: Simulation, clock: str) -> float:
+    """Return the seconds by a clock for each on the wall, over the latest solve."""
+    on_wall = sum(of.report.seconds.values())
+    return 1.0 if clock == "wall" else min(of.state.spent["solve"].seconds / max(on_wall, 1e-300), 1.0)
+
+
+def _with_walls(spent: Mapping[str, Spent], walls: float) -> dict[str, Spent]:
+    """Return what stages spent, with the seconds of open walls in the latest solve as a stage of its own; messages stay."""
+    if walls == 0 or "solve" not in spent:
         return dict(spent)
-    seconds = part * spent["solve"].seconds  # by whatever clock
-    return {**spent, "solve": spent["solve"] - Spent(seconds), WALLS: Spent(seconds)}
+    return {**spent, "solve": spent["solve"] - Spent(walls), WALLS: Spent(walls)}
 
 
 def _spread(comm: MPI.Comm, values: np.ndarray) -> list[tuple[float, float, float]]:
@@ -120,6 +164,17 @@ def cells_of_ranks(mesh: Hierarchy) -> np.ndarray:
     )
 
 
+def faces_of_ranks(mesh: Hierarchy) -> np.ndarray:
+    """Return the cells on the six faces of the boxes of each level on each rank, int64 (levels, ranks)."""
+
+    def of_boxes(boxes: np.ndarray) -> np.ndarray:
+        x, y, z = (boxes[:, 3 + axis].astype(np.int64) - boxes[:, axis] + 1 for axis in range(3))
+        return 2 * (x * y + y * z + z * x)
+
+    rows = [np.bincount(mesh.owners(l), of_boxes(mesh.boxes(l)), mesh.comm.size) for l in range(mesh.levels)]
+    return np.array(rows).astype(np.int64)
+
+
 def cell_imbalance(mesh: Hierarchy) -> float:
     """Return Σ_l max ÷ Σ_l mean over ranks of the cells of level l: a cycle visits the levels in turn."""
     cells = cells_of_ranks(mesh)
@@ -127,31 +182,28 @@ def cell_imbalance(mesh: Hierarchy) -> float:
 
 
 def main() -> int:
-    """Go through one start of a study under mpiexec, and return its exit status. Collective.
-
-    Of the kind "alone" each rank runs the scene by itself, all at the same time; what is written is that of rank 0.
-    """
+    """Go through one start of a study under mpiexec, and return its exit status. Collective."""
     parser = argparse.ArgumentParser(prog="python -m amrpic.scaling.measure")
     for name in ("output", "scene", "kind", "name"):
         parser.add_argument(name)
     parser.add_argument("steps", type=int)
     parser.add_argument("clock", choices=CLOCKS)
+    parser.add_argument("apart", choices=("together", "apart"))
     parser.add_argument("overrides", nargs="*")
     given = parser.parse_args()
     world = MPI.COMM_WORLD
     meeting = Meeting(world)
-    comm: MPI.Comm = MPI.COMM_SELF if given.kind == "alone" else world
-    folder = Path(given.output).with_suffix(f".{world.rank if given.kind == 'alone' else 0}")
+    folder = Path(given.output).with_suffix(".output")
     try:
         with together(world, InputError):
             scene = Scene.from_toml(given.scene, [*given.overrides, f"output.directory={folder}"])
-        found = measure(comm, scene, given.steps, given.kind, given.name, given.clock)
+        found = measure(world, scene, given.steps, given.kind, given.name, given.clock, given.apart == "apart")
         if world.rank == 0:
             found.write(Path(given.output))
     except Exception as failure:
         return meeting.report(failure, sentence(failure))
     finally:
-        if comm.rank == 0:
+        if world.rank == 0:
             shutil.rmtree(folder, ignore_errors=True)
     return 0
 

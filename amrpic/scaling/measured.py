@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import statistics
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any, Self
+
+import numpy as np
 
 from ..errors import InputError, OutputError
 
 OUTPUT = "output"  # the stage of series, diagnostics and dumps in the course of a run
 WALLS = "open walls"  # the part of a solve that finds the potential at them
+WAITING = "waiting"  # for other ranks, between the stages, where these begin together
+NEW_MESH = "new mesh"  # what a step takes more for each new mesh, in all its stages
 END = "end"  # what a run writes at its end; not part of a step
 
 
@@ -27,6 +31,9 @@ class Stage:
     messages: float = 0
     bytes: float = 0
     collectives: float = 0
+
+
+NOTHING = Stage(0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,7 @@ class Run:
     cycles: list[int]  # of the solves of each step
     seconds: list[float]  # of each step, of the slowest rank
     steps: list[dict[str, Stage]]
+    meshes: list[int]  # new ones of each step
     end: float  # s, what is written at the end
 
     def write(self, path: Path) -> None:
@@ -67,7 +75,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Measured:
-    """All runs of a kind on so many ranks: medians over their steps."""
+    """All runs of a kind on so many ranks: medians over their steps, stages over those that left the mesh as it was."""
 
     kind: str
     ranks: int
@@ -81,6 +89,8 @@ class Measured:
     cycles: float
     seconds: float  # of a step
     stages: dict[str, Stage]
+    meshes: float  # new ones of a step, on average
+    of_solves: list[int]  # cycles of the solves from which the stages come
 
     @property
     def work(self) -> float:
@@ -90,9 +100,13 @@ class Measured:
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Self:
         """Return the medians of runs of one kind and number of ranks."""
-        first, steps = runs[0], [step for run in runs for step in run.steps]
-        names = dict.fromkeys(name for step in steps for name in step)
-        stages = {name: _median(step.get(name, Stage(0, 0, 0)) for step in steps) for name in names}
+        first = runs[0]
+        all_ = [one for run in runs for one in zip(run.steps, run.cycles, run.meshes, strict=True)]
+        steps = [one for one in all_ if not one[2]] or all_
+        names = dict.fromkeys(name for step, _, _ in all_ for name in step)
+        stages = {name: _median(step.get(name, NOTHING) for step, _, _ in steps) for name in names}
+        if len(steps) < len(all_):
+            stages[NEW_MESH] = _more([(step, meshes) for step, _, meshes in all_ if meshes], stages)
         ends = [run.end for run in runs]
         stages[END] = Stage(min(ends), statistics.fmean(ends), statistics.median(ends))
         return cls(
@@ -104,15 +118,28 @@ class Measured:
             first.particle_imbalance,
             _each(max, [run.memory for run in runs]),
             len(runs),
-            len(steps),
+            len(all_),
             statistics.median(cycles for run in runs for cycles in run.cycles),
             statistics.median(seconds for run in runs for seconds in run.seconds),
             stages,
+            statistics.fmean(meshes for _, _, meshes in all_),
+            [cycles for _, cycles, _ in steps],
         )
 
 
 def _median(stages: Iterable[Stage]) -> Stage:
     return Stage(*_each(statistics.median, [tuple(asdict(stage).values()) for stage in stages]))
+
+
+def _more(steps: Sequence[tuple[dict[str, Stage], int]], usual: dict[str, Stage]) -> Stage:
+    """Return the median of what steps take more than usual for each of their new meshes, all stages together."""
+
+    def total(step: dict[str, Stage]) -> Any:
+        rows = [astuple(stage) for name, stage in step.items() if name != WAITING]
+        return np.array(rows, dtype=float).sum(axis=0)
+
+    each = [(total(step) - total(usual)) / meshes for step, meshes in steps]
+    return Stage(*np.maximum(np.median(each, axis=0), 0.0).tolist())
 
 
 def _each(function: Callable[[Any], float], rows: Sequence[Sequence[float]]) -> tuple[Any, ...]:

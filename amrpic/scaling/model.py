@@ -1,14 +1,15 @@
 """The time of a step on ranks that do not exist: work of the slowest rank, messages of the busiest one, collectives.
 
-A stage takes, with n cells of level l on a rank, p particles, w patches at open walls with i interactions, and c cycles that
-relax the cells s (halos and multigrid levels included, less those that one rank with all cells relaxes besides); one cycle
-more where a solve estimates the error of the mesh
+A stage takes, with n cells of level l on a rank, p particles in q bricks of which d come into another one, w patches at open
+walls with i interactions, and c cycles that relax the cells s (halos and multigrid levels included, less those that one rank
+with all cells relaxes besides); one cycle more where a solve estimates the error of the mesh
 
-    t = call + Σ_l max n_l cell + c s cycle + max p particle + max w patch + max i interaction
-        + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
+    t = call + Σ_l max n_l cell + c s cycle + max p particle + max d moved + max q brick + max w patch + max i interaction
+        + max b byte + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
 
-with its m messages, k collectives, and b bytes that leave its node, or on one node the rank. Maxima are over ranks; all ranks
-of a node send at the same time; levels are visited in turn. No message overlaps with work.
+with its m messages of b bytes, of which those count for the bandwidth that leave its node, or on one node the rank, and k
+collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. No message overlaps
+with work, and stages begin together: what ranks wait for each other between them stands apart.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Self
 import numpy as np
 
 from .machine import Machine, Network, Work
+from .measured import NEW_MESH
 from .plan import Plan
 
 # Calls of a stage that are counted on virtual ranks, and whether they are made once per cycle.
@@ -33,7 +35,15 @@ STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
     "gather": (("gather", False),),
     "output": (("output", False),),
 }
+OF_NEW_MESH: Sequence[tuple[str, bool]] = (("set-up", False), ("regrid", False), ("migrate", False), ("deposit", False))
 NETWORK = ("latency", "bandwidth", "collective")
+OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "swept_faces"  # what grows with a rank's cells
+OF_WALLS = "patches", "interactions", "near"
+CELL_BYTES = (
+    40  # of a cell that a cycle reads and writes: potential, right-hand side, correction, residual, what is copied
+)
+FITS = 20  # rounds, in which errors are measured by what the one before found
+WALK = "random walk"  # the push of particles without momenta, whose constants are others
 
 
 @dataclass(frozen=True)
@@ -51,67 +61,119 @@ class Time:
 
 @dataclass(frozen=True)
 class Amounts:
-    """By what the constants of `Work` are multiplied."""
+    """By what the constants of `Work` are multiplied, those of all stages but for the bytes that a rank sends in one."""
 
+    cycles: float  # of a solve, those included that find the error of the mesh
     cells: float
     swept: float  # cells, times cycles
+    spilled: float  # cells for which the cache has no room
+    swept_spilled: float
+    swept_faces: float
     particles: float
+    moved: float
+    bricks: float
     patches: float
     interactions: float
+    near: float
 
     @classmethod
-    def of(cls, plan: Plan, cycles: float) -> Self:
+    def of(cls, plan: Plan, machine: Machine, cycles: float) -> Self:
+        """Return those of a plan with so many cycles that improve the potential."""
+        return cls.with_all(plan, machine, plan.all_cycles(cycles))
+
+    @classmethod
+    def with_all(cls, plan: Plan, machine: Machine, cycles: float, grown: float = 1.0) -> Self:
+        """Return those of a plan with so many cycles, and so many times its cells and bricks."""
+        particles, faces = float(plan.particles.max()), float(plan.faces.max(axis=1).sum())
+        cells, swept = grown * float(plan.cells.max(axis=1).sum()), grown * plan.swept_cells
+        cached = machine.cache / min(machine.network.ranks_per_node, plan.ranks) / CELL_BYTES
+        spilled = max(1 - cached / cells, 0.0)
         return cls(
-            float(plan.cells.max(axis=1).sum()),
-            plan.swept_cells * plan.all_cycles(cycles),
-            float(plan.particles.max()),
+            cycles,
+            cells,
+            swept * cycles,
+            spilled * cells,
+            spilled * swept * cycles,
+            grown * faces * cycles,
+            particles,
+            particles * plan.moved,
+            grown * float(plan.bricks.max()),
             *plan.wall_work,
         )
 
 
 # What has a part in the time of each stage, besides its call; open walls stand apart from the solve.
 PARTS: Mapping[str, Sequence[str]] = {
-    "solve": ("cells", "swept"),
-    "open walls": ("cells", "patches", "interactions"),
+    "push": ("particles",),
+    WALK: ("particles",),
+    "migrate": ("cells", "particles", "moved", "bricks", "bytes"),
+    "deposit": ("cells", "spilled", "particles", "bricks", "bytes"),
+    "solve": ("cells", "swept", "swept_spilled", "swept_faces", "bytes"),
+    "open walls": ("cells", "spilled", "patches", "interactions", "near", "bytes"),
+    "gather": ("cells", "particles", "bricks", "bytes"),
+    "output": ("cells", "particles"),
+    NEW_MESH: ("cells", "spilled", "particles"),
 }
 OF_WORK = {
     "cells": "cell",
+    "spilled": "spilled",
     "swept": "cycle",
+    "swept_spilled": "cycle_spilled",
+    "swept_faces": "cycle_face",
     "particles": "particle",
+    "moved": "moved",
+    "bricks": "brick",
     "patches": "patch",
     "interactions": "interaction",
+    "near": "near",
+    "bytes": "byte",
 }
 
 
-def parts_of(stage: str) -> Sequence[str]:
+def constants_of(stage: str, plan: Plan) -> str:
+    """Return the name of a stage's constants, which for the push hang on how particles move."""
+    return WALK if stage == "push" and plan.walks else stage
+
+
+def row_of(stage: str, plan: Plan, amounts: Amounts) -> dict[str, float]:
     """Return the amounts that a stage's work grows with."""
-    return PARTS.get(stage, ("cells", "particles"))
+    calls = OF_NEW_MESH if stage == NEW_MESH else STAGES[stage]
+    given = {what: getattr(amounts, what) for what in OF_WORK if what != "bytes"}
+    given["bytes"] = sum(times * plan.most(call, "bytes") for call, times in _times(calls, amounts))
+    return {what: given[what] for what in PARTS[constants_of(stage, plan)]}
 
 
 def step_time(plan: Plan, machine: Machine, cycles: float, amounts: Amounts | None = None) -> dict[str, Time]:
     """Return the time of each stage of a step with so many cycles per solve; `amounts` may stand for those of the plan."""
-    found, stages = amounts or Amounts.of(plan, cycles), machine.work(plan.ranks)
-    return {
-        name: Time(_work(stages.get(name, Work()), found), *_messages(plan, machine.network, calls, cycles))
-        for name, calls in STAGES.items()
-    }
+    found = amounts or Amounts.of(plan, machine, cycles)
+    return {stage: stage_time(stage, plan, machine, found) for stage in STAGES}
 
 
-def _work(work: Work, amounts: Amounts) -> float:
-    return work.call + sum(getattr(amounts, what) * getattr(work, constant) for what, constant in OF_WORK.items())
+def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Time:
+    """Return the time of a stage of `STAGES`, or of what a step takes more for a new mesh."""
+    work = machine.work(plan.ranks).get(constants_of(stage, plan), Work())
+    seconds = work.call + sum(
+        value * getattr(work, OF_WORK[what]) for what, value in row_of(stage, plan, amounts).items()
+    )
+    return Time(seconds, *network_time(stage, plan, machine.network, amounts))
 
 
-def _messages(plan: Plan, network: Network, calls: Sequence[tuple[str, bool]], cycles: float) -> tuple[float, float]:
+def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> tuple[float, float]:
+    """Return the seconds of a stage's messages and collectives."""
     if plan.ranks == 1:
         return 0.0, 0.0
     here = min(network.ranks_per_node, plan.ranks)
     messages = collectives = 0.0
-    for call, is_of_cycle in calls:
-        times = plan.all_cycles(cycles) if is_of_cycle else 1.0
+    for call, times in _times(OF_NEW_MESH if stage == NEW_MESH else STAGES[stage], amounts):
         leaving = plan.leaving(call, here) if plan.ranks > here else here * plan.most(call, "bytes")
         messages += times * (plan.most(call, "messages") * network.latency + leaving / network.bandwidth)
         collectives += times * plan.most(call, "collectives") * math.log2(plan.ranks) * network.collective
     return messages, collectives
+
+
+def _times(calls: Sequence[tuple[str, bool]], amounts: Amounts) -> list[tuple[str, float]]:
+    """Return how often each call is made."""
+    return [(call, amounts.cycles if is_of_cycle else 1.0) for call, is_of_cycle in calls]
 
 
 def total(times: Mapping[str, Time]) -> float:
@@ -132,9 +194,16 @@ def sensitivity(plan: Plan, machine: Machine, cycles: float, factor: float = 2.0
     }
 
 
-def fitted(rows: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-    """Return the constants, not negative, whose sums over `rows` (n, constants) come nearest to seconds (n,) in proportion."""
+def fitted(rows: np.ndarray, seconds: np.ndarray, least: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return the constants, none below the `least`, whose sums over `rows` (n, constants) come nearest to seconds (n,).
+
+    Errors are in proportion, and of times for the same work the harmonic mean is found: what disturbs a run makes it longer.
+    """
     from scipy.optimize import nnls
 
     scale = np.maximum(rows.max(axis=0), 1e-300)
-    return nnls(rows / scale / seconds[:, None], np.ones(len(seconds)))[0] / scale
+    found, of, at_least = np.zeros(len(scale)), seconds, np.broadcast_to(least, len(scale))
+    for _ in range(FITS):
+        found = at_least + nnls(rows / scale / of[:, None], (seconds - rows @ at_least) / of)[0] / scale
+        of = np.sqrt(seconds * np.maximum(rows @ found, seconds / 10))
+    return found

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,11 +18,12 @@ from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
 from ..run.memory import Share, cells_below, placing_bytes, rank_memory
 from ..run.restart import FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
-from ..scene.motion import Leapfrog
+from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
-from .measure import cells_of_ranks
+from .measure import cells_of_ranks, faces_of_ranks
+from .neighbours import neighbours_of_ranks
 from .sent import Sent
 from .virtual_ranks import (
     chosen_ranks,
@@ -29,6 +31,7 @@ from .virtual_ranks import (
     cycle_work,
     distributed,
     moved_on,
+    moved_part,
     particles_of,
     sample,
     without_open_walls,
@@ -36,8 +39,14 @@ from .virtual_ranks import (
 
 SAMPLE = 10**5  # particles of a scene of which momenta are taken
 MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
-LOOKED_AT = 24  # ranks of which messages are counted
+LOOKED_AT = 24  # ranks of which all messages are counted
+SECONDS = 30.0  # of the processor, in which as many ranks as can be are gone through for cycles, and for open walls
+FEWEST = 32  # that are gone through anyway
 NODE = 36  # ranks of a node of which all are looked at
+
+
+Cycle = list[_native.LevelWork]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -45,17 +54,9 @@ class Walls:
     """What the potential at open walls takes of a rank that was looked at."""
 
     patches: int  # of 8 x 8 ghosts, and larger ones, evaluated
-    interactions: int  # of these with nodes and leaves
+    interactions: int  # of these with nodes
+    near: int  # of these with leaves
     traffic: Traffic
-
-
-@dataclass(frozen=True)
-class Look:
-    """What was counted of one rank."""
-
-    sent: dict[str, Sent]  # by call
-    relaxed: dict[int, tuple[float, int]]  # cells and sweeps of a cycle, by level, those below the base negative
-    walls: Walls
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,11 @@ class Plan:
     ranks: int
     cells: Array  # (levels, ranks)
     boxes: Array  # (levels, ranks)
+    faces: Array  # (levels, ranks) cells on the faces of boxes
     particles: Array  # (ranks,)
+    bricks: Array  # (ranks,) that hold some of these
+    moved: float  # the part of the particles that come into another brick in a step
+    walks: bool  # whether particles move by a random walk
     memory: Array  # (ranks,) bytes at the fullest
     start_memory: Array  # (ranks,) bytes while particles are made and placed
     checkpoint: list[Load]  # of each writer
@@ -82,13 +87,14 @@ class Plan:
     ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
     nodes: list[range]  # ranks of these nodes
-    relaxed: (
-        float  # Σ_l max over these of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank
-    )
-    walls: list[Walls]  # of these
+    relaxed: float  # Σ_l max over ranks gone through of the cells relaxed in a cycle, as a part of those of the whole mesh on one
+    walls: list[Walls]  # of ranks that were gone through
+    gone_through: tuple[int, int]  # how many, for cycles and for open walls
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
     estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
+    met: Array  # (ranks,) other ranks that one meets, of all levels together
+    seconds: float  # that the plan took to make
 
     @property
     def cell_imbalance(self) -> float:
@@ -110,9 +116,10 @@ class Plan:
         return cycles + (self.estimates if cycles > 0 else 0)
 
     @property
-    def wall_work(self) -> tuple[float, float]:
-        """The most patches and interactions of a rank at open walls."""
-        return float(max(one.patches for one in self.walls)), float(max(one.interactions for one in self.walls))
+    def wall_work(self) -> tuple[float, float, float]:
+        """The most patches of a rank at open walls, and of their interactions with nodes and with leaves."""
+        rows = np.array([(one.patches, one.interactions, one.near) for one in self.walls], dtype=float)
+        return tuple(rows.max(axis=0).tolist())
 
     def most(self, call: str, what: str) -> float:
         """Return the most of messages, bytes or collectives by a call, over the ranks that were looked at."""
@@ -121,6 +128,16 @@ class Plan:
     def neighbours(self) -> int:
         """Return the most ranks that one sends to in a cycle."""
         return max(len(of["cycle"].to) for of in self.sent)
+
+    def at_most(self, call: str) -> float:
+        """Return how many messages a rank that was not looked at sends by a call at most, if it sends no more for each rank
+        that it meets than the worst of those that were."""
+        others = np.delete(self.met, self.looked_at)
+        each = max(
+            of[call].traffic.messages / max(self.met[rank], 1)
+            for rank, of in zip(self.looked_at, self.sent, strict=True)
+        )
+        return float(each * others.max(initial=0))
 
     def leaving(self, call: str, ranks_per_node: int) -> float:
         """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
@@ -139,6 +156,38 @@ def imbalance(cells: Array) -> float:
     return float(cells.max(axis=1).sum() / cells.mean(axis=1).sum())
 
 
+def in_time(ranks: Iterable[int], work: Callable[[int], T], seconds: float) -> dict[int, T]:
+    """Return what `work` gives of as many ranks as so many seconds of the processor allow, and of a few at least."""
+    out: dict[int, T] = {}
+    end = time.process_time() + seconds
+    for rank in map(int, ranks):
+        if len(out) >= FEWEST and time.process_time() > end:
+            break
+        out[rank] = work(rank)
+    return out
+
+
+def spread_out(ranks: int) -> Iterator[int]:
+    """Yield all ranks, so that those yielded at any time are spread evenly over all."""
+    bits = max(ranks - 1, 0).bit_length()
+    reversed_ = (int(f"{number:0{bits}b}"[::-1], 2) if bits else 0 for number in range(1 << bits))
+    return (rank for rank in reversed_ if rank < ranks)
+
+
+def _busy_in_cycles(cycles: Mapping[int, Cycle], ranks: int) -> list[Array]:
+    """Return the messages and the bytes of a cycle, (ranks,) each; 0 for those that were not gone through."""
+    return [
+        _values_of(ranks, {rank: sum(getattr(of, what) for of in work) for rank, work in cycles.items()})
+        for what in ("messages", "bytes")
+    ]
+
+
+def _values_of(ranks: int, values: Mapping[int, float]) -> Array:
+    out = np.zeros(ranks)
+    out[list(values)] = list(values.values())
+    return out
+
+
 def has_open_walls(mesh: Hierarchy) -> bool:
     return any("open" in faces for faces in mesh.domain.boundary)
 
@@ -147,20 +196,25 @@ def walls_of(found: Mapping[str, Any]) -> Walls:
     """Return what `OpenWallPlans.counts` gives of a rank; what collectives bring counts as bytes."""
     collectives = found["collectives"]
     traffic = Traffic(found["messages"], found["bytes"] + sum(collectives), len(collectives))
-    return Walls(found["patches"], found["far"] + found["near"], traffic)
+    return Walls(found["patches"], found["far"], found["near"], traffic)
 
 
 class Planner:
-    """A scene with its mesh and the particles of each brick, from which plans for any number of ranks follow."""
+    """A scene with its mesh and the particles of each brick, from which plans for any number of ranks follow.
 
-    def __init__(self, scene: Scene, say: Callable[[str], None] = lambda text: None) -> None:
-        self.scene, self._say = scene, say
+    The mesh is that of the start. Particles are where they are after so many `steps`, as far as a random walk takes them.
+    """
+
+    def __init__(self, scene: Scene, say: Callable[[str], None] = lambda text: None, steps: int = 0) -> None:
+        self.scene, self._say, since = scene, say, time.perf_counter()
         self._clouds = clouds_of(scene)
         say("mesh from the densities of the bunches")
         self.mesh, self.notes = planned_mesh(scene, self._clouds)
         say("particles of each brick")
+        self._clouds = clouds_of(scene, steps) if steps > 0 else self._clouds
         self._bricks = bricks_of(self._clouds, self.mesh)
         self._sample = sample(scene, SAMPLE)
+        self.seconds = time.perf_counter() - since  # before the first plan
 
     def plans(self, ranks: Sequence[int], looked_at: int = LOOKED_AT) -> Iterator[Plan]:
         """Yield a plan for each number of ranks."""
@@ -169,44 +223,66 @@ class Planner:
 
     def plan(self, ranks: int, looked_at: int = LOOKED_AT) -> Plan:
         """Return the plan for so many ranks; messages of at most `looked_at` of them are counted."""
-        scene = self.scene
+        scene, since = self.scene, time.perf_counter()
         self._say(f"{ranks} ranks: boxes and owners")
         mesh = distributed(self.mesh, ranks)
         closed, cells = without_open_walls(mesh), cells_of_ranks(mesh)
         held = served(self._on(mesh), mesh, scene.particles.interface == "matched")
-        chosen = chosen_ranks(np.vstack([cells, held.particles, held.exchange.messages]), looked_at)
-        other, walls_at = moved_on(closed), self._walls(mesh)
-        looks: dict[int, Look] = {}
+        neighbours = neighbours_of_ranks(mesh)
+        met = neighbours.sum(axis=0)
+        self._say(f"{ranks} ranks: cycles")
+        cycles = in_time(np.argsort(-met, kind="stable"), lambda rank: cycle_work(scene, closed.seen_by(rank)), SECONDS)
+        self._say(f"{ranks} ranks: open walls")
+        walls_at = self._walls(mesh)
+        walls = in_time(spread_out(ranks), walls_at, SECONDS)
+        busy = [
+            *_busy_in_cycles(cycles, ranks),
+            _values_of(ranks, {rank: of.traffic.messages for rank, of in walls.items()}),
+        ]
+        chosen = chosen_ranks(
+            np.vstack([*busy, met, neighbours, cells, held.particles, held.exchange.messages]), looked_at
+        )
+        other = moved_on(closed)
+        looks: dict[int, dict[str, Sent]] = {}
 
-        def look(rank: int) -> Look:
+        def look(rank: int) -> dict[str, Sent]:
             if rank not in looks:
                 self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
-                looks[rank] = self._look(closed.seen_by(rank), held, other.seen_by(rank), walls_at(rank))
+                walls[rank] = walls[rank] if rank in walls else walls_at(rank)
+                mesh_there = closed.seen_by(rank)
+                cycles[rank] = cycles[rank] if rank in cycles else cycle_work(scene, mesh_there)
+                looks[rank] = self._look(mesh_there, held, other.seen_by(rank), walls[rank], cycles[rank])
             return looks[rank]
 
         nodes = []
         for call in ("cycle", "migrate") if ranks > NODE else ():
-            busiest = max(chosen, key=lambda rank: look(rank).sent[call].leaving(rank, NODE))
+            busiest = max(chosen, key=lambda rank: look(rank)[call].leaving(rank, NODE))
             first = busiest // NODE * NODE
             nodes.append(range(first, min(first + NODE, ranks)))
         for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
             look(rank)
-        counted, found = list(looks), list(looks.values())
         return Plan(
             ranks,
             cells,
             np.array([np.bincount(mesh.owners(level), minlength=ranks) for level in range(mesh.levels)]),
+            faces_of_ranks(mesh),
             held.particles,
+            np.bincount(held.pairs[:, 1], minlength=ranks),
+            moved_part(scene, held.bricks, mesh, self._sample),
+            isinstance(scene.motion, RandomWalk),
             *self._memory(mesh, cells, held),
             self._checkpoint(cells, held),
-            counted,
-            [one.sent for one in found],
+            list(looks),
+            list(looks.values()),
             nodes or [range(ranks)],
-            self._relaxed([one.relaxed for one in found]),
-            [one.walls for one in found],
+            self._relaxed(list(cycles.values())),
+            list(walls.values()),
+            (len(cycles), len(walls)),
             self._without(mesh, held),
             held.exchange,
             int(scene.solver.tolerance == "discretization"),
+            met,
+            time.perf_counter() - since,
         )
 
     def _on(self, mesh: Hierarchy) -> Bricks:
@@ -214,31 +290,33 @@ class Planner:
         same = all(np.array_equal(mesh.boxes(level), self.mesh.boxes(level)) for level in range(mesh.levels))
         return self._bricks if same else bricks_of(self._clouds, mesh)
 
-    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls) -> Look:
+    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls, cycle: Cycle) -> dict[str, Sent]:
         """Return what a virtual rank, that of the mesh, sends and relaxes."""
         rank = mesh.comm.rank
         mine, each = particles_of(rank, held, mesh, self._sample, MOVED)
-        sent = counts(self.scene, mesh, mine, held.servers, other)
+        sent = counts(self.scene, mesh, mine, held.servers, other, cycle)
         sent["migrate"] = sent["migrate"].times(each)
         sent["deposit"] += held.exchange.deposit(rank)
         sent["gather"] += held.exchange.gather(rank)
         sent["open walls"] = Sent(walls.traffic)
-        return Look(sent, {level.level: (level.relaxed, level.sweeps) for level in cycle_work(self.scene, mesh)}, walls)
+        return sent
 
-    def _relaxed(self, of_ranks: Sequence[Mapping[int, tuple[float, int]]]) -> float:
+    def _relaxed(self, of_ranks: Sequence[Cycle]) -> float:
         """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""
         cells = dict(enumerate(self.mesh.cells(level) for level in range(self.mesh.levels)))
         cells |= {-number: n for number, n in enumerate(cells_below(self.scene), start=1)}
-        visits = {level: sweeps for of in of_ranks for level, (_, sweeps) in of.items()}
-        most = sum(max(of[level][0] for of in of_ranks if level in of) for level in visits)
-        return most / sum(cells[level] * sweeps for level, sweeps in visits.items())
+        visits = {of.level: of.sweeps for work in of_ranks for of in work}
+        most: dict[int, float] = {}
+        for of in itertools.chain.from_iterable(of_ranks):
+            most[of.level] = max(most.get(of.level, 0.0), of.relaxed)
+        return sum(most.values()) / sum(cells[level] * sweeps for level, sweeps in visits.items())
 
     # ---- open walls ----
 
     def _walls(self, mesh: Hierarchy) -> Callable[[int], Walls]:
         """Return what gives the part of a rank in the potential at open walls."""
         if not has_open_walls(mesh):
-            return lambda rank: Walls(0, 0, Traffic())
+            return lambda rank: Walls(0, 0, 0, Traffic())
         plans, charged = _native.OpenWallPlans(mesh.native), charged_regions(self._clouds, mesh)
         return lambda rank: walls_of(plans.counts(rank, charged))
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from .calibrate import amounts_of
+from ..scene.scene import Scene
+from .calibrate import amounts_of, middle
 from .machine import Machine
-from .measured import Measured
-from .model import STAGES, step_time
-from .plan import Planner
+from .measured import NEW_MESH, Measured
+from .model import Time, stage_time, step_time
+from .plan import Plan, Planner
 
 LEAST = 0.05  # of a step: shorter stages do not count
 
 Rows = list[list[str]]
 
 
-def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> tuple[Rows, float]:
+def predicted(
+    scene: Scene, found: Sequence[Measured], machine: Machine, say: Callable[[str], None] = lambda text: None
+) -> tuple[Rows, float]:
     """Return a row for each stage above `LEAST` of a step of measured runs, and the largest error, relative.
 
     The model is given the mesh and the cycles of the run, since it does not predict these.
@@ -23,11 +26,13 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
     rows: Rows = [["ranks", "stage", "of the step", "measured, ms", "modelled, ms", "off by"]]
     worst = 0.0
     for one in found:
-        plan = planner.plan(one.ranks)
-        times = step_time(plan, machine, one.cycles, amounts_of(one, plan))
-        stages = {name: one.stages[name].most for name in STAGES if name in one.stages}
+        plan = Planner(scene, say, middle(one)).plan(one.ranks)
+        times = _modelled(plan, machine, one)
+        stages = {name: one.stages[name].most for name in times if name in one.stages}
+        often = {NEW_MESH: one.meshes}
+        step = sum(often.get(name, 1.0) * seconds for name, seconds in stages.items())
         for name, seconds in stages.items():
-            part = seconds / sum(stages.values())
+            part = often.get(name, 1.0) * seconds / step
             if part < LEAST:
                 continue
             modelled = times[name].total
@@ -35,3 +40,9 @@ def predicted(planner: Planner, found: Sequence[Measured], machine: Machine) -> 
             cells = f"{part:.0%}", f"{1e3 * seconds:.4g}", f"{1e3 * modelled:.4g}", f"{modelled / seconds - 1:+.0%}"
             rows.append([f"{one.ranks}", name, *cells])
     return rows, worst
+
+
+def _modelled(plan: Plan, machine: Machine, one: Measured) -> dict[str, Time]:
+    amounts = amounts_of(one, plan, machine)
+    changed = stage_time(NEW_MESH, plan, machine, amounts)
+    return {**step_time(plan, machine, one.cycles, amounts), NEW_MESH: changed}

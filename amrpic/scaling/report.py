@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import os
+import resource
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,49 +14,85 @@ import numpy as np
 
 from ..errors import OutputError
 from .machine import Machine
-from .model import NETWORK, STAGES, Amounts, efficiency, sensitivity, step_time, total
+from .model import NETWORK, OF_CELLS, STAGES, Amounts, efficiency, sensitivity, step_time, total
 from .plan import Plan, Planner
 from .show import MIB, draw_times, over_ranks
+from .targets import GIB, Targets
 from .virtual_ranks import CALLS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Rows = list[list[str]]
+BOUNDED = "deposit", "gather"  # calls whose messages go to ranks that own cells nearby
 
 
 def write_plans(
-    planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine], cycles: float, folder: Path
+    planner: Planner,
+    plans: Sequence[Plan],
+    machines: Sequence[Machine],
+    cycles: float,
+    folder: Path,
+    page: Path | None = None,
+    targets: Targets | None = None,
+    command: str = "",
 ) -> tuple[str, list[Path]]:
-    """Write plan.md, plan.json and a picture for each machine; return the text and the paths. Raises OutputError."""
-    text = markdown(planner, plans, machines, cycles)
-    paths = [folder / "plan.md", folder / "plan.json"]
+    """Write the page, plan.md by default, with plan.json and a picture for each machine into a folder; return text and paths.
+
+    `command` is what made them. Raises OutputError; InputError for targets of a machine that is not among these.
+    """
+    page = folder / "plan.md" if page is None else page
+    pictures = {machine.name: folder / f"plan_{machine.name}.png" for machine in machines}
+    text = markdown(planner, plans, machines, cycles, targets, command, _links(pictures, page.parent))
+    values = folder / "plan.json"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        paths[0].write_text(text + "\n", encoding="utf-8")
-        paths[1].write_text(json.dumps([_values(plan, machines, cycles) for plan in plans], indent=1), encoding="utf-8")
+        for one in (folder, page.parent):
+            one.mkdir(parents=True, exist_ok=True)
+        page.write_text(text + "\n", encoding="utf-8")
+        values.write_text(json.dumps([_values(plan, machines, cycles) for plan in plans], indent=1), encoding="utf-8")
         for machine in machines:
-            paths.append(folder / f"plan_{machine.name}.png")
-            draw(plans, machine, cycles).savefig(paths[-1], dpi=110)
+            draw(plans, machine, cycles).savefig(pictures[machine.name], dpi=110)
     except OSError as reason:
         raise OutputError(f"cannot write into {folder}: {reason.strerror}; choose another --output") from None
-    return text, paths
+    return text, [page, values, *pictures.values()]
 
 
-def markdown(planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine], cycles: float) -> str:
-    """Return all tables of plans as Markdown."""
-    mesh = planner.mesh
+def _links(pictures: Mapping[str, Path], folder: Path) -> dict[str, str]:
+    """Return the paths of pictures as a page in a folder names them."""
+    return {name: Path(os.path.relpath(path, folder)).as_posix() for name, path in pictures.items()}
+
+
+def markdown(
+    planner: Planner,
+    plans: Sequence[Plan],
+    machines: Sequence[Machine],
+    cycles: float,
+    targets: Targets | None = None,
+    command: str = "",
+    pictures: Mapping[str, str] | None = None,
+) -> str:
+    """Return all that is said of plans as Markdown: what was asked for beside what was found, and all tables."""
+    mesh, first = planner.mesh, plans[0]
     levels = ", ".join(f"{len(mesh.boxes(l)):,} boxes of {mesh.cells(l):,} cells" for l in range(mesh.levels))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024.0
+    made = f"Made by `{command}`" if command else "Made"
     parts = [
-        f"## Plan of {planner.scene.name}",
-        f"Levels: {levels}; {planner.scene.particle_count():,} particles. Messages are those of the {len(plans[0].looked_at)} "
-        "heaviest and evenly chosen ranks, all else of all ranks.",
+        f"# Scaling: plan of {planner.scene.name}",
+        f"{made} in one process, {planner.seconds:.0f} s for mesh and bricks and "
+        f"{_span([plan.seconds for plan in plans])} s for each number of ranks, with {peak / GIB:.2g} GiB at its fullest. "
+        "Boxes, owners, servers of particles, messages and memory are those of the code on ranks that need not exist; times "
+        "are modelled.",
+        f"Levels: {levels}; {planner.scene.particle_count():,} particles.",
         *(f"Note: {note}." for note in planner.notes),
-        *("### " + title + "\n\n" + _table(rows) for title, rows in _held(plans)),
+        *([] if targets is None else [_asked(targets.beside(plans, machines, cycles, peak, planner.seconds))]),
+        *(where(plan, machine, cycles) for machine in machines for plan in (first, *plans[1:][-1:])),
+        *(f"![Modelled on {name}]({path})" for name, path in (pictures or {}).items()),
+        *("## " + title + "\n\n" + _table(rows) for title, rows in _held(plans)),
+        _looked_at(plans),
     ]
     for machine in machines:
         parts += [
-            f"### Modelled on {machine.name}, {cycles:g} cycles per solve",
+            f"## Modelled on {machine.name}, {cycles:g} cycles per solve",
             f"{machine.source}.",
             _table(_times(plans, machine, cycles)),
             "What each choice costs if it is switched off alone, ms per step:",
@@ -63,6 +101,49 @@ def markdown(planner: Planner, plans: Sequence[Plan], machines: Sequence[Machine
             _table(_sensitivity(plans, machine, cycles)),
         ]
     return "\n\n".join(parts)
+
+
+def _asked(rows: Iterable[tuple[str, str, bool]]) -> str:
+    return _table([["target", "found", ""], *([what, found, "met" if met else "missed"] for what, found, met in rows)])
+
+
+def where(plan: Plan, machine: Machine, cycles: float) -> str:
+    """Return a sentence on what the time of a step goes into."""
+    times = step_time(plan, machine, cycles)
+    longest = sorted(times.items(), key=lambda one: -one[1].total)[:3]
+    parts = [
+        f"{name} {_ms(time.total)} (work {_ms(time.work)}, messages {_ms(time.messages)}, collectives {_ms(time.collectives)})"
+        for name, time in longest
+    ]
+    busiest = max(CALLS, key=lambda call: plan.most(call, "messages"))
+    return (
+        f"On {plan.ranks:,} ranks of {machine.name} a step of {_ms(total(times))} ms goes mostly into {'; '.join(parts)}. "
+        f"The call of most messages is {busiest}: {plan.most(busiest, 'messages'):,.0f} from one rank."
+    )
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3g}"
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = f"{min(values):.0f}", f"{max(values):.0f}"
+    return low if low == high else f"{low} to {high}"
+
+
+def _looked_at(plans: Sequence[Plan]) -> str:
+    """Return which ranks' messages are counted, and how many others may send."""
+    rows: Rows = [["ranks", "cycles", "open walls", "all calls", *(f"{call}: most / of others" for call in BOUNDED)]]
+    for plan in plans:
+        bounds = [f"{plan.most(call, 'messages'):.0f} / {plan.at_most(call):.0f}" for call in BOUNDED]
+        numbers = (plan.ranks, *plan.gone_through, len(plan.looked_at))
+        rows.append([*(f"{number:,}" for number in numbers), *bounds])
+    return (
+        "Cells, particles and memory are those of all ranks. Cycles, the ranks that meet most others first, and open walls are "
+        "gone through for as many ranks as a time allows; all calls for the busiest of them, for those with most of what they "
+        "hold, for some at even distances and for two busy nodes. How many that is, and what other ranks send at most if none "
+        "sends more for each rank that it meets than the worst of those:\n\n" + _table(rows)
+    )
 
 
 def _held(plans: Sequence[Plan]) -> list[tuple[str, Rows]]:
@@ -130,14 +211,19 @@ def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
         ["ranks", "as it is", "particles where their cells are", "whole boxes", "open walls' work on every rank"]
     ]
     for plan in plans:
-        now = Amounts.of(plan, cycles)
+        now = Amounts.of(plan, machine, cycles)
         uneven = plan.without.particles_with_cells / plan.particle_imbalance
         larger = plan.without.with_whole_boxes / plan.cell_imbalance
         without = (
             now,
             replace(now, particles=now.particles * uneven),
-            replace(now, cells=now.cells * larger, swept=now.swept * larger),
-            replace(now, patches=now.patches * plan.ranks, interactions=now.interactions * plan.ranks),
+            replace(now, **{what: larger * getattr(now, what) for what in OF_CELLS}),
+            replace(
+                now,
+                patches=now.patches * plan.ranks,
+                interactions=now.interactions * plan.ranks,
+                near=now.near * plan.ranks,
+            ),
         )
         rows.append(
             [f"{plan.ranks:,}", *(f"{1e3 * total(step_time(plan, machine, cycles, one)):.3g}" for one in without)]

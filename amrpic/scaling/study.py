@@ -8,7 +8,6 @@ import os
 import shlex
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from .measured import Run
 
 KINDS = ("strong", "weak")
 LAUNCHER = "mpiexec -n {ranks}"
+ROOT = ("OMPI_ALLOW_RUN_AS_ROOT", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")  # without them Open MPI starts nothing for root
 RUNS = "scaling"  # folder of the runs of a study, in that of the scene
 
 
@@ -50,7 +50,8 @@ class Study:
     """Runs of a scene, in ascending numbers of ranks, kept as files of a folder to which each start adds one.
 
     `strong`: the scene as it is; `weak`: particles and cells in proportion to the ranks, the scene as it is on the fewest.
-    `launcher` is the command that starts {ranks} ranks, put before the program. Raises InputError for one that does not say so.
+    `launcher` is the command that starts {ranks} ranks, put before the program; `apart` as in `measure`. Raises InputError for
+    one that does not name the ranks.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class Study:
         steps: int = 5,
         launcher: str = LAUNCHER,
         clock: str = "wall",
+        apart: bool = False,
     ) -> None:
         if "{ranks}" not in launcher:
             raise InputError(
@@ -74,8 +76,9 @@ class Study:
             )
         self.path, self.overrides, self.ranks, self.kinds = path, list(overrides), sorted(set(ranks)), kinds
         self.steps, self.launcher, self.clock, self.name = steps, launcher, clock, name_of(path, overrides)
-        if clock != "wall":
-            self.name += f" by the {clock}'s clock"
+        self.apart = apart
+        self.name += f" by the {clock}'s clock" if clock != "wall" else ""
+        self.name += ", stages apart" if apart else ""
         self.folder = folder / RUNS
         self._scene = Scene.from_toml(path, overrides)
         try:
@@ -90,24 +93,15 @@ class Study:
             for kind in self.kinds:
                 for ranks in self.ranks:
                     output = self._file(kind, ranks)
-                    self._launch(ranks, self.command(kind, ranks, output))
+                    launch(self.launcher, ranks, self.arguments(kind, ranks, output), "the run")
                     yield Run.read(output)
 
-    def command(self, kind: str, ranks: int, output: Path | str) -> list[str]:
-        """Return the command that measures a number of ranks, without the launcher's part."""
+    def arguments(self, kind: str, ranks: int, output: Path | str) -> list[str]:
+        """Return the module that measures a number of ranks, and its arguments."""
         more = grown(self._scene, ranks / self.ranks[0]) if kind == "weak" else []
-        program = [sys.executable, "-m", "amrpic.scaling.measure"]
-        return [
-            *program,
-            str(output),
-            str(self.path),
-            kind,
-            self.name,
-            str(self.steps),
-            self.clock,
-            *self.overrides,
-            *more,
-        ]
+        apart = "apart" if self.apart else "together"
+        given = [output, self.path, kind, self.name, self.steps, self.clock, apart, *self.overrides, *more]
+        return ["amrpic.scaling.measure", *map(str, given)]
 
     def runs(self) -> list[Run]:
         """Return all runs of this scene in the folder, from earlier starts too. Raises InputError for files that are none."""
@@ -125,7 +119,7 @@ class Study:
                 path = self.folder / f"{kind}_{ranks}.sbatch"
                 output = self.folder.resolve() / f"{kind}_{ranks}_job"
                 launcher = self.launcher.format(ranks=ranks)
-                command = shlex.join(self.command(kind, ranks, "OUTPUT"))
+                command = shlex.join([sys.executable, "-m", *self.arguments(kind, ranks, "OUTPUT")])
                 command = command.replace("OUTPUT", f'"{output}${{SLURM_JOB_ID}}_$run.json"')
                 lines = [
                     "#!/bin/bash",
@@ -150,15 +144,20 @@ class Study:
     def _numbered(self, kind: str, ranks: int, number: int) -> Path:
         return self.folder / f"{kind}_{ranks}_{number:03}.json"
 
-    def _launch(self, ranks: int, command: Sequence[str]) -> None:
-        whole = [*shlex.split(self.launcher.format(ranks=ranks)), *command]
-        with tempfile.TemporaryFile() as said:
-            try:
-                # os.environ is what this process started with; MPI has added to its own that it is a rank of a run
-                status = subprocess.run(whole, env=dict(os.environ), stdout=said, check=False).returncode
-            except OSError as reason:
-                raise InputError(
-                    f"{whole[0]} cannot be started ({reason.strerror}); choose another --launcher"
-                ) from None
-        if status != 0 or not Path(command[3]).exists():
-            raise InputError(f"the run on {ranks} ranks ended with status {status}; correct what it says above")
+
+def launch(launcher: str, ranks: int, module: Sequence[str], what: str) -> None:
+    """Run a module of Python with arguments on so many ranks; what it says on stdout is dropped.
+
+    Raises InputError if it cannot be started or fails, after what it said itself; `what` it was.
+    """
+    command = [*shlex.split(launcher.format(ranks=ranks)), sys.executable, "-m", *module]
+    # os.environ is what this process started with; MPI has added to its own that it is a rank of a run
+    environment = dict(os.environ)
+    if os.geteuid() == 0 and not environment.keys() & set(ROOT):
+        environment |= dict.fromkeys(ROOT, "1")  # who started this as root meant to
+    try:
+        status = subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False).returncode
+    except OSError as reason:
+        raise InputError(f"{command[0]} cannot be started ({reason.strerror}); choose another --launcher") from None
+    if status != 0 or not Path(module[1]).exists():
+        raise InputError(f"{what} on {ranks} ranks ended with status {status}; correct what it says above")

@@ -6,7 +6,7 @@ So counts come from the plans that a run uses; there is no second copy of them h
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,11 +27,12 @@ from ..scene.solver_options import SolverOptions
 from ..stages.deposit import deposit
 from ..stages.diagnostics import measure, moments
 from ..stages.gather import gather
-from ..stages.migrate import NONE, is_uneven, migrate, migrate_without
+from ..stages.migrate import NONE, migrate, migrate_without
 from ..stages.poisson import PoissonSolver
 from ..stages.push import push, random_walk
 from ..stages.regrid import carry_over
-from .bricks import Served
+from ..units import SPEED_OF_LIGHT
+from .bricks import Bricks, Served
 from .sent import Sent
 
 DENSITY = 1e-9  # C/m³, everywhere: any will do, since no answer is looked at
@@ -69,38 +70,75 @@ def sample(scene: Scene, number: int) -> Particles:
     return make_particles(MPI.COMM_SELF, scene.model_copy(update={"bunches": bunches}))
 
 
+def moved_part(scene: Scene, bricks: Bricks, mesh: Hierarchy, like: Particles, number: int = 50_000) -> float:
+    """Return the part of particles that a step takes into another brick, from about so many; momenta are those of `like`."""
+    part = min(1.0, number / max(bricks.total, 1.0))
+    made, which = _spread_over(bricks, np.arange(len(bricks.rows)), part, mesh, like, np.random.default_rng(0))
+    match scene.motion:
+        case RandomWalk(amplitude=amplitude):
+            there = random_walk(made, amplitude, scene.seed, 1).position
+        case Leapfrog(dt=float(dt)):
+            momentum, mass = made.momentum, made.mass
+            gamma = np.sqrt(1 + (momentum**2).sum(axis=1) / (mass * SPEED_OF_LIGHT) ** 2)
+            there = made.position + dt * momentum / (mass * gamma)[:, None]
+        case _:
+            return 0.0
+    spacing = _spacings(mesh)[bricks.rows[which, 0]]
+    cell = (there - np.array(mesh.domain.lower)) / spacing
+    inside = (cell >= bricks.cells[which, :3]) & (cell < bricks.cells[which, 3:] + 1)
+    return float(1 - inside.all(axis=1).mean()) if len(which) else 0.0
+
+
+def _spacings(mesh: Hierarchy) -> np.ndarray:
+    """Return the cell sizes of the levels, (levels, 3) m."""
+    return np.array([mesh.spacing(level) for level in range(mesh.levels)])
+
+
+def _spread_over(
+    bricks: Bricks, chosen: np.ndarray, part: float, mesh: Hierarchy, like: Particles, rng: np.random.Generator
+) -> tuple[Particles, np.ndarray]:
+    """Return about this part of the particles of some bricks, and the brick of each. They are spread evenly over it, with any
+    ids; momenta are those of `like`."""
+    which = np.repeat(chosen, rng.poisson(bricks.particles[chosen] * part))
+    corners = bricks.cells[which]
+    cell = corners[:, :3] + rng.random((len(which), 3)) * (corners[:, 3:] - corners[:, :3] + 1)
+    taken = rng.integers(0, max(len(like), 1), len(which))
+    made = Particles(
+        np.array(mesh.domain.lower) + cell * _spacings(mesh)[bricks.rows[which, 0]],
+        like.momentum[taken],
+        like.weight[taken],
+        rng.integers(0, max(int(like.id.max(initial=0)), 1), len(which), endpoint=True),
+        like.species,
+    )
+    return made, which
+
+
 def particles_of(rank: int, held: Served, mesh: Hierarchy, like: Particles, most: int) -> tuple[Particles, float]:
     """Return about `most` particles in the bricks of which a rank serves some, and for how many of its own each stands.
 
     They are spread evenly over each brick, with any ids, so that some of them are others'; momenta are those of `like`.
     """
     bricks = held.pairs[held.pairs[:, 1] == rank, 0]
-    inside = held.bricks.particles[bricks]
-    rng = np.random.default_rng(rank)
-    which = np.repeat(bricks, rng.poisson(inside * min(1.0, most / max(inside.sum(), 1.0))))
-    spacing = np.array([mesh.spacing(level) for level in range(mesh.levels)])[held.bricks.rows[which, 0]]
-    corners = held.bricks.cells[which]
-    cell = corners[:, :3] + rng.random((len(which), 3)) * (corners[:, 3:] - corners[:, :3] + 1)
-    taken = rng.integers(0, max(len(like), 1), len(which))
-    made = Particles(
-        np.array(mesh.domain.lower) + cell * spacing,
-        like.momentum[taken],
-        like.weight[taken],
-        rng.integers(0, max(int(like.id.max(initial=0)), 1), len(which), endpoint=True),
-        like.species,
-    )
+    part = min(1.0, most / max(held.bricks.particles[bricks].sum(), 1.0))
+    made, _ = _spread_over(held.bricks, bricks, part, mesh, like, np.random.default_rng(rank))
     mine, _ = migrate(made, mesh, held.servers)  # where the others go does not matter
     return mine, float(held.particles[rank]) / max(len(mine), 1)
 
 
 def counts(
-    scene: Scene, mesh: Hierarchy, particles: Particles, servers: np.ndarray, other: Hierarchy
+    scene: Scene,
+    mesh: Hierarchy,
+    particles: Particles,
+    servers: np.ndarray,
+    other: Hierarchy,
+    work: Sequence[_native.LevelWork],
 ) -> dict[str, Sent]:
     """Return what a virtual rank, that of the mesh, sends by each of CALLS.
 
     "cycle" is one cycle of the solver with the residual after it, "solve" all else that a solve sends, without what finds the
     potential at open walls; "regrid" carries the potential over to the `other` mesh; "migrate" what follows a step without
     forces, of `particles` of this rank. In "deposit" and "gather" is not what passes because of others' bricks: see `bricks`.
+    `work` is that of a cycle of this rank.
     """
     count, clouds = Counter(), Clouds(scene.particles.shape, matched=scene.particles.interface == "matched")
     none = particles.select(slice(0))
@@ -123,14 +161,12 @@ def counts(
     moved = _moved(scene, particles, efield, clouds)
     with count("migrate"):
         migrate_without(moved, mesh, NONE, servers)
-        is_uneven(mesh.comm, 0)
     with count("output"):
         measure(here, moments(mesh.comm, here), none, rho, phi, efield, {})
     with count("regrid"):
         carry_over(phi, other)
     count.sent["cycle"] = count.sent["cycle"] - count.sent["solve"]
     count.sent["solve"] = count.sent["solve"] - count.sent["cycle"]
-    work = cycle_work(scene, mesh)
     # Whether a solve looks at the rounding floor besides depends on its numbers, which are wrong here.
     collectives = sum(level.collectives for level in work) + (OF_NORM if mesh.comm.size > 1 else 0)
     cycle = count.sent["cycle"]

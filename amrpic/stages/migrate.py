@@ -35,7 +35,7 @@ def migrate(
     came through a periodic face. Lost particles stay as they are, on the rank that held them. `servers` as in `Sorting`; by
     default equal parts of these particles. Raises ParticleError on all ranks if a position or momentum is not finite.
     """
-    arrived, lost = migrate_without(particles, hierarchy, NONE, servers)
+    arrived, lost, _ = migrate_without(particles, hierarchy, NONE, servers)
     return arrived, particles.select(lost)
 
 
@@ -45,26 +45,40 @@ def migrate_without(
     gone: np.ndarray,
     servers: np.ndarray | None = None,
     evenly: bool = False,
-) -> tuple[Particles, np.ndarray]:
-    """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices.
+) -> tuple[Particles, np.ndarray, int]:
+    """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices,
+    and how many of all ranks are lost or left out.
 
     `evenly`: servers of unequal work are replaced. Collective.
     """
     comm = hierarchy.comm
     if servers is None:
         servers = share_out(comm, *weights(particles, hierarchy))
-    weight = particles.one_weight(comm)
+    weight, most = particles.one_weight_and_most(comm)
+    _require_few(most)
     given = particles if weight is not None else particles.with_own_weights()
     plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
-    if evenly and is_uneven(comm, plan.arriving + BRICK_COST * plan.bricks):
+    most, uneven = _most_and_uneven(comm, plan)
+    if evenly and uneven:
         servers = shared_out_by_work(particles, hierarchy)
         plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
+        most, _ = _most_and_uneven(comm, plan)
+    _require_few(most)
     here = Particles.allocate(plan.arriving, particles.species, weight)
     finite = plan.finish(*here.arrays)
-    if not comm.allreduce(finite, MPI.LAND):
+    bad, missing = comm.allreduce(np.array([not finite, len(plan.lost) + len(gone)], dtype=np.int64)).tolist()
+    if bad:
         _refuse_not_finite(particles, comm)
     sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
-    return Particles(*here.arrays, here.species, sorting), plan.lost
+    return Particles(*here.arrays, here.species, sorting), plan.lost, missing
+
+
+def _require_few(most: int) -> None:
+    """Raise ParticleError if a rank would have more particles than it can number."""
+    if most > _native.MOST_PARTICLES:
+        raise ParticleError(
+            f"{most} particles on one rank, more than the {_native.MOST_PARTICLES} that it can number; use more ranks"
+        )
 
 
 def _largest_and_sum(one: Any, other: Any, _: MPI.Datatype) -> None:
@@ -77,11 +91,12 @@ PAIR = MPI.INT64_T.Create_contiguous(2).Commit()  # so that no pair is cut in tw
 LARGEST_AND_SUM = MPI.Op.Create(_largest_and_sum, commute=True)
 
 
-def is_uneven(comm: MPI.Comm, work: int) -> bool:
-    """Return whether a rank has too much of the work of all, in particles. Collective."""
-    found = np.array([work, work], dtype=np.int64)
-    comm.Allreduce(MPI.IN_PLACE, [found, 1, PAIR], LARGEST_AND_SUM)
-    return bool(found[0] > UNEVEN * found[1] / comm.size + FEW)
+def _most_and_uneven(comm: MPI.Comm, plan: _native.Migration) -> tuple[int, bool]:
+    """Return the most particles that come to a rank, and whether one has too much of the work of all. Collective."""
+    work = plan.arriving + BRICK_COST * plan.bricks
+    found = np.array([plan.arriving, 0, work, work], dtype=np.int64)
+    comm.Allreduce(MPI.IN_PLACE, [found, 2, PAIR], LARGEST_AND_SUM)
+    return int(found[0]), bool(found[2] > UNEVEN * found[3] / comm.size + FEW)
 
 
 def shared_out_by_work(particles: Particles, hierarchy: Hierarchy) -> np.ndarray:

@@ -11,6 +11,7 @@ from ..particles.arrays import columns, empty_columns
 from ..particles.clouds import PLAIN, Clouds
 from ..particles.particles import Particles
 
+IN_CACHE = 2**14  # particles whose random numbers are drawn at a time
 RANDOM_WALK = 1  # stream of the counter-based generator; bunches draw from others
 
 
@@ -97,6 +98,10 @@ def random_walk(particles: Particles, amplitude: float, seed: int, step: int) ->
 
     A particle's move depends on seed, step and its id alone: not on the ranks, nor on the order of particles.
     """
-    draws = np.empty((4, len(particles)))
-    _native.uniforms(seed, RANDOM_WALK, step, particles.id, draws)
-    return particles.replace(position=particles.position + amplitude * (2 * draws[:3].T - 1))
+    position, buffer = empty_columns(len(particles)), np.empty((4, min(IN_CACHE, len(particles))))
+    for start in range(0, len(particles), IN_CACHE):
+        some = slice(start, start + IN_CACHE)
+        draws = buffer[:, : len(particles.id[some])]
+        _native.uniforms(seed, RANDOM_WALK, step, particles.id[some], draws)
+        position[some] = particles.position[some] + amplitude * (2 * draws[:3].T - 1)
+    return particles.replace(position=position)

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import _native
-from ..errors import HierarchyError
+from ..errors import HierarchyError, InputError
 from ..mesh.boxes import cells_of
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.remap import Bounds
 from ..parallel import raise_together
+
+CARRIED_ORDERS = (2, 3, 4)
 
 
 @dataclass(frozen=True)
@@ -96,14 +99,21 @@ def _misfit(hierarchy: Hierarchy, tags: Sequence[np.ndarray]) -> str | None:
     return None
 
 
-def carry_over(field: Field, hierarchy: Hierarchy) -> Field:
+def carry_over(field: Field, hierarchy: Hierarchy, order: int = 2, bounds: Bounds = None) -> Field:
     """Return the field on another hierarchy of the same domain. Collective.
 
-    Cells that both have are copied. Newly refined ones are interpolated by parabolas that keep the mean of the parent,
-    so the integral stays what it was; newly uncovered ones hold the mean of their former children already.
+    Cells that both have are copied; newly uncovered ones hold the mean of their former children. Newly refined ones keep the
+    mean of the parent, so the integral stays what it was. At order 2, without bounds, they are interpolated by parabolas, of
+    third order, at walls of second; else by least squares, of order + 1 up to walls: see `Field.remap`, also for bounds.
+
+    Raises HierarchyError for another domain, InputError for orders other than 2 to 4, and bounds that make no sense.
     """
     if field.hierarchy.domain != hierarchy.domain:
         raise HierarchyError("the field lives on another domain than the new hierarchy; make both on one domain")
+    if isinstance(order, bool) or order not in CARRIED_ORDERS:
+        raise InputError(f"the order of what is carried over is {order!r}; use 2, 3 or 4")
+    if order > 2 or bounds is not None:
+        return field.remap(hierarchy, order, bounds)
     out = Field(hierarchy, field.unit)
     _native.carry_over(field.native, out.native)
     return out

@@ -22,6 +22,7 @@ from . import (
     hard,
     least_squares,
     openboundary,
+    operators,
     pareto,
     peers,
     selfforce,
@@ -44,6 +45,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "dynamics": dynamics.tables,
     "least-squares": least_squares.tables,
     "gaps": gaps.tables,
+    "operators": operators.tables,
 }
 
 
@@ -83,8 +85,8 @@ def require_backend(name: str | None) -> None:
 
 
 OPENING = (
-    "# Verification\n\nWritten by `amrpic verify --output docs` (`make verify`). A goal stands in brackets behind each "
-    "measured value that has one; a missed goal is marked and fails the command.\n"
+    "# Verification\n\nWritten by `amrpic verify --output FOLDER`; `make verify PUBLISH=1` writes it into `docs/reports`. A "
+    "goal stands in brackets behind each measured value that has one; a missed goal is marked and fails the command.\n"
 )
 
 

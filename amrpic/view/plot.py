@@ -76,7 +76,7 @@ def _when(dump: Dump) -> str:
 
 
 def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | None = None) -> Figure:
-    """Return the profiles of fields along a line, given by `line_values` of each; of a vector, what points along it."""
+    """Return the profiles of fields along a line, given by the values of each; of a vector, what points along it."""
     length, length_prefix = prefix_of(float(np.abs(line.along).max()))
     figure = Figure(figsize=(8, 2.5 * len(shown) if len(shown) > 1 else 3.6), layout="constrained")
     panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
@@ -86,7 +86,7 @@ def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | No
             values, symbol = values @ line.direction, f"{symbol} along the line"
         if np.isnan(values).all():
             raise InputError(f"the line meets no cells of level {level} of {dump.path}; choose another axis or level")
-        draw_curve(panel, line.along / length, values, symbol, dump.unit(name), LINES.get(name, "C0"))
+        draw_curve(panel, line.along / length, values, symbol, dump.unit(name), LINES.get(name, "C0"), steps=False)
     panels[-1].set_xlabel(f"distance from the centre of charge / {length_prefix}m")
     centre = ", ".join(quantity(x, "m", dump.reach) for x in line.centre)
     direction = ", ".join(f"{x:.3g}" for x in line.direction).replace("-", "−")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..io.field_reader import Dump
 from ..mesh.domain import AXES
-from ..mesh.raster import Raster, Spread, line_through, line_values, projection, slice_through
+from ..mesh.raster import Line, Raster, Spread, line_through, line_values, projection, slice_through
+from ..mesh.sampling import Request, fitted_values
 
 Array = NDArray[Any]
 
@@ -78,10 +80,18 @@ def numbers(dump: Dump, spread: Spread, view: View) -> Raster | list[Array]:
     """Return what a view shows: a raster, or a profile for each quantity. Collective over the ranks that share the dump."""
     if view.kind == "line":
         line = line_through(dump, spread, view.axis)
-        return [line_values(dump, name, line, view.level) for name in view.quantity.split()]
+        return [_profile(dump, name, line, view.level) for name in view.quantity.split()]
     if view.kind == "projection":
         return projection(dump, view.quantity, view.normal, view.level)
     return slice_through(dump, view.quantity, view.normal, _position(dump, spread, view), view.level)
+
+
+def _profile(dump: Dump, name: str, line: Line, level: int | None) -> Array:
+    """Return a field along a line by fits of order 3, or lower where too few cells lie across the domain. Collective."""
+    for order in (3, 2, 1):
+        with suppress(InputError):
+            return fitted_values(dump, name, line.points, Request(order, level=level))
+    return line_values(dump, name, line, level)
 
 
 def _not_an_option(name: str, view: View) -> InputError:

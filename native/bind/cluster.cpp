@@ -7,6 +7,7 @@
 #include "bind/convert.hpp"
 #include "mesh/interpolate.hpp"
 #include "mesh/refine.hpp"
+#include "mesh/window_sums.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -14,6 +15,7 @@ using namespace nb::literals;
 
 namespace {
 
+using Window = nb::ndarray<Real const, nb::ndim<3>, nb::f_contig, nb::device::cpu>;
 using Marks = nb::ndarray<std::uint8_t const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 }  // namespace
@@ -79,6 +81,25 @@ void bind_cluster(nb::module_& m) {
           },
           "cells"_a, "The box that holds each cell, -1 if none does.")
       .def_prop_ro("outer_faces", &outer_faces, "Number of cell faces on the surface of the union of the boxes.");
+
+  m.def(
+      "window_sums",
+      [](Window value, bind::Starts place, bind::Starts kind, bind::Starts first, bind::IntRows offset,
+         bind::RealRows weight) {
+        std::array<std::ptrdiff_t, 3> const steps{1, std::ptrdiff_t(value.shape(0)),
+                                                  std::ptrdiff_t(value.shape(0) * value.shape(1))};
+        std::vector<std::int64_t> const places(place.data(), place.data() + place.size());
+        std::vector<std::int64_t> const kinds(kind.data(), kind.data() + kind.size());
+        SharedStencils const stencils{first.data(), offset.data(), weight.data(), weight.shape(1)};
+        std::vector<Real> sums;
+        {
+          nb::gil_scoped_release release;
+          sums = window_sums(value.data(), steps, places, kinds, stencils);
+        }
+        return bind::to_array(std::move(sums), {place.size(), weight.shape(1)});
+      },
+      "value"_a, "place"_a, "kind"_a, "first"_a, "offset"_a, "weight"_a,
+      "Sums of weights times differences from the own value, (cells, rows), for cells at places of a dense array.");
 
   m.def("carry_over", &carry_over, nb::call_guard<nb::gil_scoped_release>(), "from_"_a, "to"_a);
 }

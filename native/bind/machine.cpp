@@ -9,6 +9,7 @@
 
 #include "base/communicator.hpp"
 #include "base/destinations.hpp"
+#include "base/fma_peak.hpp"
 #include "base/runtime.hpp"
 #include "bind/bind.hpp"
 #include "bind/communicator.hpp"
@@ -87,6 +88,9 @@ void bind_machine(nb::module_& m) {
       },
       "comm"_a, "asked"_a, "wanted"_a, "pack"_a,
       "Values of parcels between ranks, (rank, number) each, once; pack(n) gives those that rank asked[n][0] reads.");
+  m.def("measure_fma_peak", &amrpic::measure_fma_peak, nb::call_guard<nb::gil_scoped_release>(),
+        "Most operations per second of products and sums of vectors in registers, two each, the best of many short "
+        "runs.");
   m.def("initialize", &amrpic::initialize, "Start Kokkos and Tpetra on MPI_COMM_WORLD, once; MPI must be up.");
   m.def("finalize", &amrpic::finalize, "Release what solvers hold of Trilinos, then stop it; MPI must still be up.");
   m.def("trilinos_version", &amrpic::trilinos_version, "Version of the Trilinos headers, such as '13.2'.");

@@ -134,6 +134,7 @@ void bind_particle(nb::module_& m) {
 
   m.attr("END_OF_CURVE") = nb::int_(BrickCurve::end);
   m.attr("PLACES_PER_BRICK") = nb::int_(BrickCurve::per_brick);
+  m.attr("MOST_PARTICLES") = nb::int_(Migration::most);  // of a rank
 
   nb::class_<Migration>(m, "Migration")
       .def(

@@ -1,6 +1,7 @@
 #include "freespace/wall_patches.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 
 namespace amrpic::freespace {
@@ -52,11 +53,15 @@ void WallPatches::find_children() {
 
 /// Children lie before their parent, so that most of what is passed down stays where it is, and each rank has wide and
 /// narrow patches. As long as there are many, each has several runs of them, from all walls: how much charge is near
-/// changes slowly along a wall.
+/// changes slowly along a wall. If there are few, only some ranks have any: whoever holds a wide block sends it to a
+/// quarter of these, and evaluating a patch takes as long as some six messages.
 void WallPatches::share_out(int ranks) {
   constexpr std::int64_t shortest = 16, most = 64;
+  constexpr double per_patch = 24;  // of those messages, whose number and the work of a rank are least together then
   auto const all = std::int64_t(count());
-  std::int64_t const runs = ranks * std::clamp(all / (ranks * shortest), std::int64_t(1), most);
+  std::int64_t const in_use =
+      std::clamp(std::int64_t(std::sqrt(per_patch * double(all))), std::int64_t(1), std::int64_t(ranks));
+  std::int64_t const runs = in_use * std::clamp(all / (in_use * shortest), std::int64_t(1), most);
   owner_.resize(patches_.size());
   std::int64_t done = 0;
   struct Visit {
@@ -70,7 +75,7 @@ void WallPatches::share_out(int ranks) {
         int const next = children_[std::size_t(child++)];
         stack.push_back({next, first_child(next)});
       } else {
-        owner_[std::size_t(patch)] = int(done++ * runs / all % ranks);
+        owner_[std::size_t(patch)] = int((done++ * runs / all % in_use) * ranks / in_use);
         stack.pop_back();
       }
     }

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "mesh/box_set.hpp"
+
 namespace amrpic::matrixfree {
 
 Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio,
@@ -12,12 +14,12 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
       ratio_(ratio),
       refines_(refinement.in_part),
       has_gaps_(refinement.has_gaps),
-      in_place_(!refines_ && keeps_children_together()),
-      gathers_(coarse.level().ranks() == 1 && fine.level().ranks() > 1) {
+      in_place_(!refines_ && keeps_children_together()) {
   lay_out_coarse_patches(comm, ghosts);
+  if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
   if (refines_)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), refinement.finer, fine.layout(), fine.faces(), coarse_patches_,
-                                fine.stencil().weight(), coarse.stencil().weight());
+    interface_ = InterfaceCells(fine.level(), coarse.level(), refinement.finer, fine.layout(), fine.faces(),
+                                coarse_patches_, fine.stencil().weight(), coarse.stencil().weight());
 }
 
 /// Whether on all ranks the parents of each own block make up the own block of the same number. Local: where the
@@ -129,6 +131,70 @@ void Coarsening::add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, C
     }
 }
 
+/// What the ranks with cells of the finer level send each other, and nobody else, if all of the coarser one is theirs.
+void Coarsening::plan_gathering() {
+  Level const& level = fine_.level();
+  int const me = level.rank();
+  if (level.last_local_box() == level.first_local_box()) return;
+  std::vector<std::vector<Box>> parents(std::size_t(level.ranks()));  // disjoint ones of each rank
+  for (int b = 0; b < level.box_count(); ++b) {
+    auto& known = parents[std::size_t(level.owner(b))];
+    std::vector<Box> fresh{coarse_.level().cut_at_walls(level.box(b).coarsen(ratio_))};
+    for (Box const& box : known) fresh = without(fresh, box);
+    known.insert(known.end(), fresh.begin(), fresh.end());
+  }
+  std::vector<Parcel> asked, wanted;
+  for (int r = 0; r < level.ranks(); ++r) {
+    if (parents[std::size_t(r)].empty()) continue;
+    if (r == me) first_own_part_ = parts_.size();
+    for (Box const& box : parents[std::size_t(r)]) {
+      parts_.push_back({box, gathered_.size()});
+      gathered_.resize(gathered_.size() + std::size_t(box.cells()));
+      if (r != me) wanted.push_back({r, box.cells()});
+    }
+    if (r == me) own_parts_ = parts_.size() - first_own_part_;
+    for (Box const& box : parents[std::size_t(me)])
+      if (r != me) asked.push_back({r, box.cells()});
+    sent_by_gathering_.messages += r != me;
+  }
+  for (Parcel const& parcel : asked) sent_by_gathering_.bytes += std::int64_t(sizeof(float)) * parcel.values;
+  gathering_ = Exchange<float>(comm_, asked, wanted);
+}
+
+/// Call f(place in a vector of the coarser level, place in the part, length) for the rows of a part of it.
+template <class F>
+void Coarsening::for_each_row(GatheredPart const& of, F&& f) const {
+  coarse_.layout().for_each_own_part(of.parents, [&](Box const& part, Placement const& at) {
+    for (int k = 0; k < part.extent(2); ++k)
+      for (int j = 0; j < part.extent(1); ++j)
+        f(at.place(0, j, k), std::size_t(of.parents.offset({part.lower[0], part.lower[1] + j, part.lower[2] + k})),
+          part.extent(0));
+  });
+}
+
+/// Add what others hold to a vector of the coarser level; cells with several terms in the order of ranks, so that all
+/// find the same.
+void Coarsening::gather_from_others(Vector& r) {
+  for (std::size_t n = first_own_part_; n < first_own_part_ + own_parts_; ++n)
+    for_each_row(parts_[n], [&](auto at, auto place, int length) {
+      std::copy_n(&r[std::size_t(at)], length, &gathered_[parts_[n].first + place]);
+    });
+  gathering_.update(
+      [&](std::size_t n, float* to) {
+        GatheredPart const& part = parts_[first_own_part_ + n % own_parts_];
+        std::copy_n(&gathered_[part.first], part.parents.cells(), to);
+      },
+      [&](std::size_t n, float const* from) {
+        GatheredPart const& part = parts_[n < first_own_part_ ? n : n + own_parts_];
+        std::copy_n(from, part.parents.cells(), &gathered_[part.first]);
+      });
+  std::fill(r.begin(), r.end(), 0.0f);
+  for (GatheredPart const& part : parts_)
+    for_each_row(part, [&](auto at, auto place, int length) {
+      for (int i = 0; i < length; ++i) r[std::size_t(at + i)] += gathered_[part.first + place + std::size_t(i)];
+    });
+}
+
 void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   Vector& target = clear_target();
   if (has_gaps_) {
@@ -136,10 +202,12 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
     stages.clear();
     update_gaps();
   }
-  stages.push_back([&](std::size_t b, int k) {
-    if (b < sources_.size())
-      fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), taking(b), weight(), target);
-  });
+  stages.push_back({[&](std::size_t b, int k, RowChoice const&) {
+                      if (b < sources_.size())
+                        fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), taking(b),
+                                                        weight(), target);
+                    },
+                    both_colours, 0});
   if (fine_.has_odd_ring()) {  // the copies behind it have not been swept as their cells were
     PlaneStage const restriction = std::move(stages.back());
     stages.pop_back();
@@ -166,10 +234,10 @@ void Coarsening::refresh_gaps() {
 
 void Coarsening::restrict_right_hand_side() {
   Vector& target = clear_target();
-  fine_.run({[&](std::size_t b, int k) {
+  fine_.run({{[&](std::size_t b, int k, RowChoice const&) {
     if (b < sources_.size())
       fine_.sweep().restrict_right_hand_side(b, k, fine_.right_hand_side(), taking(b), weight(), target);
-  }});
+  }}});
   add_to_coarse_level();
 }
 
@@ -190,7 +258,7 @@ void Coarsening::add_to_coarse_level() {
   Vector& r = coarse_.right_hand_side();
   if (!refines_) std::fill(r.begin(), r.end(), 0.0f);
   targets_of_residuals_.add(values_.data(), r.data());
-  if (gathers_) comm_.sum_each(r);
+  if (own_parts_ > 0) gather_from_others(r);
 }
 
 std::vector<PlaneStage> Coarsening::prolongation(Into into) {
@@ -205,6 +273,8 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   // a restriction that takes the same values for its own sums.
   Layout const& layout = fine_.layout();
   bool const all_now = (into == Into::place && !in_place_) || has_gaps_;
+  fine_.corrections_are_new();
+  if (fine_.is_thin() && !all_now) return {{prolong, 0, both_colours}};
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     Box const& box = layout.blocks()[b].box;
     for (int k = box.lower[2]; k <= box.upper[2]; ++k)
@@ -213,9 +283,9 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   if (has_gaps_) update_gaps();
   fine_.exchange_corrections(refines_);
   if (all_now) return {};
-  return {[&layout, prolong](std::size_t b, int k) {
+  return {{[&layout, prolong](std::size_t b, int k, RowChoice const&) {
     if (b < layout.own_blocks()) prolong(b, k, layout.rows_by_copies(b, k, false));
-  }};
+  }}};
 }
 
 Traffic Coarsening::of_restriction(bool of_residual) const {
@@ -223,9 +293,7 @@ Traffic Coarsening::of_restriction(bool of_residual) const {
   for (bool exchanges : {fine_.has_odd_ring(), has_gaps_})
     if (of_residual && exchanges) out = out + fine_.of_corrections(false);
   if (in_place_) return out;
-  out = out + targets_of_residuals_.of_add();
-  out.collectives += gathers_;
-  return out;
+  return out + targets_of_residuals_.of_add() + sent_by_gathering_;
 }
 
 Traffic Coarsening::of_prolongation() const {

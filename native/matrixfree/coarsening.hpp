@@ -38,8 +38,8 @@ class Coarsening {
   /// The same for a finer correction of zero, whose values are not read. Collective.
   void restrict_right_hand_side();
 
-  /// Where there are gaps: begin with a finer correction of zero; and take what its fits have of it after sweeps into its
-  /// right-hand side, since sweeps do not see that. Collective.
+  /// Where there are gaps: begin with a finer correction of zero; and take what its fits have of it after sweeps into
+  /// its right-hand side, since sweeps do not see that. Collective.
   bool has_gaps() const { return has_gaps_; }
   void start() { interface_.start(); }
   void refresh_gaps();
@@ -71,6 +71,14 @@ class Coarsening {
   Parents const& taking(std::size_t b) const { return in_place_ ? targets_[b] : sources_[b]; }
   float weight() const;
   void add_to_coarse_level();
+  void plan_gathering();
+  void gather_from_others(Vector& r);
+  struct GatheredPart {
+    Box parents;        ///< of cells of one rank
+    std::size_t first;  ///< place among what is gathered
+  };
+  template <class F>
+  void for_each_row(GatheredPart const& part, F&& f) const;
   void add_ghosts(CoarsePatch const& patch, ArrayOnBox<char>& known, CoarseGhosts const& ghosts);
 
   Communicator comm_;
@@ -78,8 +86,7 @@ class Coarsening {
   SweptLevel& coarse_;
   Index3 ratio_;
   bool refines_, has_gaps_;
-  bool in_place_;  ///< whether all parents lie in this rank's memory, block by block
-  bool gathers_;   ///< whether every rank holds all of the coarser level, but only a part of the finer one
+  bool in_place_;                            ///< whether all parents lie in this rank's memory, block by block
   std::vector<CoarsePatch> coarse_patches_;  ///< of each own block
   Vector values_;                            ///< what they hold
   std::vector<Parents> sources_;             ///< of each own block: parents in `values_`
@@ -87,6 +94,12 @@ class Coarsening {
   std::vector<Copy> ghosts_;                 ///< in `values_`
   RectangleExchange parents_;                ///< with all cells around them that corrections are read of
   RectangleExchange targets_of_residuals_;   ///< with those that take fluxes; none if `in_place_`
+  // Of a level of which every rank with cells of the finer one holds all:
+  std::vector<GatheredPart> parts_;  ///< by rank
+  std::size_t first_own_part_ = 0, own_parts_ = 0;
+  std::vector<float> gathered_;
+  Exchange<float> gathering_;
+  Traffic sent_by_gathering_;
   InterfaceCells interface_;
 };
 

@@ -134,7 +134,8 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
       FourStars<Real> stars{};
       for (auto const& term : (*in_gap)->terms)
         add_to_stars(stars, term, term.fine ? window_(first_child_of(middle), term) : coarse_window_(middle, term));
-      for (int a = 0; a < 2; ++a) star[2 * m + a] = stars[0][std::size_t(a)], star[2 * (i.nu + m) + a] = stars[1][std::size_t(a)];
+      for (int a = 0; a < 2; ++a)
+        star[2 * m + a] = stars[0][std::size_t(a)], star[2 * (i.nu + m) + a] = stars[1][std::size_t(a)];
       ++in_gap;
     }
     for_each_run(fits, i.nu, [&](int start, int count, FitNumber) {
@@ -161,7 +162,8 @@ void CompositeGhosts::fill_windows(int l, Gaps const& gaps, Field const& phi) {
     window.set_box(box);
     for (int p = parts.first; p < parts.last; ++p) {
       WindowPart const& part = mesh_.plan(l).window_parts[std::size_t(p)];
-      window.copy_in(part.part, (part.here ? own : mesh_.plan().cells.values()) + part.from, part.pitch_y, part.pitch_z);
+      window.copy_in(part.part, (part.here ? own : mesh_.plan().cells.values()) + part.from, part.pitch_y,
+                     part.pitch_z);
     }
   };
   fill(coarse_window_, gaps.coarse, gaps.coarse_parts, phi.level(l - 1).data());

@@ -107,10 +107,9 @@ class LevelPlanner {
     out.fits = std::int32_t(out_.fits.size());
     out.fluxes = out_.fluxes;
     for_each_cell(region, [&](Index3 const& cell) { out_.fits.push_back(fits(cell)); });
-    for_each_run(&out_.fits[std::size_t(out.fits)], out.nu * out.nv,
-                 [&](int, int, FitNumber fit) {
-                   if (fit != fit_in_gap) out.margin = std::max(out.margin, numbered_fit(fit).reach);
-                 });
+    for_each_run(&out_.fits[std::size_t(out.fits)], out.nu * out.nv, [&](int, int, FitNumber fit) {
+      if (fit != fit_in_gap) out.margin = std::max(out.margin, numbered_fit(fit).reach);
+    });
     out_.fluxes += out.nu * out.nv;
     out.coarse.first = std::int32_t(out_.coarse.size());
     Index3 margin{out.margin, out.margin, out.margin};
@@ -136,8 +135,7 @@ class LevelPlanner {
     out.parts = parts_of_window(l_, refined_near_, coarse.refine(refinement_ratio), f);
     GapCells const cells(coarse, coarse_near_, refined_near_, finer_);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
-      if (fits(cell) == fit_in_gap)
-        out_.fits_in_gaps.push_back(&out_.gap_fits(cells.around(cell), f / 2));
+      if (fits(cell) == fit_in_gap) out_.fits_in_gaps.push_back(&out_.gap_fits(cells.around(cell), f / 2));
     });
     return out;
   }
@@ -293,7 +291,8 @@ std::size_t CompositePlan::bytes() const {
   std::size_t sum = cells.memory();
   for (auto const& l : levels)
     sum += bytes_of(l.boxes) + bytes_of(l.neighbours) + bytes_of(l.interfaces) + bytes_of(l.coarse) + bytes_of(l.fits) +
-           bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + l.gap_fits.bytes() + bytes_of(l.covered) + bytes_of(l.refined) + bytes_of(l.families) + bytes_of(l.remote_means) +
+           bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + l.gap_fits.bytes() +
+           bytes_of(l.covered) + bytes_of(l.refined) + bytes_of(l.families) + bytes_of(l.remote_means) +
            l.finer_fluxes.memory() + l.finer_means.memory();
   return sum;
 }

@@ -14,7 +14,7 @@ std::vector<CopiedRectangle> at_edges(Level const& level, std::vector<CopiedRect
 }  // namespace
 
 void ReadOfBoxes::add(Read const& read) {
-  auto const [at, fresh] = of_box_.emplace(std::make_tuple(read.rank, read.shift, read.owner), read.part);
+  auto const [at, fresh] = of_box_.emplace(std::make_tuple(read.rank, read.shift, read.owner, read.region), read.part);
   if (!fresh) at->second = at->second.hull(read.part);
 }
 

@@ -24,7 +24,7 @@ struct CopiesAcrossRanks {
   std::vector<CopiedRectangle> asked, wanted;
 };
 
-/// What is read of each box of a level: by rank and shift, one rectangle that holds all of it.
+/// What is read of each box of a level: by rank and shift, one rectangle for each region, which holds all of it.
 class ReadOfBoxes {
  public:
   void add(Read const& read);
@@ -32,7 +32,7 @@ class ReadOfBoxes {
   std::vector<CopiedRectangle> rectangles(std::array<Seam, 3> const& seams) const;
 
  private:
-  std::map<std::tuple<int, Index3, int>, Box> of_box_;  ///< by rank, shift, and box
+  std::map<std::tuple<int, Index3, int, int>, Box> of_box_;  ///< by rank, shift, box, and region
 };
 
 /// The cells that are read across ranks (see `for_each_read_across_ranks`), in few rectangles. Reads are not listed: of

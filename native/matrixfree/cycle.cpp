@@ -57,6 +57,18 @@ std::vector<int> levels_with_gaps(Communicator const& comm, MultigridLevels cons
   return out;
 }
 
+/// So many cells of a rank stay near the processor from one half of a sweep to the next, which then costs less than
+/// deep copies; with more, all sweeps go over them in one pass.
+constexpr GlobalIndex in_cache = 300'000;
+
+/// Whether the copies of a level without a cycle of its own are one layer deep. The same on all ranks.
+bool has_thin_copies(Level const& level, GhostRules const& rules) {
+  bool even = true;  // with odd rings, cells of one colour meet
+  for (int d = 0; d < 3; ++d)
+    even = even && !rules.seams()[d] && !(level.periodic()[d] && level.domain().extent(d) % 2);
+  return level.ranks() > 1 && even && level.cells() <= in_cache * level.ranks_in_use();
+}
+
 constexpr GlobalIndex whole_on_all_ranks = 10000;  ///< cells of a level; relaxing so few costs less than messages
 
 /// Walls of the coarsest level, with the open ones where corrections vanish behind the middle of each face.
@@ -91,8 +103,9 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
     if (multigrid_.refines(l))
       copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
-    int const halo =
-        std::max(own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0), has_gaps[l] ? reach_in_gaps : 0);
+    int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
+    bool const thin = copies.empty() && !has_gaps[l] && has_thin_copies(*multigrid_.levels[l], rules);
+    int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
     level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
@@ -122,8 +135,8 @@ void Cycle::run() {
                          [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
 }
 
-/// The stages with sweeps after them, of which all but the last have run where there are gaps: their fits are taken into
-/// account between sweeps.
+/// The stages with sweeps after them, of which all but the last have run where there are gaps: their fits are taken
+/// into account between sweeps.
 std::vector<PlaneStage> Cycle::relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps,
                                            bool from_zero, int further) {
   auto const append = [&](int count) {
@@ -211,16 +224,21 @@ std::vector<LevelWork> Cycle::work() const {
   run_cycle(multigrid_, {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
                          [&](std::size_t l, Guess guess) {
                            Coarsening const& c = *levels_[l].coarsening;
-                           Traffic const sent = levels_[l].swept->of_right_hand_sides() + c.of_restriction(true);
+                           SweptLevel const& swept = *levels_[l].swept;
                            int const sweeps = sweeps_beside(levels_[l], relaxation_.pre_sweeps);
-                           Traffic const swept = sent + between_sweeps(levels_[l], sweeps);
-                           add(l, guess == Guess::coarser ? swept + c.of_prolongation() : swept, sweeps, 1);
+                           Traffic const sent = swept.of_right_hand_sides() + c.of_restriction(true) +
+                                                swept.of_sweeps(sweeps, guess == Guess::zero, true) +
+                                                between_sweeps(levels_[l], sweeps);
+                           add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent, sweeps, 1);
                          },
                          [&](std::size_t l) {
                            auto const& local = levels_[l].local;
                            int const sweeps = sweeps_beside(levels_[l], relaxation_.post_sweeps);
-                           add(l, levels_[l].coarsening->of_prolongation() + between_sweeps(levels_[l], sweeps), sweeps,
-                               local ? 1 : 0);
+                           add(l,
+                               levels_[l].coarsening->of_prolongation() +
+                                   levels_[l].swept->of_sweeps(sweeps, false, false) +
+                                   between_sweeps(levels_[l], sweeps),
+                               sweeps, local ? 1 : 0);
                            if (!local) return;
                            out[l].traffic = out[l].traffic + local->traffic();
                            out[l].relaxed += local->relaxed_cells();

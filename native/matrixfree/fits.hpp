@@ -61,8 +61,8 @@ void for_each_run(FitNumber const* fits, int count, F&& f) {
 }
 
 /// phi* of all ghosts in front of a row of coarse cells along the lower tangential axis, into the two rows of fine
-/// ghosts; ghosts of cells with fits in gaps or without any are left as they are. A ghost's value does not depend on the row's extent, not
-/// even by rounding.
+/// ghosts; ghosts of cells with fits in gaps or without any are left as they are. A ghost's value does not depend on
+/// the row's extent, not even by rounding.
 template <class T>
 void fit_row(FitNumber const* fits, int count, T const* coarse, std::ptrdiff_t pitch, T* lower_row, T* upper_row) {
   for_each_run(fits, count, [&](int u, int n, FitNumber number) {

@@ -24,7 +24,8 @@ class GapWindow {
                     &values_[std::size_t(box_.offset({part.lower[0], part.lower[1] + j, part.lower[2] + k}))]);
   }
   T operator()(Index3 const& from, GapFit::Term const& term) const {
-    return values_[std::size_t(box_.offset({from[0] + term.offset[0], from[1] + term.offset[1], from[2] + term.offset[2]}))];
+    return values_[std::size_t(
+        box_.offset({from[0] + term.offset[0], from[1] + term.offset[1], from[2] + term.offset[2]}))];
   }
   std::size_t bytes() const { return values_.capacity() * sizeof(T); }
 

@@ -12,9 +12,9 @@ constexpr int margin = 2;  ///< of coarser cells that fits take, around the pare
 
 }  // namespace
 
-InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout, LevelFaces const& faces,
-                               std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
-                               std::array<float, 3> const& coarse_weight) {
+InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
+                               LevelFaces const& faces, std::vector<CoarsePatch> const& patches,
+                               std::array<float, 3> const& weight, std::array<float, 3> const& coarse_weight) {
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     if (!faces[b].ends_level()) continue;
     CellBlock const& block = layout.blocks()[b];
@@ -180,7 +180,8 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const
 
 std::size_t InterfaceCells::bytes() const {
   return faces_.size() * sizeof(InterfaceSide) + fits_.size() + gap_fits_.bytes() + window_.bytes() +
-         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) + (plane_.size() + rows_.size()) * sizeof(float);
+         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) +
+         (plane_.size() + rows_.size()) * sizeof(float);
 }
 
 }  // namespace amrpic::matrixfree

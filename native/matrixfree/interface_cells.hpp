@@ -20,10 +20,10 @@ struct CoarsePatch {
 class InterfaceCells {
  public:
   InterfaceCells() = default;
-  /// `finer`: the next finer level, null if there is none; `faces`: of the blocks; `patches`: of the own blocks, with two cells around the parents; weights: those of the
-  /// stencils of this level and the coarser one.
-  InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout, LevelFaces const& faces,
-                 std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
+  /// `finer`: the next finer level, null if there is none; `faces`: of the blocks; `patches`: of the own blocks, with
+  /// two cells around the parents; weights: those of the stencils of this level and the coarser one.
+  InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
+                 LevelFaces const& faces, std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
                  std::array<float, 3> const& coarse_weight);
 
   /// Take from r what the ghosts behind the faces have of the coarser correction.

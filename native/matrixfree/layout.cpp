@@ -30,6 +30,14 @@ int apart(Box const& a, Box const& b) {
   return out;
 }
 
+/// Call f(region) for the cells around a box of which there are copies: without those behind its edges where sweeps
+/// read one cell far, since these are no cell's neighbours.
+template <class F>
+void for_each_region_around(Box const& box, int depth, F&& f) {
+  if (depth > 1) return f(box.grow(depth));
+  for (int face = 0; face < 6; ++face) f(box.layer(face / 2, face % 2, 1));
+}
+
 }  // namespace
 
 Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
@@ -56,11 +64,13 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   // yet.
   std::map<std::pair<int, Index3>, Box> wanted;
   for (Box const& block : large)
-    level.for_each_overlap(block.grow(depth), [&](int b, Box const& part, Index3 const& shift) {
-      bool const mine = b >= level.first_local_box() && b < level.last_local_box();
-      if (!mine || in_place(shift)) return;
-      auto const [at, fresh] = wanted.emplace(std::make_pair(b, shift), part);
-      if (!fresh) at->second = at->second.hull(part);
+    for_each_region_around(block, depth, [&](Box const& region) {
+      level.for_each_overlap(region, [&](int b, Box const& part, Index3 const& shift) {
+        bool const mine = b >= level.first_local_box() && b < level.last_local_box();
+        if (!mine || in_place(shift)) return;
+        auto const [at, fresh] = wanted.emplace(std::make_pair(b, shift), part);
+        if (!fresh) at->second = at->second.hull(part);
+      });
     });
   std::vector<Box> copies;
   for (auto const& [key, part] : wanted) {
@@ -73,7 +83,7 @@ Layout::Layout(Level const& level, int depth, std::array<bool, 3> const& seam)
   }
   across_ranks_ = copies_across_ranks(
       level, level, [&](Box const& o) { return o.grow(depth); },
-      [&](int b, auto&& read) { read(level.box(b).grow(depth)); }, seams);
+      [&](int b, auto&& read) { for_each_region_around(level.box(b), depth, read); }, seams);
   for (CopiedRectangle const& r : across_ranks_.asked) mark_copied(r.cells);
   for (CopiedRectangle const& r : across_ranks_.wanted) copies.push_back(r.cells.shift(r.shift));
   for (Box const& box : joined(copies, seams)) add(box);

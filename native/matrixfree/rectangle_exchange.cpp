@@ -18,6 +18,29 @@ void for_each_row(Index3 const& extent, Placement const& a, Placement const& b, 
     for (int j = 0; j < rows; ++j) f(a.place(0, j, k), b.place(0, j, k), length);
 }
 
+/// The extent of a rectangle in a message that has room for every other cell along one axis.
+Index3 halved(Index3 extent) {
+  int const axis = extent[0] > 1 ? 0 : 1;
+  extent[axis] = (extent[axis] + 1) / 2;
+  return extent;
+}
+
+/// Call f(place in memory, place in the message) for the cells of a part of a rectangle that have the parity of those
+/// that pass.
+template <class F>
+void for_each_of_colour(Index3 const& rectangle, int parity, Index3 const& extent, Index3 const& first,
+                        Placement const& at, F&& f) {
+  Index3 const room = halved(rectangle);
+  int const step_y = rectangle[0] > 1 ? 1 : 2;
+  for (int k = 0; k < extent[2]; ++k)
+    for (int j = 0; j < extent[1]; ++j) {
+      std::ptrdiff_t const row = std::ptrdiff_t(room[0]) * ((first[1] + j) / step_y + room[1] * (first[2] + k));
+      std::ptrdiff_t const from = at.place(0, j, k);
+      for (int i = (first[0] + first[1] + j + first[2] + k + parity) & 1; i < extent[0]; i += 2)
+        f(from + i, row + (first[0] + i) / 2);
+    }
+}
+
 Index3 extent_of(Box const& box) { return {box.extent(0), box.extent(1), box.extent(2)}; }
 
 Placement dense(Index3 const& extent) { return {0, extent[0], std::ptrdiff_t(extent[0]) * extent[1]}; }
@@ -59,7 +82,8 @@ void add_row(float const* from, int length, float* to) {
 }  // namespace
 
 RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
-                                     CopiesAcrossRanks const& across, ForEachPart const& copies) {
+                                     CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours)
+    : colours_(colours) {
   auto own = [&](Box const& box, Part const& f) { layout.for_each_own_part(box, f); };
   for (Region const& region : regions_of(local))
     for (Box const& box : region.boxes)
@@ -73,26 +97,36 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
     std::vector<Parcel> out;
     for (CopiedRectangle const& r : rectangles) {
       sent.messages += out.empty() || out.back().rank != r.rank;
-      sent.bytes += std::int64_t(sizeof(float)) * r.cells.cells();
+      sent.bytes += std::int64_t(sizeof(float)) * places(r.cells);
       neighbours_.insert(r.rank);
-      out.push_back({r.rank, r.cells.cells()});
+      out.push_back({r.rank, places(r.cells)});
     }
     return out;
   };
   exchange_ = Exchange<float>(comm, parcels(across.asked, sent_by_update_), parcels(across.wanted, sent_by_add_));
 }
 
+/// How many values of a rectangle pass.
+std::int64_t RectangleExchange::places(Box const& cells) const {
+  if (colours_ == Colours::all) return cells.cells();
+  Index3 const room = halved(extent_of(cells));
+  return std::int64_t(room[0]) * room[1] * room[2];
+}
+
 /// Where the cells of each rectangle lie; `shifted`: as copies, else as they are owned.
 std::vector<RectangleExchange::Packed> RectangleExchange::packed(std::vector<CopiedRectangle> const& rectangles,
-                                                                 bool shifted, ForEachPart const& for_each_part) {
+                                                                 bool shifted, ForEachPart const& for_each_part) const {
   std::vector<Packed> out;
   for (CopiedRectangle const& rectangle : rectangles) {
     Box const box = shifted ? rectangle.cells.shift(rectangle.shift) : rectangle.cells;
     Placement const message = dense(extent_of(box));
     Packed& parts = out.emplace_back();
     parts.cells = std::size_t(box.cells());
+    parts.extent = extent_of(box);
+    parts.parity = (box.lower[0] + box.lower[1] + box.lower[2] + int(colours_)) & 1;
     for_each_part(box, [&](Box const& part, Placement const& at) {
-      parts.parts.push_back({extent_of(part), at, from(message, steps(box.lower, part.lower))});
+      Index3 const first = steps(box.lower, part.lower);
+      parts.parts.push_back({extent_of(part), at, from(message, first), first});
     });
   }
   return out;
@@ -101,8 +135,12 @@ std::vector<RectangleExchange::Packed> RectangleExchange::packed(std::vector<Cop
 void RectangleExchange::start(float const* cells, float* copies) const {
   exchange_.start([&](std::size_t n, float* out) {
     for (Pair const& p : asked_[n].parts)
-      for_each_row(p.extent, p.at, p.packed,
-                   [&](auto at, auto packed, int length) { copy_row(cells + at, length, out + packed); });
+      if (colours_ == Colours::all)
+        for_each_row(p.extent, p.at, p.packed,
+                     [&](auto at, auto packed, int length) { copy_row(cells + at, length, out + packed); });
+      else
+        for_each_of_colour(asked_[n].extent, asked_[n].parity, p.extent, p.first, p.at,
+                           [&](auto at, auto packed) { out[packed] = cells[at]; });
   });
   for (Pair const& l : local_)
     for_each_row(l.extent, l.at, l.packed,
@@ -112,8 +150,12 @@ void RectangleExchange::start(float const* cells, float* copies) const {
 void RectangleExchange::finish(float* copies) const {
   exchange_.finish([&](std::size_t n, float const* in) {
     for (Pair const& p : wanted_[n].parts)
-      for_each_row(p.extent, p.packed, p.at,
-                   [&](auto packed, auto at, int length) { copy_row(in + packed, length, copies + at); });
+      if (colours_ == Colours::all)
+        for_each_row(p.extent, p.packed, p.at,
+                     [&](auto packed, auto at, int length) { copy_row(in + packed, length, copies + at); });
+      else
+        for_each_of_colour(wanted_[n].extent, wanted_[n].parity, p.extent, p.first, p.at,
+                           [&](auto at, auto packed) { copies[at] = in[packed]; });
   });
 }
 

@@ -20,6 +20,9 @@ struct Copied {
 using Part = std::function<void(Box const&, Placement const&)>;
 using ForEachPart = std::function<void(Box const&, Part const&)>;
 
+/// Which cells pass between ranks: all, or those of one colour, the parity of the sum of their indices.
+enum class Colours { first, second, all };
+
 /// The plan by which copies of cells are updated from the cells, whichever rank owns these, and are added to them. All
 /// that passes between two ranks in a call is one message. Where all cells are in this rank's memory there is none.
 class RectangleExchange {
@@ -27,9 +30,10 @@ class RectangleExchange {
   RectangleExchange() = default;
 
   /// `layout` holds the cells. `local`: what is copied from own boxes. `across`: what passes between ranks;
-  /// a cell of it, in the indices of the copy, may have several copies or none.
+  /// a cell of it, in the indices of the copy, may have several copies or none. Of one colour, only `update` is for it,
+  /// and copies of own cells take both.
   RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
-                    CopiesAcrossRanks const& across, ForEachPart const& copies);
+                    CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours = Colours::all);
 
   /// Fill the copies, which may lie in the vector of the cells. Collective.
   void update(float const* cells, float* copies) const {
@@ -56,14 +60,19 @@ class RectangleExchange {
   struct Pair {
     Index3 extent;
     Placement at, packed;  ///< in memory, and in the message
+    Index3 first{};        ///< of one colour: from the rectangle's first cell
   };
   struct Packed {
     std::vector<Pair> parts;
     std::size_t cells;
+    Index3 extent;
+    int parity;  ///< of the cells that pass, counted from the first one
   };
-  static std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
-                                    ForEachPart const& for_each_part);
+  std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
+                             ForEachPart const& for_each_part) const;
+  std::int64_t places(Box const& cells) const;
 
+  Colours colours_ = Colours::all;
   Traffic sent_by_update_, sent_by_add_;
   std::set<int> neighbours_;
   std::vector<Pair> local_;  ///< cells, and the copy

@@ -12,7 +12,7 @@ void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std:
   for (int step = 0; step < count + depth - 1; ++step) {
     if (step < count) before(first + step);
     for (int s = std::max(0, step - count + 1); s < std::min(depth, step + 1); ++s)
-      for (int b : layout.on_plane(first + step - s)) stages[std::size_t(s)](std::size_t(b), first + step - s);
+      for (int b : layout.on_plane(first + step - s)) stages[std::size_t(s)].act(std::size_t(b), first + step - s, {});
   }
 }
 

@@ -35,8 +35,16 @@ struct Parents {
   }
 };
 
-/// What is done to one plane of one block.
-using PlaneStage = std::function<void(std::size_t block, int plane)>;
+/// The colours of cells, and both of them: numbers that can be joined by |.
+constexpr int colour_bit(int colour) { return 1 << colour; }
+constexpr int both_colours = 3;
+
+/// What is done to one plane of one block: to all its rows, or where stages follow each other level by level to some.
+struct PlaneStage {
+  std::function<void(std::size_t block, int plane, RowChoice const& rows)> act;
+  int reads = 0;    ///< colours of neighbours whose corrections are read
+  int changes = 0;  ///< colours of corrections that are changed
+};
 
 /// Run stages over all planes of a layout in one pass: stage s of a plane comes after stage s - 1 of the plane above
 /// it, so that a plane stays in the cache from the first stage to the last. Plane after plane, `before` is called

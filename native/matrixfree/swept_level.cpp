@@ -6,10 +6,23 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-LevelFaces faces_of_blocks(Level const& level, Layout const& layout) {
+/// One of the halves of sweeps after each other.
+struct HalfSweep {
+  HalfSweep(int number, bool from_zero)
+      : colour(number % 2),
+        is_fresh(from_zero && number == 0),
+        reads(is_fresh ? 0 : colour_bit(1 - colour)),
+        changes(is_fresh ? both_colours : colour_bit(colour)) {}
+  int colour;
+  bool is_fresh;       ///< sets all corrections
+  int reads, changes;  ///< colours
+};
+
+/// Of the first so many blocks.
+LevelFaces faces_of_blocks(Level const& level, Layout const& layout, std::size_t count) {
   LevelFaces out;
-  out.reserve(layout.blocks().size());
-  for (CellBlock const& block : layout.blocks()) out.emplace_back(level, block.box);
+  out.reserve(count);
+  for (std::size_t b = 0; b < count; ++b) out.emplace_back(level, layout.blocks()[b].box);
   return out;
 }
 
@@ -19,8 +32,9 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
                        Real shift, Relaxation const& relaxation, int halo)
     : level_(std::move(level)),
       scale_(smallest_spacing(*level_) * smallest_spacing(*level_)),
+      is_thin_(halo == 1),
       layout_(*level_, halo, rules.seams()),
-      faces_(faces_of_blocks(*level_, layout_)),
+      faces_(faces_of_blocks(*level_, layout_, is_thin_ ? layout_.own_blocks() : layout_.blocks().size())),
       stencil_(*level_, layout_, faces_, rules, scaled(equation_on(level_->spacing(), shift), scale_),
                relaxation.factor),
       sweep_(layout_, stencil_, relaxation.kernels),
@@ -32,6 +46,12 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
       images.push_back({image.box, part.shift_back(image.shift), copy});
     });
   auto const copies = [this](Box const& box, Part const& f) { layout_.for_each_copied_part(box, f); };
+  if (is_thin_) {
+    for (Colours colours : {Colours::first, Colours::second})
+      halo_of_colour_[std::size_t(colours)] =
+          RectangleExchange(comm, layout_, images, layout_.across_ranks(), copies, colours);
+    return;
+  }
   halo_ = RectangleExchange(comm, layout_, images, layout_.across_ranks(), copies);
   if (level_->cells() == level_->domain().cells()) return;
   for (Copied const& image : images)
@@ -48,24 +68,27 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
 
 std::vector<PlaneStage> SweptLevel::relaxations(int sweeps, bool from_zero, int further) {
   std::vector<PlaneStage> out;
-  if (from_zero && sweeps == 0) std::fill(e_.begin(), e_.end(), 0.0f);
+  if (from_zero && sweeps == 0) {
+    std::fill(e_.begin(), e_.end(), 0.0f);
+    stale_ = 0;
+  }
   int reach = further + 2 * sweeps - 1;  // each half-sweep reads one cell further than it relaxes
-  for (int s = 0; s < sweeps; ++s)
-    for (int colour : {0, 1}) {
-      bool const fresh = from_zero && s == 0 && colour == 0;
-      out.push_back([this, colour, fresh, reach](std::size_t b, int k) {
-        RowChoice const rows = layout_.rows_in_reach(b, k, reach);
-        if (fresh)
-          sweep_.relax_from_zero(b, k, colour, rows, r_, e_);
-        else
-          sweep_.relax(b, k, colour, rows, r_, e_);
-      });
-      --reach;
-    }
+  for (int half = 0; half < 2 * sweeps; ++half, --reach) {
+    HalfSweep const h(half, from_zero);
+    auto const relax = [this, h, reach](std::size_t b, int k, RowChoice const& some) {
+      RowChoice const rows = is_thin_ ? some : layout_.rows_in_reach(b, k, reach);
+      if (h.is_fresh)
+        sweep_.relax_from_zero(b, k, h.colour, rows, r_, e_);
+      else
+        sweep_.relax(b, k, h.colour, rows, r_, e_);
+    };
+    out.push_back({relax, h.reads, h.changes});
+  }
   return out;
 }
 
 Real SweptLevel::relaxed_cells(int sweeps, int further) const {
+  if (is_thin_) return Real(sweeps) * level_->local_cells();
   std::int64_t cells = 0;
   for (int reach = further; reach < further + 2 * sweeps; ++reach)
     for (std::size_t b = 0; b < layout_.blocks().size(); ++b) {
@@ -79,11 +102,59 @@ Real SweptLevel::relaxed_cells(int sweeps, int further) const {
 }
 
 Traffic SweptLevel::of_corrections(bool boundary_changed) const {
-  if (!has_halo()) return {};
+  if (!has_halo() || is_thin_) return {};
   return boundary_changed ? halo_.of_update() + edge_halo_.of_update() : halo_.of_update();
 }
 
+Traffic SweptLevel::of_sweeps(int sweeps, bool from_zero, bool with_residual) const {
+  Traffic out;
+  if (!is_thin_ || !has_halo()) return out;
+  int stale = from_zero ? 0 : both_colours;
+  auto const add = [&](int reads, int changes) {
+    for (int colour : {0, 1})
+      if (reads & stale & colour_bit(colour)) out = out + halo_of_colour_[std::size_t(colour)].of_update();
+    stale = (stale & ~reads) | changes;
+  };
+  for (int half = 0; half < 2 * sweeps; ++half) {
+    HalfSweep const h(half, from_zero);
+    add(h.reads, h.changes);
+  }
+  if (with_residual) add(both_colours, 0);
+  return out;
+}
+
+/// Run a stage over the rows of own blocks that rows(block, plane) chooses.
+template <class Rows>
+void SweptLevel::pass(PlaneStage const& stage, Rows&& rows) {
+  for (int k = layout_.first_plane(); k < layout_.first_plane() + layout_.planes(); ++k) {
+    for (auto const& [plan, values] : under_way_) plan->poll();
+    for (int b : layout_.on_plane(k))
+      if (std::size_t(b) < layout_.own_blocks()) stage.act(std::size_t(b), k, rows(std::size_t(b), k));
+  }
+}
+
+/// Stages over thin copies: each is run over the whole level, first over the rows that others have copies of where they
+/// need them next.
+void SweptLevel::run_one_by_one(std::vector<PlaneStage> const& stages) {
+  for (std::size_t n = 0; n < stages.size(); ++n) {
+    PlaneStage const& stage = stages[n];
+    begin(stage.reads & stale_);
+    finish_exchanges();
+    stale_ |= stage.changes;
+    int const next = n + 1 < stages.size() ? stages[n + 1].reads & stage.changes : 0;
+    if (next != 0) {
+      pass(stage, [this](std::size_t b, int k) { return layout_.rows_by_copies(b, k, true); });
+      begin(next);
+      pass(stage, [this](std::size_t b, int k) { return layout_.rows_by_copies(b, k, false); });
+    } else {
+      pass(stage, [](std::size_t, int) { return RowChoice{}; });
+    }
+  }
+  for (auto const& halo : halo_of_colour_) halo.settle();
+}
+
 void SweptLevel::run(std::vector<PlaneStage> const& stages) {
+  if (is_thin_) return run_one_by_one(stages);
   wavefront(layout_, stages, [this](int plane) {
     halo_.poll();
     if (plane + 1 >= layout_.first_halo_plane()) finish_exchanges();
@@ -94,11 +165,13 @@ void SweptLevel::run(std::vector<PlaneStage> const& stages) {
 }
 
 void SweptLevel::exchange_right_hand_sides() {
+  if (is_thin_) return;
   finish_exchanges();
   begin(halo_, r_);
 }
 
 void SweptLevel::exchange_corrections(bool boundary_changed) {
+  if (is_thin_) return;
   finish_exchanges();
   begin(halo_, e_);
   if (boundary_changed) begin(edge_halo_, r_);
@@ -109,6 +182,13 @@ void SweptLevel::begin(RectangleExchange const& plan, Vector& values) {
   plan.settle();
   plan.start(values.data(), values.data());
   under_way_.emplace_back(&plan, &values);
+}
+
+/// The same for the thin copies of corrections of some colours.
+void SweptLevel::begin(int colours) {
+  for (int colour : {0, 1})
+    if (colours & colour_bit(colour)) begin(halo_of_colour_[std::size_t(colour)], e_);
+  stale_ &= ~colours;
 }
 
 void SweptLevel::finish_exchanges() {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <memory>
 
 #include "base/communicator.hpp"
@@ -22,7 +23,9 @@ struct Relaxation {
 /// of the level, and all that sweeps over it need.
 class SweptLevel {
  public:
-  /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. Collective.
+  /// `shift`: of the Equation; `halo`: how deep the copies of other ranks' cells are. With deep ones all ranks sweep
+  /// over them too, and messages are few; those of one layer are brought before each half of a sweep, which takes a
+  /// fraction of the bytes and no work beside that on own cells. Collective.
   SweptLevel(Communicator const& comm, std::shared_ptr<Level const> level, GhostRules const& rules, Real shift,
              Relaxation const& relaxation, int halo);
   SweptLevel(SweptLevel const&) = delete;  // the sweeps refer to the layout
@@ -33,6 +36,8 @@ class SweptLevel {
   std::vector<PlaneStage> relaxations(int sweeps, bool from_zero, int further);
   /// Run stages over all planes; where copies are still under way, wait for them when they are reached.
   void run(std::vector<PlaneStage> const& stages);
+  /// Say that corrections of all own cells have been set.
+  void corrections_are_new() { stale_ = both_colours; }
 
   /// Whether parts of the level are copies, which other ranks or the other end of the domain must fill.
   bool has_halo() const { return level_->ranks() > 1 || layout_.has_halo(); }
@@ -42,6 +47,8 @@ class SweptLevel {
       if (level_->periodic()[d] && level_->domain().extent(d) % 2 != 0) return true;
     return false;
   }
+  /// Whether copies are one layer of cells, which are brought when stages need them, and none of right-hand sides.
+  bool is_thin() const { return is_thin_; }
   /// Begin to bring the copies of right-hand sides up to date; the next `run` waits for them. Collective.
   void exchange_right_hand_sides();
   /// The same for corrections; `boundary_changed`: right-hand sides have changed since then, beside coarser cells
@@ -50,10 +57,12 @@ class SweptLevel {
 
   // What this rank does in calls of these: messages and bytes that it sends, cells that it relaxes, both colours being
   // one.
-  Traffic of_right_hand_sides() const { return has_halo() ? halo_.of_update() : Traffic{}; }
+  Traffic of_right_hand_sides() const { return has_halo() && !is_thin() ? halo_.of_update() : Traffic{}; }
   Traffic of_corrections(bool boundary_changed) const;
+  /// In sweeps over thin copies, from zero or from corrections that have all been set, and a residual that may follow.
+  Traffic of_sweeps(int sweeps, bool from_zero, bool with_residual) const;
   Real relaxed_cells(int sweeps, int further) const;
-  std::set<int> const& neighbours() const { return halo_.neighbours(); }
+  std::set<int> const& neighbours() const { return is_thin_ ? halo_of_colour_[0].neighbours() : halo_.neighbours(); }
 
   Level const& level() const { return *level_; }
   Layout const& layout() const { return layout_; }
@@ -68,16 +77,23 @@ class SweptLevel {
 
  private:
   void begin(RectangleExchange const& plan, Vector& values);
+  void begin(int colours);
   void finish_exchanges();
+  template <class Rows>
+  void pass(PlaneStage const& stage, Rows&& rows);
+  void run_one_by_one(std::vector<PlaneStage> const& stages);
 
   std::shared_ptr<Level const> level_;
   Real scale_;
+  bool is_thin_;
   Layout layout_;
   LevelFaces faces_;
   Stencil stencil_;
   Sweep sweep_;
   Vector r_, e_;
-  RectangleExchange halo_, edge_halo_;  ///< all copies, and those of the level's boundary cells
+  RectangleExchange halo_, edge_halo_;               ///< all copies, and those of the level's boundary cells
+  std::array<RectangleExchange, 2> halo_of_colour_;  ///< of thin copies, in place of both
+  int stale_ = both_colours;                         ///< colours of thin copies that are not up to date
   std::vector<std::pair<RectangleExchange const*, Vector*>> under_way_;
 };
 

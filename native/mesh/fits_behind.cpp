@@ -51,8 +51,7 @@ void for_each_fits_behind(BoxFaces const& faces, Level const& level, Level const
   Box const near = faces.box.coarsen(refinement_ratio).grow(plane_reach + 1);
   auto const coarse = overlaps(coarser, near), refined = overlaps(level, near.refine(refinement_ratio));
   for (int n = 0; n < 6; ++n)
-    if (faces.sides[std::size_t(n)].has_coarser)
-      f(n, fits_behind(faces.sides[std::size_t(n)], n / 2, coarse, refined));
+    if (faces.sides[std::size_t(n)].has_coarser) f(n, fits_behind(faces.sides[std::size_t(n)], n / 2, coarse, refined));
 }
 
 std::vector<ArrayOnBox<FitNumber>> fits_with_gaps(BoxFaces const& faces, Level const& level, Level const& coarser) {

@@ -149,16 +149,17 @@ void Halo::update(std::vector<Real const*> const& own, std::vector<Real*> const&
       own.size());
 }
 
-void Halo::fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo) const {
+void Halo::fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo, std::ptrdiff_t stride) const {
   exchange_.fold(
       [&](std::size_t n, Real* out) {
         for (Real const* field : halo)
-          for (PlaceRun const& run : wanted_[n]) out = std::copy_n(field + run.first, run.count, out);
+          for (PlaceRun const& run : wanted_[n])
+            for (LocalIndex i = 0; i < run.count; ++i) *out++ = field[(run.first + i) * stride];
       },
       [&](std::size_t n, Real const* in) {
         for (Real* field : own)
           for (PlaceRun const& run : asked_[n])
-            for (LocalIndex i = 0; i < run.count; ++i) field[run.first + i] += *in++;
+            for (LocalIndex i = 0; i < run.count; ++i) field[(run.first + i) * stride] += *in++;
       },
       own.size());
 }

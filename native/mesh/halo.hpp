@@ -108,7 +108,7 @@ class Halo {
   void update(Real* field) const { update({field}, {field + owned_}); }
 
   /// Add each field's halo to its owners' cells, in the order of ranks; the halo keeps its values. Collective.
-  void fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo) const;
+  void fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo, std::ptrdiff_t stride = 1) const;
 
  private:
   /// Values that follow each other, among those of own cells or of the halo.

@@ -148,22 +148,41 @@ std::shared_ptr<BoxTable const> same_boxes(Hierarchy const* earlier, std::size_t
 }  // namespace
 
 void sort_along_curve(std::vector<Box>& boxes) {
+  if (boxes.empty()) return;
+  Box hull = boxes.front();
+  std::array<std::int64_t, 3> extent{0, 0, 0};  // of all boxes
+  for (Box const& box : boxes) {
+    hull = hull.hull(box);
+    for (int d = 0; d < 3; ++d) extent[d] += box.extent(d);
+  }
   // Places are counted in mean extents of a box first, else eight boxes after each other would make up a cube only if
   // their extents were powers of two.
-  std::array<std::int64_t, 3> extent{0, 0, 0};
-  for (Box const& box : boxes)
-    for (int d = 0; d < 3; ++d) extent[d] += box.extent(d);
+  auto const places = [&](std::int64_t twice, int d) {
+    return int(twice * std::int64_t(boxes.size()) / (2 * extent[d]));
+  };
+  Index3 half, order{2, 1, 0};
+  for (int d = 0; d < 3; ++d) half[d] = (places(2 * std::int64_t(hull.extent(d)), d) + 1) / 2;
+  std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return hull.extent(a) > hull.extent(b); });
+  struct Place {
+    int part;
+    Index3 in_part;
+  };
   auto const place = [&](Box const& box) {
-    Index3 out;
-    for (int d = 0; d < 3; ++d)
-      out[d] = int((std::int64_t(box.lower[d]) + box.upper[d] + 1) * std::int64_t(boxes.size()) / (2 * extent[d]));
+    Place out{0, {}};
+    for (int d : order) {
+      int const at = places(std::int64_t(box.lower[d]) + box.upper[d] + 1 - 2 * std::int64_t(hull.lower[d]), d);
+      bool const upper = at >= half[d];
+      out.part = 2 * out.part + upper;
+      out.in_part[d] = upper ? at - half[d] : at;
+    }
     return out;
   };
-  std::vector<std::pair<Index3, Box>> placed;
+  std::vector<std::pair<Place, Box>> placed;
   for (Box const& box : boxes) placed.emplace_back(place(box), box);
   std::sort(placed.begin(), placed.end(), [](auto const& a, auto const& b) {
-    return a.first != b.first ? morton_less(a.first, b.first)
-                              : morton_less(twice_centre(a.second), twice_centre(b.second));
+    if (a.first.part != b.first.part) return a.first.part < b.first.part;
+    return a.first.in_part != b.first.in_part ? morton_less(a.first.in_part, b.first.in_part)
+                                              : morton_less(twice_centre(a.second), twice_centre(b.second));
   });
   std::transform(placed.begin(), placed.end(), boxes.begin(), [](auto const& p) { return p.second; });
 }

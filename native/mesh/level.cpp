@@ -22,6 +22,12 @@ int Level::owner(int b) const {
   return int(std::upper_bound(first_box_.begin() + 1, first_box_.end(), b) - first_box_.begin()) - 1;
 }
 
+int Level::ranks_in_use() const {
+  int out = 0;
+  for (int r = 0; r < ranks(); ++r) out += first_box(r + 1) > first_box(r);
+  return out;
+}
+
 std::vector<Index3> Level::images(Box const& region) const {
   std::array<std::vector<int>, 3> shifts;
   for (int d = 0; d < 3; ++d) {

@@ -72,6 +72,7 @@ class Level {
   int first_local_box() const { return first_box(rank_); }
   int last_local_box() const { return first_box(rank_ + 1); }
   int first_box(int rank) const { return first_box_[std::size_t(rank)]; }
+  int ranks_in_use() const;  ///< those that have cells
 
   GlobalIndex cells() const { return table_->cells(); }
   GlobalIndex box_offset(int b) const { return table_->offset(b); }  ///< number of its first cell

@@ -323,8 +323,7 @@ class LevelAssembly {
 /// Whether both have the same level in a place, or none.
 bool same_level(MultigridLevels const& multigrid, MultigridLevels const& former, std::size_t l) {
   std::size_t const count = multigrid.levels.size(), before = former.levels.size();
-  return (l >= count && l >= before) ||
-         (l < count && l < before && multigrid.levels[l]->same_as(*former.levels[l]));
+  return (l >= count && l >= before) || (l < count && l < before && multigrid.levels[l]->same_as(*former.levels[l]));
 }
 
 /// The operators in `former` of levels that it has with the same neighbouring levels; null for the others. The

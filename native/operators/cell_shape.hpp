@@ -70,9 +70,8 @@ inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis,
     auto const [u, v] = tangential_axes(axis);
     out.upper_u = outer[u] != 2 * behind[u];
     out.upper_v = outer[v] != 2 * behind[v];
-    set_fit(out, behind, axis, n.coarse, n.coarse_covered, gaps, [&](Index3 const& c) {
-      return n.around_gaps().own(c) != no_cell && !n.around_gaps().covered(c);
-    });
+    set_fit(out, behind, axis, n.coarse, n.coarse_covered, gaps,
+            [&](Index3 const& c) { return n.around_gaps().own(c) != no_cell && !n.around_gaps().covered(c); });
   }
   if (out.beyond == Beyond::finer)
     set_fit(out, cell, axis, n.own, n.covered, gaps,

@@ -86,7 +86,8 @@ class FormsNear {
           Index3 second = first;
           second[axis] += step;
           Form const phi_1(unknown(Unknown::On::finer, first), 1), phi_2(unknown(Unknown::On::finer, second), 1);
-          Form const star = fit(face, axis, a == 1, b == 1, {Unknown::On::own, {0, 0, 0}, Unknown::On::finer, {0, 0, 0}});
+          Form const star =
+              fit(face, axis, a == 1, b == 1, {Unknown::On::own, {0, 0, 0}, Unknown::On::finer, {0, 0, 0}});
           differences += phi_1 - ghost_at_interface(star, phi_1, phi_2);
         }
       return ghost_at_fine_faces(here, differences);

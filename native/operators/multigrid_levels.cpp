@@ -13,6 +13,7 @@ constexpr GlobalIndex bottom = 64;           ///< cells of a level that is solve
 constexpr GlobalIndex cells_per_rank = 512;  ///< of a level: with fewer, boxes are thinner than their halos twice over
 constexpr int merged_ranks = 8;              ///< so many then bring theirs together: all children of a cube of boxes
 constexpr int alignment = 8;                 ///< of new boxes, so that they can be halved three times
+constexpr int before_whole = 8;              ///< ranks, each with an eighth of a level: they are all neighbours
 
 /// By how much to coarsen each axis of a level; all ones if it must stay.
 Index3 coarsening_of(Level const& level, Domain const& domain) {
@@ -26,13 +27,6 @@ Index3 coarsening_of(Level const& level, Domain const& domain) {
   for (int d = 0; d < 3; ++d)
     if (shortens(d) && level.spacing()[d] <= 1.5 * finest) ratio[d] = 2;
   return ratio;
-}
-
-/// The ranks that have cells of a level.
-int ranks_in_use(Level const& level) {
-  int out = 0;
-  for (int r = 0; r < level.ranks(); ++r) out += level.first_box(r + 1) > level.first_box(r);
-  return out;
 }
 
 /// Where runs of boxes start on so many ranks if they lie on evenly spread ones of them: neighbours on the curve stay
@@ -52,6 +46,15 @@ std::vector<int> spread(std::vector<int> const& first, int ranks) {
 DistributedBoxes new_boxes(Box const& domain, int max_grid_size, int ranks, int active) {
   DistributedBoxes out{cut(domain, std::max(max_grid_size, alignment), alignment), {}};
   out.first = spread(share_out(out.boxes, active, alignment), ranks);
+  return out;
+}
+
+/// A level that covers the domain in eight boxes, on as many ranks.
+DistributedBoxes eighths(Box const& domain, int ranks) {
+  int longest = 0;
+  for (int d = 0; d < 3; ++d) longest = std::max(longest, domain.extent(d));
+  DistributedBoxes out{cut(domain, (longest + 3) / 4 * 2, 2), {}};
+  out.first = spread(share_out(out.boxes, before_whole, 2), ranks);
   return out;
 }
 
@@ -81,11 +84,13 @@ std::shared_ptr<Level const> coarser(Level const& finer, Index3 const& ratio, Bo
   if (domain.cells() <= policy.whole || (policy.whole > 0 && finer.ranks() == 1))
     return std::make_shared<Level const>(domain, periodic, spacing, std::vector<Box>{domain}, std::vector<int>{0, 1},
                                          0);
-  int const in_use = ranks_in_use(finer);
+  int const in_use = finer.ranks_in_use();
   int group = 1;
   while (group < in_use && domain.cells() * group < cells_per_rank * in_use) group *= merged_ranks;
   DistributedBoxes distributed = halved(finer, ratio, domain);
-  if (distributed.boxes.empty())
+  if (in_use > before_whole && group > 1 && domain.cells() <= before_whole * policy.whole)
+    distributed = eighths(domain, finer.ranks());
+  else if (distributed.boxes.empty())
     distributed = new_boxes(domain, policy.max_grid_size, finer.ranks(), (in_use + group - 1) / group);
   else if (group > 1)
     distributed = merged(distributed, group);

@@ -20,8 +20,8 @@ struct CellsAroundGaps {
 /// The cells that the stencils of a box read: their numbers on the box's own level and on the neighbouring ones.
 struct StencilCells {
   Level const* level;
-  Level const* finer;   ///< may be null, as the next one
-  Level const* finest;  ///< the next finer one than `finer`
+  Level const* finer;           ///< may be null, as the next one
+  Level const* finest;          ///< the next finer one than `finer`
   Real3 seam_width;             ///< of last cells along periodic axes, see `UpperEnd`
   ArrayOnBox<CellFaces> faces;  ///< of the box's cells
   ArrayOnBox<GlobalIndex> own;  ///< box grown by 2

@@ -1,34 +1,20 @@
 #include "particle/migrate.hpp"
 
 #include <algorithm>
-#include <limits>
 #include <numeric>
-#include <stdexcept>
 
 #include "particle/copy.hpp"
 
 namespace amrpic {
 
-namespace {
-
-/// Throw std::length_error on all ranks if one of them has too many particles for a LocalIndex. Collective.
-void require_few(std::int64_t particles, Communicator const& comm) {
-  if (comm.largest(particles) > std::numeric_limits<LocalIndex>::max() - block_size)
-    throw std::length_error("more than 2^31 particles on one rank; use more ranks");
-}
-
-}  // namespace
-
 Migration::Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone)
     : mesh_(mesh), servers_(std::move(servers)), particles_(particles), destinations_(mesh) {
   Communicator const& comm = mesh.hierarchy().comm();
-  require_few(particles.count, comm);
   destinations_ = classify(mesh, servers_, particles, gone);
   auto const& staying = destinations_.per_brick;
   staying_ = std::accumulate(staying.begin(), staying.end(), std::int64_t(0));
   leaving_ = pack(mesh, particles, destinations_.leavers);
   arrivals_ = announce(comm, leaving_);
-  require_few(arriving(), comm);
 }
 
 std::int64_t Migration::bricks() const {

@@ -1,8 +1,10 @@
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "particle/classify.hpp"
+#include "particle/lane_groups.hpp"
 #include "particle/packed_particles.hpp"
 #include "particle/servers.hpp"
 #include "particle/sort.hpp"
@@ -13,9 +15,11 @@ namespace amrpic {
 /// they go, those that leave are exchanged, all are sorted, and each is copied once.
 class Migration {
  public:
+  static constexpr std::int64_t most = std::numeric_limits<LocalIndex>::max() - block_size;  ///< particles of a rank
+
   /// Find where each particle goes, wrapped along periodic axes, and how many will come. Collective. The particles must
-  /// live until `finish`; those that are `gone` are left out. Throws std::length_error on all ranks if one gets more
-  /// than 2^31 of them.
+  /// live until `finish`; those that are `gone` are left out. There must not be more than `most` of them, nor may more
+  /// than that arrive where `finish` is called.
   Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone);
 
   std::vector<std::int64_t> const& lost() const { return destinations_.lost; }  ///< places of those outside the domain

@@ -75,7 +75,7 @@ class CrsBackend : public Backend {
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::unique_ptr<Krylov> krylov_;   ///< null if nothing is to be accelerated
+  std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
   /// Rows of each level; empty until cycles are accelerated, and where no rank has any.
   std::vector<std::vector<LocalIndex>> behind_gaps_;
   bool knows_gaps_ = false;

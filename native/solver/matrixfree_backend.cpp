@@ -118,8 +118,11 @@ void MatrixFreeBackend::accelerate() {
     Level const& level = problem_.hierarchy->level(l);
     for (auto const& [box, cell] : cells_behind_gaps(level, problem_.hierarchy->level(l + 1))) {
       Index3 const first = level.box(box).lower;
-      behind_gaps_[std::size_t(l)].push_back(std::size_t(cycle_.level(std::size_t(l)).layout().box(box).place(
-          cell[0] - first[0], cell[1] - first[1], cell[2] - first[2])));
+      behind_gaps_[std::size_t(l)].push_back(
+          std::size_t(cycle_.level(std::size_t(l))
+                          .layout()
+                          .box(box)
+                          .place(cell[0] - first[0], cell[1] - first[1], cell[2] - first[2])));
       found = 1;
     }
   }
@@ -137,7 +140,9 @@ void MatrixFreeBackend::relax_behind_gaps() {
       auto& swept = cycle_.level(l);
       auto& step = swept.correction();
       std::fill(step.begin(), step.end(), 0.0f);
-      Real const diagonal = swept.scale() * equation_on(problem_.hierarchy->level(int(l)).spacing(), shift_of(problem_.options)).diagonal();
+      Real const diagonal =
+          swept.scale() *
+          equation_on(problem_.hierarchy->level(int(l)).spacing(), shift_of(problem_.options)).diagonal();
       for (std::size_t place : behind_gaps_[l]) {
         step[place] = -float(factor / diagonal) * swept.right_hand_side()[place];
         total[l][place] += step[place];
@@ -145,7 +150,8 @@ void MatrixFreeBackend::relax_behind_gaps() {
     }
     composite_.add(correction_, unit_, *phi_);
   }
-  for (std::size_t l = 0; l < total.size(); ++l) std::copy(total[l].begin(), total[l].end(), cycle_.level(l).correction().begin());
+  for (std::size_t l = 0; l < total.size(); ++l)
+    std::copy(total[l].begin(), total[l].end(), cycle_.level(l).correction().begin());
 }
 
 /// Change what the latest correction added to phi so that the residual becomes least.

@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <utility>
 
-#include "operators/tpetra.hpp"
+#include "solver/tpetra_rows.hpp"
 
 namespace amrpic {
 
@@ -18,37 +18,6 @@ using MultiVector = TpetraTypes::MultiVector;
 using Operator = TpetraTypes::Operator;
 
 constexpr int restart = 60;  // vectors that GMRES keeps
-
-/// The rows' own numbers, then those of other ranks that they name.
-std::vector<Global> columns_of(SharedRows const& rows, Map const& own) {
-  std::vector<Global> out, foreign;
-  for (LocalIndex r = 0; r < rows.rows(); ++r) out.push_back(own->getGlobalElement(r));
-  for (GlobalIndex c : rows.column)
-    if (!own->isNodeGlobalElement(c)) foreign.push_back(c);
-  std::sort(foreign.begin(), foreign.end());
-  foreign.erase(std::unique(foreign.begin(), foreign.end()), foreign.end());
-  out.insert(out.end(), foreign.begin(), foreign.end());
-  return out;
-}
-
-/// Tpetra's form of the rows.
-Teuchos::RCP<TpetraTypes::Matrix> matrix_of(SharedRows const& rows, Map const& own) {
-  auto const unknown = Teuchos::OrdinalTraits<Tpetra::global_size_t>::invalid();
-  auto const numbers = columns_of(rows, own);
-  Map const columns =
-      Teuchos::rcp(new TpetraTypes::Map(unknown, Teuchos::ArrayView<Global const>(numbers), 0, own->getComm()));
-  Crs local;
-  local.row_start.assign(rows.row_start.begin(), rows.row_start.end());
-  std::vector<std::pair<LocalIndex, Real>> row;
-  for (LocalIndex r = 0; r < rows.rows(); ++r) {
-    row.clear();
-    for (std::size_t k = rows.row_start[r]; k < rows.row_start[r + 1]; ++k)
-      row.push_back({columns->getLocalElement(rows.column[k]), rows.value[k]});
-    std::sort(row.begin(), row.end());  // Tpetra presumes it: in another order the solve fails, without a word
-    for (auto const& [column, value] : row) local.column.push_back(column), local.value.push_back(value);
-  }
-  return tpetra_matrix(local, own, columns, own, own);
-}
 
 Teuchos::ParameterList aggregation() {
   Teuchos::ParameterList list, sweeps;
@@ -81,7 +50,7 @@ PointSolution solve_points(Communicator const& comm, SharedRows const& rows, std
   auto const unknown = Teuchos::OrdinalTraits<Tpetra::global_size_t>::invalid();
   std::size_t const count = std::size_t(rows.rows());
   Map const own = Teuchos::rcp(new TpetraTypes::Map(unknown, count, 0, ranks));
-  auto const matrix = matrix_of(rows, own);
+  auto const matrix = tpetra_matrix(rows, own);
   auto const x = Teuchos::rcp(new MultiVector(own, 1)), b = Teuchos::rcp(new MultiVector(own, 1));
   Teuchos::ParameterList aggregates = aggregation();
   auto const linear = Teuchos::rcp(new Belos::LinearProblem<Real, MultiVector, Operator>(matrix, x, b));

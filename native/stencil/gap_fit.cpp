@@ -22,8 +22,7 @@ struct Sites {
     for (int n = 0; n < 27; ++n)
       for (int c = 0; c < 8; ++c)
         if (sites.children[std::size_t(n)] >> c & 1)
-          add(true,
-              {2 * (n % 3 - 1) + c % 2, 2 * (n / 3 % 3 - 1) + c / 2 % 2, 2 * (n / 9 - 1) + c / 4});
+          add(true, {2 * (n % 3 - 1) + c % 2, 2 * (n / 3 % 3 - 1) + c / 2 % 2, 2 * (n / 9 - 1) + c / 4});
   }
 
  private:
@@ -52,7 +51,8 @@ struct Problems {
       target.insert(target.end(), place.begin(), place.end());
       for (std::size_t s = 0; s < sites.fit.terms.size(); ++s) {
         Real square = 0;
-        for (std::size_t d = 0; d < 3; ++d) square += (sites.place[3 * s + d] - place[d]) * (sites.place[3 * s + d] - place[d]);
+        for (std::size_t d = 0; d < 3; ++d)
+          square += (sites.place[3 * s + d] - place[d]) * (sites.place[3 * s + d] - place[d]);
         if (square < reach * reach) index.push_back(LocalIndex(s));
       }
       start.push_back(std::int64_t(index.size()));
@@ -86,8 +86,8 @@ GapFit gap_fit(GapSites const& sites, int axis) {
       if (done[std::size_t(face)] || path[std::size_t(face)] == gmls::Path::undetermined) continue;
       done[std::size_t(face)] = true;
       for (auto k = problems.start[std::size_t(face)]; k < problems.start[std::size_t(face) + 1]; ++k)
-        all.fit.terms[std::size_t(problems.index[std::size_t(k)])].weight[std::size_t(face / 2)][std::size_t(face % 2)] =
-            weight[std::size_t(k)];
+        all.fit.terms[std::size_t(problems.index[std::size_t(k)])]
+            .weight[std::size_t(face / 2)][std::size_t(face % 2)] = weight[std::size_t(k)];
     }
     if (done[0] && done[1] && done[2] && done[3]) break;
   }

@@ -13,7 +13,7 @@ namespace amrpic {
 /// each as a cell of the coarser level, or as up to eight children, x fastest, of the finer one. All cells within three
 /// fine widths of the places of phi* behind its face are among these.
 struct GapSites {
-  std::uint32_t coarse = 0;                ///< bit n: coarse cell n is usable
+  std::uint32_t coarse = 0;                 ///< bit n: coarse cell n is usable
   std::array<std::uint8_t, 27> children{};  ///< [n], bit c: its child c is usable
 
   bool operator==(GapSites const& other) const { return coarse == other.coarse && children == other.children; }
@@ -63,7 +63,8 @@ class GapFits {
   bool empty() const { return fits_.empty(); }
   std::size_t bytes() const {
     std::size_t sum = 0;
-    for (auto const& [key, fit] : fits_) sum += sizeof(Key) + sizeof(GapFit) + fit.terms.capacity() * sizeof(GapFit::Term);
+    for (auto const& [key, fit] : fits_)
+      sum += sizeof(Key) + sizeof(GapFit) + fit.terms.capacity() * sizeof(GapFit::Term);
     return sum;
   }
 

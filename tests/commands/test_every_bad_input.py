@@ -1,12 +1,11 @@
 """Every bad input of `bad_inputs`: one sentence, a failing exit status, no traceback, no hang, and nothing written lost.
 
-An ordinary run takes a sixth of them, on two ranks; with AMRPIC_TEST_LONG=1 (`make verify`) it is all, on one rank and on two.
+An ordinary run takes a sixth of them, on two ranks; the long form (`pytest -m long`) all, on one rank and on two.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -18,9 +17,7 @@ import pytest
 import bad_inputs
 from refusals import ended
 
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
-RANKS = (1, 2) if LONG else (2,)
-EVERY = 1 if LONG else 6
+EVERY = 6  # of an ordinary run
 
 Case = tuple[str, tuple[str, ...]]  # name, command
 
@@ -29,33 +26,33 @@ def run(scene: Path | str, *more: str) -> tuple[str, ...]:
     return ("run", str(scene), "--output", "run", *more)
 
 
-def overrides(comm: Any) -> Iterator[Case]:
-    for override in bad_inputs.OVERRIDES[::EVERY]:
+def overrides(comm: Any, every: int) -> Iterator[Case]:
+    for override in bad_inputs.OVERRIDES[::every]:
         folder = () if override.startswith("output.directory") else ("--output", "run")
         yield override, ("run", "good.toml", "--set", override, *folder)
 
 
-def scene_files(comm: Any) -> Iterator[Case]:
-    for number, (name, data) in enumerate([*bad_inputs.SCENE_FILES.items()][::EVERY]):
+def scene_files(comm: Any, every: int) -> Iterator[Case]:
+    for number, (name, data) in enumerate([*bad_inputs.SCENE_FILES.items()][::every]):
         alone(comm, partial(Path(f"scene{number}.toml").write_bytes, data))
         yield name, run(f"scene{number}.toml")
 
 
-def commands(comm: Any) -> Iterator[Case]:
-    for command in bad_inputs.COMMANDS[::EVERY]:
+def commands(comm: Any, every: int) -> Iterator[Case]:
+    for command in bad_inputs.COMMANDS[::every]:
         yield " ".join(command), tuple({"SCENE": "good.toml", "OUT": "run"}.get(word, word) for word in command)
 
 
-def beams(comm: Any) -> Iterator[Case]:
-    for number, (name, (distribution, write)) in enumerate([*bad_inputs.BEAMS.items()][::EVERY]):
+def beams(comm: Any, every: int) -> Iterator[Case]:
+    for number, (name, (distribution, write)) in enumerate([*bad_inputs.BEAMS.items()][::every]):
         path = Path(f"beam{number}" + (".npz" if distribution == "arrays" else ".h5"))
         alone(comm, partial(write, path))
         charge = ",charge=-1e-12,species='electron'" if distribution == "arrays" else ""
         yield name, run("good.toml", "--set", f"bunches=[{{distribution='{distribution}',file='{path}'{charge}}}]")
 
 
-def outputs(comm: Any) -> Iterator[Case]:
-    for name, (file, damage, command) in [*bad_inputs.OUTPUTS.items()][::EVERY]:
+def outputs(comm: Any, every: int) -> Iterator[Case]:
+    for name, (file, damage, command) in [*bad_inputs.OUTPUTS.items()][::every]:
 
         def prepare(file: str = file, damage: Callable[[Path], object] = damage) -> None:
             shutil.rmtree("damaged", ignore_errors=True)
@@ -89,10 +86,26 @@ def fault(status: int, text: str) -> str | None:
     return None
 
 
-@pytest.mark.mpi(ranks=RANKS, timeout=600)
-@pytest.mark.parametrize("cases", [overrides, scene_files, commands, beams, outputs])
-def test_bad_inputs_are_refused_and_nothing_is_lost(comm, tmp_path, monkeypatch, cases):
+KINDS = (overrides, scene_files, commands, beams, outputs)
+
+
+@pytest.mark.mpi(ranks=(2,), timeout=600)
+@pytest.mark.parametrize("cases", KINDS)
+def test_some_bad_inputs_are_refused_and_nothing_is_lost(comm, tmp_path, monkeypatch, cases):
     monkeypatch.chdir(tmp_path)
+    refuse(comm, partial(cases, every=EVERY))
+
+
+@pytest.mark.long
+@pytest.mark.mpi(ranks=(1, 2), timeout=600)
+@pytest.mark.parametrize("cases", KINDS)
+def test_all_bad_inputs_are_refused_and_nothing_is_lost(comm, tmp_path, monkeypatch, cases):
+    monkeypatch.chdir(tmp_path)
+    refuse(comm, partial(cases, every=1))
+
+
+def refuse(comm: Any, cases: Callable[[Any], Iterator[Case]]) -> None:
+    """Assert that each case is refused as it must be, in the present folder. Collective."""
     alone(comm, lambda: Path("good.toml").write_text(bad_inputs.SCENE))
     assert ended(comm, *run("good.toml")) == (0, "")
     kept = contents()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -13,8 +12,6 @@ import pytest
 
 from amrpic import gmls
 from gmls_oracle import ROOTS, Monomials, box_mean, simplex_mean, weights_by_svd
-
-CLOUDS = 200 if os.environ.get("AMRPIC_TEST_LONG") else 10
 
 SCALARS = {"Scalar": gmls.Scalar, "Harmonic": gmls.Harmonic}
 VECTORS = {"Vector": gmls.Vector, "DivergenceFree": gmls.DivergenceFree, "CurlFree": gmls.CurlFree}
@@ -225,13 +222,14 @@ def jittered(d: int, count: int, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 @pytest.mark.parametrize(("space_name", "kind", "d"), COMBINATIONS)
-def test_polynomials_are_reproduced_and_weights_are_those_of_a_dense_svd(space_name, kind, d, order):
+def test_polynomials_are_reproduced_and_weights_are_those_of_a_dense_svd(space_name, kind, d, order, long):
+    clouds = 200 if long else 10
     rng = np.random.default_rng([order, d, len(kind), len(space_name)])
     vector = space_name in VECTORS
     space = (VECTORS if vector else SCALARS)[space_name](order)
     needed = 3 * (space.unknowns(d) // (d if kind == "vectors" else 1)) // 2 + 10
     x = jittered(d, 2 ** (d if order > 1 else 0) * needed, rng)
-    t = rng.uniform(-0.15, 0.15, (CLOUDS, d))
+    t = rng.uniform(-0.15, 0.15, (clouds, d))
     distances = np.sort(np.linalg.norm(x - t[:, None], axis=2), axis=1)
     near = gmls.nearby(x, t, radius=distances[:, min(needed, len(x) - 1)])
     samples, rows = (vector_samples if vector else scalar_samples)(kind, x, rng)
@@ -243,7 +241,7 @@ def test_polynomials_are_reproduced_and_weights_are_those_of_a_dense_svd(space_n
     around_origin = Monomials(d, order, d if vector else 1, np.zeros(d))
     operator = OPERATORS.get(space_name)
     basis = around_origin.null_space(operator) if operator else np.eye(len(around_origin.basis))
-    for i in range(CLOUDS):
+    for i in range(clouds):
         m = Monomials(d, order, d if vector else 1, t[i])
         sites = near.index[near.start[i] : near.start[i + 1]]
         p = rows(m, sites) @ basis
@@ -253,7 +251,7 @@ def test_polynomials_are_reproduced_and_weights_are_those_of_a_dense_svd(space_n
         alpha = found.weights[found.start[i] : found.start[i + 1]]
         sizes = np.abs(alpha).T @ np.abs(p)
         assert (np.abs(alpha.T @ p - tau) <= 1e-10 * sizes.max(axis=1)[:, None] + 1e-13).all()
-        if i >= CLOUDS // 3:
+        if i >= clouds // 3:
             continue
         expected, _ = weights_by_svd(p, tau.T, roots)
         bound = 1e-9 if found.quality.path[i] == 2 else 1e-11

@@ -1,7 +1,7 @@
 """Mutated scenes, openPMD files, dumps and checkpoints: each is read, or refused in words; nothing crashes or hangs.
 
-Files are opened as the package opens them, in a child process first. An ordinary run takes 400 mutations, always the same; with
-AMRPIC_TEST_LONG=1 (`make verify`) it is 10,000 fresh ones, whose seed is in the message of a failure.
+Files are opened as the package opens them, in a child process first. An ordinary run takes 400 mutations, always the same; the
+long form (`pytest -m long`) 10,000 fresh ones, whose seed is in the message of a failure.
 """
 
 from __future__ import annotations
@@ -28,10 +28,7 @@ from amrpic.run.limits import check_scene
 from amrpic.scene.scene import Scene
 from mutations import damaged, mistaken
 
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
-SEED = int.from_bytes(os.urandom(4)) if LONG else 1
 COUNTS = {"scene": 3000, "openpmd": 3000, "dump": 2000, "checkpoint": 2000}
-SHARE = 1 if LONG else 25
 MEMORY = 8 * 2**30  # bytes of address space more than there is: what asks for more is not to get it
 
 
@@ -93,7 +90,9 @@ def try_reading(read: Callable[[Path], object], path: Path, name: str) -> bool:
 
 
 @pytest.mark.parametrize("kind", COUNTS)
-def test_mutated_files_are_read_or_refused(whole, tmp_path, kind):
+def test_mutated_files_are_read_or_refused(whole, tmp_path, kind, long):
+    count = COUNTS[kind] if long else COUNTS[kind] // 25
+    seed = int.from_bytes(os.urandom(4)) if long else 1
     name, read = {
         "scene": ("", read_scene),
         "openpmd": ("particles_00000004.h5", read_particles),
@@ -102,8 +101,8 @@ def test_mutated_files_are_read_or_refused(whole, tmp_path, kind):
     }[kind]
     source = whole / name
     read_count = 0
-    for number in range(COUNTS[kind] // SHARE):
-        random = np.random.default_rng([SEED, number])
+    for number in range(count):
+        random = np.random.default_rng([seed, number])
         path = tmp_path / source.with_stem(f"{source.stem}_{number}").name
         if kind == "scene":
             path = tmp_path / f"scene_{number}.toml"
@@ -114,12 +113,12 @@ def test_mutated_files_are_read_or_refused(whole, tmp_path, kind):
             part.write_bytes(damaged(part.read_bytes(), random))
         else:
             path.write_bytes(damaged(source.read_bytes(), random))
-        what = f"mutation {number} of {kind}, seed {SEED}"
+        what = f"mutation {number} of {kind}, seed {seed}"
         read_count += try_reading(read, path, what)
         if kind != "scene":
             try_reading(integrity.require_whole, path, what)
         shutil.rmtree(path) if path.is_dir() else path.unlink()
-    assert 0 < read_count < COUNTS[kind] // SHARE  # some do no harm, some do
+    assert 0 < read_count < count  # some do no harm, some do
 
 
 CRASHING = """

@@ -1,11 +1,10 @@
 """The ten bunches give the same answer on any number of ranks and for any size of boxes.
 
-An ordinary run of the tests takes a smaller scene; with AMRPIC_TEST_LONG=1 (`make verify`) it is the example itself.
+An ordinary run of the tests takes a smaller scene; in the long form (`pytest -m long`) it is the example itself.
 """
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from amrpic.run.plan import Plan
 from amrpic.run.step import advance, begin
 from regions import blocks_of
 
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 SCENE = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
 SMALLER = [
     "domain.cells=48",
@@ -42,9 +40,9 @@ class Outcome:
     charge: float
 
 
-def run(comm: MPI.Comm, *changes: str) -> Outcome:
+def run(comm: MPI.Comm, long: bool, *changes: str) -> Outcome:
     """Run the scene to its end without writing anything."""
-    scene = Scene.from_toml(SCENE, ["solver.tolerance=1e-10", *([] if LONG else SMALLER), *changes])
+    scene = Scene.from_toml(SCENE, ["solver.tolerance=1e-10", *([] if long else SMALLER), *changes])
     plan = Plan(comm, scene)
     state = begin(plan)
     out = Outcome([], [], [], np.zeros(0), 0.0, 0.0)
@@ -60,19 +58,19 @@ def run(comm: MPI.Comm, *changes: str) -> Outcome:
     return out
 
 
-def on_some(comm: MPI.Comm, ranks: int, *changes: str) -> Outcome | None:
+def on_some(comm: MPI.Comm, ranks: int, long: bool) -> Outcome | None:
     """Run on the first ranks while the others wait; the outcome on rank 0."""
     part = comm.Split(color=0 if comm.rank < ranks else MPI.UNDEFINED)
-    outcome = run(part, *changes) if part != MPI.COMM_NULL else None
+    outcome = run(part, long) if part != MPI.COMM_NULL else None
     if part != MPI.COMM_NULL:
         part.Free()
     comm.Barrier()
     return outcome
 
 
-@pytest.mark.mpi(ranks=(4,), timeout=3000 if LONG else 240)
-def test_one_to_four_ranks_give_the_same_mesh_cycles_potential_and_charge(comm):
-    outcomes = [found for ranks in (1, 2, 3, 4) if (found := on_some(comm, ranks)) is not None]
+@pytest.mark.mpi(ranks=(4,), timeout=240)
+def test_one_to_four_ranks_give_the_same_mesh_cycles_potential_and_charge(comm, long):
+    outcomes = [found for ranks in (1, 2, 3, 4) if (found := on_some(comm, ranks, long)) is not None]
     if comm.rank != 0:
         return
     alone = outcomes[0]
@@ -85,9 +83,9 @@ def test_one_to_four_ranks_give_the_same_mesh_cycles_potential_and_charge(comm):
         assert other.charge == pytest.approx(alone.charge, rel=1e-13, abs=0)
 
 
-@pytest.mark.mpi(ranks=(2,), timeout=3000 if LONG else 240)
-def test_boxes_of_16_24_and_32_cells_give_the_same_cycles_and_potential(comm):
-    outcomes = [run(comm, f"refinement.max_grid_size={size}") for size in (16, 24, 32)]
+@pytest.mark.mpi(ranks=(2,), timeout=240)
+def test_boxes_of_16_24_and_32_cells_give_the_same_cycles_and_potential(comm, long):
+    outcomes = [run(comm, long, f"refinement.max_grid_size={size}") for size in (16, 24, 32)]
     for other in outcomes[1:]:
         assert other.region == outcomes[0].region
         assert other.cycles == outcomes[0].cycles

@@ -1,6 +1,6 @@
 """Runs that are killed go on from the newest checkpoint that is whole, and end as if nothing had happened.
 
-`AMRPIC_KILLS=20 pytest tests/run/test_kill_restart.py` kills more often than the few times of an ordinary test run.
+An ordinary run of the tests kills three times for each motion, the long form (`pytest -m long`) ten times.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
 from amrpic.io.checkpoint_writer import Snapshot
 from mpi_batch import ENVIRONMENT
 
-KILLS = int(os.environ.get("AMRPIC_KILLS", "3"))  # of each motion
 LAST = 12
 TIMEOUT = 120.0
 SCENE = """
@@ -205,12 +204,13 @@ def undisturbed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
     return folder / "undisturbed"
 
 
-def test_killed_at_random_moments_it_ends_bit_by_bit_as_undisturbed(undisturbed):
+def test_killed_at_random_moments_it_ends_bit_by_bit_as_undisturbed(undisturbed, long):
+    wanted = 10 if long else 3
     reference = undisturbed
     folder = reference.parent / "killed"
-    random.seed(KILLS)
+    random.seed(wanted)
     kills = 0
-    while kills < KILLS:
+    while kills < wanted:
         often = random.randint(1, 4)
         writing = kills % 2 == 1
         moment = while_writing(folder, often) if writing else after_steps(folder, often, random.uniform(0, 0.2))

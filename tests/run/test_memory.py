@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -20,7 +19,6 @@ from hierarchies import all_cases
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAM = str(Path(sys.executable).with_name("amrpic"))
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 
 # What a run takes over all ranks: the sum of the peaks of its processes, pictures and all.
 MEASURED = """
@@ -132,7 +130,7 @@ def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):
     compare(EXAMPLES / "drift.toml", 2, tmp_path, "schedule.steps=2")
 
 
-@pytest.mark.skipif(not LONG, reason="minutes; make verify runs it")
+@pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
 def test_every_example_takes_the_memory_that_its_preview_tells(tmp_path, path, ranks):

@@ -16,7 +16,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "quickstart.md").read_text()
 
 
 def test_the_beam_line_of_the_page_loses_a_sixth_at_its_collimator(tmp_path: Path) -> None:
-    [text] = [block for block in re.findall(r"^```toml\n(.*?)^```", PAGE, re.M | re.S) if "collimator" in block]
+    [text] = [block for block in re.findall(r"^```toml[^\n]*\n(.*?)^```", PAGE, re.M | re.S) if "collimator" in block]
     given = tomllib.loads(text) | {"output": {"directory": str(tmp_path), "write": ["losses"]}}
     simulation = amrpic.Simulation(MPI.COMM_SELF, amrpic.Scene.from_dict(given))
     simulation.run()

@@ -1,12 +1,11 @@
 """Particles are shared out evenly whatever box they lie in, from the start on, and the field is that of one rank.
 
-An ordinary run of the tests takes fewer particles and steps; with AMRPIC_TEST_LONG=1 (`make verify`) it is 2e6 particles, and
-200 steps of drifting bunches.
+An ordinary run of the tests takes fewer particles and steps; the long form (`pytest -m long`) 2e6
+particles, and 200 steps of drifting bunches.
 """
 
 from __future__ import annotations
 
-import os
 import tomllib
 from pathlib import Path
 
@@ -24,15 +23,13 @@ from amrpic.run.state import State
 from amrpic.run.step import advance, begin
 from amrpic.stages.migrate import BRICK_COST
 
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 MANY = 2_000_000
-PARTICLES = MANY if LONG else 200_000
 BYTES = 8 * 7  # of a particle: position, momentum, id
 POINTS = np.random.default_rng(3).uniform(-0.02, 0.02, (500, 3))
 TEN_BUNCHES = Path(__file__).parents[2] / "examples" / "ten_bunches.toml"
 
 
-def one_box(levels: int, particles: int = PARTICLES) -> Scene:
+def one_box(levels: int, particles: int) -> Scene:
     """Six of ten particles in a box of 16³ cells that does not lie in the middle, the others around the middle."""
 
     def bunch(share: float, centre: list[float], sigma: float) -> dict[str, object]:
@@ -83,12 +80,13 @@ def outcome(comm: MPI.Comm, scene: Scene) -> tuple[list[float], dict[str, np.nda
     }
 
 
-@pytest.mark.mpi(ranks=(4,), timeout=1200)
+@pytest.mark.mpi(ranks=(4,), timeout=240)
 @pytest.mark.parametrize("levels", [0, 1])
-def test_a_box_with_most_particles_is_shared_and_all_else_is_as_on_one_rank(comm, levels):
-    balance, together = outcome(comm, one_box(levels))
+def test_a_box_with_most_particles_is_shared_and_all_else_is_as_on_one_rank(comm, levels, long):
+    scene = one_box(levels, MANY if long else 200_000)
+    balance, together = outcome(comm, scene)
     assert max(balance) <= 1.2, balance
-    alone = outcome(MPI.COMM_SELF, one_box(levels))[1] if comm.rank == 0 else None
+    alone = outcome(MPI.COMM_SELF, scene)[1] if comm.rank == 0 else None
     comm.Barrier()
     if alone is None:
         return
@@ -124,10 +122,10 @@ def test_placing_particles_takes_less_than_steps_do(comm):
     assert held <= 2.75  # 2.35 by allocations alone; a step of leapfrog takes 3.7
 
 
-@pytest.mark.mpi(ranks=(4,), timeout=3000 if LONG else 240)
-def test_drifting_bunches_stay_shared_out_in_the_same_memory(comm):
+@pytest.mark.mpi(ranks=(4,), timeout=240)
+def test_drifting_bunches_stay_shared_out_in_the_same_memory(comm, long):
     """Ten bunches cross the domain, the mesh follows, and particles change their servers as often as it takes."""
-    steps, settled = (200, 50) if LONG else (16, 8)
+    steps, settled = (200, 50) if long else (16, 8)
     given = tomllib.loads(TEN_BUNCHES.read_text())
     given["domain"] |= {"cells": 64, "lower": [-0.15, -0.15, -0.05], "upper": [0.15, 0.15, 0.25]}
     given["bunches"][0] |= {"particles": 20_000, "species": "electron", "charge": "-1 pC", "momentum": [0, 0, 3e-22]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,9 +23,11 @@ from amrpic.scaling.bricks import Exchange, bricks_of, exchange, served
 from amrpic.scaling.densities import clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work
 from amrpic.scaling.model import fitted, step_time, total
-from amrpic.scaling.plan import Choices, Plan, Planner, Walls
+from amrpic.scaling.neighbours import neighbours_of_ranks
+from amrpic.scaling.plan import Choices, Plan, Planner, Walls, in_time, spread_out
 from amrpic.scaling.sent import Sent
-from amrpic.scaling.virtual_ranks import chosen_ranks, counts, moved_on, without_open_walls
+from amrpic.scaling.targets import Targets
+from amrpic.scaling.virtual_ranks import chosen_ranks, counts, cycle_work, distributed, moved_on, without_open_walls
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
@@ -49,7 +52,7 @@ def scene() -> Scene:
     return Scene.from_dict(SCENE)
 
 
-@pytest.mark.mpi(ranks=(2, 4), timeout=240)
+@pytest.mark.mpi(ranks=(2, 3, 4), timeout=300)
 def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
     made = scene()
     mesh = without_open_walls(planned_mesh(made, clouds_of(made))[0])
@@ -57,10 +60,11 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
     real = Hierarchy(comm, mesh.domain, boxes, 16, 8)
     mine, _ = migrate(make_particles(real.comm, made), real)
     servers = mine.sorted_on(real).servers
-    sent = counts(made, real, mine, servers, moved_on(real))
+    sent = counts(made, real, mine, servers, moved_on(real), cycle_work(made, real))
     virtual = Hierarchy(VirtualRank(0, comm.size), mesh.domain, boxes, 16, 8).seen_by(comm.rank)
     everyone = make_particles(MPI.COMM_SELF, made)
-    planned = counts(made, virtual, migrate(everyone, virtual, servers)[0], servers, moved_on(virtual))
+    there = migrate(everyone, virtual, servers)[0]
+    planned = counts(made, virtual, there, servers, moved_on(virtual), cycle_work(made, virtual))
     for call in sent:
         if call != "set-up":  # Trilinos and the first use of a communicator
             # A solve may look at the rounding floor or not, as numbers go, which are wrong on virtual ranks.
@@ -120,8 +124,9 @@ def test_rules_that_need_fields_are_replaced_and_said():
 def machine(**network: float) -> Machine:
     constants = {"latency": 1e-6, "bandwidth": 1e9, "ranks_per_node": 4, "collective": 2e-6, **network}
     stages = {
-        "solve": Work(call=1e-3, cell=1e-9, cycle=1e-8),
-        "deposit": Work(particle=1e-8),
+        "solve": Work(call=1e-3, cell=1e-9, cycle=1e-8, cycle_face=1e-7, byte=1e-10),
+        "deposit": Work(particle=1e-8, brick=2e-9),
+        "migrate": Work(moved=3e-8, brick=1e-7, byte=1e-9),
         "open walls": Work(patch=1e-9, interaction=1e-10),
     }
     return Machine("test", "invented", Network(**constants), stages, {})  # type: ignore[arg-type]
@@ -133,9 +138,30 @@ def invented() -> Plan:
     ones = np.ones(8)
     cells = np.array([[100, 50] * 4, [0, 80] * 4])
     between = Exchange(8, *([np.array(values) for values in ([2], [7], [1], [100])]))
-    walls, without = [Walls(600, 70, Traffic())], Choices(2.0, 5.0)
+    walls, without = [Walls(600, 70, 5, Traffic())], Choices(2.0, 5.0)
     return Plan(
-        8, cells, cells // 50, np.arange(8.0), ones, ones, [], [0], [sent], [range(1)], 0.2, walls, without, between, 0
+        8,
+        cells,
+        cells // 50,
+        cells // 5,
+        np.arange(8.0),
+        np.arange(8),
+        0.5,
+        False,
+        ones,
+        ones,
+        [],
+        [0],
+        [sent],
+        [range(1)],
+        0.2,
+        walls,
+        (1, 1),
+        without,
+        between,
+        0,
+        np.ones(8, dtype=int),
+        1.0,
     )
 
 
@@ -143,11 +169,15 @@ def test_the_model_is_its_formula():
     plan = invented()
     cells = plan.cells.sum()
     times = step_time(plan, machine(), cycles=2)
-    assert times["solve"].work == pytest.approx(1e-3 + 180 * 1e-9 + 0.2 * cells * 2 * 1e-8)
+    swept = 0.2 * cells * 2 * 1e-8 + 36 * 2 * 1e-7
+    assert times["solve"].work == pytest.approx(1e-3 + 180 * 1e-9 + swept + 3 * 4000 * 1e-10)
+    assert times["migrate"].work == pytest.approx(7 * 0.5 * 3e-8 + 7 * 1e-7 + 4000 * 1e-9)
     leaving = 3000 * 4  # to rank 5, from each of four ranks of a node
     assert times["solve"].messages == pytest.approx(3 * (3e-6 + leaving / 1e9))
     assert times["solve"].collectives == pytest.approx(3 * 2 * 3 * 2e-6)
-    assert times["deposit"].work == pytest.approx(7e-8) and times["open walls"].work == pytest.approx(6.07e-7)
+    assert times["deposit"].work == pytest.approx(7e-8 + 7 * 2e-9) and times["open walls"].work == pytest.approx(
+        6.07e-7
+    )
     assert plan.exchange.leaving("deposit", 4) == 8 + 12 + 800 and plan.exchange.leaving("gather", 4) == 2400
     assert plan.exchange.leaving("deposit", 8) == 0
     assert total(step_time(plan, machine().scaled("latency", 2), 2)) > total(times)
@@ -157,6 +187,10 @@ def test_constants_are_found_again_from_times():
     rng = np.random.default_rng(3)
     rows = np.column_stack([np.ones(9), rng.uniform(1e5, 1e7, 9), rng.uniform(1e4, 1e6, 9)])
     assert fitted(rows, rows @ [1e-3, 2e-9, 1e-8]) == pytest.approx([1e-3, 2e-9, 1e-8])
+    bounded = fitted(rows, rows @ [1e-3, 2e-9, 1e-8], np.array([0, 3e-9, 0]))
+    assert bounded[1] == pytest.approx(3e-9) and bounded[2] < 1e-8
+    twice = fitted(np.ones((2, 1)), np.array([1.0, 4.0]))
+    assert twice == pytest.approx([1.6])  # the harmonic mean
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
@@ -184,6 +218,16 @@ def test_heavy_ranks_are_looked_at():
     assert chosen_ranks(loads, 1000) == list(range(1000))
 
 
+def test_ranks_are_gone_through_as_far_as_time_allows():
+    assert (
+        sorted(spread_out(11)) == list(range(11))
+        and list(spread_out(8))[:4] == [0, 4, 2, 6]
+        and list(spread_out(1)) == [0]
+    )
+    assert in_time(range(10**6), str, 0.0).keys() == set(range(32))
+    assert in_time(range(5), str, 0.0) == {rank: f"{rank}" for rank in range(5)}
+
+
 def test_plans_of_all_ranks_hold_all_cells_and_particles():
     planner = Planner(scene())
     for plan in planner.plans([1, 5], looked_at=3):
@@ -201,9 +245,76 @@ def test_command_writes_plans(tmp_path):
     from amrpic.commands.main import parser
 
     file = Path(__file__).parents[2] / "examples" / "sphere.toml"
+    (tmp_path / "targets.toml").write_text(
+        'machine = "slingshot"\nmemory_gib = 2\ncollectives_per_cycle = 0\n[efficiency]\n64 = 0.01\n[step_ms]\n64 = 1e-3'
+    )
     arguments = ["scaling", str(file), "--plan", "4,64", "--machine", "aries", "--machine", "slingshot"]
-    chosen = parser().parse_args([*arguments, "--set", "domain.cells=32", "--output", str(tmp_path)])
+    arguments += ["--targets", str(tmp_path / "targets.toml"), "--page", str(tmp_path / "pages" / "sphere.md")]
+    chosen = parser().parse_args([*arguments, "--set", "domain.cells=32", "--output", str(tmp_path / "plans")])
     assert chosen.command(chosen) == 0
-    text = (tmp_path / "plan.md").read_text()
-    assert "| 64 |" in text and "Modelled on slingshot" in text
-    assert all((tmp_path / f"plan_{name}.png").stat().st_size > 1000 for name in ("aries", "slingshot"))
+    text = (tmp_path / "pages" / "sphere.md").read_text()
+    assert (
+        "| 64 |" in text and "Modelled on slingshot" in text and f"`amrpic scaling {file} --set domain.cells=32" in text
+    )
+    for name in ("aries", "slingshot"):
+        assert (
+            f"](../plans/plan_{name}.png)" in text and (tmp_path / "plans" / f"plan_{name}.png").stat().st_size > 1000
+        )
+    found = re.findall(r"^\| (.+) \| (.+) \| (met|missed) \|$", text, re.MULTILINE)
+    assert [(what, met) for what, _, met in found] == [
+        ("worst rank, start included ≤ 2 GiB", "met"),
+        ("collectives per cycle ≤ 0", "missed"),
+        ("step ≥ 1% efficient at 64, from 4", "met"),
+        ("step ≤ 0.001 ms at 64", "missed"),
+    ]
+
+
+def test_targets_that_cannot_be_shown_are_refused(tmp_path):
+    file = tmp_path / "targets.toml"
+    file.write_text('machine = "elsewhere"')
+    with pytest.raises(InputError, match="targets are for machine elsewhere; add --machine elsewhere"):
+        list(Targets.read(file).beside([invented()], [machine()], 2, 1e9, 1.0))
+    file.write_text('machine = "aries"\nspeed = 3')
+    with pytest.raises(InputError, match=r"holds no targets .*speed.*; give machine, and some of .*cell_imbalance"):
+        Targets.read(file)
+    with pytest.raises(InputError, match="cannot be read"):
+        Targets.read(tmp_path / "none.toml")
+
+
+def test_all_neighbours_are_found():
+    mesh = planned_mesh(scene(), clouds_of(scene()))[0]
+    shared = distributed(mesh, 40)
+    found = neighbours_of_ranks(shared)
+    for level in range(mesh.levels):
+        boxes, owners = shared.boxes(level).astype(int), shared.owners(level)
+        near = (boxes[:, None, :3] <= boxes[:, 3:] + 8) & (boxes[:, :3] - 8 <= boxes[:, None, 3:])
+        pairs = {(owners[i], owners[j]) for i, j in np.argwhere(near.all(axis=2)) if owners[i] != owners[j]}
+        assert found[level].tolist() == np.bincount([i for i, _ in pairs], minlength=40).tolist()
+    assert found.sum() > 100
+
+
+def test_few_ranks_show_what_the_busiest_one_sends():
+    planner = Planner(scene())
+    few, all_ = planner.plan(40, looked_at=10), planner.plan(40, looked_at=40)
+    assert len(all_.looked_at) == 40 and few.gone_through == (40, 40)
+    assert few.most("cycle", "messages") == all_.most("cycle", "messages")
+    assert few.most("open walls", "messages") == all_.most("open walls", "messages")
+    for call in ("deposit", "gather"):
+        most = all_.most(call, "messages")
+        assert few.most(call, "messages") >= 0.9 * most
+        assert few.most(call, "messages") <= most <= max(few.most(call, "messages"), few.at_most(call))
+
+
+def test_a_random_walk_spreads_the_particles_of_a_plan():
+    walk = {"motion": {"kind": "random-walk", "amplitude": "3 mm"}}
+    made = Scene.from_dict({**SCENE, **walk})
+    cells = np.linspace(-0.02, 0.02, 201)
+    middle = (cells[1:] + cells[:-1]) / 2
+    for before, after in zip(clouds_of(made), clouds_of(made, steps=4), strict=True):
+        spread = []
+        for cloud in (before, after):
+            along = cloud.shares([cells] * 3).sum(axis=(1, 2))
+            mean = (along * middle).sum() / along.sum()
+            spread.append((along * (middle - mean) ** 2).sum() / along.sum())
+        assert spread[1] - spread[0] == pytest.approx(4 * 0.003**2 / 3, rel=0.1)
+    assert Planner(made).plan(1).moved > 0.5 > Planner(scene()).plan(1).moved > 0

@@ -15,7 +15,7 @@ from mpi4py import MPI
 import mpi_batch
 from amrpic.errors import InputError
 from amrpic.run.clock import Spent
-from amrpic.scaling.measure import over_ranks
+from amrpic.scaling.measure import measure, over_ranks
 from amrpic.scaling.measured import Measured, Run, Stage, by_kind, efficiency, medians
 from amrpic.scaling.show import draw, stage_table, table
 from amrpic.scaling.study import Study, grown
@@ -27,12 +27,14 @@ SMALL = ["domain.cells=16", "refinement.levels=1", "bunches.0.particles=2000", "
 
 def one(kind: str, ranks: int, cells: int, particles: int, seconds: float) -> Measured:
     stages = {"solve": Stage(seconds / 4, seconds / 3, seconds / 2, 12, 3e4, 5), "end": Stage(1, 1, 1)}
-    return Measured(kind, ranks, cells, particles, 1.0, 1.0, (1e6, 1e6, 1e6), 1, 5, 2, seconds, stages)
+    return Measured(kind, ranks, cells, particles, 1.0, 1.0, (1e6, 1e6, 1e6), 1, 5, 2, seconds, stages, 0.0, [2])
 
 
 def run(seconds: list[float], kind: str = "strong", ranks: int = 1) -> Run:
     steps = [{"solve": Stage(s / 4, s / 3, s / 2)} for s in seconds]
-    return Run(kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, 0.1)
+    return Run(
+        kind, ranks, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [2] * len(seconds), seconds, steps, [0] * len(seconds), 0.1
+    )
 
 
 def test_efficiency_is_one_where_time_falls_with_ranks_or_work_grows_with_them():
@@ -56,6 +58,31 @@ def test_a_scene_grows_by_cells_and_particles():
     larger = Scene.from_toml(SCENE, [*SMALL, *grown(scene, 8)])
     assert list(larger.domain.value.cells) == [32, 32, 32]
     assert [bunch["particles"] for bunch in larger.to_dict()["bunches"]] == [16000]
+
+
+def test_what_a_new_mesh_takes_more_stands_apart():
+    usual, with_two = (
+        {"solve": Stage(1, 1, 1), "waiting": Stage(5, 5, 5)},
+        {"solve": Stage(5, 5, 5), "waiting": Stage(9, 9, 9)},
+    )
+    steps = [usual, with_two, usual]
+    found = Measured.of(
+        [Run("strong", 1, "x", 10, 10, 1.0, 1.0, (1, 2, 3), [3, 9, 2], [1.0] * 3, steps, [0, 2, 0], 0.1)]
+    )
+    assert found.stages["solve"].most == 1 and found.stages["new mesh"].most == 2
+    assert found.meshes == pytest.approx(2 / 3) and found.of_solves == [3, 2]
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_stages_that_begin_together_leave_waiting_apart(comm: MPI.Comm, tmp_path):
+    scene = Scene.from_toml(
+        SCENE, [*SMALL, f"output.directory={comm.bcast(str(tmp_path))}", "refinement.regrid_every=0"]
+    )
+    together, apart = (measure(comm, scene, 2, apart=apart) for apart in (False, True))
+    assert "waiting" not in together.steps[0] and ("waiting" in apart.steps[0]) == (comm.size > 1)
+    for call in ("solve", "deposit", "output"):
+        assert apart.steps[1][call].collectives == together.steps[1][call].collectives
+    assert apart.meshes == [0, 0]
 
 
 @pytest.mark.mpi(ranks=(1, 3))

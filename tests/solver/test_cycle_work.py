@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import amrpic
 from amrpic import _native
@@ -50,6 +51,33 @@ def test_counters_find_what_the_plan_of_a_cycle_says(comm, name):
     assert found.collectives == sum(level.collectives for level in work) + of_norm(mesh)
     if comm.size == 1:
         assert found == Traffic()
+
+
+def found_of(call: Any) -> Traffic:
+    before = traffic()
+    call()
+    return traffic() - before
+
+
+def residual_and_field(mesh: amrpic.Hierarchy) -> tuple[Traffic, Traffic]:
+    """What this rank, which may be virtual, sends for a residual with its norm, and for the field of a potential."""
+    solver = amrpic.PoissonSolver(mesh)
+    laplacian, field = _native.CompositeLaplacian(mesh.native, (1, 1, 1)), amrpic.Field(mesh)
+    walls = [solver.native.wall_data(level).copy() for level in range(mesh.levels)]
+    given = field.native, 0.0, walls, field.native, _native.Norm.max, [1.0] * mesh.levels
+    return found_of(lambda: laplacian.residual(*given)), found_of(lambda: solver.electric_field(field))
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=240)
+@pytest.mark.parametrize("name", CASES)
+def test_a_residual_and_a_field_send_what_their_plans_say(comm, name):
+    residual, field = residual_and_field(hierarchy_of(CASES[name], comm))
+    unreal = hierarchy_of(CASES[name], VirtualRank(comm.rank, comm.size))
+    laplacian = _native.CompositeLaplacian(unreal.native, (1, 1, 1))
+    assert [residual.messages, residual.bytes] == laplacian.sent_by_residual
+    assert (residual, field) == residual_and_field(unreal)
+    several = comm.size > 1 and comm.allreduce(len(unreal.local_boxes(0)) > 0, op=MPI.LAND)
+    assert (comm.allreduce(residual.messages) > 0, comm.allreduce(field.messages) > 0) == (several, several)
 
 
 def cube(cells: int, rank: int, ranks: int) -> dict[int, _native.LevelWork]:

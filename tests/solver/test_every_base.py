@@ -2,13 +2,12 @@
 
 One level, Gaussian charge off the centre, its mean taken away where walls fix no potential. Up to n = 64 all of 1 to 4 ranks
 are combined with boxes of 24, 32 and 64; up to 127 six of these twelve, each number of ranks and size at least once; beyond,
-three for Dirichlet walls and two for the others, since a solve takes seconds there. `make verify` runs this
-(AMRPIC_TEST_LONG=1).
+three for Dirichlet walls and two for the others, since a solve takes seconds there. It takes 20 minutes:
+`pytest -m long`.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -18,10 +17,9 @@ import pytest
 from fuzz_case import Case
 from fuzz_pool import Broken, Pool
 
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 BASES = (*range(16, 65), 72, 81, 88, 96, 100, 120, 125, 127, 144, 160, 176, 192, 200, 250, 251, 256)
 
-pytestmark = pytest.mark.skipif(not LONG, reason="20 minutes; make verify runs it")
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,10 @@
 """Random problems give the same answer at the same cost on any ranks, boxes, backend and instruction set; see `fuzz`.
 
-An ordinary run takes 60 small ones, always the same; with AMRPIC_TEST_LONG=1 (`make verify`) 2,000 fresh ones, as far as 20
-minutes go.
+An ordinary run takes 60 small ones, always the same; `pytest -m long` 2,000 fresh ones, as far as 20 minutes go.
 """
 
 from __future__ import annotations
 
-import os
 import secrets
 
 import pytest
@@ -15,8 +13,6 @@ import fuzz
 from fuzz_case import Case
 from fuzz_draw import LARGE, SMALL, plainer
 from fuzz_pool import Broken, Pool
-
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 
 # Seeds and numbers of large cases that failed: unconverged after the residual grew, over cycles, over memory.
 FOUND = ((864211, 32), (864211, 420), (864211, 1030), (864211, 310))
@@ -33,7 +29,7 @@ def test_sixty_small_problems_do_not_depend_on_how_they_are_solved():
     check(results, 1)
 
 
-@pytest.mark.skipif(not LONG, reason="20 minutes; make verify runs it")
+@pytest.mark.long
 def test_two_thousand_problems_do_not_depend_on_how_they_are_solved():
     seed = secrets.randbelow(10**6)
     print(f"seed {seed}")

@@ -1,12 +1,11 @@
 """Named cases in which the cycles depended on ranks, boxes or shapes; each is a law of its own now.
 
-The ordinary run takes the smaller bases; with AMRPIC_TEST_LONG=1 (`make verify`) all of them.
+The ordinary run takes the smaller bases; `pytest -m long` the others.
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -14,8 +13,6 @@ import pytest
 
 from fuzz_case import GAUSSIAN, Box, Case, Outcome, noise
 from fuzz_pool import Pool
-
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +22,7 @@ def pool() -> Iterator[Pool]:
 
 
 def outcome(pool: Pool, case: Case) -> Outcome:
-    found = pool.call("fuzz_case:solve", case.ranks, case, False, timeout=600 if LONG else 60)
+    found = pool.call("fuzz_case:solve", case.ranks, case, False, timeout=600)
     assert not found.error, found.error
     assert found.converged, found.reason
     return found
@@ -42,7 +39,7 @@ def cube(lower: int, upper: int) -> tuple[tuple[Box, ...], ...]:
 
 @pytest.mark.parametrize(
     ("n", "blocking_factor"),
-    [(44, 2), (88, 4)] + [pytest.param(n, 8, marks=pytest.mark.skipif(not LONG, reason="make verify")) for n in
+    [(44, 2), (88, 4)] + [pytest.param(n, 8, marks=pytest.mark.long) for n in
                           (96, 176, 192, 256)],
 )  # fmt: skip
 def test_cycles_on_one_level_do_not_depend_on_ranks(pool, n, blocking_factor):
@@ -63,7 +60,7 @@ def test_odd_corners_do_not_end_coarsening_of_long_cells(pool, cells, height):
     assert found <= 10, found
 
 
-@pytest.mark.skipif(not LONG, reason="3 million cells; make verify runs it")
+@pytest.mark.long  # 3 million cells
 @pytest.mark.parametrize("gamma", [10, 20, 50, 100])
 def test_a_stretched_bunch_takes_few_cycles_however_far_the_refined_box_reaches(pool, gamma):
     case = Case((64,) * 3, levels=cube(8, 119), stretch=(1.0, 1.0, float(gamma)), ranks=2)
@@ -78,7 +75,7 @@ def test_cycles_on_long_cells_do_not_depend_on_boxes(pool):
     assert max(found.values()) <= 10 and max(found.values()) - min(found.values()) <= 1, found
 
 
-@pytest.mark.skipif(not LONG, reason="half a million cells; make verify runs it")
+@pytest.mark.long  # half a million cells
 def test_cycles_of_a_stretched_bunch_do_not_depend_on_boxes(pool):
     case = Case((64,) * 3, levels=cube(32, 95), stretch=(1.0, 1.0, 50.0), ranks=2)
     found = {size: cycles(pool, replace(case, max_grid_size=size)) for size in (16, 24, 32)}

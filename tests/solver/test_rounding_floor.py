@@ -1,12 +1,11 @@
 """The residual that rounding leaves: its estimate against what is reached, on 50 meshes.
 
-An ordinary run of the tests takes a fifth of them; with AMRPIC_TEST_LONG=1 (`make verify`) it is all, by both backends.
+An ordinary run of the tests takes a few of them on coarse meshes; the long form (`pytest -m long`) all, by both backends.
 """
 
 from __future__ import annotations
 
 import itertools
-import os
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from mpi4py import MPI
 import amrpic
 from amrpic.stages.poisson import PoissonSolver
 from static_case import EPS0
-
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 
 
 def smooth(x, y, z):
@@ -38,9 +35,9 @@ MESHES = [
 ]
 
 
-def solver_and_charge(mesh, backend, tolerance):
+def solver_and_charge(mesh, backend, tolerance, finer):
     walls, refined, aspect, source, norm = mesh
-    cells = 32 if aspect < 30 and LONG else 16
+    cells = 32 if aspect < 30 and finer else 16
     middle = [[((cells // 2,) * 3, (3 * cells // 2 - 1,) * 3)]] if refined else ()
     domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary=walls)
     hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, middle, blocking_factor=4)
@@ -50,16 +47,23 @@ def solver_and_charge(mesh, backend, tolerance):
     return solver, amrpic.Field(hierarchy).fill(source)
 
 
-@pytest.mark.parametrize("backend", ["matrix-free", "crs"] if LONG else ["matrix-free"])
-@pytest.mark.parametrize("number", range(0, 50, 1 if LONG else 6))
-def test_floor_is_what_a_solve_without_tolerance_reaches(number, backend):
-    solver, rho = solver_and_charge(MESHES[number], backend, 0.0)
+FEW = [(number, "matrix-free", False) for number in range(0, 50, 6)]
+ALL = [
+    pytest.param(number, backend, True, marks=pytest.mark.long)
+    for number in range(50)
+    for backend in ("matrix-free", "crs")
+]
+
+
+@pytest.mark.parametrize(("number", "backend", "finer"), [*FEW, *ALL])
+def test_floor_is_what_a_solve_without_tolerance_reaches(number, backend, finer):
+    solver, rho = solver_and_charge(MESHES[number], backend, 0.0, finer)
     _, report = solver.solve(rho)
     assert report.converged and "rounding floor" in report.reason
     reached = min(report.residuals)
     assert report.floor / 10 < reached < 10 * report.floor
 
-    solver, rho = solver_and_charge(MESHES[number], backend, 1.5 * reached)
+    solver, rho = solver_and_charge(MESHES[number], backend, 1.5 * reached, finer)
     _, report = solver.solve(rho)
     assert report.reason == "tolerance reached" and report.floor == 0
 

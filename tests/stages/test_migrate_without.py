@@ -21,9 +21,10 @@ def test_those_that_are_left_out_change_nothing_for_the_others(comm, portion):
         gone = np.flatnonzero(rng.random(len(particles)) < portion)
         stays = np.setdiff1d(np.arange(len(particles)), gone)
         servers = particles.sorted_on(hierarchy).servers
-        arrived, lost = migrate_without(moved, hierarchy, gone, servers)
+        arrived, lost, missing = migrate_without(moved, hierarchy, gone, servers)
         should, lost_of_others = migrate(moved.select(stays), hierarchy, servers)
         for one, other in zip(arrived.arrays, should.arrays, strict=True):
             assert np.array_equal(one, other)
         assert np.array_equal(arrived.sorted_on(hierarchy).starts, should.sorted_on(hierarchy).starts)
+        assert missing == comm.allreduce(len(lost) + len(gone))
         assert np.array_equal(moved.id[lost], lost_of_others.id) and not np.isin(lost, gone).any()

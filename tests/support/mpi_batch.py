@@ -19,6 +19,7 @@ import pytest
 from mpi_processes import Processes
 
 PATIENCE = float(os.environ.get("AMRPIC_TEST_PATIENCE", "1"))  # more on slow or emulated processors
+LONG = 20  # times what a short one may take
 TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes
 KEPT = 2 << 30  # bytes of memory of processes that wait for the next batch
 GRACE = 3.0  # seconds for the other ranks to end a test that failed on one, and for all to tell where they hang
@@ -52,7 +53,8 @@ def ranks_of(item: pytest.Item) -> int | None:
 def timeout_of(item: pytest.Item) -> float:
     """Seconds that the mark of an MPI test allows."""
     mark = item.get_closest_marker("mpi")
-    return PATIENCE * (float(mark.kwargs.get("timeout", TIMEOUT)) if mark else TIMEOUT)
+    factor = PATIENCE * (LONG if item.get_closest_marker("long") else 1)
+    return factor * (float(mark.kwargs.get("timeout", TIMEOUT)) if mark else TIMEOUT)
 
 
 def wants_fresh(item: pytest.Item) -> bool:
@@ -119,7 +121,7 @@ class Batch:
         self.hung = False
         (folder / "batch.json").write_text(json.dumps(self.timeouts))
         option = self.config.option
-        self.arguments = ["-q", "--color=no"]
+        self.arguments = ["-q", "--color=no", "-m", ""]
         self.arguments += ["-p", "no:cacheprovider", f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
         self.arguments += ["-o", f"verbosity_assertions={max(0, option.verbose)}", str(items[0].path)]
 

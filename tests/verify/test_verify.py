@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -38,7 +37,6 @@ SOURCES = {
     "pair": Together((Gaussian((0.03, 0.03, 0.1), (0.1, 0, 0)), Gaussian((0.05,) * 3, (-0.1, 0, 0), -EPS0))),
 }
 EXAMPLES = Path(__file__).parents[2] / "examples"
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -178,11 +176,13 @@ ALL: dict[str, Tables] = {
 }
 
 
-@pytest.mark.mpi(ranks=(3,), timeout=2000 if LONG else 120)
-@pytest.mark.parametrize("topic", ALL if LONG else SOME)
-def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic):
+WHOLE = [pytest.param(topic, tables, id=f"all of {topic}", marks=pytest.mark.long) for topic, tables in ALL.items()]
+
+
+@pytest.mark.mpi(ranks=(3,), timeout=120)
+@pytest.mark.parametrize(("topic", "tables"), [*SOME.items(), *WHOLE])
+def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic, tables):
     """The first rank by itself and, at the same time, the two others together; then all three."""
-    tables = (ALL if LONG else SOME)[topic]
     apart = list(tables(comm.Split(comm.rank > 0)))
     together = list(tables(comm))
     assert len(apart) == len(together)

@@ -42,6 +42,13 @@ def test_ranks_together_show_what_the_dump_shows(comm, tmp_path):
             for name in ("phi", "E"):
                 mine, theirs = (raster.line_values(d, name, line, level) for d in (live, dump))
                 np.testing.assert_array_equal(mine, theirs)
+                view = views.View(name, "line", level=level)
+                fitted, expected_fit = (views.numbers(d, expected, view)[0] for d in (live, dump))
+                np.testing.assert_array_equal(fitted, expected_fit)
+                held = np.isfinite(fitted)
+                assert held.any() and np.array_equal(held, np.isfinite(mine))
+                exact = line.points @ [1, 10, 100] if name == "phi" else line.points
+                np.testing.assert_allclose(fitted[held], exact[held], atol=1e-12)
     drawn = draw.draw(live, tmp_path / "pictures")
     assert [path.name for path in drawn] == [f"fields_00000003_{view.name}.png" for view in views.OVERVIEW]
     comm.Barrier()

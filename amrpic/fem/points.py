@@ -1,0 +1,136 @@
+"""Integration points of a mesh, sorted by element, with their weights."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _native
+from ..errors import InputError
+from ..parallel import together
+from .mesh import Mesh
+
+Weights = Literal["moments", "volume"]
+COMPONENTS = (1, 3)
+HIGHEST_DEGREE = 63  # that any weights are exact to: of Gauss's rule with the most points
+
+
+class Points:
+    """This rank's integration points: those of its elements, sorted by element. Made by `fem.jittered` and the like.
+
+    Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `reference` (n, 3) where it lies in that,
+    from -1 to 1, `volume` and `weight` (n,) in m³, `number` (n,) that of the point among those of all ranks.
+
+    `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
+    exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `gauss`:
+    they are so many of Gauss's points along each axis of all elements, x fastest, and have his weights.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        element: np.ndarray,
+        reference: np.ndarray,
+        volume: np.ndarray,
+        number: np.ndarray,
+        weights: Weights = "moments",
+        gauss: int = 0,
+    ) -> None:
+        self.mesh = mesh
+        self.element = np.ascontiguousarray(element, dtype=np.int32)
+        self.reference = np.ascontiguousarray(reference, dtype=np.float64)
+        self.volume = np.ascontiguousarray(volume, dtype=np.float64)
+        self.number = number
+        self.weight, self.exact_to = self.volume, np.full(len(mesh.elements), -1, dtype=np.int32)
+        if gauss:
+            self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1, dtype=np.int32)
+        elif weights == "moments":
+            first = np.searchsorted(self.element, np.arange(len(mesh.elements) + 1))
+            self.weight, self.exact_to = _native.fem_fit_moments(
+                first.astype(np.int64), self.reference, self.volume, mesh.element_volume, 2 * mesh.degree - 1
+            )
+        self.native = _native.FemPoints(
+            mesh.native, self.element, self.reference, self.weight, gauss == mesh.degree + 1
+        )
+
+    def __len__(self) -> int:
+        return len(self.element)
+
+    @cached_property
+    def position(self) -> np.ndarray:
+        """Places of the points, (n, 3) in m."""
+        lower, at = np.array(self.mesh.domain.lower), self.mesh.elements[self.element]
+        return lower + (at + (self.reference + 1) / 2) * self.mesh.spacing
+
+    def exactness(self) -> dict[int, int]:
+        """Return how many elements of all ranks have each value of `exact_to`, the lowest first. Collective."""
+        counts = self.mesh.comm.allreduce(np.bincount(self.exact_to + 1, minlength=HIGHEST_DEGREE + 2))
+        return {int(degree) - 1: int(counts[degree]) for degree in np.flatnonzero(counts)}
+
+    def values(self, u: ArrayLike) -> np.ndarray:
+        """Return a vector of the mesh at the points: (n,), or (n, 3) of three components. Collective.
+
+        InputError on all ranks for an array of another shape.
+        """
+        given, components = checked_vector(self.mesh, u, "the vector")
+        return shaped(self.native.values(components, given), components)
+
+    def slopes(self, u: ArrayLike) -> np.ndarray:
+        """Return the gradient of a vector of the mesh at the points: (n, 3), or (n, 3, 3), ∂u_i/∂x_j, in 1/m. Collective.
+
+        InputError on all ranks for an array of another shape.
+        """
+        given, components = checked_vector(self.mesh, u, "the vector")
+        found = self.native.slopes(components, given)
+        return found.reshape(-1, 3) if components == 1 else found.reshape(-1, 3, 3)
+
+    def integrate(self, values: ArrayLike) -> np.ndarray:
+        """Return the integrals of values at the points, (n,) or (n, 3), times each node's function: a vector. Collective.
+
+        InputError on all ranks for an array of another shape.
+        """
+        with together(self.mesh.comm, InputError):
+            given = numbers(values, len(self), "the array of values at points")
+        components = _components(given)
+        return shaped(self.native.integrals(components, given.reshape(-1)), components)
+
+
+def numbers(values: ArrayLike, count: int, what: str) -> np.ndarray:
+    """Return values as a contiguous array (count,) or (count, 3). InputError if they are something else. Local."""
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is no array of numbers; give ({count},) or ({count}, 3)") from None
+    if array.shape not in ((count,), (count, 3)):
+        raise InputError(f"{what} has shape {array.shape} on a rank; give ({count},) or ({count}, 3) there")
+    return array
+
+
+def _components(array: np.ndarray) -> int:
+    return 1 if array.ndim == 1 else array.shape[1]
+
+
+def checked_vector(mesh: Mesh, u: ArrayLike, what: str, components: int | None = None) -> tuple[np.ndarray, int]:
+    """Return a vector of the mesh with its components side by side, and their number. Collective.
+
+    InputError on all ranks if it is something else, or has other components than there must be.
+    """
+    with together(mesh.comm, InputError):
+        array = numbers(u, len(mesh.node_indices), what)
+        if components is not None and _components(array) != components:
+            raise InputError(f"{what} has {_components(array)} components; the operator has {components}")
+    return array.reshape(-1), _components(array)
+
+
+def shaped(values: np.ndarray, components: int) -> np.ndarray:
+    """Return values of nodes or points, a row each if they have components."""
+    return values if components == 1 else values.reshape(-1, components)
+
+
+def require_weights(weights: str) -> None:
+    """Raise InputError unless there are such weights. Local."""
+    if weights not in get_args(Weights):
+        raise InputError(f'weights are "{weights}"; use {" or ".join(get_args(Weights))}')

@@ -1,0 +1,102 @@
+"""Linear systems of operators at points, by conjugate gradients."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _native
+from ..errors import InputError, SolverError
+from ..parallel import together
+from .operators import Operator
+from .points import checked_vector, shaped
+
+Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the native ones
+
+
+@dataclass(frozen=True, eq=False)
+class SolveReport:
+    """How a solve went; the same on all ranks but for its time."""
+
+    converged: bool
+    iterations: int
+    residuals: np.ndarray  # L2 norms over free unknowns, the first one with these at zero
+    seconds: float
+    reason: str  # why it stopped
+
+
+def solve(
+    operator: Operator,
+    f: ArrayLike,
+    *,
+    fixed: ArrayLike | None = None,
+    values: ArrayLike | float = 0.0,
+    preconditioner: Preconditioner = "p-multigrid",
+    tolerance: float = 1e-10,
+    most_iterations: int = 10_000,
+) -> tuple[np.ndarray, SolveReport]:
+    """Return the solution u of operator @ u = f, and how it was found. Collective.
+
+    Nodes that are `fixed`, a mask (nodes,) or (nodes, components), have `values`, a number or a vector, in place of their
+    equations. The residual comes down to `tolerance` times what it is with all others at zero.
+
+    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and on by aggregates.
+
+    Raises on all ranks InputError for arrays of other shapes and options that do not exist, and SolverError for free nodes
+    whose elements have no points.
+    """
+    mesh, components = operator.mesh, operator.components
+    right, _ = checked_vector(mesh, f, "the right-hand side", components)
+    with together(mesh.comm, InputError):
+        mask = _mask(operator, fixed)
+        held = _held(operator, values)
+        if preconditioner not in get_args(Preconditioner):
+            raise InputError(f'preconditioner is "{preconditioner}"; use {", ".join(get_args(Preconditioner))}')
+        if not 0 < tolerance < 1:
+            raise InputError(f"tolerance is {tolerance}; give a number between 0 and 1, for instance 1e-10")
+        if most_iterations < 1:
+            raise InputError(f"most_iterations is {most_iterations}; give at least 1")
+    start = time.perf_counter()
+    try:
+        u, residuals, curved_down = operator.native.solve(
+            right, mask, held, get_args(Preconditioner).index(preconditioner), tolerance, most_iterations
+        )
+    except _native.SolverError as refused:
+        raise SolverError(str(refused)) from None
+    converged = bool(residuals[-1] <= tolerance * residuals[0])
+    reason = (
+        "the tolerance was met"
+        if converged
+        else "the operator is not positive along a direction"
+        if curved_down
+        else "it took the most iterations"
+    )
+    report = SolveReport(converged, len(residuals) - 1, residuals, time.perf_counter() - start, reason)
+    return shaped(u, components), report
+
+
+def _mask(operator: Operator, fixed: ArrayLike | None) -> np.ndarray:
+    count, components = len(operator.mesh.node_indices), operator.components
+    if fixed is None:
+        return np.zeros(count * components, dtype=bool)
+    mask = np.asarray(fixed)
+    if mask.dtype != bool or mask.shape not in ((count,), (count, components)):
+        raise InputError(
+            f"fixed is of {mask.dtype} with shape {mask.shape} on a rank; give a mask ({count},) or ({count}, {components})"
+        )
+    each = mask if mask.ndim == 2 else np.repeat(mask, components)
+    return np.ascontiguousarray(each).reshape(-1)
+
+
+def _held(operator: Operator, values: ArrayLike | float) -> np.ndarray:
+    count, components = len(operator.mesh.node_indices), operator.components
+    shape = (count,) if components == 1 else (count, components)
+    try:
+        held = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
+    except (TypeError, ValueError):
+        raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
+    return np.ascontiguousarray(held).reshape(-1)

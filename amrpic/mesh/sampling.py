@@ -1,0 +1,223 @@
+"""Values and gradients of fields at any points, by least squares across levels.
+
+A polynomial is fitted to the cells around each point that no finer level covers, in coordinates from the point in cell widths
+of the finest level there; so long cells are treated as cubes. Fits end at walls and go on across periodic faces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import gmls
+from ..errors import InputError
+from ..parallel import share
+from .boxes import rows_of
+from .composite import Composite
+
+Array = NDArray[Any]
+
+REACH = {1: 1.8, 2: 2.3, 3: 2.6, 4: 3.1}  # in cell widths of the finest level at the point
+GROWTH, GROWTHS = 1.15, 8  # of reaches that do not determine a fit
+MOST_GROWTH = 30.0  # Σ|α| of the weights of a value that is used: 21 at order 3 in a corner of walls, below 4 within
+MOST_RESIDUAL = 1e-13  # of reproduction: with more the cells barely determine the fit
+TOGETHER = 2048  # points
+CANDIDATES = 1 << 20  # cells that are looked up together
+QUANTITIES = ("value", "gradient")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is wanted of a field. InputError for what makes no sense."""
+
+    order: int = 3  # of the polynomials, 1 to 4
+    what: str = "value"  # or "gradient"
+    kappa: float = 0.0  # a cell holds the value at its centre plus kappa times its width² times the second derivatives
+    level: int | None = None  # whose cells alone are taken; none: those of all levels that no finer one covers
+
+    def __post_init__(self) -> None:
+        if isinstance(self.order, bool) or self.order not in REACH:
+            raise InputError(f"the order of a sample is {self.order!r}; use 1, 2, 3 or 4")
+        if self.what not in QUANTITIES:
+            raise InputError(f'{self.what!r} cannot be sampled; use "value" or "gradient"')
+        if not (isinstance(self.kappa, int | float) and np.isfinite(self.kappa)) or isinstance(self.kappa, bool):
+            raise InputError(f"kappa is {self.kappa!r}; give a number, such as 1/24 for means over cells")
+
+
+def fitted_values(fields: Composite, name: str, points: Array, request: Request) -> Array:
+    """Return a field at points (n, 3) in m, the same on all ranks: (n, *components), of gradients (n, *components, 3).
+
+    nan outside the domain and, with a level, where that has no cells. Collective over `fields.comm`; all ranks pass the same
+    points. InputError where too few cells lie around a point for the order.
+    """
+    shape = ((3,) if fields.is_vector(name) else ()) + ((3,) if request.what == "gradient" else ())
+    out = np.full((len(points), *shape), np.nan)
+    for first in range(0, len(points), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        out[some] = _Sampler(fields, name, request, points[some]).values(shape)
+    return out
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Cells around points, those of each point side by side in an order that the mesh settles."""
+
+    point: Array  # (m,) which point, ascending
+    offset: Array  # (m, 3) from it, in its widths
+    width: Array  # (m,) in its widths
+    level: Array  # (m,)
+    box: Array  # (m,) of the level
+    index: Array  # (m, 3) in the domain
+
+
+class _Sampler:
+    """Points, with the finest level at each."""
+
+    def __init__(self, fields: Composite, name: str, request: Request, points: Array) -> None:
+        self.fields, self.name, self.request = fields, name, request
+        self.levels = range(len(fields.levels)) if request.level is None else [request.level]
+        self.points = _wrapped(fields, points)
+        self.home = self._homes()
+
+    def values(self, shape: tuple[int, ...]) -> Array:
+        """Return what is wanted at the points, nan outside. Collective."""
+        out = np.full((len(self.points), *shape), np.nan)
+        left, reach = np.flatnonzero(self.home >= 0), REACH[self.request.order]
+        for _ in range(GROWTHS):
+            if left.size == 0:
+                break
+            found, good = self._fitted(left, reach, shape)
+            out[left[good]] = found[good]
+            left, reach = left[~good], reach * GROWTH
+        if left.size:
+            raise InputError(
+                f"too few cells lie around the point {self.points[left[0]].tolist()} m for order {self.request.order}; "
+                "use a lower one"
+            )
+        return out
+
+    def _extent(self, level: int) -> Array:
+        return np.rint((self.fields.upper - self.fields.lower) / self.fields.levels[level].spacing).astype(np.int64)
+
+    def _places(self, level: int) -> Array:
+        """Return the points in cell widths of a level, from the lower corner of the domain."""
+        return (self.points - self.fields.lower) / self.fields.levels[level].spacing
+
+    def _homes(self) -> Array:
+        """Return the finest level at each point, -1 outside."""
+        inside = ((self.points >= self.fields.lower) & (self.points <= self.fields.upper)).all(axis=1)
+        out = np.full(len(self.points), -1)
+        for level in self.levels:
+            index = np.minimum(np.floor(self._places(level)[inside]).astype(np.int64), self._extent(level) - 1)
+            held = np.zeros(len(self.points), dtype=bool)
+            held[inside] = self.fields.levels[level].table.find(rows_of(index)) >= 0
+            out[held] = level
+        return out
+
+    # ---- the cells around ----
+
+    def _around(self, which: Array, reach: float) -> _Cells:
+        """Return the cells whose centres lie within a reach of some points."""
+        found = []
+        for home in np.unique(self.home[which]):
+            at = np.flatnonzero(self.home[which] == home)
+            places = self._places(home)[which[at]]
+            found += [cells for level in self.levels for cells in self._of_level(at, places, home, level, reach)]
+        point, offset, width, level, box, index = (np.concatenate(column) for column in zip(*found, strict=True))
+        order = np.argsort(point, kind="stable")
+        return _Cells(*(column[order] for column in (point, offset, width, level, box, index)))
+
+    def _of_level(self, at: Array, places: Array, home: int, level: int, reach: float) -> Iterator[tuple[Array, ...]]:
+        """Yield columns of `_Cells` for the cells of a level around points `at`, of some points at a time."""
+        width = 2.0 ** (int(home) - level)
+        count = int(2 * reach / width) + 1  # along each axis
+        lowest = np.ceil((places - reach) / width - 0.5).astype(np.int64)
+        highest, extent = lowest + count - 1, self._extent(level)
+        crossing = (((lowest < 0) | (highest >= extent)) & np.array(self.fields.periodic)).any(axis=1)
+        meets = self.fields.levels[level].table.meets(rows_of(np.hstack([lowest, highest]))).astype(bool)
+        near = np.flatnonzero(crossing | meets)
+        z, y, x = np.meshgrid(*[np.arange(count)] * 3, indexing="ij")
+        window = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+        some = max(CANDIDATES // len(window), 1)
+        for first in range(0, len(near), some):
+            rows = near[first : first + some]
+            cells = lowest[rows][:, None] + window
+            offset = (cells + 0.5) * width - places[rows][:, None]
+            point, cell = np.nonzero((offset**2).sum(axis=2) < reach**2)
+            index, box = self._looked_up(level, cells[point, cell])
+            held = box >= 0
+            point, cell = point[held], cell[held]
+            sizes = np.full(len(point), width), np.full(len(point), level)
+            yield at[rows[point]], offset[point, cell], *sizes, box[held], index[held]
+        yield np.zeros(0, int), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3), int)
+
+    def _looked_up(self, level: int, cells: Array) -> tuple[Array, Array]:
+        """Return indices of cells (n, 3) in the domain, and their boxes, -1 for those that are not there or do not count."""
+        extent, levels = self._extent(level), self.fields.levels
+        index = np.where(np.array(self.fields.periodic), cells % extent, cells)
+        box = levels[level].table.find(rows_of(index))  # behind walls there are none
+        if self.request.level is None and level + 1 < len(levels):
+            box[levels[level + 1].table.find(rows_of(2 * index)) >= 0] = -1
+        return index, box
+
+    def _held(self, cells: _Cells) -> Array:
+        """Return what cells hold, (m,) or (m, 3). Collective."""
+        out = np.zeros((len(cells.point), 3) if self.fields.is_vector(self.name) else len(cells.point))
+        for level in np.unique(cells.level):
+            of_level = np.flatnonzero(cells.level == level)
+            for box in np.intersect1d(cells.box[of_level], self.fields.here(level)):
+                rows = of_level[cells.box[of_level] == box]
+                there = (cells.index[rows] - self.fields.levels[level].boxes[box, :3]).T
+                out[rows] = self.fields.values(self.name, int(level), box)[tuple(there)]
+        return self.fields.total(out)
+
+    # ---- the fit ----
+
+    def _fitted(self, which: Array, reach: float, shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """Return what is wanted at some points, from the cells within a reach, and where these determine it. Collective.
+
+        Each rank finds the weights for its share of the points.
+        """
+        cells = self._around(which, reach)
+        held = self._held(cells)
+        first, last = share(self.fields.comm, len(which))
+        start = np.searchsorted(cells.point, np.arange(first, last + 1))
+        out, good = np.zeros((len(which), *shape)), np.zeros(len(which))
+        if last > first:
+            entries = slice(start[0], start[-1])
+            stencils = self._stencils(cells.offset[entries], cells.width[entries], start - start[0], reach)
+            growth = np.add.reduceat(np.abs(stencils.weights[:, 0]), stencils.start[:-1])
+            good[first:last] = (growth <= MOST_GROWTH) & (stencils.quality.residual <= MOST_RESIDUAL)
+            found = stencils.apply(held[entries])[self.request.what]
+            if self.request.what == "gradient":  # (n, 3, *components)
+                widths = np.array([level.spacing for level in self.fields.levels])[self.home[which[first:last]]]
+                found = np.moveaxis(found / widths.reshape(-1, 3, *[1] * (found.ndim - 2)), 1, -1)
+            out[first:last] = np.where(good[first:last].reshape(-1, *[1] * (found.ndim - 1)) > 0, found, 0.0)
+        return self.fields.total(out), self.fields.total(good) > 0
+
+    def _stencils(self, offset: Array, width: Array, start: Array, reach: float) -> gmls.Stencils:
+        """Return the weights of the cells around points, in coordinates from each point; of the value first."""
+        request, count = self.request, len(start) - 1
+        samples = gmls.Points(offset)
+        if request.kappa != 0:
+            samples = gmls.WithLaplacian(offset, width[:, None], request.kappa)
+        return gmls.stencils(
+            np.zeros((count, 3)),
+            gmls.Neighbours(start, np.arange(len(offset), dtype=np.int32), np.full(count, reach)),
+            space=gmls.Scalar(request.order),
+            samples=samples,
+            wanted=[gmls.VALUE, *([gmls.GRADIENT] if request.what == "gradient" else [])],
+            failed="mark",
+        )
+
+
+def _wrapped(fields: Composite, points: Array) -> Array:
+    """Return points outside of periodic faces where they are inside."""
+    length = fields.upper - fields.lower
+    outside = ((points < fields.lower) | (points > fields.upper)) & np.array(fields.periodic) & np.isfinite(points)
+    with np.errstate(invalid="ignore"):
+        return np.where(outside, fields.lower + (points - fields.lower) % length, points)

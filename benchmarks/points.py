@@ -1,0 +1,189 @@
+"""Time operators at points and at Gauss's points: the bakeoff problems BP1 to BP4. A worker of bench.py.
+
+Each product with an operator beside the machine's peak of fused products and sums, measured in turns with it, and beside
+libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and
+back alone.
+Thread time on one rank; on two ranks wall time of the slower one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import ceed_peer
+import numpy as np
+from measuring import Record, watched, write
+from mpi4py import MPI
+
+from amrpic import _native, fem
+
+PROBLEMS = {"BP1": (fem.Mass, 1), "BP2": (fem.Mass, 3), "BP3": (fem.Poisson, 1), "BP4": (fem.Poisson, 3)}
+CELLS = {1: 16, 2: 10, 3: 8, 4: 6}  # elements per axis at points, by degree
+GAUSS_CELLS = {1: 32, 2: 16, 3: 12, 4: 10}
+AT_POINTS = ((1, 4), (2, 3), (2, 4), (3, 4), (4, 5))  # degree, points per axis
+DEGREES = (1, 2, 3, 4)
+BEYOND_CACHE = {"degree": 2, "cells": (48, 40, 60), "per_axis": 4}
+CEED_ELEMENTS = 20
+
+
+def nominal_flops(kind: type[fem.Operator], degree: int) -> int:
+    """Return the operations of a point and a component: there and back by sums along one axis after another."""
+    p = degree + 1
+    return 4 * (2 * p**3 + 3 * p**2 + 3 * p) if kind is fem.Poisson else 4 * (p**3 + p**2 + p)
+
+
+def record_name(problem: str, degree: int, layout: str, who: str = "amrpic") -> str:
+    return f"elements, {problem}, p = {degree}, {layout}, {who}"
+
+
+def layout_name(degree: int, per_axis: int) -> str:
+    return f"{per_axis**3} points"
+
+
+def beyond_cache_name(ranks: int, size: str) -> str:
+    return f"elements, BP3, p = 2, 64 points, {size}, {ranks} ranks"
+
+
+def seconds(call: Callable[[], Any], least: float = 0.02) -> float:
+    """Return the thread seconds of a call, repeated until it takes long enough to tell."""
+    count, start = 0, time.thread_time()
+    while (taken := time.thread_time() - start) < least or count == 0:
+        call()
+        count += 1
+    return taken / count
+
+
+def timed(name: str, calls: dict[str, Callable[[], Any]], runs: int, facts: dict[str, dict[str, Any]]) -> list[Record]:
+    """Return a record for each call; they take turns with each other and with the peak."""
+    found: dict[str, list[float]] = {who: [] for who in calls}
+    peaks: list[float] = []
+    for call in calls.values():
+        call()
+    for _ in range(runs):
+        peaks.append(_native.measure_fma_peak())
+        for who, call in calls.items():
+            found[who].append(seconds(call))
+    peak = statistics.median(peaks)
+    return [Record(name.format(who=who), found[who], facts={**facts[who], "peak": peak}) for who in calls]
+
+
+def at_points(problem: str, degree: int, per_axis: int, runs: int, peer: bool) -> list[Record]:
+    """Return the records of one operator at jittered points, and of libCEED's gradients there and back."""
+    kind, components = PROBLEMS[problem]
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, CELLS[degree], degree=degree)
+    points = fem.jittered(mesh, per_axis, weights="volume")
+    operator, u = kind(points, components=components), vector(mesh, components)
+    calls: dict[str, Callable[[], Any]] = {"amrpic": lambda: operator @ u}
+    elements = len(mesh.elements)
+    facts = {"amrpic": facts_of(mesh, components, len(points), nominal_flops(kind, degree))}
+    if peer and kind is fem.Poisson:
+        calls["libCEED"] = ceed_peer.gradient_there_and_back(mesh, components, per_axis**3, CEED_ELEMENTS)
+        share = CEED_ELEMENTS / elements
+        facts["libCEED"] = {name: value * share for name, value in facts["amrpic"].items()}
+    name = record_name(problem, degree, layout_name(degree, per_axis), "{who}")
+    return timed(name, calls, runs, facts)
+
+
+def at_gauss(problem: str, degree: int, runs: int, peer: bool) -> list[Record]:
+    """Return the records of one operator at Gauss's points, and of libCEED's: the same product, to rounding."""
+    kind, components = PROBLEMS[problem]
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, GAUSS_CELLS[degree], degree=degree)
+    points = fem.gauss(mesh)
+    operator, u = kind(points, components=components), vector(mesh, components)
+    calls: dict[str, Callable[[], Any]] = {"amrpic": lambda: operator @ u}
+    facts = {"amrpic": facts_of(mesh, components, len(points), 0)}
+    if peer:
+        theirs = ceed_peer.AtGauss(mesh, kind, components)
+        theirs.set(u)
+        theirs.apply()
+        ours = (operator @ u).ravel()
+        apart = float(np.abs(theirs.result() - ours).max() / np.abs(ours).max())
+        calls["libCEED"] = theirs.apply
+        facts["libCEED"] = {**facts["amrpic"], "difference": apart}
+    return timed(record_name(problem, degree, "Gauss", "{who}"), calls, runs, facts)
+
+
+def facts_of(mesh: fem.Mesh, components: int, points: int, flops: int) -> dict[str, Any]:
+    return {
+        "unknowns": len(mesh.node_indices) * components,
+        "points": points,
+        "nominal flops": points * components * flops,
+    }
+
+
+def vector(mesh: fem.Mesh, components: int) -> np.ndarray:
+    u = np.random.default_rng(1).standard_normal((len(mesh.node_indices), components))
+    return u[:, 0].copy() if components == 1 else u
+
+
+def large(runs: int, small: bool) -> list[Record]:
+    """Return the record of BP3 at points, few that stay in the cache or millions that do not, on all ranks. Collective."""
+    comm, shape = MPI.COMM_WORLD, BEYOND_CACHE
+    cells = (8, 8, 8) if small else shape["cells"]
+    mesh = fem.Mesh(comm, 0, 1, cells, degree=int(shape["degree"]))  # type: ignore[call-overload]
+    points = fem.jittered(mesh, int(shape["per_axis"]), weights="volume")  # type: ignore[call-overload]
+    operator, u = fem.Poisson(points), vector(mesh, 1)
+    repeats = 40 if small else 1
+    operator @ u
+    times = []
+    for _ in range(runs):
+        comm.Barrier()
+        start = time.perf_counter() if comm.size > 1 else time.thread_time()
+        for _ in range(repeats):
+            operator @ u
+        taken = (time.perf_counter() if comm.size > 1 else time.thread_time()) - start
+        times.append(mesh.comm.allreduce(taken / repeats, op=MPI.MAX))
+    count = mesh.comm.allreduce(len(points))
+    facts = {"points": count, "bytes per point": points.native.bytes / max(1, len(points))}
+    return [Record(beyond_cache_name(comm.size, "in cache" if small else "beyond it"), times, facts=facts)]
+
+
+def printed(record: Record) -> str:
+    facts = record.facts
+    rate = f"{1e-6 * facts['points'] / record.median:.3g} million points/s"
+    if "unknowns" not in facts:
+        return f"{record.name}: {rate}"
+    peak = (
+        f", {facts['nominal flops'] / record.median / facts['peak']:.0%} of the peak" if facts["nominal flops"] else ""
+    )
+    apart = f", {facts['difference']:.0e} apart" if "difference" in facts else ""
+    return f"{record.name}: {1e-6 * facts['unknowns'] / record.median:.3g} MDoF/s, {rate}{peak}{apart}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=5, help="runs of each")
+    parser.add_argument("--quick", action="store_true", help="BP3 alone")
+    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    given = parser.parse_args()
+    comm, records = MPI.COMM_WORLD, []
+    core: dict[str, Any] = {}
+    if comm.size == 1:
+        peer = ceed_peer.library() is not None
+        if not peer:
+            print("without libCEED, which cannot be imported: rows beside it are left out", flush=True)
+        problems = ("BP3",) if given.quick else tuple(PROBLEMS)
+        with watched(core):
+            for problem in problems:
+                for degree, per_axis in AT_POINTS:
+                    records += at_points(problem, degree, per_axis, given.runs, peer)
+                for degree in DEGREES:
+                    records += at_gauss(problem, degree, given.runs, peer)
+        records[0].facts.update(core)
+    for small in (True,) if given.quick else (True, False):
+        records += large(given.runs, small)
+    if comm.rank == 0:
+        for record in records:
+            print(printed(record), flush=True)
+        write(given.output, records)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,185 @@
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
+
+#include <cmath>
+
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "fem/basis.hpp"
+#include "fem/moments.hpp"
+#include "fem/operators.hpp"
+#include "solver/node_equations.hpp"
+#include "solver/node_multigrid.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using namespace amrpic;
+
+namespace {
+
+using Elements = nb::ndarray<LocalIndex const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Flags = nb::ndarray<bool const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+/// Indices (n, 3) of this rank's cells of a level, in their order.
+nb::ndarray<nb::numpy, int> indices_of(Level const& level) {
+  std::vector<int> out;
+  for (int b = level.first_local_box(); b < level.last_local_box(); ++b)
+    for_each_cell(level.box(b), [&](Index3 const& cell) { out.insert(out.end(), cell.begin(), cell.end()); });
+  return bind::to_array(std::move(out), {std::size_t(level.local_cells()), 3});
+}
+
+/// The element of a place, which may lie on the domain's upper faces; -1 if another rank has it, or none.
+LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* reference) {
+  Domain const& domain = hierarchy.domain();
+  Level const& level = hierarchy.level(0);
+  Index3 cell;
+  for (std::size_t d = 0; d < 3; ++d) {
+    Real const at = (place[d] - domain.lower[d]) / level.spacing()[d];
+    if (!(place[d] >= domain.lower[d] && place[d] <= domain.upper[d])) return -1;
+    cell[d] = std::min(int(std::floor(at)), domain.cells[d] - 1);
+    reference[d] = 2 * (at - cell[d]) - 1;
+  }
+  int const b = level.find(cell);
+  if (level.owner(b) != level.rank()) return -1;
+  return level.local_offset(b) + LocalIndex(level.box(b).offset(cell));
+}
+
+/// An operator's function of vectors of so many values, without the interpreter.
+template <class F>
+nb::ndarray<nb::numpy, Real> computed(F&& f) {
+  std::vector<Real> out;
+  {
+    nb::gil_scoped_release release;
+    out = f();
+  }
+  return bind::to_array(std::move(out));
+}
+
+}  // namespace
+
+void bind_fem(nb::module_& m) {
+  m.def(
+      "fem_gauss_rule",
+      [](int count) {
+        auto rule = fem::gauss_rule(count);
+        return nb::make_tuple(bind::to_array(std::move(rule.place)), bind::to_array(std::move(rule.weight)));
+      },
+      "count"_a, "Places and weights of Gauss's rule on [-1, 1].");
+  m.def(
+      "fem_lobatto_nodes", [](int degree) { return bind::to_array(fem::lobatto_nodes(degree)); }, "degree"_a,
+      "Nodes of an element along an axis, from -1 to 1.");
+  m.def(
+      "fem_fit_moments",
+      [](bind::Starts first, bind::RealRows reference, bind::Reals volume, Real element_volume, int highest) {
+        fem::FittedWeights fitted;
+        {
+          nb::gil_scoped_release release;
+          fitted = fem::fit_moments({first.data(), first.data() + first.size()}, reference.data(), volume.data(),
+                                    element_volume, highest);
+        }
+        return nb::make_tuple(bind::to_array(std::move(fitted.weight)), bind::to_array(std::move(fitted.degree)));
+      },
+      "first"_a, "reference"_a, "volume"_a, "element_volume"_a, "highest"_a,
+      "Weights of points near their volumes, and to which degree they are exact in each element.");
+
+  nb::class_<fem::Lattice>(m, "FemLattice",
+                           "Nodes of elements on the base cells of a hierarchy; amrpic.fem.Mesh has it.")
+      .def(
+          "__init__",
+          [](fem::Lattice* self, std::shared_ptr<Hierarchy> const& hierarchy, int degree) {
+            new (self) fem::Lattice(hierarchy, degree);
+          },
+          "hierarchy"_a, "degree"_a)
+      .def("nodes", [](fem::Lattice const& l) { return indices_of(l.nodes()); })
+      .def("elements", [](fem::Lattice const& l) { return indices_of(l.elements()); })
+      .def_prop_ro("first_node", [](fem::Lattice const& l) { return l.nodes().first_local_cell(); })
+      .def(
+          "locate",
+          [](fem::Lattice const& l, bind::RealRows places) {
+            std::vector<LocalIndex> element(places.shape(0));
+            std::vector<Real> reference(places.size());
+            for (std::size_t p = 0; p < places.shape(0); ++p)
+              element[p] = element_at(l.hierarchy(), places.data() + 3 * p, &reference[3 * p]);
+            return nb::make_tuple(bind::to_array(std::move(element)),
+                                  bind::to_array(std::move(reference), {places.shape(0), 3}));
+          },
+          "places"_a, "The element of each place among this rank's, or -1, and where in it.");
+
+  nb::class_<fem::Points>(m, "FemPoints", "Integration points; amrpic.fem.Points has them.")
+      .def(
+          "__init__",
+          [](fem::Points* self, std::shared_ptr<fem::Lattice> const& lattice, Elements element,
+             bind::RealRows reference, bind::Reals weight, bool gauss) {
+            new (self) fem::Points(lattice, {element.data(), element.data() + element.size()}, reference.data(),
+                                   weight.data(), gauss);
+          },
+          "lattice"_a, "element"_a, "reference"_a, "weight"_a, "gauss"_a)
+      .def_prop_ro("bytes", &fem::Points::bytes)
+      .def(
+          "values",
+          [](fem::Points const& p, int components, bind::Reals u) {
+            return computed([&] { return fem::values_at(p, components, u.data()); });
+          },
+          "components"_a, "u"_a)
+      .def(
+          "slopes",
+          [](fem::Points const& p, int components, bind::Reals u) {
+            return computed([&] { return fem::slopes_at(p, components, u.data()); });
+          },
+          "components"_a, "u"_a)
+      .def(
+          "integrals",
+          [](fem::Points const& p, int components, bind::Reals values) {
+            return computed([&] { return fem::integrals(p, components, values.data()); });
+          },
+          "components"_a, "values"_a);
+
+  nb::class_<fem::Operator>(m, "FemOperator", "Mass or Poisson at points; amrpic.fem has both.")
+      .def(
+          "__init__",
+          [](fem::Operator* self, std::shared_ptr<fem::Points> const& points, bool poisson, int components) {
+            new (self) fem::Operator(points, poisson ? fem::Term::poisson : fem::Term::mass, components);
+          },
+          "points"_a, "poisson"_a, "components"_a)
+      .def(
+          "apply",
+          [](fem::Operator const& a, bind::Reals u) {
+            return computed([&] {
+              std::vector<Real> v(a.unknowns());
+              a.apply(u.data(), v.data());
+              return v;
+            });
+          },
+          "u"_a)
+      .def("diagonal", [](fem::Operator const& a) { return computed([&] { return a.diagonal(); }); })
+      .def("entries",
+           [](fem::Operator const& a) {
+             auto found = a.entries();
+             return nb::make_tuple(bind::to_array(std::move(found.row)), bind::to_array(std::move(found.column)),
+                                   bind::to_array(std::move(found.value)));
+           })
+      .def(
+          "corner_rows",
+          [](fem::Operator const& a, Flags fixed) {
+            auto rows = corner_rows(a, {fixed.data(), fixed.data() + fixed.size()});
+            std::vector<std::int64_t> start(rows.row_start.begin(), rows.row_start.end());
+            return nb::make_tuple(bind::to_array(std::move(start)), bind::to_array(std::move(rows.column)),
+                                  bind::to_array(std::move(rows.value)));
+          },
+          "fixed"_a, "This rank's rows of an operator of degree 1, as the coarse level of a solve has them.")
+      .def(
+          "solve",
+          [](fem::Operator const& a, bind::Reals f, Flags fixed, bind::Reals values, int preconditioner, Real tolerance,
+             int most_iterations) {
+            NodeSolution found;
+            {
+              nb::gil_scoped_release release;
+              found = solve_nodes(a, f.data(), fixed.data(), values.data(), NodePreconditioner(preconditioner),
+                                  tolerance, most_iterations);
+            }
+            return nb::make_tuple(bind::to_array(std::move(found.u)), bind::to_array(std::move(found.report.residuals)),
+                                  found.report.curved_down);
+          },
+          "f"_a, "fixed"_a, "values"_a, "preconditioner"_a, "tolerance"_a, "most_iterations"_a);
+}

@@ -1,0 +1,176 @@
+// What a polynomial on an element is at points, and the opposite: from points to its coefficients.
+//
+// u(x, y, z) = sum of c[i, j, k] R_i(x) R_j(y) R_k(z), x fastest. The rows R are Chebyshev polynomials, whose first one
+// is 1 and whose second one has the slope 1: products with these are left out. Nothing else is assumed of V than sums
+// and products: it is a vector, of one number for each of some points.
+#pragma once
+
+#include "base/types.hpp"
+
+namespace amrpic::fem {
+
+/// Values and slopes of P one-dimensional functions at a point.
+template <int P, class V>
+struct Rows {
+  V value[P], slope[P];
+};
+
+/// T_0 to T_p at `x`, by recurrence.
+template <int P, class V>
+inline Rows<P, V> chebyshev_rows(V const& x) {
+  Rows<P, V> out;
+  V const two_x = x + x;
+  out.value[0] = V{} + Real(1), out.slope[0] = V{};
+  out.value[1] = x, out.slope[1] = out.value[0];
+#pragma GCC unroll 5
+  for (int n = 2; n < P; ++n) {
+    out.value[n] = two_x * out.value[n - 1] - out.value[n - 2];
+    out.slope[n] = two_x * out.slope[n - 1] + (out.value[n - 1] + out.value[n - 1]) - out.slope[n - 2];
+  }
+  return out;
+}
+
+/// Whether R_0 = 1 and R_1' = 1.
+enum class Basis { chebyshev, any };
+
+/// to += by R_n.
+template <Basis basis, int P, class A, class V>
+inline __attribute__((always_inline)) void accumulate_value(int n, V& to, A const& by, Rows<P, V> const& rows) {
+  if (basis == Basis::chebyshev && n == 0)
+    to += by;
+  else
+    to += by * rows.value[n];
+}
+/// to += by R_n'.
+template <Basis basis, int P, class A, class V>
+inline __attribute__((always_inline)) void accumulate_slope(int n, V& to, A const& by, Rows<P, V> const& rows) {
+  if (basis == Basis::chebyshev && n == 0) return;
+  if (basis == Basis::chebyshev && n == 1)
+    to += by;
+  else
+    to += by * rows.slope[n];
+}
+/// to = by R_n.
+template <Basis basis, int P, class A, class V>
+inline __attribute__((always_inline)) void set_value(int n, V& to, A const& by, Rows<P, V> const& rows) {
+  if (basis == Basis::chebyshev && n == 0)
+    to = V{} + by;
+  else
+    to = by * rows.value[n];
+}
+/// to = by R_n'.
+template <Basis basis, int P, class A, class V>
+inline __attribute__((always_inline)) void set_slope(int n, V& to, A const& by, Rows<P, V> const& rows) {
+  if (basis == Basis::chebyshev && n == 0)
+    to = V{};
+  else if (basis == Basis::chebyshev && n == 1)
+    to = V{} + by;
+  else
+    to = by * rows.slope[n];
+}
+/// A term of a sum, whose first one sets it: by R_n, by R_n'.
+template <Basis basis, int P, class A, class V>
+inline __attribute__((always_inline)) void add_value(int n, V& to, A const& by, Rows<P, V> const& rows) {
+  if (n == 0)
+    set_value<basis>(n, to, by, rows);
+  else
+    accumulate_value<basis>(n, to, by, rows);
+}
+template <Basis basis, int P, class A, class V>
+inline __attribute__((always_inline)) void add_slope(int n, V& to, A const& by, Rows<P, V> const& rows) {
+  if (n == (basis == Basis::chebyshev ? 1 : 0))
+    set_slope<basis>(n, to, by, rows);
+  else
+    accumulate_slope<basis>(n, to, by, rows);
+}
+
+/// What a polynomial is at a point.
+template <Basis basis, int P, class V>
+inline __attribute__((always_inline)) V value_at(Real const* c, Vector3<Rows<P, V>> const& rows) {
+  V out;
+#pragma GCC unroll 5
+  for (int k = 0; k < P; ++k) {
+    V of_plane;
+#pragma GCC unroll 5
+    for (int j = 0; j < P; ++j) {
+      V of_line;
+#pragma GCC unroll 5
+      for (int i = 0; i < P; ++i) add_value<basis>(i, of_line, c[i + P * (j + P * k)], rows[0]);
+      add_value<basis>(j, of_plane, of_line, rows[1]);
+    }
+    add_value<basis>(k, out, of_plane, rows[2]);
+  }
+  return out;
+}
+
+/// Its slopes.
+template <Basis basis, int P, class V>
+inline __attribute__((always_inline)) Vector3<V> gradient_at(Real const* c, Vector3<Rows<P, V>> const& rows) {
+  V x, y, z;
+#pragma GCC unroll 5
+  for (int k = 0; k < P; ++k) {
+    V plane, plane_x, plane_y;
+#pragma GCC unroll 5
+    for (int j = 0; j < P; ++j) {
+      V line, line_x;
+#pragma GCC unroll 5
+      for (int i = 0; i < P; ++i) {
+        Real const coefficient = c[i + P * (j + P * k)];
+        add_value<basis>(i, line, coefficient, rows[0]);
+        add_slope<basis>(i, line_x, coefficient, rows[0]);
+      }
+      add_value<basis>(j, plane, line, rows[1]);
+      add_value<basis>(j, plane_x, line_x, rows[1]);
+      add_slope<basis>(j, plane_y, line, rows[1]);
+    }
+    add_value<basis>(k, x, plane_x, rows[2]);
+    add_value<basis>(k, y, plane_y, rows[2]);
+    add_slope<basis>(k, z, plane, rows[2]);
+  }
+  return {x, y, z};
+}
+
+/// Add `value` times each of the P^3 products of values to `sums`.
+template <Basis basis, int P, class V>
+inline __attribute__((always_inline)) void add_by_value(V const& value, Vector3<Rows<P, V>> const& rows, V* sums) {
+#pragma GCC unroll 5
+  for (int k = 0; k < P; ++k) {
+    V plane;
+    set_value<basis>(k, plane, value, rows[2]);
+#pragma GCC unroll 5
+    for (int j = 0; j < P; ++j) {
+      V line;
+      set_value<basis>(j, line, plane, rows[1]);
+#pragma GCC unroll 5
+      for (int i = 0; i < P; ++i) accumulate_value<basis>(i, sums[i + P * (j + P * k)], line, rows[0]);
+    }
+  }
+}
+
+/// Add the scalar product of `flux` and the slopes of each of the P^3 products of values to `sums`.
+template <Basis basis, int P, class V>
+inline __attribute__((always_inline)) void add_by_gradient(Vector3<V> const& flux, Vector3<Rows<P, V>> const& rows,
+                                                           V* sums) {
+#pragma GCC unroll 5
+  for (int k = 0; k < P; ++k) {
+    V plane, plane_x, plane_y;  // what multiplies values of x and y; slopes of x; slopes of y
+    set_value<basis>(k, plane_x, flux[0], rows[2]);
+    set_value<basis>(k, plane_y, flux[1], rows[2]);
+    set_slope<basis>(k, plane, flux[2], rows[2]);
+#pragma GCC unroll 5
+    for (int j = 0; j < P; ++j) {
+      V line, line_x;
+      set_value<basis>(j, line, plane, rows[1]);
+      accumulate_slope<basis>(j, line, plane_y, rows[1]);
+      set_value<basis>(j, line_x, plane_x, rows[1]);
+#pragma GCC unroll 5
+      for (int i = 0; i < P; ++i) {
+        V& sum = sums[i + P * (j + P * k)];
+        accumulate_value<basis>(i, sum, line, rows[0]);
+        accumulate_slope<basis>(i, sum, line_x, rows[0]);
+      }
+    }
+  }
+}
+
+}  // namespace amrpic::fem

@@ -1,0 +1,23 @@
+#pragma once
+
+#include <vector>
+
+#include "fem/operators.hpp"
+#include "solver/conjugate_gradients.hpp"
+
+namespace amrpic {
+
+enum class NodePreconditioner { none, jacobi, p_multigrid };
+
+struct NodeSolution {
+  std::vector<Real> u;  ///< this rank's unknowns
+  GradientsReport report;
+};
+
+/// Solve A u = f for the unknowns that are not `fixed`; those have `values`. All are of this rank's own nodes. The
+/// residual is that of the others, and starts where they are zero. Throws SolverError, on all ranks, if A has no
+/// positive entry on its diagonal for one of them. Collective.
+NodeSolution solve_nodes(fem::Operator const& a, Real const* f, bool const* fixed, Real const* values,
+                         NodePreconditioner preconditioner, Real tolerance, int most_iterations);
+
+}  // namespace amrpic

@@ -1,0 +1,64 @@
+"""The benchmark of operators at points: its records, its peer's product, and the goals made of them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import ceed_peer
+import goals
+import points
+from measuring import Record
+
+from amrpic import _native, fem
+
+
+def test_nominal_flops_are_those_of_sums_axis_by_axis():
+    assert [points.nominal_flops(fem.Poisson, p) for p in (1, 2, 3, 4)] == [136, 360, 752, 1360]
+    assert points.nominal_flops(fem.Mass, 2) == 4 * (27 + 9 + 3)
+
+
+def test_the_peak_is_one_of_a_core():
+    assert 1e9 < _native.measure_fma_peak() < 1e12
+
+
+def test_products_are_timed_with_what_they_amount_to(monkeypatch):
+    monkeypatch.setattr(points, "CELLS", {2: 2})
+    (record,) = points.at_points("BP4", 2, 3, 2, peer=False)
+    assert record.name == "elements, BP4, p = 2, 27 points, amrpic"
+    assert len(record.seconds) == 2 and record.median > 0
+    assert record.facts["unknowns"] == 3 * 5**3 and record.facts["points"] == 8 * 27
+    assert record.facts["nominal flops"] == 8 * 27 * 3 * 360 and record.facts["peak"] > 1e9
+    assert "MDoF/s" in points.printed(record)
+
+
+@pytest.mark.parametrize("problem", points.PROBLEMS)
+def test_libceed_has_the_same_product(problem):
+    pytest.importorskip("libceed")
+    kind, components = points.PROBLEMS[problem]
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, (1, 2, 1), (3, 2, 4), degree=2, max_grid_size=2)
+    theirs, u = ceed_peer.AtGauss(mesh, kind, components), points.vector(mesh, components)
+    theirs.set(u)
+    theirs.apply()
+    ours = (kind(fem.gauss(mesh), components=components) @ u).ravel()
+    assert np.abs(theirs.result() - ours).max() < 1e-13 * np.abs(ours).max()
+
+
+def test_goals_compare_unknowns_per_second():
+    facts = {"unknowns": 100, "points": 10, "nominal flops": 6e8, "peak": 1e9}
+    records = [
+        Record(points.record_name("BP3", 2, "64 points"), [1.0], facts=facts),
+        Record(points.record_name("BP1", 3, "Gauss"), [1.0], facts=facts),
+        Record(points.record_name("BP1", 3, "Gauss", "libCEED"), [3.0], facts=facts),
+    ]
+    found = {goal.what: goal for goal in goals.elements(goals.Found(records))}
+    share = found["BP3 at points, degree 2, 64 points: nominal flops over the peak"]
+    assert share.measured == pytest.approx(60) and share.verdict == "met"
+    faster = found["BP1 at Gauss points, degree 3, against libCEED"]
+    assert faster.measured == pytest.approx(3) and faster.verdict == "met"
+    assert found["BP4 at points, degree 3, 64 points: nominal flops over the peak"].verdict == "not measured"

@@ -1,0 +1,172 @@
+"""Systems of operators at points, against dense solves, on 1 to 4 ranks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from scipy.sparse import csr_array
+
+from amrpic import fem
+from amrpic.errors import SolverError
+from amrpic.verify.dense_elements import matrix, on_all_nodes, rows_at, smooth_vector
+from amrpic.verify.operators import ragged
+
+
+def problem(comm, degree=2, components=1, boxes=2):
+    mesh = fem.Mesh(comm, 0, (1, 1.5, 1), (4, 3, 4), degree=degree, max_grid_size=boxes)
+    points = fem.jittered(mesh, degree + 2, seed=2)
+    f = points.integrate(points.position if components == 3 else points.position[:, 0])
+    return mesh, points, f
+
+
+@pytest.mark.parametrize("components", [1, 3])
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("preconditioner", ["p-multigrid", "jacobi", "none"])
+def test_the_solution_is_that_of_dense_matrices(degree, components, preconditioner):
+    mesh, points, f = problem(MPI.COMM_SELF, degree, components)
+    fixed, values = mesh.nodes[:, 2] == 0, smooth_vector(mesh, components)
+    u, report = fem.solve(
+        fem.Poisson(points, components=components), f,
+        fixed=fixed, values=values, preconditioner=preconditioner, tolerance=1e-12,
+    )  # fmt: skip
+    assert report.converged and report.reason == "the tolerance was met"
+    assert len(report.residuals) == report.iterations + 1
+    assert report.residuals[-1] <= 1e-12 * report.residuals[0] < report.residuals[-2]
+    dense = matrix(points, fem.Poisson)
+    held, whole, right = (on_all_nodes(mesh, v) for v in (fixed, values, f))
+    held = held.astype(bool)
+    expected = whole.copy()
+    expected[~held] = np.linalg.solve(
+        dense[np.ix_(~held, ~held)], right[~held] - dense[np.ix_(~held, held)] @ whole[held]
+    )
+    assert np.abs(on_all_nodes(mesh, u) - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_components_are_fixed_one_by_one():
+    mesh, points, f = problem(MPI.COMM_SELF, components=3)
+    fixed = np.stack([mesh.nodes[:, d] == 0 for d in range(3)], axis=1)
+    u, _ = fem.solve(fem.Poisson(points, components=3), f, fixed=fixed, values=0.5, tolerance=1e-12)
+    for d in range(3):
+        alone, _ = fem.solve(
+            fem.Poisson(points), np.ascontiguousarray(f[:, d]), fixed=fixed[:, d], values=0.5, tolerance=1e-12
+        )
+        assert np.abs(u[:, d] - alone).max() < 1e-9 * np.abs(alone).max()
+        assert (u[fixed[:, d], d] == 0.5).all()
+
+
+def test_jacobi_takes_fewer_iterations_where_weights_differ():
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 4, degree=2)
+    whole = fem.uniform(mesh, 4)
+    heavy = np.where(whole.position[:, 0] < 0.5, 1.0, 1e3)
+    points = fem.given(mesh, whole.position, volume=whole.volume * heavy, weights="volume")
+    f = points.integrate(np.ones(len(points)))
+    taken = {
+        name: fem.solve(fem.Poisson(points), f, fixed=mesh.boundary, preconditioner=name)[1].iterations
+        for name in ("jacobi", "none")
+    }
+    assert taken["jacobi"] < 0.7 * taken["none"], taken
+
+
+def test_what_is_solved_already_takes_no_iteration():
+    mesh, points, f = problem(MPI.COMM_SELF)
+    u, report = fem.solve(fem.Mass(points), 0 * f)
+    assert report.converged and report.iterations == 0 and (u == 0).all()
+
+
+def test_a_solve_that_is_cut_short_says_so():
+    mesh, points, f = problem(MPI.COMM_SELF)
+    _, report = fem.solve(fem.Poisson(points), f, fixed=mesh.boundary, most_iterations=3)
+    assert not report.converged and report.iterations == 3 and report.reason == "it took the most iterations"
+
+
+def test_an_operator_that_is_not_positive_is_reported():
+    """Poisson without fixed nodes: along constants there is no curvature, and the right-hand side has a part there."""
+    mesh, points, f = problem(MPI.COMM_SELF, degree=1)
+    _, report = fem.solve(fem.Poisson(points), np.ones(len(f)), preconditioner="none")
+    assert not report.converged
+
+
+MOST = {1: 10, 2: 8, 3: 11, 4: 15}  # iterations to 1e-8
+
+
+@pytest.mark.parametrize("degree, cells", [(1, 8), (1, 16), (2, 4), (2, 8), (3, 4), (3, 8), (4, 4)])
+def test_multigrid_takes_few_iterations_on_any_mesh(degree, cells):
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, cells, degree=degree)
+    points = fem.jittered(mesh, degree + 2, seed=2, weights="volume")
+    f = points.integrate(np.ones((len(points), 3)))
+    fixed = np.stack([mesh.nodes[:, d] == 0 for d in (0, 0, 2)], axis=1)
+    stiffness = fem.Poisson(points, components=3)
+    u, report = fem.solve(stiffness, f, fixed=fixed, tolerance=1e-8)
+    assert report.converged and report.iterations <= MOST[degree], report
+    plain, by_jacobi = fem.solve(stiffness, f, fixed=fixed, tolerance=1e-10, preconditioner="jacobi")
+    assert by_jacobi.iterations > 3 * report.iterations
+    assert np.abs(u - plain).max() < 1e-6 * np.abs(plain).max()
+
+
+def coarser(points):
+    """The same points and weights on elements of degree 1."""
+    mesh = points.mesh
+    corners = fem.Mesh(
+        mesh.comm, mesh.domain.lower, mesh.domain.upper, mesh.domain.cells, 1, mesh.hierarchy.max_grid_size
+    )
+    return fem.Points(corners, points.element, points.reference, points.weight, points.number, weights="volume")
+
+
+@pytest.mark.parametrize("kind", [fem.Mass, fem.Poisson])
+@pytest.mark.parametrize("degree", [2, 3, 4])
+def test_the_operator_of_degree_1_is_the_galerkin_product(degree, kind):
+    mesh = fem.Mesh(MPI.COMM_SELF, (0, 0, 1), (1, 2, 3), (3, 2, 2), degree=degree)
+    points = ragged(mesh)
+    corners = coarser(points)
+    within = fem.given(corners.mesh, mesh.nodes[np.argsort(mesh.numbers)], weights="volume")
+    hats, _ = rows_at(within)
+    prolongation = np.empty_like(hats)
+    prolongation[within.number] = hats
+    product = prolongation.T @ matrix(points, kind) @ prolongation
+    direct = matrix(corners, kind)
+    assert np.abs(product - direct).max() < 1e-12 * np.abs(direct).max()
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+@pytest.mark.parametrize("components", [1, 3])
+def test_rows_of_degree_1_are_those_of_the_matrix(comm, components):
+    mesh = fem.Mesh(comm, 0, (1, 2, 1), (4, 3, 5), degree=1, max_grid_size=2)
+    operator = fem.Poisson(ragged(mesh), components=components)
+    fixed = np.repeat(mesh.nodes[:, 1] == 0, components)
+    start, column, value = operator.native.corner_rows(fixed)
+    parts = mesh.comm.allgather((np.diff(start), column, value, fixed))
+    length, column, value, fixed = (np.concatenate([part[n] for part in parts]) for n in range(4))
+    size = len(fixed)
+    found = csr_array((value, column, np.concatenate([[0], np.cumsum(length)])), shape=(size, size))
+    expected = operator.to_scipy()
+    if expected is not None:
+        dense = expected.toarray()
+        dense[fixed], dense[:, fixed] = 0, 0
+        dense[np.diag(dense) == 0, np.diag(dense) == 0] = 1
+        assert np.abs(found.toarray() - dense).max() < 1e-12 * dense.max()
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.parametrize("preconditioner", ["p-multigrid", "jacobi"])
+def test_ranks_find_the_same_solution_in_as_many_iterations(comm, preconditioner):
+    found = []
+    for who, boxes in ((MPI.COMM_SELF, 8), (comm, 2)):
+        mesh, points, f = problem(who, components=3, boxes=boxes)
+        u, report = fem.solve(
+            fem.Poisson(points, components=3), f,
+            fixed=mesh.boundary, values=smooth_vector(mesh, 3), preconditioner=preconditioner,
+        )  # fmt: skip
+        found.append((on_all_nodes(mesh, u), report.iterations))
+    assert abs(found[0][1] - found[1][1]) <= 1
+    assert np.abs(found[0][0] - found[1][0]).max() < 1e-9
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_free_nodes_without_points_are_refused(comm):
+    mesh = fem.Mesh(comm, 0, 1, 4, degree=2, max_grid_size=2)
+    points = fem.given(mesh, [[0.1, 0.1, 0.1]] * 30)
+    with pytest.raises(
+        SolverError, match=r"no point says anything about \d+ unknowns.*; fix these nodes or put points there"
+    ):
+        fem.solve(fem.Mass(points), points.integrate(np.ones(len(points))))

@@ -26,9 +26,12 @@ export OMPI_MCA_rmaps_base_oversubscribe := 1
 help:  ## list the targets
 	@sed -nE 's/^([a-z0-9]+):.*## (.*)/  make \1\t\2/p' Makefile | expand -t 16
 
-run: export OMPI_MCA_odls_base_sigkill_timeout := 60  # time for a checkpoint after Ctrl-C or TERM
+# Ctrl-C and TERM reach the ranks as USR1, so that they have all the time that a checkpoint takes; the second time they are killed.
+RUN := mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
 run: setup  ## the main job: SCENE on RANKS ranks
-	mpiexec -n $(RANKS) $(BIN)/amrpic run $(SCENE)
+	@echo '$(RUN)'; how=USR1; setsid $(RUN) </dev/null & run=$$!; \
+	trap 'kill -$$how $$run 2>/dev/null || true; how=TERM' INT TERM HUP; \
+	status=0; while wait $$run || status=$$?; kill -0 $$run 2>/dev/null; do status=0; done; exit $$status
 
 # A file more than there are cores: many tests wait for processes that end.
 test: setup  ## all tests, some files at a time; ARGS go to pytest

@@ -2,7 +2,8 @@
 
 Value, gradient and Laplacian at all points of a jittered 22³ lattice (±0.25 h), and of the lattice itself, reach 1.4 times the
 distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not. Then the
-same at order 2 for all cells of a refined mesh, from the cells within 2.1 of their widths; the look-up included.
+same at order 2 for all cells of a refined mesh, from the cells within 2.1 of their widths; the look-up included. And fields
+carried to another base, per new cell, and sampled along a line, per point.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ ORDERS = (2, 3, 4)
 WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
 LAPACK_TARGETS = 400
 LEAVES = "least squares, order 2, leaves"
+SAMPLES = "least squares, order 3, field at points"
 
 
 def cloud(jitter: float) -> np.ndarray:
@@ -79,6 +81,25 @@ def leaves(runs: int, cells: int) -> Record:
     return Record(LEAVES, [s / len(solved) for s in thread_seconds(runs, solve)], facts=facts)
 
 
+def between_meshes(runs: int, cells: int) -> list[Record]:
+    """Return the records of a field that is carried to another base, per new cell, and sampled along a line, per point."""
+    domain = amrpic.Domain(0, 1, cells, boundary="dirichlet")
+    box = [[((cells // 2,) * 3, (3 * cells // 2 - 1,) * 3)]]
+    field = amrpic.Field(amrpic.Hierarchy(MPI.COMM_SELF, domain, box, 24, 8)).fill(lambda x, y, z: np.exp(x + y * z))
+    base = amrpic.Domain(0, 1, 5 * cells // 4, boundary="dirichlet")
+    to = amrpic.Hierarchy(MPI.COMM_SELF, base, (), 24, 8)
+    points = np.linspace([0.01, 0.02, 0.03], [0.98, 0.99, 0.97], 4000)
+    timed: list[tuple[str, int, Callable[[], object]]] = [
+        *((remap_name(order), to.cells(0), lambda order=order: field.remap(to, order)) for order in ORDERS),
+        (SAMPLES, len(points), lambda: field.sample(points, order=3)),
+    ]
+    return [Record(name, [s / count for s in thread_seconds(runs, call)]) for name, count, call in timed]
+
+
+def remap_name(order: int) -> str:
+    return f"least squares, order {order}, field on another base"
+
+
 def lapack(order: int, runs: int) -> Record:
     """Return the record of dgels('T') on the same equations; the time of calls that return at once is taken off."""
     found = ctypes.util.find_library("lapack")
@@ -126,7 +147,7 @@ def main() -> int:
     records = []
     for order in ORDERS:
         records += [ours(order, "jittered", given.runs), ours(order, "lattice", given.runs), lapack(order, given.runs)]
-    records.append(leaves(given.runs, 96))
+    records += [leaves(given.runs, 96), *between_meshes(given.runs, 32)]
     records = [record for record in records if record.seconds]
     for record in records:
         print(f"{record.name}: {1e6 * record.median:.3g} µs per target", flush=True)

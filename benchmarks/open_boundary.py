@@ -71,7 +71,7 @@ def density(comm: MPI.Comm, base: int, example: str, overrides: tuple[str, ...])
     plan = Plan(comm, amrpic.Scene.from_toml(EXAMPLES / f"{example}.toml", changes))
     mesh = make_base(plan)
     bunches = make_bunches(comm, plan.scene)
-    plan.settle_interface(bunches)
+    plan.settle_clouds(bunches)
     particles, _ = migrate(concatenate(bunches), mesh)
     return follow(ParticleFields(particles, mesh, plan)).rho
 

@@ -68,6 +68,8 @@ def lines(found: Comparison, tolerance: float) -> Iterator[str]:
     yield ""
     yield from columns([("speed", "first", "second", "second / first"), *map(_speed, found.speed)])
     yield ""
+    for remark in found.remarks:
+        yield f"remark: {remark}"
     same = "the same" if found.equal(tolerance) else "different"
     yield f"results are {same} within a relative tolerance of {tolerance:g}"
 

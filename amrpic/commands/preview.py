@@ -65,7 +65,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     plan, notes = _plan_without_solves(comm, scene)
     base = make_base(plan)
     bunches = make_bunches(comm, scene)
-    plan.settle_interface(bunches)
+    plan.settle_clouds(bunches)
     particles, gone = migrate(concatenate(bunches), base)
     fields = follow(ParticleFields(particles, base, plan))
     lost = gone.global_count(comm)

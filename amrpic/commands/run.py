@@ -13,6 +13,7 @@ from ..parallel import together
 from ..run.folder import prepare
 from ..run.log import RunLog
 from ..run.simulation import Simulation
+from ..run.status import start_failed
 from ..scene.scene import Scene
 from ..scene.units import to_seconds
 from .arguments import Commands, command, scene_arguments, scene_on_all_ranks
@@ -41,7 +42,11 @@ def _run(chosen: argparse.Namespace) -> int:
         if walltime is not None and walltime <= 0:
             raise InputError(f"--walltime {chosen.walltime} leaves no time; give more than 0 s")
     prepare(comm, scene)
-    simulation = _begin(comm, scene, chosen.restart)
+    try:
+        simulation = _begin(comm, scene, chosen.restart)
+    except Exception as failure:
+        start_failed(comm, scene, " ".join(str(failure).split()))
+        raise
     return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..scaling.measure import CLOCKS
 from ..scaling.measured import Measured, by_kind, medians
-from ..scaling.show import stage_table, table, write
+from ..scaling.show import page, stage_table, table, write
 from ..scaling.study import KINDS, LAUNCHER, Study
 from .arguments import Commands, command, count, scene_arguments, scene_of
 from .text_table import columns
@@ -117,23 +117,31 @@ def _scaling(chosen: argparse.Namespace) -> int:
             print(f"{run.kind}, {run.ranks} ranks: {sorted(run.seconds)[len(run.seconds) // 2]:.4g} s/step", flush=True)
     found = medians(study.runs())
     if not found:
-        raise InputError(f"{study.folder} holds no run of {study.name}; start some without --collect")
+        raise InputError(
+            f"{study.folder} holds no run of {study.name}; start some without --collect, or give --set, --clock and --apart as "
+            "they were started with"
+        )
     print(*columns(table(found)), sep="\n")
     for runs in by_kind(found).values():
         print(f"\n{runs[-1].kind}, {runs[-1].ranks} ranks", *columns(stage_table(runs[-1])), sep="\n")
-    print(*write(found, folder), sep="\n")
-    if chosen.predict is not None:
-        _predict(chosen, found)
+    compared = [] if chosen.predict is None else [_predict(chosen, found)]
+    print(*write(found, page(found, study.name, compared), folder), sep="\n")
     return 0
 
 
-def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> None:
+def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> tuple[str, list[list[str]]]:
+    """Print the model beside what was measured; return what is said of it, and its table."""
     from ..scaling.machine import Machine
-    from ..scaling.predict import predicted
+    from ..scaling.predict import LEAST, predicted
 
     machine, strong = Machine.read(chosen.predict), [one for one in found if one.kind == "strong"]
     rows, worst = predicted(scene_of(chosen), strong, machine, _progress())
     print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
+    said = (
+        f"## Modelled on {machine.name}\n\nConstants: {machine.source}. Mesh and cycles are those of the runs; stages begin "
+        f"together. Of stages above {LEAST:.0%} of a step the largest error is {worst:.0%}."
+    )
+    return said, rows
 
 
 def _calibrate(launcher: str, clock: str, path: Path) -> int:

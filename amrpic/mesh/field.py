@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -124,6 +125,10 @@ class Field(FieldViews):
         Raises HierarchyError if the other field lives on another hierarchy.
         """
         return global_sum(self.comm, self.own_integral(times))
+
+    def own_energy_integral(self, times: Field, compensation: Compensation) -> float:
+        """Part of this rank's cells in the integral of the field times `times` + κ field."""
+        return self.native.own_integral_with_itself(times.native, list(compensation.strength))
 
     def own_integral(self, times: Field | None = None) -> float:
         """Part of this rank's cells in `integral`."""
@@ -266,11 +271,31 @@ def _fits(other: object) -> bool:
     return isinstance(other, Field | int | float | np.integer | np.floating)
 
 
+@dataclass(frozen=True)
+class Compensation:
+    """What particles feel beside a field, to make up for what their clouds smooth: E_d − κ s_d⁻² ∂ρ/∂x_d."""
+
+    density: Field  # ρ, C/m³
+    strength: tuple[float, ...]  # κ of each level, V m³/C
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)  # s of the equation
+
+    @property
+    def factors(self) -> list[tuple[float, float, float]]:
+        """Per level and axis, of the density in the cell below less that in the cell above."""
+        widths = [self.density.hierarchy.spacing(level) for level in range(self.density.hierarchy.levels)]
+        return [
+            tuple((kappa / np.square(self.stretch) / (2 * width)).tolist())
+            for kappa, width in zip(self.strength, widths, strict=True)
+        ]
+
+
 class VectorField:
     """Three fields, the components along x, y and z, or a field of which they are made when they are first asked for.
 
     Raises HierarchyError if the components live on several hierarchies.
     """
+
+    compensation: Compensation | None = None  # what gather and push add; components are without it
 
     def __init__(self, x: Field, y: Field, z: Field) -> None:
         if not x.hierarchy is y.hierarchy is z.hierarchy:
@@ -294,7 +319,17 @@ class VectorField:
         """The field as native kernels read it; made anew from components, which may have been written to."""
         if self._deferred is not None:
             return self._deferred
-        return _native.ElectricField(*(c.native for c in self.components))
+        native = _native.ElectricField(*(c.native for c in self.components))
+        if self.compensation is not None:
+            native.compensate(self.compensation.density.native, self.compensation.factors)
+        return native
+
+    def compensate(self, compensation: Compensation) -> None:
+        """Let gather and push add this; the density must not change from now on, so it is locked."""
+        compensation.density.lock()
+        self.compensation = compensation
+        if self._deferred is not None:
+            self._deferred.compensate(compensation.density.native, compensation.factors)
 
     @cached_property
     def components(self) -> tuple[Field, Field, Field]:

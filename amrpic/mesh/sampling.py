@@ -22,9 +22,10 @@ from .composite import Composite
 Array = NDArray[Any]
 
 REACH = {1: 1.8, 2: 2.3, 3: 2.6, 4: 3.1}  # in cell widths of the finest level at the point
-GROWTH, GROWTHS = 1.15, 8  # of reaches that do not determine a fit
-MOST_GROWTH = 30.0  # Σ|α| of the weights of a value that is used: 21 at order 3 in a corner of walls, below 4 within
-MOST_RESIDUAL = 1e-13  # of reproduction: with more the cells barely determine the fit
+GROWTH, GROWTHS = 1.15, 8  # of reaches that do not determine a fit, and most of them
+# What a fit must keep to be used: Σ|α| of a value, 2 where all cells are there, and the least pivot of the normal equations.
+# Corners of walls want long reaches to keep the first bounds; where even these do not, the second ones do.
+WANTED, ENOUGH = (10.0, 5e-4), (40.0, 1e-6)
 TOGETHER = 2048  # points
 CANDIDATES = 1 << 20  # cells that are looked up together
 QUANTITIES = ("value", "gradient")
@@ -87,10 +88,10 @@ class _Sampler:
         """Return what is wanted at the points, nan outside. Collective."""
         out = np.full((len(self.points), *shape), np.nan)
         left, reach = np.flatnonzero(self.home >= 0), REACH[self.request.order]
-        for _ in range(GROWTHS):
+        for n in range(GROWTHS):
             if left.size == 0:
                 break
-            found, good = self._fitted(left, reach, shape)
+            found, good = self._fitted(left, reach, shape, WANTED if n < GROWTHS // 2 else ENOUGH)
             out[left[good]] = found[good]
             left, reach = left[~good], reach * GROWTH
         if left.size:
@@ -177,7 +178,9 @@ class _Sampler:
 
     # ---- the fit ----
 
-    def _fitted(self, which: Array, reach: float, shape: tuple[int, ...]) -> tuple[Array, Array]:
+    def _fitted(
+        self, which: Array, reach: float, shape: tuple[int, ...], kept: tuple[float, float]
+    ) -> tuple[Array, Array]:
         """Return what is wanted at some points, from the cells within a reach, and where these determine it. Collective.
 
         Each rank finds the weights for its share of the points.
@@ -191,7 +194,7 @@ class _Sampler:
             entries = slice(start[0], start[-1])
             stencils = self._stencils(cells.offset[entries], cells.width[entries], start - start[0], reach)
             growth = np.add.reduceat(np.abs(stencils.weights[:, 0]), stencils.start[:-1])
-            good[first:last] = (growth <= MOST_GROWTH) & (stencils.quality.residual <= MOST_RESIDUAL)
+            good[first:last] = (growth <= kept[0]) & (stencils.quality.pivot >= kept[1])
             found = stencils.apply(held[entries])[self.request.what]
             if self.request.what == "gradient":  # (n, 3, *components)
                 widths = np.array([level.spacing for level in self.fields.levels])[self.home[which[first:last]]]

@@ -11,11 +11,23 @@ from .. import _native
 
 Shape = Literal["nearest-grid-point", "cloud-in-cell", "triangular-shaped-cloud"]
 
+CompensationKind = Literal["none", "clouds", "clouds-and-mesh"]
+
 SHAPES: dict[Shape, _native.Shape] = {
     "nearest-grid-point": _native.Shape.nearest_grid_point,
     "cloud-in-cell": _native.Shape.cloud_in_cell,
     "triangular-shaped-cloud": _native.Shape.triangular,
 }
+
+# A cloud multiplies what varies over many cells by 1 + c Σ h²∂², c half its variance per axis; deposit and gather do so once
+# each. It is exact for triangular ones, and the mean over the places in a cell for the others.
+SMOOTHING: dict[Shape, float] = {
+    "nearest-grid-point": 1 / 24,
+    "cloud-in-cell": 1 / 12,
+    "triangular-shaped-cloud": 1 / 8,
+}
+OF_MESH = 0.05  # h²Δ: the part that is the same in all directions of what the Laplacian and the difference of φ do to E
+CUBES = 1.001  # largest width over the smallest one of cells that count as cubes
 
 
 @dataclass(frozen=True)
@@ -29,6 +41,19 @@ class Clouds:
 
     shape: Shape = "cloud-in-cell"
     matched: bool = False
+    compensation: CompensationKind = "none"  # what gather takes back of their smoothing: E − κ∇ρ
+
+    def compensated(self, widths: np.ndarray) -> float:
+        """Return ε₀κ in m² where cells have these widths (3,), in the frame where the field is electrostatic.
+
+        Clouds add (2c) Σ h²∂²E to the field, which in cubes is 2c h²∇ρ/ε₀. In other cells the narrowest width is taken: what is
+        smoothed along the longer axes alone then stays.
+        """
+        if self.compensation == "none":
+            return 0.0
+        cubes = bool(widths.max() <= CUBES * widths.min())
+        of_mesh = OF_MESH if self.compensation == "clouds-and-mesh" and cubes else 0.0
+        return (2 * SMOOTHING[self.shape] + of_mesh) * float(widths.min()) ** 2
 
     @property
     def native(self) -> tuple[_native.Shape, bool]:
@@ -55,3 +80,23 @@ def matched_pays(number: float, sizes: np.ndarray) -> bool:
     """
     _, middle, largest = np.sort(np.maximum(sizes, 1.0))
     return bool(0 < number <= EQUAL_PARTICLES * middle * largest)
+
+
+# Particles per cell where a bunch is densest, over the square of its smallest size in cells, from which compensation pays.
+PAYING: dict[Shape, float] = {
+    "nearest-grid-point": 1.2,
+    "cloud-in-cell": 0.8,
+    "triangular-shaped-cloud": 0.5,
+}
+
+
+def compensation_pays(number: float, sizes: np.ndarray, shape: Shape) -> bool:
+    """Whether compensated clouds serve a bunch better: `number` equal particles, rms sizes (3,) in cells of the finest level.
+
+    What clouds smooth is (h/σ)² of the field. What compensation adds in noise has the wavelengths of cells alone; it is (h/σ)
+    of the field over the root of the particles per cell. So they are equal where these are some (σ/h)². The density at its
+    peak is that of a normal distribution of these sizes; a bunch counts as at least one cell wide.
+    """
+    sizes = np.maximum(sizes, 1.0)
+    per_cell = number / float((2 * np.pi) ** 1.5 * np.prod(sizes))
+    return bool(per_cell > PAYING[shape] * float(sizes.min()) ** 2)

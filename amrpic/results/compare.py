@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,15 @@ import numpy as np
 from mpi4py import MPI
 from numpy.typing import NDArray
 
-from ..io import particle_reader, time_series
+from ..io import openpmd_reader, particle_reader, time_series
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
+from ..mesh.surroundings import Lattice
 from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields
-from .run_results import PARTICLES, SERIES, Results
+from .run_results import LOSSES, PARTICLES, SERIES, Results
 
 Table = NDArray[Any]
 
@@ -55,8 +57,9 @@ class Comparison:
     """What differs between two runs. Parts that one of them did not write are not in `parts`."""
 
     scenes: list[tuple[str, Any, Any]]  # key, value of the first run, of the second
-    parts: Mapping[str, list[Difference]]  # of what they found: series, beam, fields, particles
+    parts: Mapping[str, list[Difference]]  # of what they found: series, beam, fields, particles, losses
     speed: list[tuple[str, float, float]]  # what, in s or bytes, of both
+    remarks: Sequence[str] = ()  # on how they were compared
 
     def beyond(self, tolerance: float) -> dict[str, list[Difference]]:
         """Return the differences above a tolerance, the largest first, by part."""
@@ -79,10 +82,16 @@ def compare(first: Path, second: Path) -> Comparison:
     tables = [time_series.read(run.folder / SERIES) for run in runs]
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
-    for name, part in (("beam", _beam), ("fields", _fields), ("particles", _particles)):
+    remarks: list[str] = []
+    for name, part in (
+        ("beam", _beam),
+        ("fields", partial(_fields, remarks=remarks)),
+        ("particles", _particles),
+        ("losses", _losses),
+    ):
         with contextlib.suppress(_Missing):
             parts[name] = list(part(*runs))
-    return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)))
+    return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)
 
 
 class _Missing(Exception):
@@ -156,31 +165,55 @@ def _latest_common(steps: Sequence[Iterable[int]]) -> int:
     return max(common)
 
 
-def _fields(one: Results, other: Results) -> Iterator[Difference]:
-    """Compare the fields of the latest step that both have: norms of differences, or of both where the meshes differ."""
+def _fields(one: Results, other: Results, remarks: list[str]) -> Iterator[Difference]:
+    """Compare the fields of the latest step that both have: norms of the differences on the mesh of the first run.
+
+    Those of the second are carried to it where meshes differ; where domains do, norms of both are compared.
+    """
     step = _latest_common([one.fields, other.fields])
     mine, theirs = one.fields[step], other.fields[step]
-    moved = theirs.on(mine.hierarchy)
-    same = all(
-        np.isfinite(part.array(level)).all() for level in range(mine.hierarchy.levels) for part in moved["rho"].parts
+    names = [name for name in mine if name in theirs]
+    domains = [fields.hierarchy.domain for fields in (mine, theirs)]
+    if (domains[0].lower, domains[0].upper) != (domains[1].lower, domains[1].upper):
+        yield Difference("domain", math.inf, f"the fields of step {step} live on two domains; their norms are compared")
+        for name in names:
+            a, b = _scalar(mine[name]), _scalar(theirs[name])
+            yield from _of_norms(name, step, {kind: abs(a.norm(kind) - b.norm(kind)) for kind in NORMS}, (a, b))
+        return
+    moved: Mapping[str, Field | VectorField] = theirs.on(mine.hierarchy)
+    if not _same_cells(mine, theirs):
+        moved = {name: theirs[name].remap(mine.hierarchy) for name in names}
+        remarks.append(
+            f"the meshes of step {step} differ; fields of the second run are carried to the mesh of the first"
+        )
+    for name in names:
+        apart = _apart(mine[name], moved[name])
+        both = _scalar(mine[name]), _scalar(moved[name])
+        yield from _of_norms(name, step, {kind: apart.norm(kind) for kind in NORMS}, both)
+
+
+NORMS = ("l2", "max")
+
+
+def _of_norms(name: str, step: int, apart: Mapping[str, float], both: Sequence[Field]) -> Iterator[Difference]:
+    """Yield the differences of a field in some norms, over the larger norm of both fields."""
+    for kind, difference in apart.items():
+        scale = max(field.norm(kind) for field in both)
+        relative = difference / scale if scale > 0 else difference
+        yield Difference(f"{name} in the {kind} norm", relative, f"at step {step}")
+
+
+def _same_cells(mine: DumpedFields, theirs: DumpedFields) -> bool:
+    """Whether both have the same cells on each level, whatever boxes these are in."""
+    a, b = mine.hierarchy, theirs.hierarchy
+    if a.domain.cells != b.domain.cells or a.levels != b.levels:
+        return False
+    lattice = Lattice(b)
+    return all(
+        a.cells(level) == b.cells(level)
+        and all(lattice.held(level, box[:3], box[3:]).all() for box in a.boxes(level).astype(np.int64))
+        for level in range(a.levels)
     )
-    same = same and _cells(mine) == _cells(theirs)
-    if not same:
-        yield Difference("mesh", math.inf, f"refined cells differ at step {step}; norms are compared")
-    for name in (name for name in mine if name in theirs):
-        a, b = _scalar(mine[name]), _scalar(theirs[name])
-        apart = _apart(mine[name], moved[name]) if same else None
-        for kind in ("l2", "max"):
-            norms = a.norm(kind), b.norm(kind)
-            difference = apart.norm(kind) if apart is not None else abs(norms[0] - norms[1])
-            scale = max(norms)
-            yield Difference(
-                f"{name} in the {kind} norm", difference / scale if scale > 0 else difference, f"at step {step}"
-            )
-
-
-def _cells(fields: DumpedFields) -> list[int]:
-    return [fields.hierarchy.cells(level) for level in range(fields.hierarchy.levels)]
 
 
 def _apart(one: Field | VectorField, other: Field | VectorField) -> Field:
@@ -208,6 +241,39 @@ def _particles(one: Results, other: Results) -> Iterator[Difference]:
         spread = _spread(mine, what)
         worst = float(np.abs(apart).max(initial=0.0))
         yield Difference(f"{what} over its rms", worst / spread if spread > 0 else worst, f"at step {step}")
+
+
+def _losses(one: Results, other: Results) -> Iterator[Difference]:
+    """Compare the lost particles, by their numbers: which they are, at what, when and where they were lost."""
+    paths = [run.folder / LOSSES for run in (one, other)]
+    if not all(path.exists() for path in paths):
+        raise _Missing
+    tables = [_lost(path) for path in paths]
+    _, here, there = np.intersect1d(tables[0]["id"], tables[1]["id"], return_indices=True)
+    alone = len(tables[0]["id"]) + len(tables[1]["id"]) - 2 * len(here)
+    yield Difference("lost particles", math.inf if alone else 0.0, f"{alone} of one run alone" if alone else "")
+    mine, theirs = (
+        {name: values[rows] for name, values in t.items()} for t, rows in zip(tables, (here, there), strict=True)
+    )
+    elsewhere = int(np.count_nonzero(mine["cause"] != theirs["cause"]))
+    yield Difference(
+        "causes of losses", math.inf if elsewhere else 0.0, f"{elsewhere} at something else" if elsewhere else ""
+    )
+    for what in ("time", "position"):
+        spread = float(np.sqrt(np.mean(np.square(mine[what])))) if len(here) else 0.0
+        worst = float(np.abs(mine[what] - theirs[what]).max(initial=0.0))
+        yield Difference(f"{what} of losses over its rms", worst / spread if spread > 0 else worst)
+
+
+def _lost(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the numbers, causes, times (s) and places (m) of lost particles, of all species."""
+    records = list(openpmd_reader.records(path))
+    return {
+        "id": np.concatenate([record.id for record in records]),
+        "cause": np.concatenate([np.asarray(record.cause, dtype=str) for record in records]),
+        "time": np.concatenate([record.time for record in records]),
+        "position": np.concatenate([record.position for record in records]),
+    }
 
 
 def _spread(particles: Particles, what: str) -> float:

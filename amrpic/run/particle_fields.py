@@ -56,7 +56,13 @@ class ParticleFields:
             with plan.clock("solve"):
                 phi, report = plan.solve(rho, guess, only)
                 efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
+                plan.compensate(efield, rho, only)
             return Solution(rho, phi, efield, report, frames)
+        if plan.clouds.compensation != "none":
+            plan.remark(
+                "particles.compensation does not act in several energy bins, whose magnetic field it would not fit; set "
+                'motion.energy_bins to 1, or particles.compensation to "none"'
+            )
         known = self.known.parts if self.known is not None else ()
         guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
         parts = []
@@ -95,4 +101,8 @@ class ParticleFields:
             return self.phi if self.known is not None else None
 
     def _carried(self, field: Field) -> Field:
-        return field if field.hierarchy is self.hierarchy else carry_over(field, self.hierarchy)
+        if field.hierarchy is self.hierarchy:
+            return field
+        if field.hierarchy.domain != self.hierarchy.domain:  # of a checkpoint of another base
+            return field.remap(self.hierarchy)
+        return carry_over(field, self.hierarchy)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..external import ExternalFields, Maps, read_maps
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import from_rank_0, own
-from ..particles.clouds import EQUAL_PARTICLES, Clouds, matched_pays
+from ..particles.clouds import EQUAL_PARTICLES, PAYING, Clouds, compensation_pays, matched_pays
 from ..particles.energy_bins import ONE_FRAME, Frames, frames_of, spread
 from ..particles.frame import FEW, LABORATORY, Frame
 from ..particles.particles import Particles
@@ -23,6 +23,7 @@ from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
 from ..stages.diagnostics import moments
 from ..stages.encounters import native_aperture
+from ..stages.gather import compensate
 from ..stages.poisson import PoissonSolver, SolveReport
 from .clock import Clock
 from .field_functions import FieldFunction, FieldFunctions
@@ -177,27 +178,58 @@ class Plan:
     @property
     def clouds(self) -> Clouds:
         """The clouds of the particles."""
-        particles = self.scene.particles
-        return Clouds(particles.shape, matched=particles.interface == "matched")
+        return self.scene.particles.clouds
+
+    def compensate(self, efield: VectorField, rho: Field, frame: Frame) -> None:
+        """Let particles feel the field of a density, solved for in a frame, without what their clouds smooth."""
+        compensate(efield, rho, self.clouds, self.scene.solver.stretch if frame == LABORATORY else frame.stretch)
+
+    def settle_clouds(self, bunches: Sequence[Particles]) -> None:
+        """Put into the scene what "auto" means for these bunches, in interface and compensation, and note it. Collective."""
+        self.settle_interface(bunches)
+        self.settle_compensation(bunches)
+
+    def settle_compensation(self, bunches: Sequence[Particles]) -> None:
+        """Put into the scene what `compensation = "auto"` means for these bunches, and note it. Collective."""
+        scene = self.scene
+        if scene.particles.compensation != "auto":
+            return
+        widths = scene.domain.value.spacing / 2**scene.refinement.levels
+        shape = scene.particles.shape
+        moves = isinstance(scene.motion, Leapfrog)
+
+        def loses(number: float, sizes: np.ndarray) -> bool:
+            return not compensation_pays(number, sizes, shape)
+
+        few = [bunch for bunch in bunches if self._has(bunch, widths, loses)]
+        pays = moves and not few
+        self.scene = scene.with_compensation("clouds" if pays else "none")
+        if moves:
+            why = "every bunch has more than" if pays else "a bunch has at most"
+            self.note(
+                f"particles.compensation: {self.scene.particles.compensation}, because {why} {PAYING[shape]} (σ/h)² particles "
+                "per cell where it is densest"
+            )
 
     def settle_interface(self, bunches: Sequence[Particles]) -> None:
         """Put into the scene what `interface = "auto"` means for these bunches, and note it. Collective."""
         scene, levels = self.scene, self.scene.refinement.levels
         if scene.particles.interface != "auto":
             return
-        few = levels > 0 and any(self._is_small(bunch, scene.domain.value.spacing / 2**levels) for bunch in bunches)
+        widths = scene.domain.value.spacing / 2**levels
+        few = levels > 0 and any(self._has(bunch, widths, matched_pays) for bunch in bunches)
         self.scene = scene.with_interface("matched" if few else "own-level")
         if levels > 0:
             why = "a bunch has at most" if few else "every bunch has more than"
             taken = self.scene.particles.interface
             self.note(f"particles.interface: {taken} clouds, because {why} {EQUAL_PARTICLES} (σ/h)² particles")
 
-    def _is_small(self, bunch: Particles, widths: np.ndarray) -> bool:
-        """Whether a bunch is better off with matched clouds where cells have these widths (m). Collective."""
+    def _has(self, bunch: Particles, widths: np.ndarray, law: Callable[[float, np.ndarray], bool]) -> bool:
+        """Whether law(equal particles, rms sizes in cells of these widths (m)) holds for a bunch with charge. Collective."""
         largest = self.comm.allreduce(bunch.weight.max(initial=0.0), MPI.MAX) or 1.0
         weight = bunch.weight / largest  # so that no square underflows
         total, square = self.comm.allreduce(np.array([weight.sum(), weight @ weight]))
-        return bool(total > 0) and matched_pays(total**2 / square, moments(self.comm, bunch).rms / widths)
+        return bool(total > 0) and law(total**2 / square, moments(self.comm, bunch).rms / widths)
 
     def regrids_at(self, step: int) -> bool:
         """Whether the mesh follows the particles in this step, whatever they do."""

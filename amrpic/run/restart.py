@@ -34,9 +34,11 @@ from ..stages.encounters import Flights
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
+from .adapt import follow, make_base
 from .course import Course
 from .field_functions import FieldFunction
 from .limits import require_room
+from .particle_fields import ParticleFields
 from .plan import Plan
 from .records import Record
 from .solution import Solution
@@ -50,7 +52,7 @@ ROW_BYTES = (24, 24, 8, 8)  # of each column
 LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
 RECORDED = ("time", "direction", "cause")  # beside them, of particles in a record
 # Parts of a scene that a restart follows from the next step on.
-FOLLOWED = ("seed", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
+FOLLOWED = ("seed", "domain", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
 
 
 def about(scene: Scene) -> Provenance:
@@ -98,28 +100,45 @@ def load(
 ) -> tuple[State, Plan]:
     """Return the state in a checkpoint and the plan to go on with, on any number of ranks. Collective; InputError on all ranks.
 
-    `scene` may replace that of the checkpoint if its mesh is the same.
+    `scene` may replace that of the checkpoint if its cuboid and boundary are the same. On another base, or with boxes of
+    other sizes, the mesh is made anew by its rule, and the field solved there from the potential carried over.
     """
     manifest = read_manifest(comm, path)
     header = manifest.header
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
-    _require_same_mesh(scene, header, path)
+    if scene.particles.compensation == "auto":
+        scene = scene.with_compensation(header.about.scene["particles"].get("compensation", "none"))
+    _require_same_domain(scene, header, path)
     require_room(comm, scene, header.boxes, sum(manifest.rows("particles")), f"checkpoint {path}")
-    refinement = scene.refinement
-    sizes = refinement.max_grid_size, refinement.blocking_factor
-    stored = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes, base=header.boxes[0])
+    domain, sizes = _mesh_of(header)
+    stored = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes, base=header.boxes[0])
     owners = [stored.owners(level) for level in range(stored.levels)]
     held = read(comm, path, lambda _: owners, manifest)
-    hierarchy = stored  # whose boxes are halved for as many ranks as wrote them
-    if manifest.ranks != comm.size:
-        hierarchy = Hierarchy(comm, scene.domain.value, list(header.boxes[1:]), *sizes)
     plan = Plan(comm, scene, fields)
     made_with = header.extra.get("fields", [])
-    for remark in _remarks(scene, header.about.scene) + _remarks_on_fields(plan.fields.names, made_with):
+    for remark in _remarks(scene, header) + _remarks_on_fields(plan.fields.names, made_with):
         plan.remark(remark)
+    if _mesh_is_another(scene, header):
+        hierarchy = make_base(plan)
+    elif manifest.ranks != comm.size:  # boxes are halved for as many ranks as wrote them
+        hierarchy = Hierarchy(comm, domain, list(header.boxes[1:]), *sizes)
+    else:
+        hierarchy = stored
     return _state(plan, held, stored, hierarchy), plan
+
+
+def _mesh_of(header: Header) -> tuple[Domain, tuple[int, int]]:
+    """Return the domain of a checkpoint, and the largest extent of its boxes and their blocking factor."""
+    scene = Scene.from_dict(header.about.scene, source="the scene of the checkpoint")
+    return scene.domain.value, (scene.refinement.max_grid_size, scene.refinement.blocking_factor)
+
+
+def _mesh_is_another(scene: Scene, header: Header) -> bool:
+    """Whether a scene has another base or boxes of other sizes than a checkpoint."""
+    refinement = scene.refinement
+    return (scene.domain.value, (refinement.max_grid_size, refinement.blocking_factor)) != _mesh_of(header)
 
 
 def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) -> State:
@@ -131,16 +150,19 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
         lag = 0.0
     servers = np.array(extra.get("servers", ()), dtype=np.int64)  # of the ranks that wrote the checkpoint
     same_ranks = len(servers) == plan.comm.size + 1
-    particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks else None)
+    another = _mesh_is_another(plan.scene, held.header)
+    particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
     units = {"rho": "C/m^3", "phi": "V"}
     fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
-    if hierarchy is not stored:
+    if hierarchy is not stored and not another:
         fields = {name: carry_over(field, hierarchy) for name, field in fields.items()}
     efield = VectorField(fields["efield_x"], fields["efield_y"], fields["efield_z"])
     frames = _frames(extra)
+    if frames.only is not None:
+        plan.compensate(efield, fields["rho"], frames.only)
     magnetic: VectorField | None = None
     parts: tuple[Field, ...] = ()
     if frames.only is None:
@@ -148,6 +170,9 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
         parts = tuple(fields[f"phi_{number}"] for number in range(len(frames.members)))
     report = SolveReport(**extra["report"])
     solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic)
+    if another:
+        moved = follow(ParticleFields(particles, hierarchy, plan, solution, frames))
+        particles, hierarchy, solution = moved.particles, moved.hierarchy, moved.solution
     course = Course.from_dict(extra["course"]) if "course" in extra else Course.of_scene(plan.scene)
     lost, screens = _records(held, species, hierarchy.domain)
     given = held.header.about.scene["motion"].get("dt")
@@ -206,9 +231,11 @@ def _particles(columns: Mapping[str, np.ndarray], species: SpeciesTable) -> Part
     return Particles(position, momentum, repeated(weight), number, species)
 
 
-def _remarks(scene: Scene, made_from: Mapping[str, Any]) -> list[str]:
-    """Return what a restart cannot follow of a scene, and what it follows from now on; `made_from` made the checkpoint."""
-    now, out = scene.to_dict(), []
+def _remarks(scene: Scene, header: Header) -> list[str]:
+    """Return what a restart cannot follow of a scene, and what it follows from now on."""
+    now, made_from, out = scene.to_dict(), header.about.scene, []
+    if _mesh_is_another(scene, header):
+        out.append("the mesh is made anew, and the field solved on it: the base or the sizes of boxes are other ones")
     if now["bunches"] != made_from["bunches"]:
         out.append("bunches of the scene differ from those of the checkpoint, whose particles go on as they are")
     changed = [
@@ -236,16 +263,12 @@ def _text(value: Any) -> str:
     return "not given" if value is None else str(value)
 
 
-def _require_same_mesh(scene: Scene, header: Header, path: Path) -> None:
-    kept: dict[str, Any] = dict(header.about.scene["refinement"])
-    changed = [
-        f"refinement.{key} is {getattr(scene.refinement, key)} instead of {kept[key]}"
-        for key in ("max_grid_size", "blocking_factor")
-        if getattr(scene.refinement, key) != kept[key]
-    ]
-    if scene.domain.model_dump(mode="json") != dict(header.domain):
-        changed.append("the domain is another one")
-    if changed:
+def _require_same_domain(scene: Scene, header: Header, path: Path) -> None:
+    """Raise InputError unless a scene has the cuboid and the boundary of a checkpoint; base cells may be others."""
+    kept = {**header.domain, "cells": scene.domain.model_dump(mode="json")["cells"]}
+    if changed := list(differences(scene.domain.model_dump(mode="json"), kept, "domain")):
+        key, value, before = changed[0]
         raise InputError(
-            f"{scene.name} cannot go on from checkpoint {path}: {changed[0]}; restore that, or start afresh in another folder"
+            f"{scene.name} cannot go on from checkpoint {path}: {key} is {_text(value)} instead of {_text(before)}; "
+            "restore that, or start afresh in another folder"
         )

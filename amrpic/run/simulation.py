@@ -80,7 +80,8 @@ class Simulation:
         """Return the run that a checkpoint holds, on any number of ranks. Collective; InputError on all ranks.
 
         `comm` may be left out: all ranks. `scene` takes the place of the one in the checkpoint, to go on for longer or write
-        something else; its domain and box sizes must be those of the checkpoint. `fields` are as for a new run: a checkpoint
+        something else; its cuboid and boundary must be those of the checkpoint. With other base cells or box sizes the mesh
+        is made anew and the field solved on it, from the potential carried over. `fields` are as for a new run: a checkpoint
         holds their names alone. On as many ranks as wrote it, the run goes on bit by bit as it would have.
         """
         state, plan = load(comm, Path(path), scene, fields)

@@ -13,10 +13,17 @@ from importlib.metadata import version
 
 from mpi4py import MPI
 
-from ..io.run_status import RunStatus, known, now, stamp
+from ..io.run_status import FILE, RunStatus, known, now, stamp
 from ..scene.scene import Scene
 
 EVERY = 1.0  # s between two versions of the file
+
+
+def start_failed(comm: MPI.Comm, scene: Scene, why: str) -> None:
+    """Say in the folder of a run that it failed before its first step, unless an earlier one left its status there. Local."""
+    status = Status(comm, scene, 0, begin=False)
+    if not (scene.directory / FILE).exists():
+        status.end("failed", why, {})
 
 
 class Status:
@@ -25,7 +32,7 @@ class Status:
     A file that cannot be written is left out: no run fails because of it.
     """
 
-    def __init__(self, comm: MPI.Comm, scene: Scene, step: int) -> None:
+    def __init__(self, comm: MPI.Comm, scene: Scene, step: int, begin: bool = True) -> None:
         self._folder = scene.directory if comm.rank == 0 and scene.output.write else None
         self._latest = -EVERY
         self._status = RunStatus(
@@ -39,7 +46,8 @@ class Status:
             step=step,
             of=scene.schedule.last_step,
         )
-        self._write()
+        if begin:
+            self._write()
 
     def step(self, row: Mapping[str, float], pace: float, dt: float, written: Mapping[str, int]) -> None:
         """Take in a step: its row of the series, the pace in s per step, Δt in s, the latest step of each kind of output."""

@@ -49,7 +49,7 @@ def begin(plan: Plan) -> State:
     base, course = make_base(plan), Course.of_scene(plan.scene)
     with plan.clock("beam"):
         bunches = [bunch.seen_from(course.window) for bunch in make_bunches(plan.comm, plan.scene)]
-        plan.settle_interface(bunches)
+        plan.settle_clouds(bunches)
         made = plan.comm.allreduce(sum(map(len, bunches)))
         _require_mostly_inside(plan.comm, bunches, base.domain)
         particles, lost, screens = place(bunches, base, course.window, plan)

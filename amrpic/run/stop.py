@@ -25,8 +25,8 @@ MARGIN = 1.5  # a step may take so much longer than the longest one so far
 class Stop:
     """Remembers signals, looks for a file that asks to stop, and knows how long the run may still last.
 
-    To be entered before the first step. Under Open MPI a TERM leaves the ranks one second only, unless its parameter
-    odls_base_sigkill_timeout is longer; ask batch systems for USR1 some minutes early.
+    To be entered before the first step. A TERM at Open MPI's mpiexec leaves the ranks one second only, unless its parameter
+    odls_base_sigkill_timeout is longer; USR1 at mpiexec leaves all the time there is.
     """
 
     def __init__(self, comm: MPI.Comm, walltime: float | None = None, file: Path | None = None) -> None:

@@ -87,14 +87,14 @@ class Plan:
     ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
     nodes: list[range]  # ranks of these nodes
-    relaxed: float  # Σ_l max over ranks gone through of the cells relaxed in a cycle, as a part of those of the whole mesh on one
+    relaxed: float  # Σ_l max over ranks gone through of cells relaxed in a cycle, as a part of those of all on one rank
     walls: list[Walls]  # of ranks that were gone through
     gone_through: tuple[int, int]  # how many, for cycles and for open walls
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
     estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
     met: Array  # (ranks,) other ranks that one meets, of all levels together
-    seconds: float  # that the plan took to make
+    seconds: float  # of the processor, in which the plan was made
 
     @property
     def cell_imbalance(self) -> float:
@@ -206,7 +206,7 @@ class Planner:
     """
 
     def __init__(self, scene: Scene, say: Callable[[str], None] = lambda text: None, steps: int = 0) -> None:
-        self.scene, self._say, since = scene, say, time.perf_counter()
+        self.scene, self._say, since = scene, say, time.process_time()
         self._clouds = clouds_of(scene)
         say("mesh from the densities of the bunches")
         self.mesh, self.notes = planned_mesh(scene, self._clouds)
@@ -214,7 +214,7 @@ class Planner:
         self._clouds = clouds_of(scene, steps) if steps > 0 else self._clouds
         self._bricks = bricks_of(self._clouds, self.mesh)
         self._sample = sample(scene, SAMPLE)
-        self.seconds = time.perf_counter() - since  # before the first plan
+        self.seconds = time.process_time() - since  # of the processor, before the first plan
 
     def plans(self, ranks: Sequence[int], looked_at: int = LOOKED_AT) -> Iterator[Plan]:
         """Yield a plan for each number of ranks."""
@@ -223,7 +223,7 @@ class Planner:
 
     def plan(self, ranks: int, looked_at: int = LOOKED_AT) -> Plan:
         """Return the plan for so many ranks; messages of at most `looked_at` of them are counted."""
-        scene, since = self.scene, time.perf_counter()
+        scene, since = self.scene, time.process_time()
         self._say(f"{ranks} ranks: boxes and owners")
         mesh = distributed(self.mesh, ranks)
         closed, cells = without_open_walls(mesh), cells_of_ranks(mesh)
@@ -282,7 +282,7 @@ class Planner:
             held.exchange,
             int(scene.solver.tolerance == "discretization"),
             met,
-            time.perf_counter() - since,
+            time.process_time() - since,
         )
 
     def _on(self, mesh: Hierarchy) -> Bricks:

@@ -16,7 +16,7 @@ from ..errors import OutputError
 from .machine import Machine
 from .model import NETWORK, OF_CELLS, STAGES, Amounts, efficiency, sensitivity, step_time, total
 from .plan import Plan, Planner
-from .show import MIB, draw_times, over_ranks
+from .show import MIB, as_markdown, draw_times, over_ranks
 from .targets import GIB, Targets
 from .virtual_ranks import CALLS
 
@@ -78,8 +78,8 @@ def markdown(
     made = f"Made by `{command}`" if command else "Made"
     parts = [
         f"# Scaling: plan of {planner.scene.name}",
-        f"{made} in one process, {planner.seconds:.0f} s for mesh and bricks and "
-        f"{_span([plan.seconds for plan in plans])} s for each number of ranks, with {peak / GIB:.2g} GiB at its fullest. "
+        f"{made} in one process: {planner.seconds:.0f} s of the processor for mesh and bricks, "
+        f"{_span([plan.seconds for plan in plans])} s for each number of ranks, {peak / GIB:.2g} GiB at its fullest. "
         "Boxes, owners, servers of particles, messages and memory are those of the code on ranks that need not exist; times "
         "are modelled.",
         f"Levels: {levels}; {planner.scene.particle_count():,} particles.",
@@ -87,24 +87,26 @@ def markdown(
         *([] if targets is None else [_asked(targets.beside(plans, machines, cycles, peak, planner.seconds))]),
         *(where(plan, machine, cycles) for machine in machines for plan in (first, *plans[1:][-1:])),
         *(f"![Modelled on {name}]({path})" for name, path in (pictures or {}).items()),
-        *("## " + title + "\n\n" + _table(rows) for title, rows in _held(plans)),
+        *("## " + title + "\n\n" + as_markdown(rows) for title, rows in _held(plans)),
         _looked_at(plans),
     ]
     for machine in machines:
         parts += [
             f"## Modelled on {machine.name}, {cycles:g} cycles per solve",
             f"{machine.source}.",
-            _table(_times(plans, machine, cycles)),
+            as_markdown(_times(plans, machine, cycles)),
             "What each choice costs if it is switched off alone, ms per step:",
-            _table(_choices(plans, machine, cycles)),
+            as_markdown(_choices(plans, machine, cycles)),
             "Step with each constant halved and doubled, ms:",
-            _table(_sensitivity(plans, machine, cycles)),
+            as_markdown(_sensitivity(plans, machine, cycles)),
         ]
     return "\n\n".join(parts)
 
 
 def _asked(rows: Iterable[tuple[str, str, bool]]) -> str:
-    return _table([["target", "found", ""], *([what, found, "met" if met else "missed"] for what, found, met in rows)])
+    return as_markdown(
+        [["target", "found", ""], *([what, found, "met" if met else "missed"] for what, found, met in rows)]
+    )
 
 
 def where(plan: Plan, machine: Machine, cycles: float) -> str:
@@ -142,7 +144,7 @@ def _looked_at(plans: Sequence[Plan]) -> str:
         "Cells, particles and memory are those of all ranks. Cycles, the ranks that meet most others first, and open walls are "
         "gone through for as many ranks as a time allows; all calls for the busiest of them, for those with most of what they "
         "hold, for some at even distances and for two busy nodes. How many that is, and what other ranks send at most if none "
-        "sends more for each rank that it meets than the worst of those:\n\n" + _table(rows)
+        "sends more for each rank that it meets than the worst of those:\n\n" + as_markdown(rows)
     )
 
 
@@ -237,11 +239,6 @@ def _sensitivity(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows
         found = sensitivity(plan, machine, cycles)
         rows.append([f"{plan.ranks:,}", *(f"{1e3 * low:.3g} to {1e3 * high:.3g}" for low, high in found.values())])
     return rows
-
-
-def _table(rows: Rows) -> str:
-    head, *rest = rows
-    return "\n".join(["| " + " | ".join(row) + " |" for row in (head, ["---:"] * len(head), *rest)])
 
 
 def _values(plan: Plan, machines: Sequence[Machine], cycles: float) -> dict[str, object]:

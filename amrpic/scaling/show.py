@@ -71,13 +71,32 @@ def stage_table(one: Measured) -> list[list[str]]:
     return rows
 
 
-def write(found: Sequence[Measured], folder: Path) -> list[Path]:
-    """Write scaling.json and scaling.png into a folder; return their paths. Raises OutputError."""
-    paths = [folder / "scaling.json", folder / "scaling.png"]
+def as_markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Return a table whose first row is its head."""
+    head, *rest = rows
+    return "\n".join(["| " + " | ".join(row) + " |" for row in (head, ["---:"] * len(head), *rest)])
+
+
+def page(found: Sequence[Measured], name: str, compared: Sequence[tuple[str, Sequence[Sequence[str]]]] = ()) -> str:
+    """Return what was measured of a scene as Markdown, with further tables, each with what is said of it."""
+    parts = [f"# Scaling: {name}", "![Time and efficiency over ranks](scaling.png)", as_markdown(table(found))]
+    for runs in by_kind(found).values():
+        for one in runs:
+            parts += [f"## {one.kind}, {one.ranks} ranks", as_markdown(stage_table(one))]
+    return "\n\n".join([*parts, *(part for text, rows in compared for part in (text, as_markdown(rows)))])
+
+
+def write(found: Sequence[Measured], text: str, folder: Path) -> list[Path]:
+    """Write scaling.md, which holds the text, scaling.json and scaling.png into a folder; return their paths.
+
+    Raises OutputError.
+    """
+    paths = [folder / f"scaling.{kind}" for kind in ("md", "json", "png")]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        paths[0].write_text(json.dumps([asdict(one) for one in found], indent=1), encoding="utf-8")
-        draw(found).savefig(paths[1], dpi=110)
+        paths[0].write_text(text + "\n", encoding="utf-8")
+        paths[1].write_text(json.dumps([asdict(one) for one in found], indent=1), encoding="utf-8")
+        draw(found).savefig(paths[2], dpi=110)
     except OSError as reason:
         raise OutputError(f"cannot write into {folder}: {reason.strerror}; choose another --output") from None
     return paths

@@ -26,7 +26,7 @@ from ..scene.scene import Scene
 from ..scene.solver_options import SolverOptions
 from ..stages.deposit import deposit
 from ..stages.diagnostics import measure, moments
-from ..stages.gather import gather
+from ..stages.gather import compensate, gather
 from ..stages.migrate import NONE, migrate, migrate_without
 from ..stages.poisson import PoissonSolver
 from ..stages.push import push, random_walk
@@ -140,7 +140,7 @@ def counts(
     forces, of `particles` of this rank. In "deposit" and "gather" is not what passes because of others' bricks: see `bricks`.
     `work` is that of a cycle of this rank.
     """
-    count, clouds = Counter(), Clouds(scene.particles.shape, matched=scene.particles.interface == "matched")
+    count, clouds = Counter(), scene.particles.clouds
     none = particles.select(slice(0))
     with count("set-up"):
         here, _ = migrate(none, mesh, servers)
@@ -157,6 +157,7 @@ def counts(
         phi, _ = solver.solve(rho)
     with count("gather"):
         efield = solver.deferred_field(phi, covered=clouds.covered)
+        compensate(efield, rho, clouds)
         gather(efield, here, clouds)
     moved = _moved(scene, particles, efield, clouds)
     with count("migrate"):

@@ -81,6 +81,10 @@ class Scene(SceneParts):
         """Return the scene with `particles.interface` as given."""
         return self.model_copy(update={"particles": self.particles.model_copy(update={"interface": interface})})
 
+    def with_compensation(self, compensation: str) -> Self:
+        """Return the scene with `particles.compensation` as given."""
+        return self.model_copy(update={"particles": self.particles.model_copy(update={"compensation": compensation})})
+
     @property
     def directory(self) -> Path:
         """Where the run writes."""
@@ -93,10 +97,11 @@ class Scene(SceneParts):
     def summary(self) -> str:
         """Return in one line what the scene is."""
         cells = "x".join(map(str, self.domain.cells))
-        bunches = sum(bunch.copies for bunch in self.bunches)
+        count = sum(bunch.copies for bunch in self.bunches)
+        bunches = f"{count} bunch" if count == 1 else f"{count} bunches"
         more = " and those in files" if any(bunch.source for bunch in self.bunches) else ""
         return (
-            f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} bunches of "
+            f"{self.name}: {cells} cells and {self.refinement.levels} refined levels, {bunches} of "
             f"{self.particle_count()} particles in all{more}, {self.schedule.last_step} steps after the first solve"
         )
 

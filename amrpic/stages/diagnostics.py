@@ -11,9 +11,9 @@ from mpi4py import MPI
 
 from .. import _native
 from ..mesh.domain import AXES
-from ..mesh.field import Field, VectorField
+from ..mesh.field import Compensation, Field, VectorField
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import global_sums_and_largest
+from ..parallel import global_sum, global_sums_and_largest
 from ..particles.particles import Particles
 from ..units import VACUUM_PERMITTIVITY, Quantity
 
@@ -74,7 +74,7 @@ def measure(
             "charge": rho.own_integral(),
             "lost_charge": lost.own_charge,
             "field_energy": _energy_of_square(efield.own_integral_of_square()),
-            "potential_energy": _energy_of_product(rho.own_integral(phi)),
+            "potential_energy": _energy_of_product(_own_product(rho, phi, efield.compensation)),
         },
         {
             **{f"seconds_{stage}": seconds.get(stage, 0.0) for stage in STAGES},
@@ -111,9 +111,16 @@ def field_energy(efield: VectorField) -> float:
     return _energy_of_square(efield.integral_of_square())
 
 
-def potential_energy(rho: Field, phi: Field) -> float:
-    """Return ½ ∫ ρ φ dV in J, which in free space is the energy of the field in all of it. Collective."""
-    return _energy_of_product(rho.integral(phi))
+def potential_energy(rho: Field, phi: Field, compensation: Compensation | None = None) -> float:
+    """Return ½ ∫ ρ φ dV in J, which in free space is the energy of the field in all of it. Collective.
+
+    With the potential φ + κρ that particles feel, if there is a compensation.
+    """
+    return _energy_of_product(global_sum(rho.comm, _own_product(rho, phi, compensation)))
+
+
+def _own_product(rho: Field, phi: Field, compensation: Compensation | None) -> float:
+    return rho.own_integral(phi) if compensation is None else rho.own_energy_integral(phi, compensation)
 
 
 def _energy_of_square(integral: float) -> float:

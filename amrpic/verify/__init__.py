@@ -14,10 +14,12 @@ from ..errors import InputError
 from ..scene import solver_options
 from ..scene.scene import Scene
 from . import (
+    accuracy,
     backends,
     conservation,
     convergence,
     dynamics,
+    gaps,
     hard,
     least_squares,
     openboundary,
@@ -37,12 +39,14 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "open-boundary": openboundary.tables,
     "peers": peers.tables,
     "self-force": selfforce.tables,
+    "accuracy": accuracy.tables,
     "stopping": stopping.tables,
     "conservation": conservation.tables,
     "hard-cases": hard.tables,
     "backends": backends.tables,
     "dynamics": dynamics.tables,
     "least-squares": least_squares.tables,
+    "gaps": gaps.tables,
     "operators": operators.tables,
 }
 

@@ -194,7 +194,7 @@ def _energy_of_lost(state: State, known: int) -> float:
 
 
 def _energy(state: State) -> float:
-    return _beam(state).kinetic_energy + potential_energy(state.rho, state.phi)
+    return _beam(state).kinetic_energy + potential_energy(state.rho, state.phi, state.efield.compensation)
 
 
 def _beam(state: State) -> Moments:

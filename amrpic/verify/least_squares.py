@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 from .. import gmls
 from ..units import VACUUM_PERMITTIVITY
+from . import between_meshes
 from .table import Goal, Table
 
 WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
@@ -64,6 +65,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
             for order in POISSON
         ],
     )
+    yield from between_meshes.tables(comm)
 
 
 def f(x: np.ndarray) -> np.ndarray:

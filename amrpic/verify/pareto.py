@@ -308,7 +308,7 @@ def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> C
     plan = Plan(comm, varied)
     base = make_base(plan)
     bunches = make_bunches(comm, varied)
-    plan.settle_interface(bunches)
+    plan.settle_clouds(bunches)
     particles, _ = migrate(concatenate(bunches), base)
     return Case(varied, follow(ParticleFields(particles, base, plan)).hierarchy, density)
 

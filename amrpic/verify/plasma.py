@@ -14,7 +14,7 @@ from scipy.optimize import curve_fit, newton
 from scipy.special import ndtri, wofz
 
 from ..mesh.field import Field
-from ..particles.clouds import Shape
+from ..particles.clouds import CompensationKind, Shape
 from ..particles.sampling import draw
 from ..units import ELECTRON_MASS, ELEMENTARY_CHARGE, SPEED_OF_LIGHT
 from .described import before_shift
@@ -77,6 +77,7 @@ def wave_of(
     steps: int,
     shape: Shape = "cloud-in-cell",
     waves: int = 1,
+    compensation: CompensationKind = "none",
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times in 1/ω_p, and the potential's complex amplitude of so many waves along x, over that of electrons which all lie in
     one plane. Collective.
@@ -97,7 +98,7 @@ def wave_of(
                 "charge": -ELEMENTARY_CHARGE * density * float(np.prod(size)),
             }
         ],
-        "particles": {"shape": shape},
+        "particles": {"shape": shape, "compensation": compensation},
         "motion": {"kind": "leapfrog", "dt": dt / plasma_frequency},
         "schedule": {"steps": steps},
     }

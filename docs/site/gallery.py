@@ -91,6 +91,11 @@ SCRIPTS = {
     "gmls_surface": Shown(
         "Curvature of an ellipsoid", lambda _, picture: script("gmls_surface", picture), "Gaussian curvature"
     ),
+    "fields_between_meshes": Shown(
+        "Fields between meshes",
+        lambda _, picture: script("fields_between_meshes", picture),
+        "a density with an edge on another mesh, and values on a line",
+    ),
 }
 
 

@@ -1,5 +1,6 @@
 #include "mesh/field.hpp"
 
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -32,6 +33,12 @@ void bind_field(nb::module_& m) {
           "own_integral_with", [](Field const& field, Field const& other) { return integral(field, other); }, "other"_a,
           nb::call_guard<nb::gil_scoped_release>())
       .def(
+          "own_integral_with_itself",
+          [](Field const& field, Field const& other, std::vector<Real> const& weight) {
+            return integral(field, other, weight);
+          },
+          "other"_a, "weight"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def(
           "sample",
           [](Field const& field, bind::RealRows points) {
             std::vector<Real3> at;
@@ -61,6 +68,13 @@ void bind_field(nb::module_& m) {
             field.write({&x, &y, &z});
           },
           "x"_a, "y"_a, "z"_a)
+      .def(
+          "compensate",
+          [](ElectricField& field, std::shared_ptr<Field const> density, std::vector<Real3> factor) {
+            field.compensate({std::move(density), std::move(factor)});
+          },
+          "density"_a, "factor"_a,
+          "Let gather add factor[level][axis] times the density below less that above; the field on the mesh stays.")
       .def(
           "own_integral_of_square", [](ElectricField const& field) { return integral_of_square(field); },
           nb::call_guard<nb::gil_scoped_release>());

@@ -2,6 +2,7 @@
 
 #include <array>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "mesh/boundary_cells.hpp"
@@ -19,6 +20,13 @@ enum class CoveredField {
 /// Write a row of cells, their components along x, y, z side by side, past the cache where that can be done:
 /// `stream_end` must follow before others read.
 void write_cells(std::array<Real const*, 3> const& from, int count, Real* out);
+
+/// What particles feel beside a field on the mesh, to make up for what their clouds smooth: on each level and along
+/// each axis, `factor` of a density for `field_between`.
+struct Compensation {
+  std::shared_ptr<Field const> density;  ///< C/m³; null: nothing
+  std::vector<Real3> factor;             ///< of each level
+};
 
 /// The electric field on a hierarchy. It is stored in the boundary cells of boxes; inside boxes it is the difference of
 /// a potential across a cell, or, where components are given, these.
@@ -42,6 +50,10 @@ class ElectricField {
   /// Only if they are given.
   Field const& component(int axis) const { return *components_[std::size_t(axis)]; }
   Real3 const& factor(int level) const { return levels_[std::size_t(level)].factor; }
+
+  /// What gather adds to it. The field on the mesh stays what it is.
+  Compensation const& compensation() const { return compensation_; }
+  void compensate(Compensation compensation) { compensation_ = std::move(compensation); }
 
   /// Set the boundary cells of plane k of a box, both counted from the first one of this rank; `stream_end` must follow
   /// before they are read.
@@ -74,6 +86,7 @@ class ElectricField {
 
   std::shared_ptr<Hierarchy const> hierarchy_;
   std::shared_ptr<Field const> potential_;
+  Compensation compensation_;
   std::array<std::shared_ptr<Field const>, 3> components_;
   std::vector<OnLevel> levels_;
   LargeArray<Real> boundary_values_;  ///< of all levels: one block, so that it is large

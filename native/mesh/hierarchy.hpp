@@ -61,7 +61,8 @@ class Hierarchy {
 /// which may then exceed `max_grid_size` by one. So boxes have at least two cells along each axis, as the region has.
 std::vector<Box> cut(Box const& region, int max_grid_size, int blocking_factor);
 
-/// Sort boxes along a space-filling curve (Morton order of their centres).
+/// Sort boxes along a space-filling curve: the region that they span is halved once along each axis, the longest first,
+/// so that few ranks meet in planes; within each part it is Morton order of the centres.
 void sort_along_curve(std::vector<Box>& boxes);
 
 /// Where each rank's run of boxes starts, ranks + 1 values, so that the runs have about equally many cells.

@@ -69,6 +69,13 @@ Real integral(Field const& one, Field const& other) {
   });
 }
 
+Real integral(Field const& one, Field const& other, std::vector<Real> const& weight) {
+  return integral_on_rank(one.hierarchy(), [&](int l, int b, int k) {
+    return [first = plane_of(one, l, b, k), second = plane_of(other, l, b, k),
+            w = weight[std::size_t(l)]](LocalIndex n) { return first[n] * (second[n] + w * first[n]); };
+  });
+}
+
 Real integral_of_square(ElectricField const& field) {
   std::array<std::vector<Real>, 3> values;
   return integral_on_rank(field.hierarchy(), [&](int l, int b, int k) {

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <vector>
+
 #include "mesh/electric_field.hpp"
 #include "mesh/field.hpp"
 
@@ -10,6 +12,9 @@ Real integral(Field const& field);
 
 /// The same of the product of two fields on one hierarchy. Local.
 Real integral(Field const& one, Field const& other);
+
+/// The same of one (other + weight one), with the weight of each level. Local.
+Real integral(Field const& one, Field const& other, std::vector<Real> const& weight);
 
 /// The same of the square of a vector field. Local.
 Real integral_of_square(ElectricField const& field);

@@ -39,6 +39,7 @@ class FieldAssembly {
                 LevelCells const* fine)
       : level_(own.level()),
         faces_(*multigrid.faces[l]),
+        beside_(coarse || fine ? multigrid.beside(l) : LevelsBeside{}),
         forms_(level_, multigrid.walls[l]),
         levels_{&own, coarse, fine, refinement_ratio, refinement_ratio, {}, {}, {}},
         own_(own.rows()),
@@ -51,9 +52,7 @@ class FieldAssembly {
   template <class Wanted>
   void name_rows(Execution execution, Wanted&& wanted) {
     for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
-      StencilCells const n = stencil_cells_of(faces_[std::size_t(b - level_.first_local_box())], level_,
-                                              levels_.finer ? &levels_.finer->level() : nullptr,
-                                              levels_.coarser ? &levels_.coarser->level() : nullptr);
+      StencilCells const n = stencil_cells_of(faces_[std::size_t(b - level_.first_local_box())], level_, beside_);
       levels_.add(level_.box(b), n, {});
       for_each_run(row_kinds(n, execution), level_.local_offset(b),
                    [&](RowKind kind, Index3 const& first, RowRun const& run) {
@@ -61,6 +60,7 @@ class FieldAssembly {
                        if (wanted(row)) name(kind, n, cell, row, execution);
                      });
                    });
+      levels_.add_own(n);
     }
   }
 
@@ -89,7 +89,7 @@ class FieldAssembly {
       for (std::size_t d = 0; d < 3; ++d) own_.axes[d].set(row, regular_[d]);
       return;
     }
-    CellShape const shape = cell_shape(n, cell, execution);
+    CellShape const shape = cell_shape(n, cell, execution, gaps_);
     auto const& numbers = numbers_(shape, [&] {
       std::array<Numbers, 3> out;
       for (int d = 0; d < 3; ++d) {
@@ -108,10 +108,12 @@ class FieldAssembly {
 
   Level const& level_;
   LevelFaces const& faces_;
+  LevelsBeside beside_;
   FieldForms forms_;
   NearLevels levels_;
   FieldRows own_, coarse_, fine_;
   std::array<LocalIndex, 3> regular_{};
+  GapFits gaps_;
   ByShape<std::array<Numbers, 3>> numbers_;
 };
 

@@ -26,7 +26,11 @@ class FormsNear {
     Form const here = own(), inner = own(axis, -step);
     if (face.beyond == Beyond::wall) return (*walls_)[axis][side](here, inner);
     if (face.beyond == Beyond::coarser) {
-      Form const star = fit(face, axis, face.upper_u, face.upper_v, Unknown::On::coarser, along(axis, step));
+      Index3 first_child = along(axis, side == 0 ? -2 : 1);  // of the cell behind the face
+      auto const [u, v] = tangential_axes(axis);
+      first_child[u] = face.upper_u ? -1 : 0, first_child[v] = face.upper_v ? -1 : 0;
+      Behind const behind{Unknown::On::coarser, along(axis, step), Unknown::On::own, first_child};
+      Form const star = fit(face, axis, face.upper_u, face.upper_v, behind);
       return ghost_at_interface(star, here, inner);
     }
     if (face.beyond == Beyond::finer) {
@@ -39,7 +43,8 @@ class FormsNear {
           Index3 second = first;
           second[axis] += step;
           Form const phi_1(unknown(Unknown::On::finer, first), 1), phi_2(unknown(Unknown::On::finer, second), 1);
-          Form const star = fit(face, axis, a == 1, b == 1, Unknown::On::own, {0, 0, 0});
+          Form const star =
+              fit(face, axis, a == 1, b == 1, {Unknown::On::own, {0, 0, 0}, Unknown::On::finer, {0, 0, 0}});
           differences += phi_1 - ghost_at_interface(star, phi_1, phi_2);
         }
       return ghost_at_fine_faces(here, differences);
@@ -54,29 +59,48 @@ class FormsNear {
     return out;
   }
 
-  /// Images of a cell around periodic axes are one unknown: the first one from two cells below on, as far as the
-  /// numbers in `StencilCells` reach.
+  /// Images of a cell around periodic axes are one unknown: the first one from two cells below on, but of those beyond
+  /// four cells, which no fit in a narrow gap reaches, the one before.
   Unknown unknown(Unknown::On level, Index3 offset) const {
     Unknown out{level, {}};
     for (int d = 0; d < 3; ++d) {
       int const cells = level_->domain().extent(d);
       int const period = level == Unknown::On::finer ? 2 * cells : level == Unknown::On::own ? cells : cells / 2;
-      if (level_->periodic()[d]) offset[d] -= period * floor_divide(offset[d] + 2, period);
+      if (level_->periodic()[d]) {
+        offset[d] -= period * floor_divide(offset[d] + 2, period);
+        if (offset[d] > 4) offset[d] -= period;
+      }
       out.offset[std::size_t(d)] = std::int8_t(offset[d]);
     }
     return out;
   }
 
-  /// phi* in front of the children in the lower or upper half of the plane's middle cell along either of its axes.
-  Form fit(FaceShape const& face, int axis, bool upper_u, bool upper_v, Unknown::On level, Index3 const& middle) const {
-    auto const [u, v] = tangential_axes(axis);
-    PlaneFit const fit = plane_fit(face.usable, quarter(upper_u), quarter(upper_v));
+  /// The coarse cell behind fine faces, and its first child, as unknowns.
+  struct Behind {
+    Unknown::On coarse;
+    Index3 middle;
+    Unknown::On fine;
+    Index3 first_child;
+  };
+
+  /// phi* in front of the children in the lower or upper half of the middle cell along either axis of its plane.
+  Form fit(FaceShape const& face, int axis, bool upper_u, bool upper_v, Behind const& behind) const {
     Form out;
-    for (int t = 0; t < fit.count; ++t) {
-      auto const& term = fit.terms[std::size_t(t)];
-      Index3 cell = middle;
+    if (face.gap) {
+      for (auto const& term : face.gap->terms) {
+        Real const weight = term.weight[upper_v][upper_u];
+        if (weight == 0) continue;
+        Index3 cell = term.fine ? behind.first_child : behind.middle;
+        for (std::size_t d = 0; d < 3; ++d) cell[d] += term.offset[d];
+        out.add(unknown(term.fine ? behind.fine : behind.coarse, cell), weight);  // images may meet
+      }
+      return out;
+    }
+    auto const [u, v] = tangential_axes(axis);
+    for (auto const& term : plane_fit(face.placement, quarter(upper_u), quarter(upper_v)).terms) {
+      Index3 cell = behind.middle;
       cell[u] += term.i, cell[v] += term.j;
-      out.append(unknown(level, cell), term.weight);
+      out.append(unknown(behind.coarse, cell), term.weight);
     }
     return out;
   }

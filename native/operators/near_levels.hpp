@@ -28,10 +28,9 @@ struct NearLevels {
   Index3 ratio_below, ratio_above;  ///< cells of this level per coarser one, and of the finer one per cell of this
   NearPlaces own_places, coarse_places, fine_places;
 
-  /// Look up those near the next box: what its stencils read, and further parents; children where the finer level has
-  /// any of its cells.
+  /// Look up those near the next box on the other levels: what its stencils read, and further parents; children where
+  /// the finer level has any of its cells.
   ArrayOnBox<LocalIndex> add(Box const& box, StencilCells const& n, Box const& parents) {
-    own_places.add(own->places(n.own.box()));
     if (coarser) coarse_places.add(coarser->places(n.coarse.box().empty() ? parents : n.coarse.box()));
     Box children = n.fine.box();  // those beside other boxes' refined cells included
     if (finer && children.empty() && finer->level().intersects(box.refine(ratio_above)))
@@ -40,6 +39,10 @@ struct NearLevels {
     if (finer) fine_places.add(fine);
     return fine;
   }
+
+  /// Look up those near the next box on the level itself, once its rows are named: fits in narrow gaps reach further
+  /// than other stencils.
+  void add_own(StencilCells const& n) { own_places.add(own->places(n.own_box())); }
 
   SparseMatrix to_own(FormTable const& forms, RowForms const& rows) const {
     return filled(forms, rows, own_places, {}, *own, *own);

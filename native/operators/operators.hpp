@@ -34,6 +34,7 @@ struct LevelOperators {
   UntilFinalize<DeviceArray<char>> mask;  ///< the same in the memory of Tpetra's node
   std::array<GradientAxis, 3> gradient;   ///< empty until assemble_gradient
   bool has_gradient = false;
+  bool has_gaps = false;  ///< rows of this rank have fits in narrow gaps, which depend on the two next finer levels
 
   SparseMatrix const& composite() const { return own_composite ? *own_composite : no_fine; }
   LocalIndex rows() const { return level->local_cells(); }

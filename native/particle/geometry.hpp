@@ -12,11 +12,11 @@ namespace amrpic {
 /// nesting.
 constexpr int tile_reach = 1;
 
-/// Call `f(first, last, j)` for each row part in plane k of `box` grown by `tile_reach` that lies outside `box`, x
-/// ascending fastest.
+/// Call `f(first, last, j)` for each row part in plane k of `box` grown by `reach` that lies outside `box`, x ascending
+/// fastest.
 template <class F>
-void for_each_ghost_row(Box const& box, int k, F&& f) {
-  Box const tile = box.grow(tile_reach);
+void for_each_ghost_row(Box const& box, int k, F&& f, int reach = tile_reach) {
+  Box const tile = box.grow(reach);
   for (int j = tile.lower[1]; j <= tile.upper[1]; ++j) {
     if (j >= box.lower[1] && j <= box.upper[1] && k >= box.lower[2] && k <= box.upper[2]) {
       f(tile.lower[0], box.lower[0] - 1, j);
@@ -29,9 +29,10 @@ void for_each_ghost_row(Box const& box, int k, F&& f) {
 
 /// Call `f(first, last, j, k)` for those of all planes, ascending.
 template <class F>
-void for_each_ghost_row(Box const& box, F&& f) {
-  for (int k = box.lower[2] - tile_reach; k <= box.upper[2] + tile_reach; ++k)
-    for_each_ghost_row(box, k, [&](int first, int last, int j) { f(first, last, j, k); });
+void for_each_ghost_row(Box const& box, F&& f, int reach = tile_reach) {
+  for (int k = box.lower[2] - reach; k <= box.upper[2] + reach; ++k)
+    for_each_ghost_row(
+        box, k, [&](int first, int last, int j) { f(first, last, j, k); }, reach);
 }
 
 /// Number of ghost cells in the planes below plane k.

@@ -28,20 +28,20 @@ void cut(GhostRun const& whole, std::vector<LocalIndex> const& places, LocalInde
 
 }  // namespace
 
-GhostCells::GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned)
-    : cells_(places.size()), first_plane_(box.lower[2] - tile_reach) {
-  Box const tile = box.grow(tile_reach);
+GhostCells::GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned, int reach)
+    : cells_(places.size()), first_plane_(box.lower[2] - reach) {
+  Box const tile = box.grow(reach);
   LocalIndex number = 0;
   auto const add_row = [&](int j, int k) {
     cut({{tile.lower[0], j, k}, 0, tile.extent(0), -1, 0, number, 1}, places, owned, runs_);
     number += tile.extent(0);
   };
   auto const add_columns = [&](int k) {  // those on both sides of the box take turns
-    for (int n = 0; n < 2 * tile_reach; ++n) {
-      int const i = n < tile_reach ? tile.lower[0] + n : box.upper[0] + 1 + n - tile_reach;
-      cut({{i, box.lower[1], k}, 1, box.extent(1), -1, 0, number + n, 2 * tile_reach}, places, owned, runs_);
+    for (int n = 0; n < 2 * reach; ++n) {
+      int const i = n < reach ? tile.lower[0] + n : box.upper[0] + 1 + n - reach;
+      cut({{i, box.lower[1], k}, 1, box.extent(1), -1, 0, number + n, 2 * reach}, places, owned, runs_);
     }
-    number += 2 * tile_reach * box.extent(1);
+    number += 2 * reach * box.extent(1);
   };
   for (int k = tile.lower[2]; k <= tile.upper[2]; ++k) {
     plane_start_.push_back(runs_.size());

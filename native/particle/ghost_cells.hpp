@@ -26,9 +26,9 @@ struct GhostRun {
 class GhostCells {
  public:
   GhostCells() = default;
-  /// `places` of all its cells in the order of `for_each_ghost_row`, in [own | halo], `owned` of which are own;
-  /// negative where the level has none.
-  GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned);
+  /// `places` of all its cells, of as many layers as `reach` says, in the order of `for_each_ghost_row`, in
+  /// [own | halo], `owned` of which are own; negative where the level has none.
+  GhostCells(Box const& box, std::vector<LocalIndex> const& places, LocalIndex owned, int reach = tile_reach);
 
   /// The same cells where the values at `places` are kept elsewhere: place(one of those), `owned` of them own.
   template <class Place>
@@ -37,7 +37,7 @@ class GhostCells {
     for (GhostRun const& run : runs_)
       for (LocalIndex n = 0; run.place >= 0 && n < run.count; ++n)
         places[std::size_t(run.number + n * run.number_stride)] = place(run.place + n * run.place_stride);
-    return GhostCells(box, places, owned);
+    return GhostCells(box, places, owned, box.lower[2] - first_plane_);
   }
 
   std::size_t cells() const { return cells_; }

@@ -3,25 +3,15 @@
 #include <memory>
 #include <vector>
 
-#include "mesh/halo.hpp"
 #include "mesh/transfer.hpp"
 #include "particle/boundary_places.hpp"
 #include "particle/buffer_zone.hpp"
-#include "particle/geometry.hpp"
-#include "particle/ghost_cells.hpp"
+#include "particle/density_places.hpp"
+#include "particle/ghost_plan.hpp"
 #include "particle/home_box.hpp"
 #include "particle/locate.hpp"
 
 namespace amrpic {
-
-/// The ghost cells of one box of this rank.
-struct BoxGhosts {
-  int level, box;
-  GhostCells ghosts;
-  Box parents;  ///< the box coarsened and grown by one; empty if the level has all ghost cells
-  std::vector<LocalIndex>
-      coarse;  ///< for each cell of `parents`, its place in [own | halo] of the coarser level; -1: not needed
-};
 
 /// What deposit and gather need of a hierarchy: which box holds a point, and where the ghost cells of this rank's boxes
 /// are stored. It is made once per hierarchy.
@@ -33,7 +23,7 @@ class ParticleMesh {
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   Locator& locator() { return locator_; }
   Locator const& locator() const { return locator_; }
-  Halo const& halo(int level) const { return halos_[level]; }
+  Halo const& halo(int level) const { return ghosts_.halos[std::size_t(level)]; }
   Transfer const& transfer() const { return transfer_; }
 
   /// Which particles are treated as matched at coarse-fine faces. Collective at the first call.
@@ -42,8 +32,11 @@ class ParticleMesh {
   /// Where the field in the boxes' ghost cells is stored; collective at the first call with matched clouds.
   BoundaryPlaces const& boundary_places(bool matched);
 
+  /// Where the density that compensates clouds is stored around boxes; as above.
+  DensityPlaces const& density_places(bool matched);
+
   /// This rank's boxes, level by level. Their numbers are called slots.
-  std::vector<BoxGhosts> const& boxes() const { return boxes_; }
+  std::vector<BoxGhosts> const& boxes() const { return ghosts_.boxes; }
   int slot(int level, int local_box) const {
     return first_slot_[level] + local_box - hierarchy_->level(level).first_local_box();
   }
@@ -58,14 +51,14 @@ class ParticleMesh {
   std::shared_ptr<Hierarchy const> hierarchy_;
   Locator locator_;
   Transfer transfer_;
-  std::vector<Halo> halos_;  ///< per level: all cells of other ranks that `boxes_` names
-  std::vector<BoxGhosts> boxes_;
+  GhostPlan ghosts_;
   std::vector<int> first_slot_;
   std::vector<HomeBox> homes_;
   std::vector<LocalIndex> first_brick_{0};  ///< of each slot; then how many there are
   // null until first used
   std::unique_ptr<BufferZone const> buffer_zone_;
   std::unique_ptr<BoundaryPlaces const> without_matched_, with_matched_;
+  std::unique_ptr<DensityPlaces const> densities_, densities_with_matched_;
 };
 
 }  // namespace amrpic

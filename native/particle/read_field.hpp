@@ -3,12 +3,14 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <type_traits>
 #include <vector>
 
 #include "base/fetch.hpp"
 #include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
+#include "particle/compensator.hpp"
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
@@ -104,12 +106,13 @@ void interpolate(Index3 const& cell, Level const& coarser, At const& at, Real* o
 /// Brings the field of one box and its ghost cells into tiles of its slabs, plane by plane.
 class Filler {
  public:
-  /// `fields`: in the boundary cells, level by level.
+  /// `fields`: in the boundary cells, level by level; `rows`: where the box holds particles.
   Filler(ElectricField const& field, BoxGhosts const& at, BoundaryPlaces::GhostPlaces const& ghosts,
-         std::vector<BoundaryField> const& fields)
+         std::vector<BoundaryField> const& fields, OccupiedRows const& rows)
       : field_(field),
         at_(at),
         ghosts_(ghosts),
+        rows_(rows),
         level_(field.hierarchy().level(at.level)),
         coarser_(field.hierarchy().level(std::max(0, at.level - 1))),
         box_(level_.box(at.box)),
@@ -136,16 +139,23 @@ class Filler {
       std::ptrdiff_t const stride = run.axis == 0 ? lanes : tile.stride_y();
       if (run.place >= 0) return boundary_.write(run.place, run.place_stride, run.count, out, stride);
       for (LocalIndex n = 0; n < run.count; ++n)
-        interpolate(
-            level_.fold_at_walls(run.cell(n)), coarser_,
-            [&](Index3 const& from) { return coarse_.at(ghosts_.coarse[std::size_t(at_.parents.offset(from))]); },
-            out + n * stride);
+        if (is_near(run.cell(n)))
+          interpolate(
+              level_.fold_at_walls(run.cell(n)), coarser_,
+              [&](Index3 const& from) { return coarse_.at(ghosts_.coarse[std::size_t(at_.parents.offset(from))]); },
+              out + n * stride);
     });
     if (k < box_.lower[2] || k > box_.upper[2]) return;
     if (field_.potential())
       fill_by_potential(k, tile);
     else
       fill_by_components(k, tile);
+  }
+
+  /// Whether clouds of particles may touch a cell. What is interpolated elsewhere would be for nothing.
+  bool is_near(Index3 const& cell) const {
+    RowPart const part = rows_.near(cell[1], cell[2], tile_reach);
+    return cell[0] >= part.first && cell[0] <= part.last;
   }
 
   /// The ones of plane k: rows and columns here and there in memory, which processors do not foresee.
@@ -193,6 +203,7 @@ class Filler {
   ElectricField const& field_;
   BoxGhosts const& at_;
   BoundaryPlaces::GhostPlaces const& ghosts_;
+  OccupiedRows const& rows_;
   Level const &level_, &coarser_;
   Box box_;
   BoundaryField const &boundary_, &coarse_;
@@ -380,6 +391,8 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
 
   RemotePlan const& plan = remote.plan(clouds.matched);
   RemoteField const remote_field(field, plan);
+  std::optional<Compensator> compensator;
+  if (field.compensation().density) compensator.emplace(field.compensation(), mesh, remote, clouds.matched);
 
   std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
   auto const read_tile = [&](int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
@@ -396,13 +409,17 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
       CoarseCells const& c = buffer->coarse[r - 1];
       tiles[r].reset(c.box);
       fill_coarse(places.ghosts(slot).matched[r - 1], coarse[c.level], tiles[r]);
+      if (compensator) compensator->add_to_coarse(slot, r, c, tiles[r]);
     }
-    Filler const filler(field, at, places.ghosts(slot), own);
     Box const& box = hierarchy.level(at.level).box(at.box);
+    OccupiedRows const rows(box, mesh.locator().coordinates(at.level), particles, first, last);
+    if (compensator) compensator->begin(slot, rows);
+    Filler const filler(field, at, places.ghosts(slot), own, rows);
     bool precedes = false;  // whether tiles[0] is that of the slab before
     for_each_slab(mesh, at.level, box, planes_per_slab(box, lanes), particles, first, last,
                   [&](Box const& slab, auto from, auto to) {
                     if (from < to) filler.fill(slab, precedes, tiles[0]);
+                    if (from < to && compensator) compensator->add_to_slab(slab, precedes, tiles[0]);
                     precedes = from < to;
                     read_tile(at.level, slab, buffer, from, to);
                   });
@@ -411,9 +428,11 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
     BrickWindows const& brick = plan.bricks()[n];
     tiles[0].reset(brick.cells);
     remote_field.fill(n, 0, tiles[0]);
+    if (compensator) compensator->add_to_remote(n, 0, tiles[0]);
     for (std::size_t r = 1; r <= brick.buffer.coarse.size(); ++r) {
       tiles[r].reset(brick.buffer.coarse[r - 1].box);
       remote_field.fill(n, r, tiles[r]);
+      if (compensator) compensator->add_to_remote(n, r, tiles[r]);
     }
     read_tile(brick.home.level, brick.cells, brick.buffer.coarse.empty() ? nullptr : &brick.buffer, first, last);
   };

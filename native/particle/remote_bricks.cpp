@@ -1,7 +1,6 @@
 #include "particle/remote_bricks.hpp"
 
 #include <algorithm>
-#include <map>
 #include <tuple>
 
 namespace amrpic {
@@ -30,10 +29,11 @@ void for_each_part(Hierarchy const& hierarchy, std::vector<BrickWindows> const& 
     }
 }
 
-std::vector<BrickWindows> windows_of(Hierarchy const& hierarchy, std::vector<Home> const& bricks, bool matched) {
+std::vector<BrickWindows> windows_of(Hierarchy const& hierarchy, std::vector<Home> const& bricks, bool matched,
+                                     int reach) {
   std::vector<BrickWindows> out;
   out.reserve(bricks.size());
-  for (Home const& brick : bricks) out.push_back(windows_of(hierarchy, brick, matched));
+  for (Home const& brick : bricks) out.push_back(windows_of(hierarchy, brick, matched, reach));
   return out;
 }
 
@@ -63,24 +63,24 @@ void for_each_row_of(Box const& box, Box const& part, F&& f) {
 
 }  // namespace
 
-BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched) {
+BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched, int reach) {
   BrickWindows out;
   out.home = brick;
   out.cells = cells_of(hierarchy, brick);
   if (matched) out.buffer = buffer_of(hierarchy, brick.level, out.cells);
-  out.windows.push_back(window_of(hierarchy, brick.level, out.cells.grow(tile_reach)));
+  out.windows.push_back(window_of(hierarchy, brick.level, out.cells.grow(reach)));
   std::size_t const coarser = std::max(out.buffer.coarse.size(), std::size_t(out.windows[0].whole ? 0 : 1));
   Box cells = out.cells;
   for (std::size_t r = 1; r <= coarser; ++r) {
     cells = cells.coarsen(refinement_ratio);
-    out.windows.push_back(window_of(hierarchy, brick.level - int(r), cells.grow(tile_reach)));
+    out.windows.push_back(window_of(hierarchy, brick.level - int(r), cells.grow(reach)));
   }
   return out;
 }
 
 RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine,
-                       std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched)
-    : bricks_(windows_of(hierarchy, mine, matched)) {
+                       std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched, int reach)
+    : bricks_(windows_of(hierarchy, mine, matched, reach)) {
   int const me = hierarchy.comm().rank();
   auto const own_part = [&](int l, Window::Part const& part) {
     return OwnPart{l, part.box - hierarchy.level(l).first_local_box(), part.in_box()};
@@ -106,7 +106,7 @@ RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine
       wanted_.push_back(part);
     }
   for (auto const& [rank, list] : of_others) {
-    auto const bricks = windows_of(hierarchy, list, matched);
+    auto const bricks = windows_of(hierarchy, list, matched, reach);
     for_each_part(hierarchy, bricks,
                   [&, reader = rank](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
                     if (owner != me) return;
@@ -117,25 +117,40 @@ RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine
   exchange_ = Exchange<Real>(hierarchy.comm(), asked, wanted);
 }
 
-std::vector<Real> RemotePlan::read(ElectricField const& field) const {
-  constexpr std::size_t components = ElectricField::components_per_cell;
-  std::vector<Real> out(components * cells_);
+template <class Write>
+std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) const {
+  std::vector<Real> out(per_cell * cells_);
   auto const unpack = [&](WindowPart const& to, Real const* in) {
     for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
-      std::copy_n(in, components * count, out.data() + components * (to.first + place));
-      in += components * count;
+      std::copy_n(in, per_cell * count, out.data() + per_cell * (to.first + place));
+      in += per_cell * count;
     });
   };
-  exchange_.update(
-      [&](std::size_t n, Real* to) { field.write_part(asked_[n].level, asked_[n].box, asked_[n].cells, to); },
-      [&](std::size_t n, Real const* in) { unpack(wanted_[n], in); }, components);
+  exchange_.update([&](std::size_t n, Real* to) { write(asked_[n], to); },
+                   [&](std::size_t n, Real const* in) { unpack(wanted_[n], in); }, per_cell);
   std::vector<Real> cells;
   for (LocalPart const& part : local_) {
-    cells.resize(components * std::size_t(part.own.cells.cells()));
-    field.write_part(part.own.level, part.own.box, part.own.cells, cells.data());
+    cells.resize(per_cell * std::size_t(part.own.cells.cells()));
+    write(part.own, cells.data());
     unpack(part.window, cells.data());
   }
   return out;
+}
+
+std::vector<Real> RemotePlan::read(ElectricField const& field) const {
+  return read(ElectricField::components_per_cell,
+              [&](OwnPart const& of, Real* to) { field.write_part(of.level, of.box, of.cells, to); });
+}
+
+std::vector<Real> RemotePlan::read(Field const& density) const {
+  Hierarchy const& hierarchy = density.hierarchy();
+  return read(1, [&](OwnPart const& of, Real* to) {
+    Level const& level = hierarchy.level(of.level);
+    int const box = level.first_local_box() + of.box;
+    Real const* const own = density.level(of.level).data() + level.local_offset(box);
+    for_each_row_of(level.box(box), of.cells,
+                    [&](std::size_t place, std::size_t count) { to = std::copy_n(own + place, count, to); });
+  });
 }
 
 void RemotePlan::add(std::vector<Real> const& values, Field& density) const {
@@ -163,18 +178,18 @@ void RemotePlan::add(std::vector<Real> const& values, Field& density) const {
                  [&](std::size_t n, Real const* in) { add_to(asked_[n], in); });
 }
 
-RemotePlan const& RemoteBricks::plan(bool matched) const {
-  auto& plan = plans_[matched];
+RemotePlan const& RemoteBricks::plan(bool matched, int reach) const {
+  auto& plan = plans_[{matched, reach}];
   if (plan) return *plan;
   Communicator const& comm = hierarchy_->comm();
   std::map<int, std::vector<Home>> to;
-  auto const mine = windows_of(*hierarchy_, bricks_, matched);
+  auto const mine = windows_of(*hierarchy_, bricks_, matched, reach);
   for_each_part(*hierarchy_, mine, [&](std::size_t b, std::size_t, Window::Part const&, int owner) {
     if (owner == comm.rank()) return;
     auto& list = to[owner];
     if (list.empty() || !(list.back() == bricks_[b])) list.push_back(bricks_[b]);
   });
-  plan = std::make_unique<RemotePlan const>(*hierarchy_, bricks_, exchanged(comm, to), matched);
+  plan = std::make_unique<RemotePlan const>(*hierarchy_, bricks_, exchanged(comm, to), matched, reach);
   return *plan;
 }
 

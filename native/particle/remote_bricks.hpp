@@ -1,7 +1,9 @@
 // Bricks whose particles one rank serves and whose cells another one owns.
 #pragma once
 
+#include <map>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "mesh/electric_field.hpp"
@@ -52,8 +54,8 @@ struct BrickWindows {
   std::vector<Window> windows;
 };
 
-/// Follows from the boxes alone; `matched`: whether clouds are. Local.
-BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched);
+/// Follows from the boxes alone; `matched`: whether clouds are; `reach`: layers of cells around the brick. Local.
+BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched, int reach = tile_reach);
 
 /// The plan of what passes between this rank and others because of bricks that one serves and the other owns.
 ///
@@ -63,7 +65,7 @@ class RemotePlan {
   /// `mine`: remote bricks of this rank; `of_others`: for each other rank that serves such of this rank's cells, in
   /// ascending order, which ones, in the order in which it has them. Local.
   RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine,
-             std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched);
+             std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched, int reach);
 
   std::vector<BrickWindows> const& bricks() const { return bricks_; }
   std::size_t cells() const { return cells_; }  ///< of all windows
@@ -71,6 +73,8 @@ class RemotePlan {
 
   /// The electric field in the cells of all windows, three components for each. Collective.
   std::vector<Real> read(ElectricField const& field) const;
+  /// A density there. Collective.
+  std::vector<Real> read(Field const& density) const;
 
   /// Add densities in the cells of all windows to those of the owners. Collective.
   void add(std::vector<Real> const& values, Field& density) const;
@@ -90,6 +94,10 @@ class RemotePlan {
     OwnPart own;
     WindowPart window;
   };
+  /// The values of `per_cell` numbers that write(own part, out) gives. Collective.
+  template <class Write>
+  std::vector<Real> read(std::size_t per_cell, Write const& write) const;
+
   WindowPart part_of(std::size_t brick, std::size_t window, Window::Part const& part) const {
     return {bricks_[brick].windows[window].cells, part.cells, first_[brick][window]};
   }
@@ -109,17 +117,20 @@ class RemoteBricks {
   /// `bricks`: ascending. Local.
   RemoteBricks(std::shared_ptr<Hierarchy const> hierarchy, std::vector<Home> bricks)
       : hierarchy_(std::move(hierarchy)), bricks_(std::move(bricks)) {}
+  RemoteBricks(RemoteBricks const&) = delete;
+  RemoteBricks& operator=(RemoteBricks const&) = delete;
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   std::vector<Home> const& bricks() const { return bricks_; }
 
-  /// What passes because of them. The first call, for clouds that are matched or not, lets owners know: collective.
-  RemotePlan const& plan(bool matched) const;
+  /// What passes because of them. The first call, for clouds that are matched or not and each reach, lets owners know:
+  /// collective.
+  RemotePlan const& plan(bool matched, int reach = tile_reach) const;
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
   std::vector<Home> bricks_;
-  mutable std::unique_ptr<RemotePlan const> plans_[2];
+  mutable std::map<std::pair<bool, int>, std::unique_ptr<RemotePlan const>> plans_;
 };
 
 }  // namespace amrpic

@@ -30,6 +30,7 @@ class Tile {
     std::copy(kept, kept + 2 * tile_reach * stride_z(), values());
     reset(next);
   }
+  Box const& cells() const { return box_; }
   Real* row(int i, int j, int k) { return values() + components * box_.offset({i, j, k}); }
   Real* plane(int k) { return row(box_.lower[0], box_.lower[1], k); }
   Real const* values() const { return lines_[0].value; }

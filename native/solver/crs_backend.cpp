@@ -6,6 +6,9 @@
 #include <limits>
 #include <utility>
 
+#include "mesh/fits_behind.hpp"
+#include "solver/behind_gaps.hpp"
+
 namespace amrpic {
 
 namespace {
@@ -60,6 +63,16 @@ void multiply_by_diagonal(TpetraTypes::LocalMatrix const& a, DeviceArray<Real co
   Kokkos::parallel_for(
       "diagonal", Rows(0, a.numRows()),
       KOKKOS_LAMBDA(LocalIndex row) { out(row) = a.values(a.graph.row_map(row)) * x(row); });
+}
+
+/// out += factor x / diagonal of A in some rows. The diagonal comes first in each row.
+void add_over_diagonal(DeviceArray<LocalIndex> const& rows, TpetraTypes::LocalMatrix const& a, Real factor,
+                       DeviceArray<Real const> const& x, DeviceArray<Real> const& out) {
+  Kokkos::parallel_for(
+      "over diagonal", Rows(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
+        LocalIndex const row = rows(n);
+        out(row) += factor * x(row) / a.values(a.graph.row_map(row));
+      });
 }
 
 }  // namespace
@@ -257,24 +270,53 @@ CompositeEquations CrsBackend::equations() {
 /// One cycle for the residual, and what it gives added to phi.
 void CrsBackend::improve() {
   std::size_t const levels = phi_.size();
-  CompositeVector values;
-  if (krylov_) {
-    values = zero();
-    for (std::size_t l = 0; l < levels; ++l) values[l].assign(cycle_level(int(l)).right_hand_side());
-    CompositeVector const& direction = krylov_->direction(values);
-    for (std::size_t l = 0; l < levels; ++l) cycle_level(int(l)).right_hand_side().assign(direction[l]);
+  if (!krylov_) {
+    multigrid_.cycle(stopwatch_);
+    for (std::size_t l = 0; l < levels; ++l) phi_[l].own().update(1, cycle_level(int(l)).correction().own(), 1);
+    return;
   }
+  CompositeVector values = zero();
+  for (std::size_t l = 0; l < levels; ++l) values[l].assign(cycle_level(int(l)).right_hand_side());
+  CompositeVector const& direction = krylov_->direction(values);
+  for (std::size_t l = 0; l < levels; ++l) cycle_level(int(l)).right_hand_side().assign(direction[l]);
   multigrid_.cycle(stopwatch_);
-  for (std::size_t l = 0; l < levels && !krylov_; ++l)
-    phi_[l].own().update(1, cycle_level(int(l)).correction().own(), 1);
-  if (!krylov_) return;
   for (std::size_t l = 0; l < levels; ++l) values[l].assign(cycle_level(int(l)).correction());
+  relax_behind_gaps(direction, values);
   CompositeVector const& step = krylov_->step(values);
   for (std::size_t l = 0; l < levels; ++l) phi_[l].own().update(1, step[l].own(), 1);
 }
 
 void CrsBackend::accelerate() {
-  if (!krylov_) krylov_ = make_krylov(KrylovKind::fgmres, equations());
+  if (krylov_) return;
+  krylov_ = make_krylov(KrylovKind::fgmres, equations());
+  if (std::exchange(knows_gaps_, true)) return;
+  Real found = 0;
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    std::vector<LocalIndex> rows;
+    Level const& level = hierarchy_->level(l);
+    if (hierarchy_->has_finer(l))
+      for (auto const& [box, cell] : cells_behind_gaps(level, hierarchy_->level(l + 1)))
+        rows.push_back(level.local_offset(box) + LocalIndex(level.box(box).offset(cell)));
+    if (!rows.empty()) found = 1;
+    behind_gaps_.emplace_back(on_device(rows));
+  }
+  if (hierarchy_->comm().largest(found) == 0) behind_gaps_.clear();
+}
+
+/// Jacobi steps that become part of a cycle's correction for a residual, see `steps_behind_gaps`.
+void CrsBackend::relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const {
+  if (behind_gaps_.empty()) return;
+  CompositeVector left = zero();
+  for (Real factor : steps_behind_gaps) {
+    average_down(correction);
+    for (std::size_t l = 0; l < left.size(); ++l) {
+      left[l].assign(residual[l]);
+      multiply(correction, int(l), -1, left[l]);
+    }
+    for (std::size_t l = 0; l < left.size(); ++l)
+      add_over_diagonal(*behind_gaps_[l], operators(int(l)).no_fine.matrix()->getLocalMatrixDevice(), factor,
+                        std::as_const(left[l]).values(), correction[l].values());
+  }
 }
 
 LevelOperators const& CrsBackend::operators_with_gradient(int level) {

@@ -54,6 +54,7 @@ class CrsBackend : public Backend {
   void multiply(CompositeVector const& x, int l, Real scale, LevelVector& out) const;
   void compute_residual();
   CompositeEquations equations();
+  void relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const;
   void set_truncation();
   void difference_covered(std::array<Field*, 3> const& components);
 
@@ -67,6 +68,9 @@ class CrsBackend : public Backend {
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
   std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
+  /// Rows of each level; empty until cycles are accelerated, and where no rank has any.
+  std::vector<UntilFinalize<DeviceArray<LocalIndex>>> behind_gaps_;
+  bool knows_gaps_ = false;
   CompositeVector phi_;
   CompositeVector right_hand_side_;  ///< f = -rho / eps0 - background minus what walls add; 0 in covered cells
   Field const* rho_ = nullptr;

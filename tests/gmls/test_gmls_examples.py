@@ -43,3 +43,11 @@ def test_weights_across_a_face_are_those_of_a_derivative(tmp_path):
 def test_errors_on_a_cloud_are_drawn(tmp_path):
     printed("gmls_cloud.py", "--picture", str(tmp_path / "errors.png"))
     assert (tmp_path / "errors.png").stat().st_size > 10000
+
+
+def test_a_density_keeps_its_integral_and_with_bounds_its_range(tmp_path):
+    before, free, held = printed("fields_between_meshes.py", "--picture", str(tmp_path / "planes.png"))
+    assert max(abs(free[0] - 1), abs(held[0] - 1)) < 1e-14
+    assert free[1] < before[1] - 0.05 and free[2] > before[2] + 0.05
+    assert before[1] <= held[1] and held[2] <= before[2]
+    assert (tmp_path / "planes.png").stat().st_size > 10000

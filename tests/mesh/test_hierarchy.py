@@ -86,6 +86,16 @@ def test_virtual_ranks_have_the_boxes_of_real_ones(comm):
             assert unreal.local_boxes(level) == real.local_boxes(level)
 
 
+def test_few_ranks_meet_in_planes():
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (144, 144, 144))
+    for ranks, cells in ((2, (144, 144, 72)), (4, (144, 72, 72)), (8, (72, 72, 72))):
+        for rank in range(ranks):
+            mesh = amrpic.Hierarchy(VirtualRank(rank, ranks), domain, max_grid_size=24)
+            own = mesh.boxes(0)[mesh.owners(0) == rank]
+            assert len(own) == 216 // ranks
+            assert tuple(own[:, 3:].max(axis=0) - own[:, :3].min(axis=0) + 1) == cells
+
+
 def test_virtual_ranks_count_what_they_would_send():
     mesh = amrpic.Hierarchy(VirtualRank(3, 720), DOMAIN)
     before = traffic()

@@ -60,14 +60,16 @@ def test_cubics_are_exact_across_faces_and_up_to_walls():
 
 @pytest.mark.parametrize("order", [2, 3, 4])
 def test_values_are_of_order_plus_one_and_gradients_of_order(order):
-    sizes, values, gradients, at = [16, 24, 32, 48], [], [], points()
+    sizes, values, largest, gradients, at = [16, 24, 32, 48], [], [], [], points()
     for n in sizes:
         field = Field(mesh(MPI.COMM_SELF, n)).fill(smooth)
-        values.append(np.abs(field.sample(at, order) - smooth(*at.T)).max())
-        apart = field.sample(at, order, "gradient") - gradient_of_smooth(*at.T)
-        gradients.append(np.sqrt(np.mean(apart**2)))
+        apart = field.sample(at, order) - smooth(*at.T)
+        values.append(np.sqrt(np.mean(apart**2)))
+        largest.append(np.abs(apart).max())
+        gradients.append(np.sqrt(np.mean((field.sample(at, order, "gradient") - gradient_of_smooth(*at.T)) ** 2)))
     assert order_of(values, sizes) > order + 0.8
     assert order_of(gradients, sizes) > order - 0.2
+    assert order != 3 or order_of(largest, sizes) > 3.8
 
 
 def test_the_gradient_of_order_one_is_exact_for_linear_fields():

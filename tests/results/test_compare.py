@@ -15,11 +15,11 @@ from amrpic.commands.main import main
 from amrpic.results.compare import Comparison, compare
 
 
-def scene(folder: Path, levels: int = 1, **more) -> amrpic.Scene:
+def scene(folder: Path, levels: int = 1, cells: int = 16, size: int = 16, wall: float = 0.1, **more) -> amrpic.Scene:
     return amrpic.Scene(
-        domain=amrpic.Domain(-0.1, 0.1, 16, boundary="dirichlet"),
+        domain=amrpic.Domain(-wall, wall, cells, boundary="dirichlet"),
         bunches=[amrpic.GaussianBunch(species="electron", sigma=0.01, charge="-10 pC", particles=900)],
-        refinement={"levels": levels, "blocking_factor": 4},
+        refinement={"levels": levels, "blocking_factor": 4, "max_grid_size": size},
         solver={"tolerance": 1e-11},
         motion=amrpic.Leapfrog(dt="50 ps"),
         schedule={"steps": 3},
@@ -110,15 +110,38 @@ def test_a_changed_number_a_missing_step_and_a_missing_column_are_found(comm, tm
     assert missing.parts["series"][0].where == "1 of one run alone" and not missing.equal(0.9)
 
 
-def test_other_meshes_are_named_and_their_norms_compared(comm, tmp_path):
+@pytest.mark.parametrize("other", [{"levels": 0}, {"cells": 20}, {"cells": 32, "levels": 0}])
+def test_fields_on_other_meshes_are_carried_to_that_of_the_first(comm, tmp_path, capsys, other):
     ran(tmp_path / "a")
-    ran(tmp_path / "b", levels=0)
-    found = largest(compare(tmp_path / "a", tmp_path / "b"), "fields")
-    assert found["mesh"] == math.inf
+    ran(tmp_path / "b", **other)
+    found = compare(tmp_path / "a", tmp_path / "b")
+    assert found.remarks == [
+        "the meshes of step 3 differ; fields of the second run are carried to the mesh of the first"
+    ]
+    mine, theirs = (amrpic.open(tmp_path / name).fields[3] for name in "ab")
+    moved = theirs.phi.remap(mine.hierarchy)
+    norm = (mine.phi - moved).norm("l2") / max(mine.phi.norm("l2"), moved.norm("l2"))
+    assert largest(found, "fields")["phi in the l2 norm"] == pytest.approx(norm, rel=1e-12) and 1e-5 < norm < 0.2
+    assert not found.equal(1e-6)
+    code, text = status_of(capsys, str(tmp_path / "a"), str(tmp_path / "b"))
+    assert code == 1 and f"remark: {found.remarks[0]}" in text
+
+
+def test_other_boxes_are_the_same_mesh(comm, tmp_path):
+    ran(tmp_path / "a")
+    ran(tmp_path / "b", size=8)
+    found = compare(tmp_path / "a", tmp_path / "b")
+    assert not found.remarks and found.equal(1e-9)
+
+
+def test_norms_alone_are_compared_on_other_domains(comm, tmp_path):
+    ran(tmp_path / "a")
+    ran(tmp_path / "b", wall=0.12)
+    found = compare(tmp_path / "a", tmp_path / "b")
+    fields = largest(found, "fields")
+    assert fields["domain"] == math.inf and not found.equal(0.9)
     norms = [amrpic.open(tmp_path / name).fields[3].phi.norm("max") for name in "ab"]
-    assert found["phi in the max norm"] == pytest.approx(abs(norms[0] - norms[1]) / max(norms), rel=1e-12)
-    again = largest(compare(tmp_path / "b", tmp_path / "a"), "fields")
-    assert again["phi in the max norm"] == pytest.approx(found["phi in the max norm"], rel=1e-12)
+    assert fields["phi in the max norm"] == pytest.approx(abs(norms[0] - norms[1]) / max(norms), rel=1e-12)
 
 
 def test_what_one_of_them_did_not_write_is_left_out(comm, tmp_path):
@@ -141,3 +164,19 @@ def test_what_cannot_be_compared_is_one_sentence(comm, tmp_path, monkeypatch, ca
         main(["compare", *arguments])
     error = capfd.readouterr().err
     assert ended.value.code == 2 and message in error and error.count("\n") == 1
+
+
+def test_lost_particles_are_compared_by_their_numbers(comm, tmp_path):
+    pipe = amrpic.RoundAperture(name="pipe", radius="18 mm")
+    for name, kick in (("a", 0.0), ("b", 0.0), ("c", 1e-21)):
+        given = scene(tmp_path / name, apertures=[pipe]).replace(
+            motion=amrpic.Leapfrog(dt="2 ns"), output={"directory": str(tmp_path / name), "write": ["series", "losses"]}
+        )
+        simulation = amrpic.Simulation(given)
+        simulation.kick(np.full((len(simulation.particles), 3), kick))
+        simulation.run(log="silent")
+    assert len(amrpic.open(tmp_path / "a").losses) > 20
+    same = compare(tmp_path / "a", tmp_path / "b")
+    assert set(largest(same, "losses").values()) == {0.0} and len(same.parts["losses"]) == 4
+    kicked = largest(compare(tmp_path / "a", tmp_path / "c"), "losses")
+    assert kicked["lost particles"] == math.inf and 0 < kicked["time of losses over its rms"] < 10

@@ -1,4 +1,4 @@
-"""Runs that are killed go on from the newest checkpoint that is whole, and end as if nothing had happened.
+"""Runs that are killed or stopped go on from the newest checkpoint that is whole, and end as if nothing had happened.
 
 An ordinary run of the tests kills three times for each motion, the long form (`pytest -m long`) ten times.
 """
@@ -22,6 +22,7 @@ import pytest
 
 from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
 from amrpic.io.checkpoint_writer import Snapshot
+from amrpic.io.run_status import RunStatus
 from mpi_batch import ENVIRONMENT
 
 LAST = 12
@@ -158,11 +159,11 @@ def while_writing(folder: Path, which: int) -> Callable[[], bool]:
     return come
 
 
-def last_state(folder: Path) -> Snapshot:
+def last_state(folder: Path, last: int) -> Snapshot:
     """The state at the end of a run, of all ranks."""
     from mpi4py import MPI
 
-    path = checkpoint_writer.path_of(folder, LAST)
+    path = checkpoint_writer.path_of(folder, last)
     return checkpoint_reader.read(MPI.COMM_SELF, path, owners=lambda header: [0 * owners for owners in header.owners])
 
 
@@ -180,19 +181,21 @@ def rows(folder: Path) -> dict[str, np.ndarray]:
     return {name: c for name, c in columns.items() if not name.startswith(("series.csv/seconds", "series.csv/memory"))}
 
 
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir() if not path.name.startswith((".", "earlier_"))}
+def files(folder: Path) -> set[str]:
+    """What a run left, but for checkpoints on the way."""
+    hidden = ".", "earlier_", "checkpoint_"
+    return {path.name for path in folder.iterdir() if not path.name.startswith(hidden) or path.name.endswith(".tmp")}
 
 
-def assert_same(folder: Path, reference: Path) -> None:
+def assert_same(folder: Path, reference: Path, last: int = LAST) -> None:
     """Two runs left the same, bit by bit."""
-    found, expected = arrays(last_state(folder)), arrays(last_state(reference))
+    found, expected = arrays(last_state(folder, last)), arrays(last_state(reference, last))
     assert found.keys() == expected.keys()
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values, err_msg=name)
     for name, values in rows(reference).items():
         np.testing.assert_array_equal(rows(folder)[name], values, err_msg=name)
-    assert names(folder) == names(reference)  # and nothing half written
+    assert files(folder) == files(reference)  # and nothing half written
 
 
 @pytest.fixture(scope="module", params=MOTIONS)
@@ -230,7 +233,7 @@ def test_killed_it_ends_the_same_on_another_number_of_ranks(undisturbed, ranks):
     folder = reference.parent / f"killed{ranks}"
     assert killed_when(while_writing(folder, LAST // 2), 2, folder)
     finish(ranks, folder)
-    found, expected = last_state(folder), last_state(reference)
+    found, expected = last_state(folder, LAST), last_state(reference, LAST)
     for left, right in zip(found.header.boxes, expected.header.boxes, strict=True):
         np.testing.assert_array_equal(left, right)
     for name in ("phi", "rho"):
@@ -241,3 +244,102 @@ def test_killed_it_ends_the_same_on_another_number_of_ranks(undisturbed, ranks):
     for column in ("id", "position", "momentum", "weight"):
         left, right = (s.tables["particles"][column] for s in (found, expected))
         np.testing.assert_allclose(left[order], right[expected_order], rtol=0, atol=1e-8 * np.abs(right).max(initial=0))
+
+
+STEPS = 36  # of runs that are stopped in all ways
+
+
+def press(process: subprocess.Popen[bytes], folder: Path, how: str) -> None:
+    """Ask a run to stop, by a signal or a file."""
+    if how == "STOP":
+        (folder / "STOP").touch()
+    else:
+        process.send_signal(signal.Signals[how])
+
+
+def stopped(line: list[str], folder: Path, how: str) -> int:
+    """Start a run, stop it after two more steps in one of the ways, and return its exit status."""
+    if how == "walltime":
+        return subprocess.run([*line, "--walltime", "1"], env=PATIENT, timeout=TIMEOUT, capture_output=True).returncode
+    come = after_steps(folder, 2, 0.0)
+    process = subprocess.Popen(line, env=PATIENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, preexec_fn=listen)
+    try:
+        while not come():
+            assert process.poll() is None, process.communicate()[1].decode()
+        press(process, folder, how)
+        process.communicate(timeout=TIMEOUT)
+    finally:
+        if process.poll() is None:
+            kill(process)
+    return process.returncode
+
+
+def listen() -> None:
+    """Hear Ctrl-C, also where tests run in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+PATIENT = ENVIRONMENT | {
+    "OMPI_MCA_odls_base_sigkill_timeout": "4"
+}  # mpiexec waits twice as long after each failing end
+WAYS = {
+    1: {"SIGUSR1": 75, "SIGINT": 75, "STOP": 75, "walltime": 75, "SIGTERM": 75, "SIGHUP": 75},
+    2: {
+        "SIGUSR1": 75,
+        "SIGINT": 1,
+        "STOP": 75,
+        "walltime": 75,
+        "SIGTERM": 1,
+    },  # 1 is what mpiexec makes of its own signals
+}
+
+
+@pytest.mark.parametrize("ranks", WAYS)
+def test_stopped_in_every_way_and_resumed_each_time_it_ends_bit_by_bit_as_undisturbed(tmp_path, ranks):
+    """Each stop leaves a checkpoint; five or six resumed runs make one series without gap or repetition."""
+    text = SCENE.format(last=STEPS, motion=MOTIONS["leapfrog"]).replace("checkpoint_every = 1", "checkpoint_every = 25")
+    (tmp_path / "scene.toml").write_text(text)
+    finish(ranks, tmp_path / "undisturbed")
+    folder = tmp_path / "stopped"
+    line = command(ranks, folder) if ranks > 1 else command(ranks, folder)[3:]
+    at = []
+    for how, code in WAYS[ranks].items():
+        assert stopped(line, folder, how) == code, how
+        status = RunStatus.read(folder)
+        why = {"STOP": "the file", "walltime": "the time given"}.get(how, "signal")
+        assert status.state == "stopped" and status.why.startswith(why), (how, status.why)
+        assert checkpoint_writer.path_of(folder, status.step).is_dir()
+        assert time_series.read(folder / "series.csv")["step"].tolist() == list(range(status.step + 1))
+        at.append(status.step)
+    assert at == sorted(at) and at[0] > 0 and at[-1] < STEPS
+    finish(ranks, folder)
+    assert_same(folder, tmp_path / "undisturbed", STEPS)
+
+
+JOBS = {"slurm": ["job.sh", "scene.toml"], "pbs": ["job.sh"]}
+
+
+@pytest.mark.parametrize("system", JOBS)
+def test_job_scripts_submit_themselves_until_the_run_is_finished(tmp_path, system):
+    """Beside commands that stand for those of the batch system: the first job has no time, the second enough."""
+    text = SCENE.format(last=2, motion=MOTIONS["leapfrog"]).replace("[output]", '[output]\ndirectory = "out"')
+    (tmp_path / "scene.toml").write_text(text)
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    submits = f'#!/bin/bash\necho "$@" >> {tmp_path}/submitted\n'
+    runs = '#!/bin/bash\nexec "${@//03:50:00/$TIME}" ${MORE:-}\n'
+    for name, content in {"srun": runs, "mpiexec": runs, "sbatch": submits, "qsub": submits}.items():
+        (tools / name).write_text(content)
+        (tools / name).chmod(0o755)
+    script = Path(__file__).parents[2] / "examples" / system / "job.sh"
+    path = f"{tools}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    common = ENVIRONMENT | {"PATH": path, "SCENE": "scene.toml", "PBS_O_WORKDIR": str(tmp_path)}
+    for time_given, more, code in (("1", "--walltime 1", 75), ("03:50:00", "", 0)):
+        environment = common | {"TIME": time_given, "MORE": more if system == "slurm" else ""}
+        job = ["bash", str(script), *JOBS[system][1:]]
+        done = subprocess.run(job, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=TIMEOUT)
+        assert done.returncode == code, done.stderr
+        submitted = (tmp_path / "submitted").read_text().splitlines()
+        wanted = [str(script), "scene.toml"] if system == "slurm" else ["-v", "SCENE=scene.toml", str(script)]
+        assert submitted == [" ".join(wanted)]  # once, by the first
+    assert RunStatus.read(tmp_path / "out").state == "finished"

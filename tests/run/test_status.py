@@ -13,6 +13,7 @@ from datetime import datetime
 import pytest
 
 import amrpic
+from amrpic.commands.main import main
 from amrpic.io.run_status import FILE, RunStatus, now
 from amrpic.run import status as status_module
 from amrpic.run.status import Status
@@ -146,3 +147,35 @@ def test_what_is_no_status_is_one_sentence(comm, tmp_path, content):
         (tmp_path / FILE).write_text(content, encoding="latin-1")
     with pytest.raises(amrpic.InputError, match=r"status\.json cannot be read: .*; name the folder of a run"):
         RunStatus.read(tmp_path)
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_a_run_that_fails_at_its_start_says_why_unless_an_earlier_one_is_there(comm, tmp_path, capfd, earlier):
+    (tmp_path / "scene.toml").write_text(SCENE)
+    if earlier:
+        RunStatus("s", "", 1, "elsewhere", 0, now(), now(), state="finished").write(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(tmp_path / "scene.toml"), "--output", str(tmp_path), "--set", "solver.max_cycles=1"])
+    assert ended.value.code == 1
+    held = RunStatus.read(tmp_path)
+    if earlier:
+        assert (held.state, held.why) == ("finished", "")
+    else:
+        assert (held.state, held.of) == ("failed", 3) and f"amrpic: {held.why}\n" == capfd.readouterr().err
+
+
+SCENE = """
+[domain]
+lower = -0.1
+upper = 0.1
+cells = 16
+[[bunches]]
+distribution = "gaussian"
+sigma = 0.01
+charge = 1e-12
+particles = 500
+[solver]
+tolerance = 1e-10
+[schedule]
+solves = 4
+"""

@@ -18,7 +18,7 @@ from amrpic.run.clock import Spent
 from amrpic.scaling.measure import measure, over_ranks
 from amrpic.scaling.measured import Measured, Run, Stage, by_kind, efficiency, medians
 from amrpic.scaling.show import draw, stage_table, table
-from amrpic.scaling.study import Study, grown
+from amrpic.scaling.study import ROOT, Study, grown, launch
 from amrpic.scene.scene import Scene
 
 SCENE = Path(__file__).parents[2] / "examples" / "sphere.toml"
@@ -152,6 +152,18 @@ def test_what_cannot_be_started_is_reported(tmp_path):
         list(Study(SCENE, tmp_path, SMALL, launcher="no-such-launcher {ranks}").start())
     with pytest.raises(InputError, match="the run on 1 ranks ended with status 1"):
         list(Study(SCENE, tmp_path, SMALL, ranks=[1], launcher="false {ranks}").start())
+
+
+def test_root_starts_ranks_unless_it_has_said_whether_it_may(tmp_path, monkeypatch):
+    monkeypatch.setattr("os.geteuid", lambda: 0)
+    for name in ROOT:
+        monkeypatch.delenv(name, raising=False)
+    shows = f"sh -c 'env > {tmp_path}/environment' {{ranks}}"
+    launch(shows, 1, ["module", str(tmp_path / "environment")], "the run")
+    assert {f"{name}=1" for name in ROOT} <= set((tmp_path / "environment").read_text().splitlines())
+    monkeypatch.setenv(ROOT[0], "0")
+    launch(shows, 1, ["module", str(tmp_path / "environment")], "the run")
+    assert not {f"{name}=1" for name in ROOT} & set((tmp_path / "environment").read_text().splitlines())
 
 
 def test_files_that_are_no_runs_are_refused(tmp_path):

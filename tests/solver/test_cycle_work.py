@@ -76,8 +76,10 @@ def test_a_residual_and_a_field_send_what_their_plans_say(comm, name):
     laplacian = _native.CompositeLaplacian(unreal.native, (1, 1, 1))
     assert [residual.messages, residual.bytes] == laplacian.sent_by_residual
     assert (residual, field) == residual_and_field(unreal)
-    several = comm.size > 1 and comm.allreduce(len(unreal.local_boxes(0)) > 0, op=MPI.LAND)
-    assert (comm.allreduce(residual.messages) > 0, comm.allreduce(field.messages) > 0) == (several, several)
+    if comm.size == 1:
+        assert residual == field == Traffic()
+    elif comm.allreduce(len(unreal.local_boxes(0)) > 0, op=MPI.LAND):
+        assert comm.allreduce(residual.messages) > 0 and comm.allreduce(field.messages) > 0
 
 
 def cube(cells: int, rank: int, ranks: int) -> dict[int, _native.LevelWork]:
@@ -87,12 +89,15 @@ def cube(cells: int, rank: int, ranks: int) -> dict[int, _native.LevelWork]:
 
 
 def test_copies_are_relaxed_as_far_as_sweeps_read_them():
-    """Whole slabs of copies, 5 cells deep, would make it 2.4 and 5 times the own cells."""
+    """Whole slabs of deep copies would make it 1.1 times the own cells; of small levels no copy is relaxed."""
+    large = cube(96, 0, 2)
+    assert 1.02 * large[0].cells < large[0].relaxed / large[0].sweeps < 1.06 * large[0].cells
     middle = max((cube(72, rank, 27) for rank in range(27)), key=lambda work: work[0].neighbours)
     assert middle[0].cells == 24**3 and middle[0].neighbours == 26
-    assert middle[0].relaxed / middle[0].sweeps < 1.9 * middle[0].cells
-    assert middle[-1].relaxed / middle[-1].sweeps < 3.1 * middle[-1].cells
     alone = cube(72, 0, 1)
+    assert all(middle[level].relaxed == middle[level].cells * middle[level].sweeps for level in (0, -1))
+    # Right-hand sides do not pass; of corrections half of the 6 faces 9 times, and twice the coarser cells around.
+    assert middle[0].bytes == 4 * (9 * 3 * 24**2 + 2 * (14**3 - 12**3))
     assert all(level.relaxed == level.cells * level.sweeps for level in alone.values())
 
 

@@ -91,6 +91,7 @@ diagnostics.every: -1 | 0.5
 diagnostics.slices: -1 | 'ten'
 diagnostics.loss_bin: -1 | 0 | '1 s'
 particles.interface: 'soft' | 1
+particles.compensation: 'some' | 1 | true
 seed: -1 | 1.5 | 'one' | 1e300
 name: '' | 'a/b' | 3
 background: 'neutralizing' | 'grey'

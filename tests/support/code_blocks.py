@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import os
 import re
 import shlex
@@ -83,6 +84,7 @@ class Reader:
             f'#!/bin/bash\n[ "$1" = run ] || exec {binaries}/amrpic "$@"\nexec {binaries}/amrpic "$@" {self.shorter}\n'
         )
         (tools / "amrpic").chmod(0o755)
+        (tools / "activate").touch()
         (self.folder / "examples").symlink_to(ROOT / "examples")
 
     def follow(self, block: Block) -> None:
@@ -151,7 +153,9 @@ def of_amrpic(command: list[str]) -> list[str] | None:
     """Return the arguments of `amrpic` in a command, wherever it begins, if it is there."""
     where = [index for index, word in enumerate(command) if Path(word).name == "amrpic"]
     known = where and len(command) > where[-1] + 1 and command[where[-1] - 1] != "-czf"
-    return command[where[-1] + 1 :] if known and "docker" not in command else None
+    if not known or "docker" in command:
+        return None
+    return list(itertools.takewhile(lambda word: word not in ("||", "&&", "|", "&", ";"), command[where[-1] + 1 :]))
 
 
 def masked(text: str) -> list[str]:

@@ -43,7 +43,7 @@ def test_ranks_together_show_what_the_dump_shows(comm, tmp_path):
                 mine, theirs = (raster.line_values(d, name, line, level) for d in (live, dump))
                 np.testing.assert_array_equal(mine, theirs)
                 view = views.View(name, "line", level=level)
-                fitted, expected_fit = (views.numbers(d, expected, view)[0] for d in (live, dump))
+                fitted, expected_fit = (np.asarray(views.numbers(d, expected, view))[0] for d in (live, dump))
                 np.testing.assert_array_equal(fitted, expected_fit)
                 held = np.isfinite(fitted)
                 assert held.any() and np.array_equal(held, np.isfinite(mine))

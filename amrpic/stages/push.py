@@ -98,10 +98,10 @@ def random_walk(particles: Particles, amplitude: float, seed: int, step: int) ->
 
     A particle's move depends on seed, step and its id alone: not on the ranks, nor on the order of particles.
     """
-    position, buffer = empty_columns(len(particles)), np.empty((4, min(IN_CACHE, len(particles))))
+    position, buffer = empty_columns(len(particles)), np.empty(4 * min(IN_CACHE, len(particles)))
     for start in range(0, len(particles), IN_CACHE):
         some = slice(start, start + IN_CACHE)
-        draws = buffer[:, : len(particles.id[some])]
+        draws = buffer[: 4 * len(particles.id[some])].reshape(4, -1)  # in one piece, as native code writes to it
         _native.uniforms(seed, RANDOM_WALK, step, particles.id[some], draws)
         position[some] = particles.position[some] + amplitude * (2 * draws[:3].T - 1)
     return particles.replace(position=position)

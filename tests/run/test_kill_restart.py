@@ -246,7 +246,7 @@ def test_killed_it_ends_the_same_on_another_number_of_ranks(undisturbed, ranks):
         np.testing.assert_allclose(left[order], right[expected_order], rtol=0, atol=1e-8 * np.abs(right).max(initial=0))
 
 
-STEPS = 36  # of runs that are stopped in all ways
+STEPS = 60  # of runs that are stopped in all ways
 
 
 def press(process: subprocess.Popen[bytes], folder: Path, how: str) -> None:

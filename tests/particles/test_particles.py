@@ -22,7 +22,7 @@ from amrpic.particles.species import Species, SpeciesTable
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
 from amrpic.stages.migrate import migrate
-from amrpic.stages.push import RANDOM_WALK, push, random_walk
+from amrpic.stages.push import IN_CACHE, RANDOM_WALK, push, random_walk
 from amrpic.units import SPEED_OF_LIGHT
 from particle_cases import (
     CHARGE,
@@ -315,6 +315,13 @@ def test_random_walk_is_uniform_and_new_at_each_step():
     assert first.var(axis=0) == pytest.approx(np.full(3, 4e-6 / 3), rel=5 * np.sqrt(0.8 / 1e5))
     draws = np.concatenate([first.T, second.T])
     assert np.abs(np.corrcoef(draws) - np.eye(6)).max() < 5 / np.sqrt(1e5)
+
+
+def test_random_walk_of_many_particles_is_that_of_each(count=IN_CACHE + 5):
+    moved = random_walk(at(np.zeros((count, 3))), 1.0, seed=1, step=0).position
+    for n in (0, IN_CACHE - 1, IN_CACHE, count - 1):
+        alone = random_walk(at(np.zeros((1, 3)), ids=n), 1.0, seed=1, step=0).position
+        assert np.array_equal(moved[n : n + 1], alone)
 
 
 def test_random_numbers_are_those_of_philox():

@@ -20,7 +20,7 @@ Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the
 
 @dataclass(frozen=True, eq=False)
 class SolveReport:
-    """How a solve went; the same on all ranks but for its time."""
+    """How a solve went; the same on all ranks, except its time."""
 
     converged: bool
     iterations: int

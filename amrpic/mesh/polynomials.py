@@ -140,7 +140,7 @@ def _fits(kinds: list[Sites], order: int, reach: float) -> list[Fit | None]:
 
 @lru_cache
 def _multipliers(count: int) -> Array:
-    """Odd numbers of 64 bits: sums of small numbers times these tell surroundings apart, but for two in 2^64 pairs."""
+    """Odd numbers of 64 bits: sums of small numbers times these differ between surroundings, except in two of 2^64 pairs."""
     return np.random.default_rng(0).integers(0, 2**63, count, dtype=np.uint64) * np.uint64(2) + np.uint64(1)
 
 
@@ -159,7 +159,7 @@ def _kinds(around: Surroundings, cells: Array) -> tuple[list[bytes], Array, Arra
 
 
 def _keys(around: Surroundings, cells: Array) -> Array:
-    """Return a number that tells the surroundings of each cell apart, (n,), zero where all cells around are of its level."""
+    """Return a number that identifies the surroundings of each cell, (n,), zero where all cells around are of its level."""
     keys = np.zeros(len(cells), dtype=np.uint64)
     irregular = np.flatnonzero(around.irregular()[tuple(cells.T)])
     some, window = cells[irregular], _window(around.width)

@@ -251,7 +251,7 @@ def _averaged(corners: Array, regions: list[_Region], boxes: dict[tuple[int, int
                 mean = _limited(mean, *limits[(slice(None), *at)])
             total += np.where(used, part.of_target * mean, 0.0)
             least, most = np.where(used, np.minimum(least, mean), least), np.where(used, np.maximum(most, mean), most)
-    return np.clip(total, least, most)  # it is a mean of these, but for rounding
+    return np.clip(total, least, most)  # a mean of these, except for rounding
 
 
 def _limited(mean: Array, least: Array, most: Array, share: Array) -> Array:

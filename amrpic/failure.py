@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import sys
 import time
 import traceback
@@ -65,6 +66,17 @@ def discard(stream: TextIO) -> None:
     """Let what a stream still has to write, and all that comes, go nowhere: else Python's end would fail on it."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def discard_unread() -> None:
+    """Let standard output and error go nowhere where nobody reads them: what waits for its reader waits no longer.
+
+    After Ctrl-C Open MPI's mpiexec reads no more, and a run that printed on would hang before its last checkpoint.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, none, or not a file
+            if not select.select([], [stream], [], 0.0)[1]:
+                discard(stream)
 
 
 def end_alone(comm: MPI.Comm, text: str, status: int) -> NoReturn:

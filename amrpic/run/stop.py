@@ -12,6 +12,8 @@ from typing import Any
 
 from mpi4py import MPI
 
+from ..failure import discard_unread
+
 SIGNALS = (
     signal.SIGUSR1,  # a batch system's warning ahead of time
     signal.SIGTERM,  # seconds before it kills; also what mpiexec makes of Ctrl-C
@@ -80,6 +82,7 @@ class Stop:
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._signal = number
+        discard_unread()
         if number == signal.SIGINT:
             signal.signal(number, signal.default_int_handler)
 

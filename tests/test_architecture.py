@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 NATIVE = {
     "base": set(),
     "gmls": {"base"},
-    "stencil": {"base"},
+    "stencil": {"gmls", "base"},
     "mesh": {"stencil", "base"},
     "operators": {"mesh", "stencil", "base"},
     "freespace": {"mesh", "stencil", "base"},

@@ -19,6 +19,7 @@ from . import (
     conservation,
     convergence,
     dynamics,
+    gaps,
     hard,
     least_squares,
     openboundary,
@@ -45,6 +46,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "backends": backends.tables,
     "dynamics": dynamics.tables,
     "least-squares": least_squares.tables,
+    "gaps": gaps.tables,
     "operators": operators.tables,
 }
 

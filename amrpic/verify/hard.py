@@ -17,7 +17,7 @@ from ..run.step import advance, begin
 from ..stages.poisson import SolveReport
 from .chosen import scene_of, solver_of
 from .errors import errors
-from .meshes import MESHES, Mesh, around
+from .meshes import MESHES, Mesh, around, blocks
 from .sources import EPS0, Gaussian, Product, Source, Together, Wave, fill
 from .table import Cell, Goal, Table
 
@@ -40,25 +40,13 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
 # ---- meshes ----
 
 
-def _blocks(comm: MPI.Comm, chosen: Callable[[int, int, int], bool], cells: int = 16, block: int = 4) -> Hierarchy:
-    """The unit cube, with the chosen blocks of fine cells refined."""
-    count = 2 * cells // block
-    boxes = [
-        (tuple(block * i for i in place), tuple(block * i + block - 1 for i in place))
-        for place in np.ndindex(count, count, count)
-        if chosen(*place)
-    ]
-    domain = Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary="dirichlet")
-    return Hierarchy(comm, domain, [boxes], max_grid_size=16, blocking_factor=block)
-
-
 def _checkerboard(comm: MPI.Comm) -> Outcome:
     # no face has a complete 3 x 3 block of coarse cells behind it
-    return _as_uniform(comm, _blocks(comm, lambda i, j, k: (i + j + k) % 2 == 0), spoilt=4.0)
+    return _as_uniform(comm, blocks(comm, lambda i, j, k: (i + j + k) % 2 == 0), spoilt=1.1)
 
 
 def _tunnels(comm: MPI.Comm) -> Outcome:
-    return _as_uniform(comm, _blocks(comm, lambda i, j, k: [i, j, k].count(3) >= 2), spoilt=1.2)
+    return _as_uniform(comm, blocks(comm, lambda i, j, k: [i, j, k].count(3) >= 2), spoilt=1.2)
 
 
 def _as_uniform(comm: MPI.Comm, hierarchy: Hierarchy, spoilt: float) -> Outcome:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,18 @@ class Mesh:
             for level, boxes in enumerate(self.levels, start=1)
         ]
         return Hierarchy(comm, domain, levels, max_grid_size=max_grid_size, blocking_factor=2)
+
+
+def blocks(comm: MPI.Comm, chosen: Callable[[int, int, int], bool], cells: int = 16, block: int = 4) -> Hierarchy:
+    """The unit cube, with the chosen blocks of `block` fine cells refined. Collective."""
+    count = 2 * cells // block
+    boxes = [
+        (tuple(block * i for i in place), tuple(block * i + block - 1 for i in place))
+        for place in np.ndindex(count, count, count)
+        if chosen(*place)
+    ]
+    domain = Domain((0, 0, 0), (1, 1, 1), (cells,) * 3, boundary="dirichlet")
+    return Hierarchy(comm, domain, [boxes], max_grid_size=16, blocking_factor=block)
 
 
 def _index(corner: tuple[float, float, float], cells: int, level: int) -> tuple[int, ...]:

@@ -7,18 +7,19 @@
 namespace amrpic::matrixfree {
 
 Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio,
-                       bool refines, CoarseGhosts const& ghosts)
+                       Refinement const& refinement, CoarseGhosts const& ghosts)
     : comm_(comm),
       fine_(fine),
       coarse_(coarse),
       ratio_(ratio),
-      refines_(refines),
-      in_place_(!refines && keeps_children_together()) {
+      refines_(refinement.in_part),
+      has_gaps_(refinement.has_gaps),
+      in_place_(!refines_ && keeps_children_together()) {
   lay_out_coarse_patches(comm, ghosts);
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
-  if (refines)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), fine.layout(), fine.faces(), coarse_patches_,
-                                fine.stencil().weight(), coarse.stencil().weight());
+  if (refines_)
+    interface_ = InterfaceCells(fine.level(), coarse.level(), refinement.finer, fine.layout(), fine.faces(),
+                                coarse_patches_, fine.stencil().weight(), coarse.stencil().weight());
 }
 
 /// Whether on all ranks the parents of each own block make up the own block of the same number. Local: where the
@@ -196,6 +197,11 @@ void Coarsening::gather_from_others(Vector& r) {
 
 void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   Vector& target = clear_target();
+  if (has_gaps_) {
+    fine_.run(stages);
+    stages.clear();
+    update_gaps();
+  }
   stages.push_back({[&](std::size_t b, int k, RowChoice const&) {
                       if (b < sources_.size())
                         fine_.sweep().restrict_residual(b, k, fine_.right_hand_side(), fine_.correction(), taking(b),
@@ -212,6 +218,18 @@ void Coarsening::sweep_and_restrict(std::vector<PlaneStage> stages) {
   fine_.run(stages);
   interface_.subtract_flux(fine_.correction(), target);
   add_to_coarse_level();
+}
+
+/// Take what fits in gaps have of the finer correction into its right-hand side, from up-to-date copies.
+void Coarsening::update_gaps() {
+  fine_.exchange_corrections(false);
+  fine_.run({});
+  interface_.subtract_in_gaps(fine_.correction(), fine_.right_hand_side());
+}
+
+void Coarsening::refresh_gaps() {
+  update_gaps();
+  fine_.exchange_corrections(true);
 }
 
 void Coarsening::restrict_right_hand_side() {
@@ -254,7 +272,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
   // What others copy comes first, so that it is under way while the rest is swept. Nothing is left to the sweeps before
   // a restriction that takes the same values for its own sums.
   Layout const& layout = fine_.layout();
-  bool const all_now = into == Into::place && !in_place_;
+  bool const all_now = (into == Into::place && !in_place_) || has_gaps_;
   fine_.corrections_are_new();
   if (fine_.is_thin() && !all_now) return {{prolong, 0, both_colours}};
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
@@ -262,6 +280,7 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
     for (int k = box.lower[2]; k <= box.upper[2]; ++k)
       prolong(b, k, all_now ? RowChoice{} : layout.rows_by_copies(b, k, true));
   }
+  if (has_gaps_) update_gaps();
   fine_.exchange_corrections(refines_);
   if (all_now) return {};
   return {{[&layout, prolong](std::size_t b, int k, RowChoice const&) {
@@ -270,9 +289,16 @@ std::vector<PlaneStage> Coarsening::prolongation(Into into) {
 }
 
 Traffic Coarsening::of_restriction(bool of_residual) const {
-  Traffic out = of_residual && fine_.has_odd_ring() ? fine_.of_corrections(false) : Traffic{};
+  Traffic out;
+  for (bool exchanges : {fine_.has_odd_ring(), has_gaps_})
+    if (of_residual && exchanges) out = out + fine_.of_corrections(false);
   if (in_place_) return out;
   return out + targets_of_residuals_.of_add() + sent_by_gathering_;
+}
+
+Traffic Coarsening::of_prolongation() const {
+  Traffic const out = parents_.of_update() + fine_.of_corrections(refines_);
+  return has_gaps_ ? out + fine_.of_corrections(false) : out;
 }
 
 std::size_t Coarsening::bytes() const {

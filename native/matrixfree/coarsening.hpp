@@ -19,10 +19,15 @@ struct CoarseGhosts {
 /// What passes between a level and the next coarser one in a cycle.
 class Coarsening {
  public:
-  /// `refines`: the finer level covers but a part of the coarser one, whose right-hand side elsewhere is its own.
+  /// How the finer level refines the coarser one.
+  struct Refinement {
+    bool in_part = false;          ///< the coarser right-hand side is its own elsewhere
+    bool has_gaps = false;         ///< somewhere, on any rank, see `GapFit`
+    Level const* finer = nullptr;  ///< the level after the finer one
+  };
   /// Collective.
-  Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, bool refines,
-             CoarseGhosts const& ghosts);
+  Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio,
+             Refinement const& refinement, CoarseGhosts const& ghosts);
 
   /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
   ///
@@ -33,6 +38,13 @@ class Coarsening {
   /// The same for a finer correction of zero, whose values are not read. Collective.
   void restrict_right_hand_side();
 
+  /// Where there are gaps: begin with a finer correction of zero; and take what its fits have of it after sweeps into
+  /// its right-hand side, since sweeps do not see that. Collective.
+  bool has_gaps() const { return has_gaps_; }
+  void start() { interface_.start(); }
+  void refresh_gaps();
+  Traffic of_refresh() const { return fine_.of_corrections(false) + fine_.of_corrections(true); }
+
   /// Fetch the coarser correction, and take its part of the ghosts into the finer right-hand side; what is returned
   /// adds it to the finer correction, or takes its place, and is to be run first. Planes that other ranks copy have it
   /// already, and are on their way to them. Collective.
@@ -41,7 +53,7 @@ class Coarsening {
 
   // What this rank sends in calls of these.
   Traffic of_restriction(bool of_residual) const;
-  Traffic of_prolongation() const { return parents_.of_update() + fine_.of_corrections(refines_); }
+  Traffic of_prolongation() const;
   std::set<int> const& neighbours() const { return parents_.neighbours(); }
 
   std::size_t bytes() const;
@@ -54,6 +66,7 @@ class Coarsening {
   bool keeps_children_together() const;
   void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts);
   Vector& clear_target();
+  void update_gaps();
   /// The parents that take the residuals of an own block.
   Parents const& taking(std::size_t b) const { return in_place_ ? targets_[b] : sources_[b]; }
   float weight() const;
@@ -72,7 +85,7 @@ class Coarsening {
   SweptLevel& fine_;
   SweptLevel& coarse_;
   Index3 ratio_;
-  bool refines_;
+  bool refines_, has_gaps_;
   bool in_place_;                            ///< whether all parents lie in this rank's memory, block by block
   std::vector<CoarsePatch> coarse_patches_;  ///< of each own block
   Vector values_;                            ///< what they hold

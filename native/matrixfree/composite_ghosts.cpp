@@ -114,11 +114,30 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   std::ptrdiff_t const ghost_pitch = own.extent(u);
   Real* const ghosts = ghosts_[f].data() + 2 * i.u;
   Real* const star = star_.data();
+  GapFit const* const* in_gap = nullptr;
+  if (i.gaps >= 0) {
+    Gaps const& gaps = mesh_.plan(l).gaps[std::size_t(i.gaps)];
+    fill_windows(l, gaps, phi);
+    in_gap = &mesh_.plan(l).fits_in_gaps[std::size_t(gaps.fits)];
+  }
+  Index3 behind = own.coarsen(refinement_ratio).layer(axis, side, 1).lower;
+  behind[u] += i.u, behind[v] += i.v;
   for (int row = 0; row < i.nv; ++row) {
     FitNumber const* fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
     Real* flux = fluxes_[l].data() + i.fluxes + std::ptrdiff_t(row) * i.nu;
     fit_row(fits, i.nu, coarse_.data() + i.margin + (i.margin + row) * coarse_pitch, coarse_pitch, star,
             star + 2 * i.nu);
+    for (int m = 0; m < i.nu && in_gap; ++m) {
+      if (fits[m] != fit_in_gap) continue;
+      Index3 middle = behind;
+      middle[u] += m, middle[v] += row;
+      FourStars<Real> stars{};
+      for (auto const& term : (*in_gap)->terms)
+        add_to_stars(stars, term, term.fine ? window_(first_child_of(middle), term) : coarse_window_(middle, term));
+      for (int a = 0; a < 2; ++a)
+        star[2 * m + a] = stars[0][std::size_t(a)], star[2 * (i.nu + m) + a] = stars[1][std::size_t(a)];
+      ++in_gap;
+    }
     for_each_run(fits, i.nu, [&](int start, int count, FitNumber) {
       std::fill_n(flux + start, count, 0.0);
       for (int half = 0; half < 2; ++half) {
@@ -138,11 +157,24 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   }
 }
 
+void CompositeGhosts::fill_windows(int l, Gaps const& gaps, Field const& phi) {
+  auto const fill = [&](GapWindow<Real>& window, Box const& box, Range const& parts, Real const* own) {
+    window.set_box(box);
+    for (int p = parts.first; p < parts.last; ++p) {
+      WindowPart const& part = mesh_.plan(l).window_parts[std::size_t(p)];
+      window.copy_in(part.part, (part.here ? own : mesh_.plan().cells.values()) + part.from, part.pitch_y,
+                     part.pitch_z);
+    }
+  };
+  fill(coarse_window_, gaps.coarse, gaps.coarse_parts, phi.level(l - 1).data());
+  fill(window_, gaps.coarse.refine(refinement_ratio), gaps.parts, phi.level(l).data());
+}
+
 std::size_t CompositeGhosts::bytes() const {
   std::size_t values = coarse_.capacity() + star_.capacity();
   for (auto const& face : ghosts_) values += face.capacity();
   for (auto const& level : fluxes_) values += level.capacity();
-  return values * sizeof(Real);
+  return values * sizeof(Real) + coarse_window_.bytes() + window_.bytes();
 }
 
 }  // namespace amrpic

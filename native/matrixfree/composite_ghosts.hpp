@@ -3,6 +3,7 @@
 #include <functional>
 
 #include "matrixfree/composite_mesh.hpp"
+#include "matrixfree/gap_window.hpp"
 #include "operators/walls.hpp"
 #include "stencil/interface.hpp"
 
@@ -60,12 +61,14 @@ class CompositeGhosts {
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
   void copy(Rectangle const& from, Real const* own, Real* to, std::ptrdiff_t pitch) const;
+  void fill_windows(int l, Gaps const& gaps, Field const& phi);
   void send_fluxes(int l);
 
   CompositeMesh& mesh_;
   std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
   std::array<std::vector<Real>, 6> ghosts_;  ///< of the box under way, by face, u fastest
   std::vector<Real> coarse_, star_;          ///< of the interface under way: coarse values, two rows of phi*
+  GapWindow<Real> coarse_window_, window_;   ///< of the gaps under way
 };
 
 }  // namespace amrpic

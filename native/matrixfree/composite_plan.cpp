@@ -6,21 +6,6 @@ namespace amrpic {
 
 namespace {
 
-/// The smallest box that holds the cells with a fit, of which there are some.
-Box cells_with_fit(ArrayOnBox<FitNumber> const& fits) {
-  Box out = fits.box();
-  auto has_fit = [&](Box const& part) {
-    bool any = false;
-    for_each_cell(part, [&](Index3 const& cell) { any = any || fits(cell) != no_fit; });
-    return any;
-  };
-  for (int d = 0; d < 3; ++d) {
-    while (!has_fit(out.layer(d, 0, 0))) ++out.lower[d];
-    while (!has_fit(out.layer(d, 1, 0))) --out.upper[d];
-  }
-  return out;
-}
-
 /// The means that boxes of a level read of finer ones.
 Reads reads_of_means(Level const& level, Level const& finer) {
   return coarsened(reads_across_ranks(
@@ -115,15 +100,16 @@ class LevelPlanner {
   Interface interface_at(ArrayOnBox<FitNumber> const& fits, int f) {
     int const axis = f / 2;
     auto const [u, v] = tangential_axes(axis);
-    Box const region = cells_with_fit(fits);
+    Box const region = hull_of_fits(fits, [](FitNumber fit) { return fit != no_fit; });
     Interface out{};
     out.u = region.lower[u] - fits.box().lower[u], out.nu = region.extent(u);
     out.v = region.lower[v] - fits.box().lower[v], out.nv = region.extent(v);
     out.fits = std::int32_t(out_.fits.size());
     out.fluxes = out_.fluxes;
     for_each_cell(region, [&](Index3 const& cell) { out_.fits.push_back(fits(cell)); });
-    for_each_run(&out_.fits[std::size_t(out.fits)], out.nu * out.nv,
-                 [&](int, int, FitNumber fit) { out.margin = std::max(out.margin, numbered_fit(fit).reach); });
+    for_each_run(&out_.fits[std::size_t(out.fits)], out.nu * out.nv, [&](int, int, FitNumber fit) {
+      if (fit != fit_in_gap) out.margin = std::max(out.margin, numbered_fit(fit).reach);
+    });
     out_.fluxes += out.nu * out.nv;
     out.coarse.first = std::int32_t(out_.coarse.size());
     Index3 margin{out.margin, out.margin, out.margin};
@@ -134,6 +120,44 @@ class LevelPlanner {
       if (!part.empty()) out_.coarse.push_back(rectangle(l_ - 1, {o.box, part, o.shift}, f, read.lower));
     }
     out.coarse.last = std::int32_t(out_.coarse.size());
+    Box const gaps = hull_of_fits(fits, [](FitNumber fit) { return fit == fit_in_gap; });
+    if (!gaps.empty()) {
+      out.gaps = int(out_.gaps.size());
+      out_.gaps.push_back(gaps_at(fits, gaps.grow(1), f));
+    }
+    return out;
+  }
+
+  /// The fits in gaps behind a face, `coarse` around them.
+  Gaps gaps_at(ArrayOnBox<FitNumber> const& fits, Box const& coarse, int f) {
+    Gaps out{coarse, {}, {}, std::int32_t(out_.fits_in_gaps.size())};
+    out.coarse_parts = parts_of_window(l_ - 1, coarse_near_, coarse, f);
+    out.parts = parts_of_window(l_, refined_near_, coarse.refine(refinement_ratio), f);
+    GapCells const cells(coarse, coarse_near_, refined_near_, finer_);
+    for_each_cell(fits.box(), [&](Index3 const& cell) {
+      if (fits(cell) == fit_in_gap) out_.fits_in_gaps.push_back(&out_.gap_fits(cells.around(cell), f / 2));
+    });
+    return out;
+  }
+
+  /// The parts of a window that boxes of level l hold.
+  Range parts_of_window(int l, std::vector<Overlap> const& near, Box const& window, int f) {
+    Range out{std::int32_t(out_.window_parts.size()), 0};
+    Level const& level = l == l_ ? level_ : *coarser_;
+    for (Overlap const& o : near) {
+      Overlap const met{o.box, o.part.intersect(window), o.shift};
+      if (met.part.empty()) continue;
+      bool const here = level.owner(o.box) == level.rank();
+      Box const& box = level.box(o.box);
+      Imports::Values const values =
+          here ? Imports::Values{level.local_offset(o.box) + std::int32_t(box.offset(met.in_box().lower)),
+                                 box.extent(0), box.extent(0) * box.extent(1)}
+               : cells_.find(l == l_ ? CompositePlan::around_gaps(l) : CompositePlan::behind_gaps(l), number_, f, o.box,
+                             o.shift, met.part);
+      out_.window_parts.push_back({here, values.from, values.pitch_y, values.pitch_z, met.part});
+      plan_->remote = plan_->remote || !here;
+    }
+    out.last = std::int32_t(out_.window_parts.size());
     return out;
   }
 
@@ -229,7 +253,12 @@ CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hi
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     Level const& level = hierarchy.level(l);
     cells.add(as_neighbours(l), reads_beyond_faces(level));
-    if (l > 0) cells.add(behind_edges(l - 1), reads_behind_edges(level, hierarchy.faces(l), hierarchy.level(l - 1)));
+    if (l > 0) {
+      Level const& coarser = hierarchy.level(l - 1);
+      cells.add(behind_edges(l - 1), reads_behind_edges(level, hierarchy.faces(l), coarser));
+      cells.add(behind_gaps(l - 1), coarse_reads_in_gaps(level, hierarchy.faces(l), coarser));
+      cells.add(around_gaps(l), fine_reads_in_gaps(level, hierarchy.faces(l), coarser));
+    }
     if (!hierarchy.has_finer(l)) continue;
     Level const& finer = hierarchy.level(l + 1);
     LevelPlan& plan = levels[std::size_t(l)];
@@ -262,6 +291,7 @@ std::size_t CompositePlan::bytes() const {
   std::size_t sum = cells.memory();
   for (auto const& l : levels)
     sum += bytes_of(l.boxes) + bytes_of(l.neighbours) + bytes_of(l.interfaces) + bytes_of(l.coarse) + bytes_of(l.fits) +
+           bytes_of(l.gaps) + bytes_of(l.window_parts) + bytes_of(l.fits_in_gaps) + l.gap_fits.bytes() +
            bytes_of(l.covered) + bytes_of(l.refined) + bytes_of(l.families) + bytes_of(l.remote_means) +
            l.finer_fluxes.memory() + l.finer_means.memory();
   return sum;

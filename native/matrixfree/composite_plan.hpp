@@ -8,6 +8,7 @@
 #include "matrixfree/fits.hpp"
 #include "matrixfree/imports.hpp"
 #include "mesh/hierarchy.hpp"
+#include "stencil/gap_fit.hpp"
 
 namespace amrpic {
 
@@ -40,6 +41,21 @@ struct Interface {
   Range coarse;         ///< rectangles of the coarser level that make up the rectangle with its margin
   std::int32_t fits;    ///< place of the fits of the rectangle's cells, u fastest
   std::int32_t fluxes;  ///< place of what the level sends through the coarse faces, u fastest
+  int gaps = -1;        ///< in the level's list of gaps
+};
+
+/// Cells of a box, in its memory or as another rank sent them: a part of a window around gaps.
+struct WindowPart {
+  bool here;                            ///< in this rank's memory
+  std::int32_t from, pitch_y, pitch_z;  ///< place of the first value as in Rectangle, and distances
+  Box part;                             ///< in the window's indices
+};
+
+/// The gaps behind a face of a box, see `GapFit`.
+struct Gaps {
+  Box coarse;                 ///< coarse cells around them; their children are the finer ones
+  Range coarse_parts, parts;  ///< of the coarser level, and of the level itself
+  std::int32_t fits;          ///< place of the fits of those cells of the interface that have such, u fastest
 };
 
 /// Uncovered cells of a box with a refined cell beyond one of their faces.
@@ -80,6 +96,10 @@ struct LevelPlan {
   std::vector<Interface> interfaces;
   std::vector<Rectangle> coarse;  ///< cells of the coarser level
   std::vector<FitNumber> fits;
+  std::vector<Gaps> gaps;
+  std::vector<WindowPart> window_parts;
+  std::vector<GapFit const*> fits_in_gaps;
+  GapFits gap_fits;
   std::int32_t fluxes = 0;   ///< number of coarse faces for which the level has places
   std::vector<Box> covered;  ///< counted from the first cell of the box
   std::vector<RefinedSide> refined;
@@ -96,10 +116,13 @@ struct CompositePlan {
   std::vector<LevelPlan> levels;
 
   Imports cells;  ///< of other ranks, of all levels
-  /// Their purposes: cells of level l as ghosts of that level, or for those of the next finer one.
-  static int as_neighbours(int l) { return 2 * l; }
-  static int behind_edges(int l) { return 2 * l + 1; }
-  static int level_of(int purpose) { return purpose / 2; }
+  /// Their purposes: cells of level l as ghosts of that level, or for those of the next finer one, or around gaps
+  /// beside the next finer level or beside the level itself.
+  static int as_neighbours(int l) { return 4 * l; }
+  static int behind_edges(int l) { return 4 * l + 1; }
+  static int behind_gaps(int l) { return 4 * l + 2; }
+  static int around_gaps(int l) { return 4 * l + 3; }
+  static int level_of(int purpose) { return purpose / 4; }
 
   // What this rank sends for cells and fluxes, and for means.
   Traffic of_residual() const;

@@ -44,6 +44,19 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
   return out;
 }
 
+constexpr int reach_in_gaps = 4;  ///< how many cells away those lie that fits in gaps take
+
+/// Which levels have gaps behind their faces, on any rank. Collective.
+std::vector<int> levels_with_gaps(Communicator const& comm, MultigridLevels const& multigrid) {
+  std::vector<int> out(multigrid.levels.size());
+  for (std::size_t l = multigrid.base + 1; l < out.size(); ++l)
+    for (BoxFaces const& faces : *multigrid.faces[l])
+      for (Box const& gap : gaps_behind(faces, *multigrid.levels[l], *multigrid.levels[l - 1]))
+        out[l] = out[l] || !gap.empty();
+  comm.largest_each(out);
+  return out;
+}
+
 /// So many cells of a rank stay near the processor from one half of a sweep to the next, which then costs less than
 /// deep copies; with more, all sweeps go over them in one pass.
 constexpr GlobalIndex in_cache = 300'000;
@@ -80,6 +93,7 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
                                {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max())),
       relaxation_(relaxation) {
   OpenWalls const open_walls(multigrid_);
+  auto const has_gaps = levels_with_gaps(comm, multigrid_);
   for (std::size_t l = 0; l < multigrid_.levels.size(); ++l) {
     CycleLevel level;
     GhostRules const rules = ghost_rules_of(multigrid_, open_walls, l);
@@ -90,11 +104,13 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
       copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, hierarchy.max_grid_size());
     // sweeps that do not start from zero, and a residual after them, read one cell further
     int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
-    int const halo = copies.empty() && has_thin_copies(*multigrid_.levels[l], rules) ? 1 : deep;
+    bool const thin = copies.empty() && !has_gaps[l] && has_thin_copies(*multigrid_.levels[l], rules);
+    int const halo = thin ? 1 : std::max(deep, has_gaps[l] ? reach_in_gaps : 0);
     level.swept = std::make_unique<SweptLevel>(comm, multigrid_.levels[l], rules, shift, own, halo);
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
-          comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l], multigrid_.refines(l),
+          comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
+          Coarsening::Refinement{multigrid_.refines(l), has_gaps[l] != 0, multigrid_.beside(l).finer},
           CoarseGhosts{[&](Index3 const& cell, int axis, int side) {
                          return prolonged_end(multigrid_, open_walls, l - 1, cell, axis, side);
                        },
@@ -119,14 +135,38 @@ void Cycle::run() {
                          [this](std::size_t l) { prolong_and_post_smooth(levels_[l]); }, [this] { solve_coarsest(); }});
 }
 
+/// The stages with sweeps after them, of which all but the last have run where there are gaps: their fits are taken
+/// into account between sweeps.
+std::vector<PlaneStage> Cycle::relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps,
+                                           bool from_zero, int further) {
+  auto const append = [&](int count) {
+    for (auto& stage : level.swept->relaxations(count, from_zero, further)) stages.push_back(stage);
+    from_zero = false;
+  };
+  for (; level.coarsening->has_gaps() && sweeps > 1; --sweeps) {
+    append(1);
+    level.swept->run(stages);
+    stages.clear();
+    level.coarsening->refresh_gaps();
+  }
+  append(sweeps);
+  return stages;
+}
+
+Traffic Cycle::between_sweeps(CycleLevel const& level, int sweeps) const {
+  Traffic out;
+  for (int s = 1; s < sweeps && level.coarsening->has_gaps(); ++s) out = out + level.coarsening->of_refresh();
+  return out;
+}
+
 /// Smooth, then leave the right-hand side of the coarser level.
 void Cycle::pre_smooth_and_restrict(CycleLevel& level, Guess guess) {
   level.swept->exchange_right_hand_sides();
   std::vector<PlaneStage> stages;
   if (guess == Guess::coarser) stages = level.coarsening->prolongation(Coarsening::Into::place);
   int const sweeps = sweeps_beside(level, relaxation_.pre_sweeps);
-  for (auto& stage : level.swept->relaxations(sweeps, guess == Guess::zero, 1)) stages.push_back(stage);
-  level.coarsening->sweep_and_restrict(stages);
+  level.coarsening->start();
+  level.coarsening->sweep_and_restrict(relaxations(level, stages, sweeps, guess == Guess::zero, 1));
 }
 
 /// Add the coarser level's correction, take its part of the ghosts into account, smooth. A cycle of the level's own
@@ -135,7 +175,7 @@ void Cycle::prolong_and_post_smooth(CycleLevel& level) {
   auto stages = level.coarsening->prolongation(Coarsening::Into::sum);
   int const sweeps = sweeps_beside(level, relaxation_.post_sweeps);
   int const further = level.local ? 1 : 0;  // a residual is taken there
-  for (auto& stage : level.swept->relaxations(sweeps, false, further)) stages.push_back(stage);
+  stages = relaxations(level, stages, sweeps, false, further);
   if (level.local) stages = level.local->improve(stages);
   level.swept->run(stages);
 }
@@ -181,26 +221,29 @@ std::vector<LevelWork> Cycle::work() const {
     out[l].sweeps += sweeps;
     out[l].relaxed += levels_[l].swept->relaxed_cells(sweeps, further);
   };
-  run_cycle(multigrid_,
-            {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
-             [&](std::size_t l, Guess guess) {
-               Coarsening const& c = *levels_[l].coarsening;
-               SweptLevel const& swept = *levels_[l].swept;
-               int const sweeps = sweeps_beside(levels_[l], relaxation_.pre_sweeps);
-               Traffic const sent = swept.of_right_hand_sides() + c.of_restriction(true) +
-                                    swept.of_sweeps(sweeps, guess == Guess::zero, true);
-               add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent, sweeps, 1);
-             },
-             [&](std::size_t l) {
-               auto const& local = levels_[l].local;
-               int const sweeps = sweeps_beside(levels_[l], relaxation_.post_sweeps);
-               add(l, levels_[l].coarsening->of_prolongation() + levels_[l].swept->of_sweeps(sweeps, false, false),
-                   sweeps, local ? 1 : 0);
-               if (!local) return;
-               out[l].traffic = out[l].traffic + local->traffic();
-               out[l].relaxed += local->relaxed_cells();
-             },
-             [&] { out[0].traffic.collectives += multigrid_.levels.front()->ranks() > 1; }});
+  run_cycle(multigrid_, {[&](std::size_t l) { add(l, levels_[l].coarsening->of_restriction(false), 0, 0); },
+                         [&](std::size_t l, Guess guess) {
+                           Coarsening const& c = *levels_[l].coarsening;
+                           SweptLevel const& swept = *levels_[l].swept;
+                           int const sweeps = sweeps_beside(levels_[l], relaxation_.pre_sweeps);
+                           Traffic const sent = swept.of_right_hand_sides() + c.of_restriction(true) +
+                                                swept.of_sweeps(sweeps, guess == Guess::zero, true) +
+                                                between_sweeps(levels_[l], sweeps);
+                           add(l, guess == Guess::coarser ? sent + c.of_prolongation() : sent, sweeps, 1);
+                         },
+                         [&](std::size_t l) {
+                           auto const& local = levels_[l].local;
+                           int const sweeps = sweeps_beside(levels_[l], relaxation_.post_sweeps);
+                           add(l,
+                               levels_[l].coarsening->of_prolongation() +
+                                   levels_[l].swept->of_sweeps(sweeps, false, false) +
+                                   between_sweeps(levels_[l], sweeps),
+                               sweeps, local ? 1 : 0);
+                           if (!local) return;
+                           out[l].traffic = out[l].traffic + local->traffic();
+                           out[l].relaxed += local->relaxed_cells();
+                         },
+                         [&] { out[0].traffic.collectives += multigrid_.levels.front()->ranks() > 1; }});
   return out;
 }
 

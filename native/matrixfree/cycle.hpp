@@ -50,6 +50,9 @@ class Cycle {
   };
   void pre_smooth_and_restrict(CycleLevel& level, Guess guess);
   void prolong_and_post_smooth(CycleLevel& level);
+  std::vector<PlaneStage> relaxations(CycleLevel& level, std::vector<PlaneStage> stages, int sweeps, bool from_zero,
+                                      int further);
+  Traffic between_sweeps(CycleLevel const& level, int sweeps) const;
   void solve_coarsest();
   int sweeps_beside(CycleLevel const& level, int sweeps) const {
     return level.local ? beside_local_cycle(sweeps) : sweeps;

@@ -4,41 +4,25 @@
 #include <algorithm>
 #include <array>
 #include <cstddef>
-#include <cstdint>
 
-#include "mesh/faces.hpp"
+#include "mesh/fits_behind.hpp"
 #include "stencil/interface.hpp"
 
 namespace amrpic {
 
-/// Which of the fits of `plane_fit` the four ghosts in front of a coarse cell take. They share it: which cells are
-/// usable does not depend on the ghost, only the weights do.
-using FitNumber = std::uint8_t;
-constexpr FitNumber central_fit = 0;  ///< the 3 x 3 block around the cell: nearly all faces have it
-constexpr FitNumber no_fit = 255;     ///< the cell has no ghosts in front of it
-
-/// The terms of a fit: cells of the coarse plane, as offsets from the one behind the ghosts along the lower and the
-/// higher tangential axis, and the weights of each for the four ghosts, [upper half along v][upper half along u].
+/// The terms of a fit in one of the blocks: cells of the coarse plane, as offsets from the one behind the ghosts along
+/// the lower and the higher tangential axis, and the weights of each for the four ghosts, [upper half along v][upper
+/// half along u].
 struct NumberedFit {
   struct Term {
     int i, j;
     std::array<std::array<Real, 2>, 2> weight;
   };
   std::array<Term, 9> terms;
-  int count;
-  int reach;  ///< largest offset, 0 to 2
+  int reach;  ///< largest offset, 1 or 2
 };
 
-/// The number of the fit for the usable cells of the coarse plane (bits as in `plane_fit`).
-FitNumber fit_number(unsigned usable);
-
-/// The fits behind a face, one for each coarse cell of its layer, `no_fit` where the level goes on. `coarser`,
-/// `refined`: parts that the coarser level has and the level refines, in the layer and two coarse cells around it in
-/// its plane.
-ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overlap> const& coarser,
-                                  std::vector<Overlap> const& refined);
-
-/// The fit of a number.
+/// The fit of a number; not of those in gaps.
 NumberedFit const& numbered_fit(FitNumber number);
 
 /// phi* of a run of `count` neighbouring coarse cells with the central fit, along the lower tangential axis: two rows
@@ -77,17 +61,17 @@ void for_each_run(FitNumber const* fits, int count, F&& f) {
 }
 
 /// phi* of all ghosts in front of a row of coarse cells along the lower tangential axis, into the two rows of fine
-/// ghosts; ghosts of cells without a fit are left as they are. A ghost's value does not depend on the row's extent, not
-/// even by rounding.
+/// ghosts; ghosts of cells with fits in gaps or without any are left as they are. A ghost's value does not depend on
+/// the row's extent, not even by rounding.
 template <class T>
 void fit_row(FitNumber const* fits, int count, T const* coarse, std::ptrdiff_t pitch, T* lower_row, T* upper_row) {
   for_each_run(fits, count, [&](int u, int n, FitNumber number) {
+    if (number == fit_in_gap) return;
     if (number == central_fit) return central_fits(n, coarse + u, pitch, lower_row + 2 * u, upper_row + 2 * u);
     NumberedFit const& fit = numbered_fit(number);
     for (int m = u; m < u + n; ++m) {
       T sum[2][2] = {{0, 0}, {0, 0}};
-      for (int t = 0; t < fit.count; ++t) {
-        auto const& term = fit.terms[std::size_t(t)];
+      for (auto const& term : fit.terms) {
         T const value = coarse[m + term.i + pitch * term.j];
         for (int b = 0; b < 2; ++b)
           for (int a = 0; a < 2; ++a) sum[b][a] += T(term.weight[b][a]) * value;

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "mesh/hierarchy.hpp"
+
 namespace amrpic::matrixfree {
 
 namespace {
@@ -10,9 +12,9 @@ constexpr int margin = 2;  ///< of coarser cells that fits take, around the pare
 
 }  // namespace
 
-InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout const& layout, LevelFaces const& faces,
-                               std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
-                               std::array<float, 3> const& coarse_weight) {
+InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
+                               LevelFaces const& faces, std::vector<CoarsePatch> const& patches,
+                               std::array<float, 3> const& weight, std::array<float, 3> const& coarse_weight) {
   for (std::size_t b = 0; b < layout.own_blocks(); ++b) {
     if (!faces[b].ends_level()) continue;
     CellBlock const& block = layout.blocks()[b];
@@ -41,6 +43,9 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
         face.parent_v = patch.cells.stride(v);
         face.weight = float(weight[axis] * interface_ghost::coarse);
         face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
+        face.axis = axis, face.side = side;
+        face.parent_normal = patch.cells.stride(axis);
+        add_gaps(face, fits, near, refined, finer, layout);
         faces_.push_back(face);
         plane_.resize(std::max(plane_.size(), std::size_t(face.nu + 2 * margin) * std::size_t(face.nv + 2 * margin)));
         rows_.resize(std::max(rows_.size(), std::size_t(4 * face.nu)));
@@ -48,9 +53,85 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Layout 
   }
 }
 
+/// The fits in gaps behind a face. `near`, `refined`: parts of the coarser level and of this one around it.
+void InterfaceCells::add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& fits, std::vector<Overlap> const& near,
+                              std::vector<Overlap> const& refined, Level const* finer, Layout const& layout) {
+  face.first_gap = gaps_.size(), face.first_part = parts_.size();
+  Box const gaps = hull_of_fits(fits, [](FitNumber fit) { return fit == fit_in_gap; });
+  if (!gaps.empty()) {
+    face.first_child = first_child_of(fits.box().lower);
+    face.window = gaps.grow(1).refine(refinement_ratio);
+    GapCells const cells(gaps.grow(1), near, refined, finer);
+    for_each_cell(fits.box(), [&](Index3 const& cell) {
+      if (fits(cell) == fit_in_gap) gaps_.push_back(&gap_fits_(cells.around(cell), face.axis));
+    });
+    layout.for_each_overlap(face.window, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
+      Placement from = block.cells;
+      from.origin = block.place(part.shift_back(shift).lower);
+      parts_.push_back({part, from});
+    });
+  }
+  face.gaps = gaps_.size() - face.first_gap, face.parts = parts_.size() - face.first_part;
+  taken_.resize(gaps_.size());
+}
+
+/// Call f(number of the gap, place of its coarse cell along u, along v).
+template <class F>
+void InterfaceCells::for_each_gap(InterfaceSide const& face, F&& f) const {
+  if (face.gaps == 0) return;
+  std::size_t gap = face.first_gap;
+  for (int v = 0; v < face.nv; ++v)
+    for (int u = 0; u < face.nu; ++u)
+      if (fits_[face.fits + std::size_t(u + v * face.nu)] == fit_in_gap) f(gap++, u, v);
+}
+
+void InterfaceCells::subtract_from_cells(InterfaceSide const& face, int u, int v, FourStars<float> const& stars,
+                                         Vector& r) const {
+  for (int b = 0; b < 2; ++b)
+    for (int a = 0; a < 2; ++a)
+      r[std::size_t(face.cell + (2 * u + a) * face.cell_u + (2 * v + b) * face.cell_v)] -=
+          face.weight * stars[std::size_t(b)][std::size_t(a)];
+}
+
+void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
+  for (InterfaceSide const& face : faces_) {
+    if (face.gaps == 0) continue;
+    window_.set_box(face.window);
+    for (std::size_t p = face.first_part; p < face.first_part + face.parts; ++p) {
+      auto const& [part, from] = parts_[p];
+      window_.copy_in(part, &e[std::size_t(from.origin)], from.pitch_y, from.pitch_z);
+    }
+    auto const [axis_u, axis_v] = tangential_axes(face.axis);
+    for_each_gap(face, [&](std::size_t gap, int u, int v) {
+      Index3 child = face.first_child;
+      child[axis_u] += 2 * u, child[axis_v] += 2 * v;
+      FourStars<float> stars{}, change;
+      for (auto const& term : gaps_[gap]->terms)
+        if (term.fine) add_to_stars(stars, term, window_(child, term));
+      for (std::size_t b = 0; b < 2; ++b)
+        for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - taken_[gap][b][a];
+      subtract_from_cells(face, u, v, change, r);
+      taken_[gap] = stars;
+    });
+  }
+}
+
 void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) const {
   for (InterfaceSide const& face : faces_) {
     float const* coarse = &coarse_values[std::size_t(face.parent)];
+    std::array<std::ptrdiff_t, 3> step{};
+    auto const [axis_u, axis_v] = tangential_axes(face.axis);
+    step[std::size_t(axis_u)] = face.parent_u, step[std::size_t(axis_v)] = face.parent_v;
+    step[std::size_t(face.axis)] = face.parent_normal;
+    for_each_gap(face, [&](std::size_t gap, int u, int v) {
+      FourStars<float> stars{};
+      float const* const middle = coarse + u * face.parent_u + v * face.parent_v;
+      for (auto const& term : gaps_[gap]->terms)
+        if (!term.fine)
+          add_to_stars(stars, term,
+                       middle[term.offset[0] * step[0] + term.offset[1] * step[1] + term.offset[2] * step[2]]);
+      subtract_from_cells(face, u, v, stars, r);
+    });
     std::ptrdiff_t pitch = face.parent_v;
     if (face.parent_u != 1) {  // rows of their own, for what follows
       pitch = face.nu + 2 * margin;
@@ -62,7 +143,8 @@ void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) con
     for (int v = 0; v < face.nv; ++v) {
       FitNumber const* const fits = &fits_[face.fits + std::size_t(v) * std::size_t(face.nu)];
       fit_row(fits, face.nu, coarse + v * pitch, pitch, rows_.data(), rows_.data() + 2 * face.nu);
-      for_each_run(fits, face.nu, [&](int u, int count, FitNumber) {
+      for_each_run(fits, face.nu, [&](int u, int count, FitNumber fit) {
+        if (fit == fit_in_gap) return;
         for (int half = 0; half < 2; ++half) {
           float const* const ghost = rows_.data() + 2 * face.nu * half;
           float* const cell = &r[std::size_t(face.cell + (2 * v + half) * face.cell_v)];
@@ -88,11 +170,18 @@ void InterfaceCells::subtract_flux(Vector const& e, Vector& coarse_values) const
               *parent -= face.flux_weight * (through(cell) + through(cell + face.cell_u) + through(cell + face.cell_v) +
                                              through(cell + face.cell_u + face.cell_v));
           });
+    for_each_gap(face, [&](std::size_t gap, int u, int v) {
+      auto const& [lower, upper] = taken_[gap];
+      coarse_values[std::size_t(face.parent + u * face.parent_u + v * face.parent_v)] +=
+          face.flux_weight * float(interface_ghost::coarse) * (lower[0] + lower[1] + upper[0] + upper[1]);
+    });
   }
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + (plane_.size() + rows_.size()) * sizeof(float);
+  return faces_.size() * sizeof(InterfaceSide) + fits_.size() + gap_fits_.bytes() + window_.bytes() +
+         gaps_.size() * (sizeof(GapFit const*) + sizeof taken_[0]) + parts_.size() * sizeof(WindowPart) +
+         (plane_.size() + rows_.size()) * sizeof(float);
 }
 
 }  // namespace amrpic::matrixfree

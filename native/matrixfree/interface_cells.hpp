@@ -1,6 +1,7 @@
 #pragma once
 
 #include "matrixfree/fits.hpp"
+#include "matrixfree/gap_window.hpp"
 #include "matrixfree/layout.hpp"
 #include "mesh/faces.hpp"
 
@@ -19,16 +20,22 @@ struct CoarsePatch {
 class InterfaceCells {
  public:
   InterfaceCells() = default;
-  /// `faces`: of the blocks; `patches`: of the own blocks, with two cells around the parents; weights: those of the
-  /// stencils of this level and the coarser one.
-  InterfaceCells(Level const& level, Level const& coarser, Layout const& layout, LevelFaces const& faces,
-                 std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
+  /// `finer`: the next finer level, null if there is none; `faces`: of the blocks; `patches`: of the own blocks, with
+  /// two cells around the parents; weights: those of the stencils of this level and the coarser one.
+  InterfaceCells(Level const& level, Level const& coarser, Level const* finer, Layout const& layout,
+                 LevelFaces const& faces, std::vector<CoarsePatch> const& patches, std::array<float, 3> const& weight,
                  std::array<float, 3> const& coarse_weight);
 
   /// Take from r what the ghosts behind the faces have of the coarser correction.
   void subtract_coarse(Vector const& coarse_values, Vector& r) const;
 
-  /// Take from the coarser cells behind the faces what the fine correction sends through these.
+  /// Take from r what ghosts in narrow gaps have of the fine correction by their fits, which sweeps do not see, less
+  /// what was taken before; of a correction of zero, from which a cycle starts, nothing was.
+  void start() { std::fill(taken_.begin(), taken_.end(), FourStars<float>{}); }
+  void subtract_in_gaps(Vector const& e, Vector& r);
+
+  /// Take from the coarser cells behind the faces what the fine correction sends through these; in gaps with the parts
+  /// of ghosts that were taken last.
   void subtract_flux(Vector const& e, Vector& coarse_values) const;
 
   std::size_t bytes() const;
@@ -41,9 +48,30 @@ class InterfaceCells {
     std::ptrdiff_t cell, cell_u, cell_v, inward;  ///< the first fine cell before the face, steps from one to the next
     std::ptrdiff_t parent, parent_u, parent_v;    ///< the first coarse cell behind it, in the patch
     float weight, flux_weight;
+    std::ptrdiff_t parent_normal;   ///< step between coarse cells along the normal
+    std::size_t first_gap, gaps;    ///< fits in gaps, u fastest
+    std::size_t first_part, parts;  ///< of the window around them
+    Box window;                     ///< fine cells
+    Index3 first_child;             ///< of the first coarse cell
+    int axis, side;
   };
+  /// Cells of the level in a block.
+  struct WindowPart {
+    Box part;
+    Placement from;
+  };
+  void add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& fits, std::vector<Overlap> const& near,
+                std::vector<Overlap> const& refined, Level const* finer, Layout const& layout);
+  void subtract_from_cells(InterfaceSide const& face, int u, int v, FourStars<float> const& stars, Vector& r) const;
+  template <class F>
+  void for_each_gap(InterfaceSide const& face, F&& f) const;
   std::vector<InterfaceSide> faces_;
   std::vector<FitNumber> fits_;
+  GapFits gap_fits_;
+  std::vector<GapFit const*> gaps_;
+  std::vector<FourStars<float>> taken_;  ///< of each gap
+  std::vector<WindowPart> parts_;
+  GapWindow<float> window_;
   mutable std::vector<float> plane_, rows_;  ///< of the face under way: coarse values, two rows of ghosts
 };
 

@@ -26,7 +26,7 @@ LocalCycle::LocalCycle(Communicator const& comm, SweptLevel& fine, LevelCopy con
     : fine_(fine),
       relaxation_(of_copies(relaxation)),
       swept_(comm, copy.level, ghost_rules_of(copy), shift, relaxation_, relaxation_.halo()),
-      coarsening_(comm, fine, swept_, copy.ratio, false,
+      coarsening_(comm, fine, swept_, copy.ratio, {},
                   CoarseGhosts{copy.prolonged, copy.children, seam_widths(copy.level->periodic(), copy.upper)}) {}
 
 std::vector<PlaneStage> LocalCycle::improve(std::vector<PlaneStage> const& stages) {

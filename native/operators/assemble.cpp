@@ -143,6 +143,7 @@ class LevelAssembly {
       out.restriction = restriction_->take();
     }
     out.uncovered = std::move(uncovered_);
+    out.has_gaps = !gaps_.empty();
   }
 
  private:
@@ -152,8 +153,7 @@ class LevelAssembly {
 
   void count_laplacians(int b) {
     StencilCells const n = stencil_cells_of((*faces_)[std::size_t(b - level_.first_local_box())], level_,
-                                            multigrid_.refines(l_ + 1) ? finer_ : nullptr,
-                                            multigrid_.refines(l_) ? coarser_ : nullptr, seam_width_);
+                                            multigrid_.beside(l_), seam_width_);
     auto const kinds = row_kinds(n, Execution::without_finer);
     auto const composite =
         is_fully_covered() ? RowKinds(level_.box(b), RowKind::covered) : row_kinds(n, Execution::composite);
@@ -166,7 +166,7 @@ class LevelAssembly {
   }
 
   Form const& laplacian(StencilCells const& n, Index3 const& cell, Execution execution) {
-    CellShape const shape = cell_shape(n, cell, execution);
+    CellShape const shape = cell_shape(n, cell, execution, gaps_);
     return laplacians_(shape, [&] {
       return laplacian_form(equation_, near_.own(),
                             [&](int axis, int side) { return near_.across(shape[axis][side], axis, side); });
@@ -306,6 +306,7 @@ class LevelAssembly {
   std::shared_ptr<LevelFaces const> faces_;
   Equation equation_;
   FormsNear near_;
+  GapFits gaps_;
   ByShape<Form> laplacians_;
   Level const* coarser_ = nullptr;
   Level const* finer_ = nullptr;
@@ -319,6 +320,12 @@ class LevelAssembly {
   std::vector<char> uncovered_;
 };
 
+/// Whether both have the same level in a place, or none.
+bool same_level(MultigridLevels const& multigrid, MultigridLevels const& former, std::size_t l) {
+  std::size_t const count = multigrid.levels.size(), before = former.levels.size();
+  return (l >= count && l >= before) || (l < count && l < before && multigrid.levels[l]->same_as(*former.levels[l]));
+}
+
 /// The operators in `former` of levels that it has with the same neighbouring levels; null for the others. The
 /// halo may be numbered differently.
 MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolongation, Assembled const& former) {
@@ -327,10 +334,7 @@ MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolong
   if (prolongation != former.prolongation || multigrid.base != former.multigrid.base ||
       multigrid.boundary != former.multigrid.boundary || multigrid.shift != former.multigrid.shift)
     return out;
-  auto same = [&](std::size_t l) {
-    return (l >= count && l >= before) ||
-           (l < count && l < before && multigrid.levels[l]->same_as(*former.multigrid.levels[l]));
-  };
+  auto same = [&](std::size_t l) { return same_level(multigrid, former.multigrid, l); };
   bool const only_neighbours_count = !refines_open_wall(multigrid) && !refines_open_wall(former.multigrid);
   for (std::size_t l = 0; l < std::min(count, before); ++l) {
     bool lasts = (l == 0 || same(l - 1)) && same(l) && same(l + 1);
@@ -341,15 +345,20 @@ MultigridOperators reused(MultigridLevels const& multigrid, Prolongation prolong
   return out;
 }
 
-/// Free operators whose columns have another halo now, on any rank. Collective.
-void drop_renumbered(Communicator const& comm, Assembled const& former, std::vector<Halo> const& halos,
-                     MultigridOperators& operators) {
-  std::vector<int> other(halos.size());
-  for (std::size_t l = 0; l < halos.size(); ++l)
-    other[l] = l >= former.operators.size() || !former.operators[l]->halo.has_cells_of(halos[l]);
+/// Free operators whose columns have another halo now, on any rank, or whose fits in gaps may be others. Collective.
+void drop_outdated(Communicator const& comm, MultigridLevels const& multigrid, Assembled const& former,
+                   std::vector<Halo> const& halos, MultigridOperators& operators) {
+  std::size_t const count = halos.size();
+  std::vector<int> other(2 * count);  // halos, then fits
+  for (std::size_t l = 0; l < count; ++l) {
+    bool const is_new = l >= former.operators.size();
+    other[l] = is_new || !former.operators[l]->halo.has_cells_of(halos[l]);
+    other[count + l] = !is_new && former.operators[l]->has_gaps && !same_level(multigrid, former.multigrid, l + 2);
+  }
   comm.largest_each(other);
-  for (std::size_t l = 0; l < halos.size(); ++l)
-    if (other[l] || (l > 0 && other[l - 1]) || (l + 1 < halos.size() && other[l + 1])) operators[l].reset();
+  for (std::size_t l = 0; l < count; ++l)
+    if (other[l] || (l > 0 && other[l - 1]) || (l + 1 < count && other[l + 1]) || other[count + l])
+      operators[l].reset();
 }
 
 }  // namespace
@@ -378,7 +387,7 @@ Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, P
   MultigridOperators& out = result.operators;
   std::vector<Halo> halos;
   for (std::size_t l = 0; l < count; ++l) halos.emplace_back(comm, operator_reads(multigrid, l, prolongation));
-  drop_renumbered(comm, former, halos, out);
+  drop_outdated(comm, multigrid, former, halos, out);
   former = {};
 
   std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
@@ -389,7 +398,7 @@ Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, P
     assemblies[l]->count();
     out[l] = std::make_shared<LevelOperators>();
     out[l]->halo = halos[l];
-    out[l]->stencil_halo = Halo(comm, halos[l], stencil_reads(*multigrid.levels[l]));
+    out[l]->stencil_halo = Halo(comm, halos[l], relaxation_reads(multigrid, l));
   }
   for (std::size_t l = 0; l < count; ++l) {
     if (!assemblies[l]) continue;

@@ -15,7 +15,7 @@ class FieldForms {
   FieldForms(Level const& level, WallGhosts const& walls) : spacing_(level.spacing()), near_(level, walls) {}
 
   std::array<Form, 3> const& operator()(StencilCells const& n, Index3 const& cell, Execution execution) {
-    CellShape const shape = cell_shape(n, cell, execution);
+    CellShape const shape = cell_shape(n, cell, execution, gaps_);
     return forms_(shape, [&] { return std::array<Form, 3>{along(shape, 0), along(shape, 1), along(shape, 2)}; });
   }
 
@@ -27,6 +27,7 @@ class FieldForms {
 
   Real3 spacing_;
   FormsNear near_;
+  GapFits gaps_;
   ByShape<std::array<Form, 3>> forms_;
 };
 
@@ -48,14 +49,14 @@ void fill_regular(Level const& level, Halo const& halo, std::array<CrsBuilder, 3
 std::array<GradientAxis, 3> gradient_of(MultigridLevels const& multigrid, std::size_t l, LevelOperators const* coarse,
                                         LevelOperators const& operators, LevelOperators const* fine) {
   Level const& level = *multigrid.levels[l];
-  Level const *coarser = coarse ? coarse->level.get() : nullptr, *finer = fine ? fine->level.get() : nullptr;
+  LevelsBeside const beside = multigrid.beside(l);
   LocalIndex const rows = level.local_cells();
   auto own = builders(rows), below = builders(rows), above = builders(rows);
   FieldForms forms(level, multigrid.walls[l]);
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
-    StencilCells const n = stencil_cells_of(faces, level, finer, coarser);
+    StencilCells const n = stencil_cells_of(faces, level, beside);
     auto const kinds = row_kinds(n, Execution::composite);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       for (int d = 0; d < 3 && kind == RowKind::regular; ++d) own[d].put_run(run, RegularRows::gradient_terms);
@@ -100,7 +101,7 @@ std::array<Crs, 3> assemble_covered_gradient(MultigridLevels const& multigrid, s
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     // Levels nest, so the neighbours of a covered cell are cells of its level or lie behind a wall.
     BoxFaces const& faces = (*multigrid.faces[l])[std::size_t(b - level.first_local_box())];
-    StencilCells const n = stencil_cells_of(faces, level, nullptr, nullptr);
+    StencilCells const n = stencil_cells_of(faces, level, {});
     auto kinds = row_kinds(n, Execution::without_finer);
     std::size_t row = std::size_t(level.local_offset(b));
     for (RowKind& kind : kinds.values())

@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include "operators/stencil_cells.hpp"
+#include "stencil/gap_fit.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/odd_extents.hpp"
 
@@ -14,12 +15,13 @@ namespace amrpic {
 struct FaceShape {
   Beyond beyond = Beyond::same_level;
   bool upper_u = false, upper_v = false;  ///< before coarser cells: in which half of the coarse face it lies
-  unsigned usable = 0;                    ///< at interfaces: the coarse cells of which phi* can be made
+  int placement = 0;                      ///< at interfaces: see `plane_placement`
+  GapFit const* gap = nullptr;            ///< where no placement is complete
   Real seam = 1;                          ///< see `seam_factor`
 
   bool operator==(FaceShape const& other) const {
-    return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v && usable == other.usable &&
-           seam == other.seam;
+    return beyond == other.beyond && upper_u == other.upper_u && upper_v == other.upper_v &&
+           placement == other.placement && gap == other.gap && seam == other.seam;
   }
 };
 
@@ -42,11 +44,23 @@ inline unsigned usable_in_plane(Index3 const& middle, int axis, ArrayOnBox<Globa
       }
   };
   look(1);
-  if (usable != plane_block(-1, -1, 3)) look(plane_reach);  // the central block is the first to be tried
+  if (usable != plane_block(-1, -1)) look(plane_reach);  // the central block is the first to be tried
   return usable;
 }
 
-inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution) {
+/// What phi* at an interface is made of, around the coarse cell `middle` behind the fine faces. `cells`, `covered`: of
+/// the coarser level, `is_fine(cell)`: whether an uncovered cell of the finer one is there.
+template <class IsFine>
+void set_fit(FaceShape& face, Index3 const& middle, int axis, ArrayOnBox<GlobalIndex> const& cells,
+             ArrayOnBox<char> const& covered, GapFits& gaps, IsFine&& is_fine) {
+  face.placement = plane_placement(usable_in_plane(middle, axis, cells, covered));
+  if (face.placement >= 0) return;
+  auto const is_coarse = [&](Index3 const& cell) { return cells(cell) != no_cell && !covered(cell); };
+  face.gap = &gaps(gap_sites(middle, is_coarse, is_fine), axis);
+}
+
+inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis, int side, Execution execution,
+                            GapFits& gaps) {
   FaceShape out{n.faces(cell)(axis, side)};
   if (out.beyond == Beyond::finer && execution == Execution::without_finer) out.beyond = Beyond::same_level;
   if (out.beyond == Beyond::coarser) {
@@ -56,18 +70,21 @@ inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis,
     auto const [u, v] = tangential_axes(axis);
     out.upper_u = outer[u] != 2 * behind[u];
     out.upper_v = outer[v] != 2 * behind[v];
-    out.usable = usable_in_plane(behind, axis, n.coarse, n.coarse_covered);
+    set_fit(out, behind, axis, n.coarse, n.coarse_covered, gaps,
+            [&](Index3 const& c) { return n.around_gaps().own(c) != no_cell && !n.around_gaps().covered(c); });
   }
-  if (out.beyond == Beyond::finer) out.usable = usable_in_plane(cell, axis, n.own, n.covered);
+  if (out.beyond == Beyond::finer)
+    set_fit(out, cell, axis, n.own, n.covered, gaps,
+            [&](Index3 const& c) { return n.fine(c) != no_cell && !n.around_gaps().fine_covered(c); });
   if (n.level->periodic()[axis] && n.seam_width[axis] != 1)
     out.seam = seam_factor(cell[axis], side, n.level->domain().extent(axis), n.seam_width[axis]);
   return out;
 }
 
-inline CellShape cell_shape(StencilCells const& n, Index3 const& cell, Execution execution) {
+inline CellShape cell_shape(StencilCells const& n, Index3 const& cell, Execution execution, GapFits& gaps) {
   CellShape out;
   for (int axis = 0; axis < 3; ++axis)
-    for (int side = 0; side < 2; ++side) out[axis][side] = face_shape(n, cell, axis, side, execution);
+    for (int side = 0; side < 2; ++side) out[axis][side] = face_shape(n, cell, axis, side, execution, gaps);
   return out;
 }
 
@@ -89,8 +106,9 @@ class ByShape {
       for (auto const& axis : shape)
         for (FaceShape const& face : axis)
           out = 0x9e3779b97f4a7c15 * (out ^ out >> 32 ^
-                                      (std::size_t(face.usable) << 4 | std::size_t(face.upper_u) << 3 |
-                                       std::size_t(face.upper_v) << 2 | std::size_t(face.beyond)));
+                                      (std::size_t(face.placement + 1) << 4 | std::size_t(face.upper_u) << 3 |
+                                       std::size_t(face.upper_v) << 2 | std::size_t(face.beyond)) ^
+                                      std::hash<GapFit const*>()(face.gap));
       return out ^ out >> 32;
     }
   };

@@ -12,10 +12,11 @@ namespace {
 /// The row of a cell that lacks a neighbour, has one twice, or lies at a seam.
 Form special_row(Equation const& equation, LevelCopy const& copy, StencilCells const& n, Index3 const& cell) {
   FormsNear const near(*copy.level, copy.walls);
+  GapFits no_gaps;  // a copy's ends have ghosts of their own
   return laplacian_form(equation, near.own(), [&](int axis, int side) {
     CellFaces const& faces = n.faces(cell);
     if (faces(axis, side) == Beyond::same_level)
-      return near.across(face_shape(n, cell, axis, side, Execution::without_finer), axis, side);
+      return near.across(face_shape(n, cell, axis, side, Execution::without_finer, no_gaps), axis, side);
     WallGhost ghost = faces(axis, side) == Beyond::wall ? copy.walls[axis][side] : copy.ghost(cell, axis, side);
     if (faces(axis, 1 - side) != Beyond::same_level) ghost.second = 0;
     return ghost(near.own(), near.own(axis, side == 0 ? 1 : -1));
@@ -31,7 +32,7 @@ LevelOperators laplacian_of(Communicator const& comm, LevelCopy const& copy, Rea
   CrsBuilder builder(level.local_cells());
   Terms terms;
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
-    StencilCells const n = stencil_cells_of(BoxFaces(level, level.box(b)), level, nullptr, nullptr, seam_width);
+    StencilCells const n = stencil_cells_of(BoxFaces(level, level.box(b)), level, {}, seam_width);
     auto const kinds = row_kinds(n, Execution::without_finer);
     for_each_run(kinds, level.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
       if (kind == RowKind::regular) return builder.put_run(run, RegularRows::laplacian_terms);

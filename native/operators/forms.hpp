@@ -31,17 +31,26 @@ struct Terms {
   void set(Form const& form, StencilCells const& n, Index3 const& cell) {
     own_row.clear(), coarse_row.clear(), fine_row.clear();
     Index3 const parent = parent_of(cell), child = first_child_of(cell);
+    bool const images_meet = has_images_in_reach(*n.level);
     for (auto const& [unknown, weight] : form.terms()) {
-      auto append = [w = weight, o = unknown.offset](Row& row, ArrayOnBox<GlobalIndex> const& numbers,
-                                                     Index3 const& from) {
+      auto append = [&, w = weight, o = unknown.offset](Row& row, ArrayOnBox<GlobalIndex> const& numbers,
+                                                        Index3 const& from) {
         GlobalIndex const number = numbers({from[0] + o[0], from[1] + o[1], from[2] + o[2]});
         if (number == no_cell) throw std::logic_error("a stencil reached for a cell that does not exist");
-        row.append(number, w);
+        images_meet ? row.add(number, w) : row.append(number, w);
       };
-      if (unknown.level == Unknown::On::own) append(own_row, n.own, cell);
+      if (unknown.level == Unknown::On::own) append(own_row, n.own_numbers(), cell);
       if (unknown.level == Unknown::On::coarser) append(coarse_row, n.coarse, parent);
       if (unknown.level == Unknown::On::finer) append(fine_row, n.fine, child);
     }
+  }
+
+ private:
+  /// Whether a fit in a narrow gap may name several images of a cell around a periodic axis.
+  static bool has_images_in_reach(Level const& level) {
+    bool out = false;
+    for (int d = 0; d < 3; ++d) out = out || (level.periodic()[d] && level.domain().extent(d) < 10);
+    return out;
   }
 };
 
@@ -60,7 +69,11 @@ class FormsNear {
     Form const here = own(), inner = own(axis, -step);
     if (face.beyond == Beyond::wall) return (*walls_)[axis][side](here, inner);
     if (face.beyond == Beyond::coarser) {
-      Form const star = fit(face, axis, face.upper_u, face.upper_v, Unknown::On::coarser, along(axis, step));
+      Index3 first_child = along(axis, side == 0 ? -2 : 1);  // of the cell behind the face
+      auto const [u, v] = tangential_axes(axis);
+      first_child[u] = face.upper_u ? -1 : 0, first_child[v] = face.upper_v ? -1 : 0;
+      Behind const behind{Unknown::On::coarser, along(axis, step), Unknown::On::own, first_child};
+      Form const star = fit(face, axis, face.upper_u, face.upper_v, behind);
       return ghost_at_interface(star, here, inner);
     }
     if (face.beyond == Beyond::finer) {
@@ -73,7 +86,8 @@ class FormsNear {
           Index3 second = first;
           second[axis] += step;
           Form const phi_1(unknown(Unknown::On::finer, first), 1), phi_2(unknown(Unknown::On::finer, second), 1);
-          Form const star = fit(face, axis, a == 1, b == 1, Unknown::On::own, {0, 0, 0});
+          Form const star =
+              fit(face, axis, a == 1, b == 1, {Unknown::On::own, {0, 0, 0}, Unknown::On::finer, {0, 0, 0}});
           differences += phi_1 - ghost_at_interface(star, phi_1, phi_2);
         }
       return ghost_at_fine_faces(here, differences);
@@ -101,16 +115,33 @@ class FormsNear {
     return out;
   }
 
-  /// phi* in front of the children in the lower or upper half of the plane's middle cell along either of its axes.
-  Form fit(FaceShape const& face, int axis, bool upper_u, bool upper_v, Unknown::On level, Index3 const& middle) const {
-    auto const [u, v] = tangential_axes(axis);
-    PlaneFit const fit = plane_fit(face.usable, quarter(upper_u), quarter(upper_v));
+  /// The coarse cell behind fine faces, and its first child, as unknowns.
+  struct Behind {
+    Unknown::On coarse;
+    Index3 middle;
+    Unknown::On fine;
+    Index3 first_child;
+  };
+
+  /// phi* in front of the children in the lower or upper half of the middle cell along either axis of its plane.
+  Form fit(FaceShape const& face, int axis, bool upper_u, bool upper_v, Behind const& behind) const {
     Form out;
-    for (int t = 0; t < fit.count; ++t) {
-      auto const& term = fit.terms[std::size_t(t)];
-      Index3 cell = middle;
+    if (face.gap) {
+      for (auto const& term : face.gap->terms) {
+        Real const weight = term.weight[upper_v][upper_u];
+        if (weight == 0) continue;
+        Unknown cell{term.fine ? behind.fine : behind.coarse, term.offset};
+        Index3 const& from = term.fine ? behind.first_child : behind.middle;
+        for (std::size_t d = 0; d < 3; ++d) cell.offset[d] = std::int8_t(cell.offset[d] + from[d]);
+        out.append(cell, weight);
+      }
+      return out;
+    }
+    auto const [u, v] = tangential_axes(axis);
+    for (auto const& term : plane_fit(face.placement, quarter(upper_u), quarter(upper_v)).terms) {
+      Index3 cell = behind.middle;
       cell[u] += term.i, cell[v] += term.j;
-      out.append(unknown(level, cell), term.weight);
+      out.append(unknown(behind.coarse, cell), term.weight);
     }
     return out;
   }

@@ -1,5 +1,6 @@
 #include "operators/halos.hpp"
 
+#include "mesh/fits_behind.hpp"
 #include "stencil/interface.hpp"
 
 namespace amrpic {
@@ -40,6 +41,13 @@ CellReads stencil_reads(Level const& level) {
   return out;
 }
 
+CellReads relaxation_reads(MultigridLevels const& multigrid, std::size_t l) {
+  CellReads out = stencil_reads(*multigrid.levels[l]);
+  if (multigrid.refines(l))
+    out.add(fine_reads_in_gaps(*multigrid.levels[l], *multigrid.faces[l], *multigrid.levels[l - 1]));
+  return out;
+}
+
 void add_children(CellReads& reads, Level const& parents, Index3 const& ratio) {
   reads.add(
       parents, [&](Box const& o) { return o.coarsen(ratio).grow(1); },
@@ -47,11 +55,14 @@ void add_children(CellReads& reads, Level const& parents, Index3 const& ratio) {
 }
 
 CellReads operator_reads(MultigridLevels const& multigrid, std::size_t l, Prolongation kind) {
-  CellReads out = stencil_reads(*multigrid.levels[l]);
+  CellReads out = relaxation_reads(multigrid, l);
   if (l > 0) {
     Level const& coarser = *multigrid.levels[l - 1];
     add_children(out, coarser, multigrid.ratio[l]);
-    if (multigrid.refines(l)) add_behind_fine_faces(out, coarser);
+    if (multigrid.refines(l)) {
+      add_behind_fine_faces(out, coarser);
+      out.add(fine_reads_before_gaps(coarser, *multigrid.levels[l]));
+    }
   }
   if (l + 1 < multigrid.levels.size()) {
     Level const& finer = *multigrid.levels[l + 1];
@@ -60,6 +71,7 @@ CellReads operator_reads(MultigridLevels const& multigrid, std::size_t l, Prolon
       add_beside_finer(out, *multigrid.levels[l], finer);
       out.add(reads_behind_edges(finer, *multigrid.faces[l + 1],
                                  *multigrid.levels[l]));  // phi* in the rows at the finer one's edge
+      out.add(coarse_reads_in_gaps(finer, *multigrid.faces[l + 1], *multigrid.levels[l]));
     }
   }
   return out;

@@ -9,6 +9,9 @@ namespace amrpic {
 /// Those that the Laplacian without a finer level reads: beyond the six faces of each box.
 CellReads stencil_reads(Level const& level);
 
+/// Those of multigrid level l that `no_fine` reads: with fits in narrow gaps more than those.
+CellReads relaxation_reads(MultigridLevels const& multigrid, std::size_t l);
+
 /// Those of a level that means over children read, which are made for the cells of `parents`.
 void add_children(CellReads& reads, Level const& parents, Index3 const& ratio);
 

@@ -9,6 +9,7 @@
 #include "mesh/halo.hpp"
 #include "mesh/hierarchy.hpp"
 #include "operators/crs.hpp"
+#include "operators/stencil_cells.hpp"
 #include "stencil/boundary.hpp"
 #include "stencil/equation.hpp"
 #include "stencil/intergrid.hpp"
@@ -45,6 +46,7 @@ struct LevelOperators {
   std::vector<char> uncovered;           ///< diagonal of the eighth operator: 1 where no finer level covers the cell
   std::array<GradientAxis, 3> gradient;  ///< empty until assemble_gradient
   bool has_gradient = false;
+  bool has_gaps = false;  ///< rows of this rank have fits in narrow gaps, which depend on the two next finer levels
 
   Crs const& composite() const { return own_composite ? *own_composite : no_fine; }
   LocalIndex rows() const { return level->local_cells(); }
@@ -66,6 +68,11 @@ struct MultigridLevels {
   Equation equation(std::size_t l) const { return equation_on(levels[l]->spacing(), shift); }
 
   bool refines(std::size_t l) const { return l > base && l < levels.size(); }
+  /// The levels that l refines and that refine it.
+  LevelsBeside beside(std::size_t l) const {
+    auto const finer = [&](std::size_t f) { return refines(f) ? levels[f].get() : nullptr; };
+    return {refines(l) ? levels[l - 1].get() : nullptr, finer(l + 1), finer(l + 2)};
+  }
   /// Whether the next coarser level may be of like size: a coarser one than a refinement level, or than a level with
   /// half its cells along one axis alone. An F-cycle over such levels costs more than it saves.
   bool halves_at_most(std::size_t l) const {

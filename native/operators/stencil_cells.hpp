@@ -1,5 +1,7 @@
 #pragma once
 
+#include <memory>
+
 #include "mesh/faces.hpp"
 #include "stencil/odd_extents.hpp"
 
@@ -8,9 +10,18 @@ namespace amrpic {
 /// Whether rows are made as if nothing finer existed, or those of the composite operator.
 enum class Execution { without_finer, composite };
 
+/// More cells, that stencils of boxes with narrow gaps beside them read.
+struct CellsAroundGaps {
+  ArrayOnBox<GlobalIndex> own;    ///< box grown by 4
+  ArrayOnBox<char> covered;       ///< by the next finer level, same extent
+  ArrayOnBox<char> fine_covered;  ///< children of the box grown by 1, covered by the level after the next finer one
+};
+
 /// The cells that the stencils of a box read: their numbers on the box's own level and on the neighbouring ones.
 struct StencilCells {
   Level const* level;
+  Level const* finer;           ///< may be null, as the next one
+  Level const* finest;          ///< the next finer one than `finer`
   Real3 seam_width;             ///< of last cells along periodic axes, see `UpperEnd`
   ArrayOnBox<CellFaces> faces;  ///< of the box's cells
   ArrayOnBox<GlobalIndex> own;  ///< box grown by 2
@@ -20,17 +31,40 @@ struct StencilCells {
   // Empty where no coarser cell lies beside the box:
   ArrayOnBox<GlobalIndex> coarse;   ///< parents of the box grown by 1, grown by 2
   ArrayOnBox<char> coarse_covered;  ///< by this level, same extent
+
+  /// Made when they are asked for.
+  CellsAroundGaps const& around_gaps() const {
+    if (!around_gaps_) {
+      Box const &box = faces.box(), wide = box.grow(4), children = box.grow(1).refine({2, 2, 2});
+      around_gaps_.reset(new CellsAroundGaps{
+          cell_numbers(*level, wide), finer ? covered_cells(*finer, {2, 2, 2}, wide) : ArrayOnBox<char>(wide, 0),
+          finest ? covered_cells(*finest, {2, 2, 2}, children) : ArrayOnBox<char>(children, 0)});
+    }
+    return *around_gaps_;
+  }
+  /// The numbers of the level's cells as far as any row so far reads them.
+  ArrayOnBox<GlobalIndex> const& own_numbers() const { return around_gaps_ ? around_gaps_->own : own; }
+
+  mutable std::shared_ptr<CellsAroundGaps const> around_gaps_ = nullptr;
 };
 
-/// Those of a box; `finer` and `coarser` may be null.
-inline StencilCells stencil_cells_of(BoxFaces const& faces, Level const& level, Level const* finer,
-                                     Level const* coarser, Real3 const& seam_width = {1, 1, 1}) {
+/// Refinement levels beside a level; null where there are none.
+struct LevelsBeside {
+  Level const *coarser, *finer, *finest;  ///< the last one is the next finer one than `finer`
+};
+
+/// The cells of a box.
+inline StencilCells stencil_cells_of(BoxFaces const& faces, Level const& level, LevelsBeside const& beside,
+                                     Real3 const& seam_width = {1, 1, 1}) {
+  auto const [coarser, finer, finest] = beside;
   Box const &box = faces.box, wide = box.grow(2), none;
   bool const has_finer = finer && !faces.beside.empty(), has_coarser = coarser && faces.ends_level();
   Box const parents = has_coarser ? box.grow(1).coarsen({2, 2, 2}).grow(2) : none;
   ArrayOnBox<GlobalIndex> const no_numbers(none, no_cell);
   ArrayOnBox<char> const no_flags(none, 0);
   return {&level,
+          finer,
+          finest,
           seam_width,
           cell_faces(faces),
           cell_numbers(level, wide),

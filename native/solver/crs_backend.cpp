@@ -3,9 +3,12 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "base/for_rows.hpp"
+#include "mesh/fits_behind.hpp"
 #include "operators/multigrid_levels.hpp"
+#include "solver/behind_gaps.hpp"
 
 namespace amrpic {
 
@@ -201,16 +204,17 @@ CompositeEquations CrsBackend::equations() {
 /// One cycle for the residual, and what it gives added to phi.
 void CrsBackend::improve() {
   std::size_t const levels = phi_.size();
-  CompositeVector values(levels);
+  CompositeVector values(levels), direction;
   if (krylov_) {
     for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
-    CompositeVector const& direction = krylov_->direction(values);
+    direction = krylov_->direction(values);
     for (std::size_t l = 0; l < levels; ++l)
       std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
   }
   multigrid_.cycle(stopwatch_);
   if (krylov_) {
     for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).correction();
+    relax_behind_gaps(direction, values);
     values = krylov_->step(values);
   }
   for (std::size_t l = 0; l < levels; ++l) {
@@ -221,7 +225,37 @@ void CrsBackend::improve() {
 }
 
 void CrsBackend::accelerate() {
-  if (!krylov_) krylov_ = make_krylov(KrylovKind::fgmres, equations());
+  if (krylov_) return;
+  krylov_ = make_krylov(KrylovKind::fgmres, equations());
+  if (std::exchange(knows_gaps_, true)) return;
+  Real found = 0;
+  behind_gaps_.resize(phi_.size());
+  for (int l = 0; l + 1 < hierarchy_->level_count(); ++l) {
+    Level const& level = hierarchy_->level(l);
+    for (auto const& [box, cell] : cells_behind_gaps(level, hierarchy_->level(l + 1))) {
+      behind_gaps_[std::size_t(l)].push_back(level.local_offset(box) + LocalIndex(level.box(box).offset(cell)));
+      found = 1;
+    }
+  }
+  if (hierarchy_->comm().largest(found) == 0) behind_gaps_.clear();
+}
+
+/// Jacobi steps that become part of a cycle's correction for a residual, see `steps_behind_gaps`.
+void CrsBackend::relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const {
+  if (behind_gaps_.empty()) return;
+  std::vector<Real> left;
+  for (Real factor : steps_behind_gaps) {
+    average_down(correction);
+    CompositeVector const before = correction;
+    for (std::size_t l = 0; l < before.size(); ++l) {
+      left.resize(residual[l].size());
+      subtract(
+          int(l), [&](LocalIndex row) { return residual[l][std::size_t(row)]; }, before, left);
+      Crs const& a = operators(int(l)).no_fine;
+      for (LocalIndex row : behind_gaps_[l])
+        correction[l][std::size_t(row)] += factor * left[std::size_t(row)] / a.value[a.row_start[std::size_t(row)]];
+    }
+  }
 }
 
 LevelOperators const& CrsBackend::operators_with_gradient(int level) {

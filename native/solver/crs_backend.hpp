@@ -61,6 +61,7 @@ class CrsBackend : public Backend {
   void subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const;
   void compute_residual();
   CompositeEquations equations();
+  void relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const;
   void set_truncation();
   Real largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&));
   void difference_covered(std::array<Field*, 3> const& components);
@@ -74,7 +75,10 @@ class CrsBackend : public Backend {
   Transfer transfer_;
   std::int64_t bottom_setups_ = 0;
   Multigrid multigrid_;
-  std::unique_ptr<Krylov> krylov_;   ///< null if nothing is to be accelerated
+  std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
+  /// Rows of each level; empty until cycles are accelerated, and where no rank has any.
+  std::vector<std::vector<LocalIndex>> behind_gaps_;
+  bool knows_gaps_ = false;
   CompositeVector phi_;              ///< own cells and halo
   CompositeVector right_hand_side_;  ///< f = -rho / eps0 - background minus what walls add
   Field const* rho_ = nullptr;

@@ -3,8 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <utility>
 
 #include "matrixfree/capacity.hpp"
+#include "mesh/fits_behind.hpp"
+#include "solver/behind_gaps.hpp"
 
 namespace amrpic {
 
@@ -100,7 +103,55 @@ void MatrixFreeBackend::improve() {
   stopwatch_.time("cycle", [&] { cycle_.run(); });
   stopwatch_.time("correction", [&] { latest_correction_ = composite_.add(correction_, unit_, *phi_); });
   phi_is_zero_ = false;
-  if (accelerated_) combine_corrections(before);
+  if (!accelerated_) return;
+  relax_behind_gaps();
+  combine_corrections(before);
+}
+
+/// Find the cells behind gaps, when they are first needed.
+void MatrixFreeBackend::accelerate() {
+  accelerated_ = true;
+  if (std::exchange(knows_gaps_, true)) return;
+  behind_gaps_.resize(std::size_t(levels()));
+  Real found = 0;
+  for (int l = 0; l + 1 < levels(); ++l) {
+    Level const& level = problem_.hierarchy->level(l);
+    for (auto const& [box, cell] : cells_behind_gaps(level, problem_.hierarchy->level(l + 1))) {
+      Index3 const first = level.box(box).lower;
+      behind_gaps_[std::size_t(l)].push_back(
+          std::size_t(cycle_.level(std::size_t(l))
+                          .layout()
+                          .box(box)
+                          .place(cell[0] - first[0], cell[1] - first[1], cell[2] - first[2])));
+      found = 1;
+    }
+  }
+  if (problem_.hierarchy->comm().largest(found) == 0) behind_gaps_.clear();
+}
+
+/// Jacobi steps that become part of the latest correction, see `steps_behind_gaps`.
+void MatrixFreeBackend::relax_behind_gaps() {
+  if (behind_gaps_.empty()) return;
+  MinimalResidual::Vectors total;
+  for (int l = 0; l < levels(); ++l) total.push_back(cycle_.level(std::size_t(l)).correction());
+  for (Real factor : steps_behind_gaps) {
+    residual();
+    for (std::size_t l = 0; l < total.size(); ++l) {
+      auto& swept = cycle_.level(l);
+      auto& step = swept.correction();
+      std::fill(step.begin(), step.end(), 0.0f);
+      Real const diagonal =
+          swept.scale() *
+          equation_on(problem_.hierarchy->level(int(l)).spacing(), shift_of(problem_.options)).diagonal();
+      for (std::size_t place : behind_gaps_[l]) {
+        step[place] = -float(factor / diagonal) * swept.right_hand_side()[place];
+        total[l][place] += step[place];
+      }
+    }
+    composite_.add(correction_, unit_, *phi_);
+  }
+  for (std::size_t l = 0; l < total.size(); ++l)
+    std::copy(total[l].begin(), total[l].end(), cycle_.level(l).correction().begin());
 }
 
 /// Change what the latest correction added to phi so that the residual becomes least.

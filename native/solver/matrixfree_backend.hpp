@@ -24,7 +24,7 @@ class MatrixFreeBackend : public Backend {
   void start(Field& phi, bool is_zero) override;
   Real residual() override;
   void improve() override;
-  void accelerate() override { accelerated_ = true; }
+  void accelerate() override;
   Real largest_correction() override;
   Real largest_phi_term() override;
   Real discretisation_error() override;
@@ -38,6 +38,7 @@ class MatrixFreeBackend : public Backend {
   std::size_t bytes() const override;
 
  private:
+  void relax_behind_gaps();
   void combine_corrections(MinimalResidual::Vectors const& before);
   Real dot(MinimalResidual::Vectors const& a, MinimalResidual::Vectors const& b);
   Blocks<float> blocks(matrixfree::Vector& (matrixfree::SweptLevel::*vector)());
@@ -54,6 +55,9 @@ class MatrixFreeBackend : public Backend {
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
   bool accelerated_ = false;
+  /// Of each level, places in the cycle's vectors; empty until first used, and where no rank has any.
+  std::vector<std::vector<std::size_t>> behind_gaps_;
+  bool knows_gaps_ = false;
   MinimalResidual corrections_;
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2

@@ -39,9 +39,6 @@ inline Value ghost_at_fine_faces(Value const& inner, Value const& differences) {
   return inner + fine_face_weight * differences;
 }
 
-/// How phi* was found; the first that fits is taken, in this order.
-enum class PlaneFitKind { biquadratic, bilinear, two_lines, one_line, single };
-
 /// phi* as a sum over coarse cells of the interface plane: offsets from the cell behind the ghost, and weights.
 struct PlaneFit {
   struct Term {
@@ -49,11 +46,6 @@ struct PlaneFit {
     Real weight;
   };
   std::array<Term, 9> terms;
-  int count = 0;
-  PlaneFitKind kind = PlaneFitKind::single;
-  int placement = 0;  ///< which of the placements of its kind
-
-  void add(int i, int j, Real weight) { terms[count++] = {i, j, weight}; }
 };
 
 /// Lagrange weight of node `first + m` of `count` neighbouring integer nodes, at x.
@@ -76,59 +68,37 @@ constexpr std::array<Real, 3> parabola_at_quarter{
 constexpr int plane_reach = 2;  ///< how far the cells of the plane lie from the middle one, along each axis
 constexpr unsigned plane_bit(int i, int j) { return 1u << (5 * (i + 2) + (j + 2)); }
 
-constexpr unsigned plane_block(int i, int j, int size) {
+/// The 3 x 3 block with lower corner (i, j).
+constexpr unsigned plane_block(int i, int j) {
   unsigned mask = 0;
-  for (int a = 0; a < size; ++a)
-    for (int b = 0; b < size; ++b) mask |= plane_bit(i + a, j + b);
+  for (int a = 0; a < 3; ++a)
+    for (int b = 0; b < 3; ++b) mask |= plane_bit(i + a, j + b);
   return mask;
 }
 
-/// Lower corners of the nine 3 x 3 blocks, in the order in which they are tried (bit patterns 473536, 14798, 236768,
-/// 15153152, 947072, 29596, 7399, 7576576, 30306304), and of the four 2 x 2 blocks that follow.
-constexpr std::array<std::pair<int, int>, 9> biquadratic_corners{
+/// Lower corners of the nine 3 x 3 blocks, in the order in which they are tried: bit patterns 473536, 14798, 236768,
+/// 15153152, 947072, 29596, 7399, 7576576, 30306304.
+constexpr std::array<std::pair<int, int>, 9> plane_corners{
     {{-1, -1}, {-2, -1}, {-1, -2}, {0, -1}, {-1, 0}, {-2, 0}, {-2, -2}, {0, -2}, {0, 0}}};
-constexpr std::array<std::pair<int, int>, 4> bilinear_corners{{{-1, -1}, {0, -1}, {0, 0}, {-1, 0}}};
 
-/// The fit of phi* at (x, y) coarse cell widths from the coarse cell behind the ghost; `usable` says which of the 25
-/// cells around it exist, lie inside the domain and are uncovered (that cell itself always is).
-///
-/// 2-D second-order Lagrange interpolation (Frey and Adelmann) where one of the nine blocks is complete; else bilinear;
-/// else the cell's value plus a linear change along each axis that has a neighbour (the upper one first); else the
-/// value alone.
-inline PlaneFit plane_fit(unsigned usable, Real x, Real y) {
+/// The first of the nine blocks that is complete, -1 if none is; `usable` says which of the 25 cells around the one
+/// behind the ghost exist, lie inside the domain and are uncovered.
+constexpr int plane_placement(unsigned usable) {
+  for (std::size_t p = 0; p < plane_corners.size(); ++p) {
+    unsigned const block = plane_block(plane_corners[p].first, plane_corners[p].second);
+    if ((usable & block) == block) return int(p);
+  }
+  return -1;
+}
+
+/// phi* at (x, y) coarse cell widths from the coarse cell behind the ghost: 2-D second-order Lagrange interpolation
+/// (Frey and Adelmann) in one of the nine blocks. Where none is complete, `gap_fit` finds it.
+inline PlaneFit plane_fit(int placement, Real x, Real y) {
+  auto const [i, j] = plane_corners[std::size_t(placement)];
   PlaneFit fit;
-  auto tensor = [&](auto const& corners, int size, PlaneFitKind kind) {
-    for (std::size_t p = 0; p < corners.size(); ++p) {
-      auto const [i, j] = corners[p];
-      unsigned const block = plane_block(i, j, size);
-      if ((usable & block) != block) continue;
-      std::array<Real, 3> along_x{}, along_y{};
-      for (int a = 0; a < size; ++a) along_x[a] = lagrange(i, size, a, x), along_y[a] = lagrange(j, size, a, y);
-      for (int a = 0; a < size; ++a)
-        for (int b = 0; b < size; ++b) fit.add(i + a, j + b, along_x[a] * along_y[b]);
-      fit.kind = kind;
-      fit.placement = int(p);
-      return true;
-    }
-    return false;
-  };
-  if (tensor(biquadratic_corners, 3, PlaneFitKind::biquadratic)) return fit;
-  if (tensor(bilinear_corners, 2, PlaneFitKind::bilinear)) return fit;
-
-  int lines = 0;
-  fit.add(0, 0, 1.0);
-  auto line = [&](int i, int j, Real s) {
-    for (int side : {1, -1}) {
-      if (!(usable & plane_bit(side * i, side * j))) continue;
-      fit.add(side * i, side * j, side * s);
-      fit.terms[0].weight -= side * s;
-      ++lines;
-      return;
-    }
-  };
-  line(1, 0, x);
-  line(0, 1, y);
-  fit.kind = lines == 2 ? PlaneFitKind::two_lines : lines == 1 ? PlaneFitKind::one_line : PlaneFitKind::single;
+  std::size_t t = 0;
+  for (int a = 0; a < 3; ++a)
+    for (int b = 0; b < 3; ++b) fit.terms[t++] = {i + a, j + b, lagrange(i, 3, a, x) * lagrange(j, 3, b, y)};
   return fit;
 }
 

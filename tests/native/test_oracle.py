@@ -13,7 +13,6 @@ import pytest
 import operator_laws
 from hierarchies import all_cases
 from oracle import (
-    BILINEAR,
     FITS,
     LINEAR_FITS,
     PLACEMENTS,
@@ -24,7 +23,9 @@ from oracle import (
     composite_system,
     fit,
     lagrange,
+    monomials,
     shifted,
+    space_fit,
 )
 
 CASES = all_cases()
@@ -38,18 +39,8 @@ SINGULAR = [
 
 OPEN = ("corner", "corner of large blocks", "open face", "crossings normal to y", "scattered 11")
 
-# Small, with walls that fix the potential, and with interface fits of first order at least.
+# Small, with walls that fix the potential, and with fits of first order at least.
 SOLVED = ("single level", "L at the walls, anisotropic", "corner", "edge", "crossings normal to x", "region wrapping x")
-
-# Powers (p, q) of u^p v^q that a fit reproduces.
-EXACT_POWERS = {
-    "biquadratic": list(itertools.product(range(3), range(3))),
-    "bilinear": list(itertools.product(range(2), range(2))),
-    "linear in u and v": [(0, 0), (1, 0), (0, 1)],
-    "linear in u": [(0, 0), (1, 0)],
-    "linear in v": [(0, 0), (0, 1)],
-    "single value": [(0, 0)],
-}
 
 
 @lru_cache(maxsize=1)
@@ -75,10 +66,6 @@ def fractions(*texts: str) -> list[Fraction]:
         ((0, 1, 2), "1/4", ("21/32", "7/16", "-3/32")),
         ((-2, -1, 0), "1/4", ("5/32", "-9/16", "45/32")),
         ((-2, -1, 0), "-1/4", ("-3/32", "7/16", "21/32")),
-        ((-1, 0), "-1/4", ("1/4", "3/4")),
-        ((-1, 0), "1/4", ("-1/4", "5/4")),
-        ((0, 1), "-1/4", ("5/4", "-1/4")),
-        ((0, 1), "1/4", ("3/4", "1/4")),
     ],
 )
 def test_tabulated_tangential_weights_are_lagrange_weights(nodes, at, weights):
@@ -95,29 +82,32 @@ def test_ghost_weights_are_lagrange_weights_along_the_normal():
 def test_placements_and_their_order_are_the_seed_s_bit_patterns():
     patterns = [sum(2 ** (5 * (i + 2) + j + 2) for i in columns for j in rows) for _, columns, rows in PLACEMENTS]
     assert patterns == [473536, 14798, 236768, 15153152, 947072, 29596, 7399, 7576576, 30306304]
-    patterns = [sum(2 ** (3 * (i + 1) + j + 1) for i in columns for j in rows) for _, columns, rows in BILINEAR]
-    assert patterns == [27, 216, 432, 54]
 
 
 def is_in(cells: set[tuple[int, int]], i: int, j: int) -> bool:
     return (i, j) in cells
 
 
-def test_every_fit_reproduces_the_polynomials_it_can():
-    """Over all 2^8 neighbourhoods of 3 x 3 cells (the cells further out absent), and those of whole 5 x 5 cells."""
-    near = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
-    sets = [{(0, 0), *(c for c, there in zip(near, bits, strict=True) if there)} for bits in np.ndindex(*[2] * 8)]
-    sets += [set(itertools.product(columns, rows)) for _, columns, rows in PLACEMENTS]
-    seen: set[str] = set()
-    for usable, s, t in itertools.product(sets, (-1, 1), (-1, 1)):
-        at = Fraction(s, 4), Fraction(t, 4)
-        name, weights = fit(partial(is_in, usable), at)
-        assert set(weights) <= usable
-        powers = {(p, q): sum(w * i**p * j**q for (i, j), w in weights.items()) for p in range(3) for q in range(3)}
-        for p, q in EXACT_POWERS[name.split(" (")[0]]:
-            assert powers[p, q] == at[0] ** p * at[1] ** q, (name, p, q)
-        seen.add(name)
-    assert seen == set(FITS)
+def test_every_placement_reproduces_biquadratic_polynomials():
+    """In each of the nine blocks alone, and nowhere in fewer cells."""
+    for (name, columns, rows), s, t in itertools.product(PLACEMENTS, (-1, 1), (-1, 1)):
+        cells, at = set(itertools.product(columns, rows)), (Fraction(s, 4), Fraction(t, 4))
+        found = fit(partial(is_in, cells), at)
+        assert found is not None and found[0] == name and set(found[1]) == cells
+        for p, q in itertools.product(range(3), range(3)):
+            assert sum(w * i**p * j**q for (i, j), w in found[1].items()) == at[0] ** p * at[1] ** q
+        for cell in cells:
+            assert fit(partial(is_in, cells - {cell}), at) is None
+
+
+def test_fits_in_space_take_the_highest_order_that_the_sites_determine():
+    lattice = np.array(list(itertools.product((-0.6, -0.1, 0.4), repeat=3)))
+    plane, line = lattice[lattice[:, 0] == 0.4] * 0.9, lattice[:1]
+    for sites, order in ((lattice, 2), (lattice[:9:2], 0), (plane, 0), (line, 0), (plane - [0.36, 0, 0], 2)):
+        found, weights = space_fit(sites)
+        assert found == order
+        wanted = monomials(order, np.zeros((1, 3)))[0]
+        assert monomials(order, sites).T @ weights == pytest.approx(wanted, abs=1e-12)
 
 
 @cache
@@ -127,14 +117,14 @@ def met_in_collection() -> Counter[tuple[str, frozenset[tuple[int, int]]]]:
     for case in CASES.values():
         oracle = Oracle(case, case.all_boxes())
         oracle.coverage()
-        for face, (name, _) in oracle.interfaces.items():
+        for face, name in oracle.interfaces.items():
             coarse, _ = oracle.in_plane(*face)
             near = [(i, j) for i in range(-2, 3) for j in range(-2, 3)]
             met[name, frozenset(c for c in near if oracle.is_usable(face.level - 1, coarse(*c)))] += 1
     return met
 
 
-def test_the_collection_meets_every_placement_and_every_fallback():
+def test_the_collection_meets_every_placement_and_fits_in_gaps():
     faces = {fit_name: sum(n for (name, _), n in met_in_collection().items() if name == fit_name) for fit_name in FITS}
     assert [name for name, count in faces.items() if count < 10] == []
 
@@ -143,13 +133,12 @@ def block(placement: tuple[str, tuple[int, ...], tuple[int, ...]]) -> set[tuple[
     return set(itertools.product(placement[1], placement[2]))
 
 
-@pytest.mark.parametrize("fits", [PLACEMENTS, BILINEAR], ids=["biquadratic", "bilinear"])
-def test_the_collection_tells_every_order_of_two_fits_apart(fits):
-    """For any two fits of a kind, some ghost uses the first and has the second, unless an earlier one is there with them."""
-    for first, second in itertools.combinations(range(len(fits)), 2):
-        both = block(fits[first]) | block(fits[second])
-        if not any(block(earlier) <= both for earlier in fits[:first]):
-            assert any(name == fits[first][0] and both <= usable for name, usable in met_in_collection())
+def test_the_collection_tells_every_order_of_two_placements_apart():
+    """For any two placements, some ghost uses the first and has the second, unless an earlier one is there with them."""
+    for first, second in itertools.combinations(range(len(PLACEMENTS)), 2):
+        both = block(PLACEMENTS[first]) | block(PLACEMENTS[second])
+        if not any(block(earlier) <= both for earlier in PLACEMENTS[:first]):
+            assert any(name == PLACEMENTS[first][0] and both <= usable for name, usable in met_in_collection())
 
 
 def test_the_collection_holds_all_kinds_of_hierarchy():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,10 +13,11 @@ import pytest
 from scipy.constants import epsilon_0
 
 import amrpic
-from hierarchies import Case, all_cases
-from oracle import BoundaryData, CompositeSystem, Oracle, cells_of, composite_system
+from hierarchies import Case, all_cases, random_case
+from oracle import IN_GAPS, BoundaryData, CompositeSystem, Oracle, cells_of, composite_system
 from rank_subsets import first_ranks, hierarchy_of, wait_quietly
 
+LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 CASES = all_cases()
 SOLVED = (
     "L, away from walls",
@@ -109,11 +111,13 @@ def values_of(field: amrpic.Field, oracle: Oracle) -> list[Array]:
     return values
 
 
-def solved(case: Case, excess: float, oracle: Oracle, comm: Any) -> tuple[list[Array], list[Array], int]:
+def solved(
+    case: Case, excess: float, oracle: Oracle, comm: Any, backend: str = "matrix-free"
+) -> tuple[list[Array], list[Array], int]:
     """Return phi and E per level on rank 0, nothing elsewhere, and the number of cycles. Collective."""
     hierarchy = hierarchy_of(case, comm)
     # a tolerance that no residual meets to rounding, which depends on the boxes: "scattered 9" passes 1.00e-11
-    solver = amrpic.PoissonSolver(hierarchy, tolerance=8e-12)
+    solver = amrpic.PoissonSolver(hierarchy, tolerance=8e-12, backend=backend)
     rho = amrpic.Field(hierarchy).fill(lambda x, y, z: -epsilon_0 * (source(x, y, z) - excess))
     slope = outward_slope(hierarchy.domain)
     phi, report = solver.solve(rho, boundary_values=wall_potential, boundary_flux=slope)
@@ -138,3 +142,19 @@ def test_solution_is_the_direct_one_on_one_two_and_three_ranks_for_any_box_size(
             assert {what: e for what, e in errors.items() if not e <= 1e-8} == {}, (ranks, size)
         wait_quietly(comm)
     assert len(set(cycles.values())) == 1, cycles
+
+
+@pytest.mark.mpi(ranks=2, timeout=1000 if LONG else 180)
+@pytest.mark.parametrize("seed", range(100, 120) if LONG else range(100, 103))
+def test_random_hierarchies_with_narrow_gaps_are_solved_as_by_the_oracle_s_own_fit(seed, comm):
+    """Scattered blocks of 2 and 4 cells with all kinds of walls, both backends."""
+    case = random_case(seed)
+    expected = Expected(case) if comm.rank == 0 else None
+    excess = comm.bcast(expected.excess if expected else None)
+    oracle = expected.system.oracle if expected else Oracle(case, case.all_boxes())
+    assert any(name in IN_GAPS for name in oracle.coverage())
+    for backend in ("matrix-free", "crs"):
+        phi, efield, _ = solved(case, excess, oracle, comm, backend)
+        errors = expected.errors(phi, efield) if expected else {}
+        assert {what: e for what, e in errors.items() if not e <= 1e-8} == {}, backend
+    wait_quietly(comm)

@@ -22,7 +22,7 @@ from scipy.sparse.linalg import spsolve
 
 Cell = tuple[int, int, int]
 Offset = tuple[int, int]  # in coarse cells, along the two tangential axes of a face in ascending order
-Fit = tuple[str, dict[Offset, Fraction]]
+Fit = tuple[str, Mapping[Offset, Fraction]]
 
 
 class Phi(NamedTuple):
@@ -55,17 +55,10 @@ PLACEMENTS = (
     ("biquadratic (+, -)", RIGHT, LEFT),
     ("biquadratic (+, +)", RIGHT, RIGHT),
 )
-BILINEAR = (
-    ("bilinear (-, -)", (-1, 0), (-1, 0)),
-    ("bilinear (+, -)", (0, 1), (-1, 0)),
-    ("bilinear (+, +)", (0, 1), (0, 1)),
-    ("bilinear (-, +)", (-1, 0), (0, 1)),
-)
-AXIS_WISE = {(True, True): "linear in u and v", (True, False): "linear in u", (False, True): "linear in v"}
-SINGLE = "single value"
-QUADRATIC_FITS = frozenset(name for name, _, _ in PLACEMENTS)
-LINEAR_FITS = QUADRATIC_FITS | {name for name, _, _ in BILINEAR} | {AXIS_WISE[True, True]}
-FITS = (*(name for name, _, _ in PLACEMENTS + BILINEAR), *AXIS_WISE.values(), SINGLE)
+IN_GAPS = ("in a gap, constant", "in a gap, linear", "in a gap, quadratic")  # by the order of the fit
+QUADRATIC_FITS = frozenset(name for name, _, _ in PLACEMENTS) | {IN_GAPS[2]}
+LINEAR_FITS = QUADRATIC_FITS | {IN_GAPS[1]}
+FITS = (*(name for name, _, _ in PLACEMENTS), IN_GAPS[2])
 
 
 @cache
@@ -81,12 +74,12 @@ def lagrange(nodes: tuple[int, ...], at: Fraction) -> list[Fraction]:
     return weights
 
 
-def fit(usable: Callable[[int, int], bool], at: tuple[Fraction, Fraction]) -> Fit:
-    """Return the name and the weights, by offset from the cell that holds the ghost, of the first fit that is usable."""
-    for name, columns, rows in PLACEMENTS + BILINEAR:
+def fit(usable: Callable[[int, int], bool], at: tuple[Fraction, Fraction]) -> Fit | None:
+    """Return the name and the weights, by offset from the cell that holds the ghost, of the first complete placement."""
+    for name, columns, rows in PLACEMENTS:
         if all(usable(i, j) for i in columns for j in rows):
             return name, product(columns, rows, at)
-    return axis_wise(usable, at)
+    return None
 
 
 @cache
@@ -96,17 +89,51 @@ def product(columns: tuple[int, ...], rows: tuple[int, ...], at: tuple[Fraction,
     return {(i, j): along_u[a] * along_v[b] for a, i in enumerate(columns) for b, j in enumerate(rows)}
 
 
-def axis_wise(usable: Callable[[int, int], bool], at: tuple[Fraction, Fraction]) -> Fit:
-    """Return the fit that adds to the single value a slope along each axis that has a usable neighbour, upper one first."""
-    weights = {(0, 0): Fraction(1)}
-    sloped = [False, False]
-    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        neighbour = (step, 0) if axis == 0 else (0, step)
-        if not sloped[axis] and usable(*neighbour):
-            weights[neighbour] = step * at[axis]
-            weights[0, 0] -= step * at[axis]
-            sloped[axis] = True
-    return AXIS_WISE.get((sloped[0], sloped[1]), SINGLE), weights
+# --- where no placement is complete: least squares in space -----------------------------------------------------------
+
+REACH = 3.0  # fine widths
+LARGEST_SUM = 20.0  # of the magnitudes of the weights
+
+
+def monomials(order: int, x: np.ndarray) -> np.ndarray:
+    """Return the monomials of at most this order at points (n, 3), one column each."""
+    powers = [e for e in itertools.product(range(order + 1), repeat=3) if sum(e) <= order]
+    return np.stack([np.prod(x ** np.array(e), axis=1) for e in powers], axis=1)
+
+
+@cache
+def within_reach(width: int, place: tuple[float, float, float]) -> list[tuple[Cell, np.ndarray]]:
+    """Return the cells of a lattice of this width near a place in the cell at the origin, with the way to their centres."""
+    near = range(-4, 5)
+    cells = [(i, j, k) for i in near for j in near for k in near]
+    found = [(cell, width * (np.array(cell) + 0.5) - np.array(place)) for cell in cells]
+    return [(cell, away) for cell, away in found if (away**2).sum() < REACH**2]
+
+
+KNOWN: dict[bytes, tuple[int, np.ndarray]] = {}
+
+
+def space_fit(sites: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return `new_space_fit(sites)`, found once for the same sites."""
+    key = sites.tobytes()
+    if key not in KNOWN:
+        KNOWN[key] = new_space_fit(sites)
+    return KNOWN[key]
+
+
+def new_space_fit(sites: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return the order and the weights of the least squares fit at the origin to values at sites (n, 3), in units of the
+    reach: the quadratic one if it is determined, else the linear one, else the constant one.
+
+    Of all weights that reproduce the polynomials, those of least sum of squares over (1 - r²)², by SVD.
+    """
+    root = 1 - (sites**2).sum(axis=1)
+    for order in (2, 1, 0):
+        rows, wanted = monomials(order, sites), monomials(order, np.zeros((1, 3)))[0]
+        weights = root * (np.linalg.pinv((root[:, None] * rows).T, rcond=1e-10) @ wanted)
+        if np.abs(rows.T @ weights - wanted).max() < 1e-9 and np.abs(weights).sum() < LARGEST_SUM:
+            return order, weights
+    raise AssertionError("no site")
 
 
 # --- the composite grid ---------------------------------------------------------------------------------------------
@@ -164,7 +191,7 @@ class Oracle:
         self.lower = np.array(domain.lower, dtype=float)
         length = np.array(domain.upper, dtype=float) - self.lower
         self.spacing = [length / np.array(extent) for extent in self.extent]
-        self.interfaces: dict[Wall, Fit] = {}
+        self.interfaces: dict[Wall, str] = {}  # the name of the fit behind each
         self.slopes: dict[tuple[Wall, bool], Form] = {}
         self.refined = [{parent(cell) for cell in level} for level in self.cells[1:]] + [set()]
 
@@ -271,17 +298,40 @@ class Oracle:
         coarse, ghost = self.in_plane(level, cell, axis, side)
         u, v = [other for other in range(3) if other != axis]
         at = (Fraction(2 * (ghost[u] % 2) - 1, 4), Fraction(2 * (ghost[v] % 2) - 1, 4))
-        name, weights = fit(lambda i, j: self.is_usable(level - 1, coarse(i, j)), at)
-        self.interfaces[Wall(level, cell, axis, side)] = name, weights
-
+        found = fit(lambda i, j: self.is_usable(level - 1, coarse(i, j)), at)
         form: Form = {}
-        for (i, j), weight in weights.items():
-            there = self.wrapped(level - 1, coarse(i, j))
-            assert there is not None
-            add(form, {Phi(level - 1, there): float(Fraction(8, 15) * weight)})
+        if found is None:
+            order, star = self.fit_in_space(level, ghost, axis, side)
+            self.interfaces[Wall(level, cell, axis, side)] = IN_GAPS[order]
+            add(form, star, 8 / 15)
+        else:
+            self.interfaces[Wall(level, cell, axis, side)] = found[0]
+            for (i, j), weight in found[1].items():
+                there = self.wrapped(level - 1, coarse(i, j))
+                assert there is not None
+                add(form, {Phi(level - 1, there): float(Fraction(8, 15) * weight)})
         add(form, {Phi(level, cell): 2 / 3})
         add(form, {Phi(level, self.inward(level, cell, axis, side)): -1 / 5})
         return form
+
+    def fit_in_space(self, level: int, ghost: Cell, axis: int, side: int) -> tuple[int, Form]:
+        """Return phi* half a fine width further out than the ghost's centre, and the order of the fit: to all uncovered cells
+        of both levels within the reach, in units of the cells."""
+        place = np.array(ghost) + 0.5
+        place[axis] += 0.5 * side
+        found: list[tuple[Phi, np.ndarray]] = []
+        for at_level, width in ((level - 1, 2), (level, 1)):
+            nearest = np.floor(place / width).astype(int)
+            inside = place - width * nearest
+            for (i, j, k), away in within_reach(width, (inside[0], inside[1], inside[2])):
+                there = self.wrapped(at_level, (int(nearest[0]) + i, int(nearest[1]) + j, int(nearest[2]) + k))
+                if there is not None and self.is_usable(at_level, there):
+                    found.append((Phi(at_level, there), away / REACH))
+        order, weights = space_fit(np.array([x for _, x in found]))
+        form: Form = {}
+        for (key, _), weight in zip(found, weights, strict=True):
+            add(form, {key: float(weight)})
+        return order, form
 
     def slope(self, level: int, cell: Cell, axis: int, side: int, composite: bool) -> Form:
         """Return the outward derivative of phi at a face; on the composite grid a refined neighbour gives its mean."""
@@ -396,11 +446,11 @@ class Oracle:
         )
 
     def coverage(self) -> Counter[str]:
-        """Return how many coarse-fine faces use each fit."""
+        """Return how many coarse-fine faces have each fit."""
         for level, cells in enumerate(self.cells):
             for cell, axis, side in itertools.product(cells, range(3), (-1, 1)):
                 self.beyond(level, cell, axis, side)
-        return Counter(name for name, _ in self.interfaces.values())
+        return Counter(self.interfaces.values())
 
     def fits_of(self, level: int, cell: Cell) -> set[str]:
         """Return the names of the fits which the composite stencil of an uncovered cell uses."""
@@ -414,8 +464,11 @@ class Oracle:
                 faces = [(level + 1, child, -side) for child in children(neighbour)]
             for at_level, at_cell, at_side in faces:
                 self.beyond(at_level, at_cell, axis, at_side)
-                name, _ = self.interfaces.get(Wall(at_level, at_cell, axis, at_side), (None, None))
-                names |= {name} if name else set()
+                names |= {
+                    self.interfaces[face]
+                    for face in [Wall(at_level, at_cell, axis, at_side)]
+                    if face in self.interfaces
+                }
         return names
 
     # --- boundary data

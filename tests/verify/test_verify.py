@@ -20,7 +20,7 @@ from amrpic.scene import solver_options
 from amrpic.scene.scene import Scene
 from amrpic.stages.poisson import PoissonSolver
 from amrpic.units import VACUUM_PERMITTIVITY as EPS0
-from amrpic.verify import TOPICS, backends, conservation, convergence, pareto, verify, write
+from amrpic.verify import TOPICS, backends, conservation, convergence, gaps, pareto, verify, write
 from amrpic.verify.chosen import in_full
 from amrpic.verify.described import Cylinder, Lattice, density_of, exact_field
 from amrpic.verify.hard import CASES
@@ -158,6 +158,11 @@ def some_of_convergence(comm):
 
 def some_of_conservation(comm):
     yield from itertools.islice(conservation.tables(comm), 1)
+
+
+@pytest.mark.mpi(ranks=(1, 3), timeout=200)
+def test_narrow_gaps_meet_their_goals(comm):
+    assert all(table.met for table in gaps.tables(comm))
 
 
 Tables = Callable[[MPI.Comm], Iterator[Table]]

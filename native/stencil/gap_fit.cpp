@@ -1,0 +1,97 @@
+#include "stencil/gap_fit.hpp"
+
+#include "gmls/problem.hpp"
+#include "stencil/interface.hpp"
+
+namespace amrpic {
+
+namespace {
+
+constexpr Real reach = 3;               ///< fine widths
+constexpr Real residual_bound = 1e-11;  ///< of reproduction
+constexpr Real sum_bound = 20;          ///< of |weights|; where the sites determine a fit it stays below 10
+
+/// The usable cells, coarse ones first, with weights of zero; places in fine widths from the middle of the cube.
+struct Sites {
+  GapFit fit;
+  std::vector<Real> place;  ///< (cells, 3)
+
+  explicit Sites(GapSites const& sites) {
+    for (int n = 0; n < 27; ++n)
+      if (sites.coarse >> n & 1) add(false, {n % 3 - 1, n / 3 % 3 - 1, n / 9 - 1});
+    for (int n = 0; n < 27; ++n)
+      for (int c = 0; c < 8; ++c)
+        if (sites.children[std::size_t(n)] >> c & 1)
+          add(true, {2 * (n % 3 - 1) + c % 2, 2 * (n / 3 % 3 - 1) + c / 2 % 2, 2 * (n / 9 - 1) + c / 4});
+  }
+
+ private:
+  void add(bool fine, Index3 const& cell) {
+    GapFit::Term term{fine, {}, {}};
+    for (int d = 0; d < 3; ++d) {
+      term.offset[std::size_t(d)] = std::int8_t(cell[d]);
+      place.push_back(fine ? cell[d] - 0.5 : 2.0 * cell[d]);
+    }
+    fit.terms.push_back(term);
+  }
+};
+
+/// The four problems, one for each fine face.
+struct Problems {
+  std::vector<Real> target, reaches{reach, reach, reach, reach};
+  std::vector<std::int64_t> start{0};
+  std::vector<LocalIndex> index;
+
+  Problems(Sites const& sites, int axis) {
+    auto const [u, v] = tangential_axes(axis);
+    for (int face = 0; face < 4; ++face) {
+      Real3 place{0, 0, 0};
+      place[std::size_t(u)] = 2 * quarter(face % 2 != 0);
+      place[std::size_t(v)] = 2 * quarter(face / 2 != 0);
+      target.insert(target.end(), place.begin(), place.end());
+      for (std::size_t s = 0; s < sites.fit.terms.size(); ++s) {
+        Real square = 0;
+        for (std::size_t d = 0; d < 3; ++d)
+          square += (sites.place[3 * s + d] - place[d]) * (sites.place[3 * s + d] - place[d]);
+        if (square < reach * reach) index.push_back(LocalIndex(s));
+      }
+      start.push_back(std::int64_t(index.size()));
+    }
+  }
+};
+
+}  // namespace
+
+GapFit gap_fit(GapSites const& sites, int axis) {
+  Sites all(sites);
+  Problems const problems(all, axis);
+  Real const one = 1;
+  std::array<Real, 3> const here{0, 0, 0};
+  std::vector<Real> weight(problems.index.size()), judged(12);
+  std::array<gmls::Path, 4> path;
+  std::array<bool, 4> done{};
+  for (int order = 2; order >= 0; --order) {
+    gmls::Problem problem(3, order);
+    problem.weight = {gmls::WeightKind::power, 2, 2};
+    problem.count = 4;
+    problem.targets = problems.target.data();
+    problem.reach = problems.reaches.data();
+    problem.start = problems.start.data();
+    problem.index = problems.index.data();
+    problem.sites = all.place.data();
+    problem.wanted = {3, 1, 1, {{0, 0, 0, {0, 0, 0}}}, 1, here.data(), nullptr, &one};
+    gmls::solve(problem, residual_bound, sum_bound, false,
+                {weight.data(), nullptr, path.data(), judged.data(), judged.data() + 4, judged.data() + 8});
+    for (int face = 0; face < 4; ++face) {
+      if (done[std::size_t(face)] || path[std::size_t(face)] == gmls::Path::undetermined) continue;
+      done[std::size_t(face)] = true;
+      for (auto k = problems.start[std::size_t(face)]; k < problems.start[std::size_t(face) + 1]; ++k)
+        all.fit.terms[std::size_t(problems.index[std::size_t(k)])]
+            .weight[std::size_t(face / 2)][std::size_t(face % 2)] = weight[std::size_t(k)];
+    }
+    if (done[0] && done[1] && done[2] && done[3]) break;
+  }
+  return std::move(all.fit);
+}
+
+}  // namespace amrpic

@@ -107,6 +107,36 @@ void CompositeResidual::term_sizes_plane(int l, int b, int k, Source const& sour
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
+/// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a box;
+/// cells count from the first one of the box.
+template <class F>
+void CompositeResidual::for_each_own_share_in_gaps(int l, int b, int face, F&& f) const {
+  Level const& level = mesh_.level(l);
+  int const axis = face / 2, side = face % 2;
+  auto const [u, v] = tangential_axes(axis);
+  Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[face].interface)];
+  Index3 cell, own;  // in the box, and from the first child of the cell behind the face
+  cell[axis] = side == 0 ? 0 : mesh_.box(l, b).extent(axis) - 1, own[axis] = side == 0 ? 2 : -1;
+  auto const is_own = [&](GapFit::Term const& term) {  // or an image of it
+    bool out = term.fine;
+    for (std::size_t d = 0; d < 3; ++d) {
+      int const away = term.offset[d] - own[d];
+      out = out && (level.periodic()[d] ? away % level.domain().extent(int(d)) : away) == 0;
+    }
+    return out;
+  };
+  mesh_.plan(l).for_each_gap(i, [&](int coarse_u, int coarse_v, GapFit const& fit) {
+    for (own[v] = 0; own[v] < 2; ++own[v])
+      for (own[u] = 0; own[u] < 2; ++own[u]) {
+        cell[u] = 2 * (i.u + coarse_u) + own[u], cell[v] = 2 * (i.v + coarse_v) + own[v];
+        Real share = 0;
+        for (auto const& term : fit.terms)
+          if (is_own(term)) share += term.weight[std::size_t(own[v])][std::size_t(own[u])];
+        f(cell, share);
+      }
+  });
+}
+
 /// The diagonal of the Laplacian times phi, of a plane of cells; zero in covered ones.
 void CompositeResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
   Box const& own = mesh_.box(l, b);
@@ -130,6 +160,10 @@ void CompositeResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
         if (a < 0 || a >= i.nu || e < 0 || e >= i.nv) return;
         if (mesh_.plan(l).fits[std::size_t(i.fits + a + e * i.nu)] == no_fit) return;
         plane_[std::size_t(at)] += c * interface_ghost::first * cells[at];
+      });
+      for_each_own_share_in_gaps(l, b, f, [&](Index3 const& cell, Real share) {
+        std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1];
+        if (cell[2] == k) plane_[std::size_t(at)] += c * interface_ghost::coarse * share * cells[at];
       });
     }
   }

@@ -40,6 +40,8 @@ class CompositeResidual {
   void term_sizes_plane(int l, int b, int k, Source const& source);
   template <class F>
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
+  template <class F>
+  void for_each_own_share_in_gaps(int l, int b, int face, F&& f) const;
   void diagonal_plane(int l, int b, int k, Field const& phi);
   template <class T>
   void clear_fully_covered(Blocks<T> const& blocks);

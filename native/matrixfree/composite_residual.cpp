@@ -107,8 +107,8 @@ void CompositeResidual::term_sizes_plane(int l, int b, int k, Source const& sour
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
-/// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a box;
-/// cells count from the first one of the box.
+/// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a
+/// box; cells count from the first one of the box.
 template <class F>
 void CompositeResidual::for_each_own_share_in_gaps(int l, int b, int face, F&& f) const {
   Level const& level = mesh_.level(l);

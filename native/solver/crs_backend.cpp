@@ -135,6 +135,7 @@ void CrsBackend::start(Field& phi, bool /*is_zero*/) {
   for (int l = 0; l < hierarchy_->level_count(); ++l)
     std::transform(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin(), [&](Real v) { return v / unit_; });
   krylov_ = make_krylov(options_.krylov, equations());
+  if (krylov_) find_cells_behind_gaps();
 }
 
 void CrsBackend::finish() {
@@ -227,6 +228,11 @@ void CrsBackend::improve() {
 void CrsBackend::accelerate() {
   if (krylov_) return;
   krylov_ = make_krylov(KrylovKind::fgmres, equations());
+  find_cells_behind_gaps();
+}
+
+/// When they are first needed. Collective.
+void CrsBackend::find_cells_behind_gaps() {
   if (std::exchange(knows_gaps_, true)) return;
   Real found = 0;
   behind_gaps_.resize(phi_.size());

@@ -61,6 +61,7 @@ class CrsBackend : public Backend {
   void subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const;
   void compute_residual();
   CompositeEquations equations();
+  void find_cells_behind_gaps();
   void relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const;
   void set_truncation();
   Real largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&));

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -17,7 +16,6 @@ from hierarchies import Case, all_cases, random_case
 from oracle import IN_GAPS, BoundaryData, CompositeSystem, Oracle, cells_of, composite_system
 from rank_subsets import first_ranks, hierarchy_of, wait_quietly
 
-LONG = os.environ.get("AMRPIC_TEST_LONG") == "1"
 CASES = all_cases()
 SOLVED = (
     "L, away from walls",
@@ -144,8 +142,10 @@ def test_solution_is_the_direct_one_on_one_two_and_three_ranks_for_any_box_size(
     assert len(set(cycles.values())) == 1, cycles
 
 
-@pytest.mark.mpi(ranks=2, timeout=1000 if LONG else 180)
-@pytest.mark.parametrize("seed", range(100, 120) if LONG else range(100, 103))
+@pytest.mark.mpi(ranks=2, timeout=180)
+@pytest.mark.parametrize(
+    "seed", [*range(100, 103), *(pytest.param(n, marks=pytest.mark.long) for n in range(103, 120))]
+)
 def test_random_hierarchies_with_narrow_gaps_are_solved_as_by_the_oracle_s_own_fit(seed, comm):
     """Scattered blocks of 2 and 4 cells with all kinds of walls, both backends."""
     case = random_case(seed)

@@ -93,6 +93,7 @@ def product(columns: tuple[int, ...], rows: tuple[int, ...], at: tuple[Fraction,
 
 REACH = 3.0  # fine widths
 LARGEST_SUM = 20.0  # of the magnitudes of the weights
+LONG = 1.8  # aspect ratio of cells beyond which they are
 
 
 def monomials(order: int, x: np.ndarray) -> np.ndarray:
@@ -316,7 +317,9 @@ class Oracle:
 
     def fit_in_space(self, level: int, ghost: Cell, axis: int, side: int) -> tuple[int, Form]:
         """Return phi* half a fine width further out than the ghost's centre, and the order of the fit: to all uncovered cells
-        of both levels within the reach, in units of the cells."""
+        of both levels within the reach, in units of the cells; where cells are long, by lines through the cell behind."""
+        if max(self.spacing[level]) > LONG * min(self.spacing[level]):
+            return 1, self.fit_by_lines(level, ghost, axis)
         place = np.array(ghost) + 0.5
         place[axis] += 0.5 * side
         found: list[tuple[Phi, np.ndarray]] = []
@@ -332,6 +335,21 @@ class Oracle:
         for (key, _), weight in zip(found, weights, strict=True):
             add(form, {key: float(weight)})
         return order, form
+
+    def fit_by_lines(self, level: int, ghost: Cell, axis: int) -> Form:
+        """Return phi* from the coarse cell behind a face and its neighbours in the plane, by differences along either axis."""
+        middle = parent(ghost)
+        first = self.wrapped(level - 1, middle)
+        assert first is not None
+        form: Form = {Phi(level - 1, first): 1.0}
+        for d in (other for other in range(3) if other != axis):
+            near = [self.wrapped(level - 1, shifted(middle, d, side)) for side in (-1, 1)]
+            ends = [first if cell is None or not self.is_usable(level - 1, cell) else cell for cell in near]
+            distance = sum(end != first for end in ends)
+            for end, sign in zip(ends, (-1, 1), strict=True):
+                if distance:
+                    add(form, {Phi(level - 1, end): sign * (ghost[d] % 2 - 0.5) / 2 / distance})
+        return form
 
     def slope(self, level: int, cell: Cell, axis: int, side: int, composite: bool) -> Form:
         """Return the outward derivative of phi at a face; on the composite grid a refined neighbour gives its mean."""

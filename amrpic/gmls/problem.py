@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,10 +38,7 @@ class Solution:
 
 
 def merged(parts: Sequence[tuple[np.ndarray, Solution]], count: int) -> Solution:
-    """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones.
-
-    The weights of the first part, where it has all targets, make room in their own memory and are no longer its own.
-    """
+    """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones."""
     if len(parts) == 1:
         return parts[0][1]
     source, place = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
@@ -55,23 +53,12 @@ def merged(parts: Sequence[tuple[np.ndarray, Solution]], count: int) -> Solution
         lengths[mine] = np.diff(part.start)[at]
         exact[mine], path[mine], judgements[:, mine] = part.exact_weights[at], part.path[at], part.judgements[:, at]
     start = np.concatenate([[0], lengths.cumsum()])
-    index, base = np.empty(start[-1], np.int32), parts[0][1]
-    flat = [part.weights.reshape(-1) for _, part in parts]
-    if len(base.path) == count and base.weights.flags.owndata and (start >= base.start).all():
-        weights = base.weights
-        weights.resize((start[-1], rows), refcheck=False)  # the pages that are there stay
-        flat[0] = weights.reshape(-1)
-    else:
-        weights = np.empty((start[-1], rows))
-    to = weights.reshape(-1)
-    runs = np.flatnonzero(np.diff(source, prepend=-1, append=-1))  # of one part side by side
-    for first, last in zip(
-        runs[-2::-1], runs[:0:-1], strict=True
-    ):  # from behind: nothing is overwritten that is to be moved
+    index, weights = np.empty(start[-1], np.int32), np.empty((start[-1], rows))
+    for first, last in pairwise(np.flatnonzero(np.diff(source, prepend=-1, append=-1))):  # of one part side by side
         of, at = parts[source[first]][1], place[first]
-        begin, end = of.start[at], of.start[at + last - first]
-        index[start[first] : start[last]] = of.index[begin:end]
-        to[start[first] * rows : start[last] * rows] = flat[source[first]][begin * rows : end * rows]
+        taken = slice(of.start[at], of.start[at + last - first])
+        index[start[first] : start[last]] = of.index[taken]
+        weights[start[first] : start[last]] = of.weights[taken]
     return Solution(start, index, weights, exact, path, judgements)
 
 

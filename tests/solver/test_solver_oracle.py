@@ -149,7 +149,7 @@ GIVEN_WALLS = (*range(100, 108), 109, 111, 113, 114, *range(116, 123), 124)
 @pytest.mark.mpi(ranks=2, timeout=180)
 @pytest.mark.parametrize("seed", [n if n < 103 else pytest.param(n, marks=pytest.mark.long) for n in GIVEN_WALLS])
 def test_random_hierarchies_with_narrow_gaps_are_solved_as_by_the_oracle_s_own_fit(seed, comm):
-    """Scattered blocks of 2 and 4 cells with walls of all kinds whose data are given, both backends; every fourth with cells of any shape."""
+    """Scattered blocks of 2 and 4 cells, walls of all kinds with data, both backends; every fourth with cells of any shape."""
     any_shape = seed % 4 == 2
     case = random_case(seed, any_shape)
     expected = Expected(case) if comm.rank == 0 else None

@@ -337,7 +337,7 @@ class Oracle:
         return IN_GAPS[order], form
 
     def fit_by_lines(self, level: int, ghost: Cell, axis: int) -> tuple[str, Form]:
-        """Return the name of the fit and phi*, from the coarse cell behind a face by differences along the axes of its plane."""
+        """Return the name of the fit and phi*, from the coarse cell behind a face by differences in its plane."""
         middle = parent(ghost)
         first = self.wrapped(level - 1, middle)
         assert first is not None

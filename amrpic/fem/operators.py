@@ -23,7 +23,7 @@ class Operator:
 
     def __init__(self, points: Points, components: int = 1) -> None:
         with together(points.mesh.comm, InputError):
-            if components not in COMPONENTS:
+            if np.ndim(components) > 0 or components not in COMPONENTS:
                 raise InputError(f"components are {components!r}; an operator has 1 or 3")
         self.points, self.mesh, self.components = points, points.mesh, int(components)
         self.native = _native.FemOperator(points.native, self._poisson, self.components)

@@ -248,11 +248,11 @@ class Field(FieldViews):
         Raises InputError for what are no points, orders, quantities or kappa, and for points with too few cells around.
         """
         at = points_of(points)
-        if order == 1 and what == "value" and kappa is None and not isinstance(order, bool):
-            return self.native.sample(at)
         request = Request(order, what, 0.0 if kappa is None else kappa)
         if order == 1 and what == "value":
-            raise InputError("kappa says nothing to trilinear values; leave it out, or choose an order from 2 to 4")
+            if kappa is not None:
+                raise InputError("kappa says nothing to trilinear values; leave it out, or choose an order from 2 to 4")
+            return self.native.sample(at)
         return fitted_values(self._composite, "field", at, request)
 
 

@@ -627,6 +627,20 @@ class Migration:
     def starts(self) -> NDArray[numpy.int64]: ...
     def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
 
+class Arrangement:
+    def __init__(
+        self,
+        mesh: ParticleMesh,
+        servers: NDArray[numpy.int64],
+        position: NDArray[numpy.float64],
+        id: NDArray[numpy.int64],
+    ) -> None: ...
+    @property
+    def places(self) -> NDArray[numpy.int32]: ...
+    @property
+    def starts(self) -> NDArray[numpy.int64]: ...
+    def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
+
 class Hole(enum.Enum):
     ellipse = 0
 

@@ -16,6 +16,7 @@ from .operators import Operator
 from .points import checked_vector, shaped
 
 Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the native ones
+Coarse = Literal["geometric", "aggregation"]  # two of the last kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ def solve(
     fixed: ArrayLike | None = None,
     values: ArrayLike | float = 0.0,
     preconditioner: Preconditioner = "p-multigrid",
+    coarse: Coarse = "geometric",
     tolerance: float = 1e-10,
     most_iterations: int = 10_000,
 ) -> tuple[np.ndarray, SolveReport]:
@@ -44,7 +46,8 @@ def solve(
     Nodes that are `fixed`, a mask (nodes,) or (nodes, components), have `values`, a number or a vector, in place of their
     equations. The residual comes down to `tolerance` times what it is with all others at zero.
 
-    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and on by aggregates.
+    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and from there to half the elements along each
+    axis, and so on; with coarse = "aggregation" by MueLu's smoothed aggregates.
 
     Raises on all ranks InputError for arrays of other shapes and options that do not exist, and SolverError for free nodes
     whose elements have no points.
@@ -56,6 +59,8 @@ def solve(
         held = _held(operator, values)
         if preconditioner not in get_args(Preconditioner):
             raise InputError(f'preconditioner is "{preconditioner}"; use {", ".join(get_args(Preconditioner))}')
+        if coarse not in get_args(Coarse):
+            raise InputError(f'coarse is "{coarse}"; use {" or ".join(get_args(Coarse))}')
         if not 0 < tolerance < 1:
             raise InputError(f"tolerance is {tolerance}; give a number between 0 and 1, for instance 1e-10")
         if most_iterations < 1:
@@ -63,7 +68,7 @@ def solve(
     start = time.perf_counter()
     try:
         u, residuals, curved_down = operator.native.solve(
-            right, mask, held, get_args(Preconditioner).index(preconditioner), tolerance, most_iterations
+            right, mask, held, _number(preconditioner, coarse), tolerance, most_iterations
         )
     except _native.SolverError as refused:
         raise SolverError(str(refused)) from None
@@ -77,6 +82,12 @@ def solve(
     )
     report = SolveReport(converged, len(residuals) - 1, residuals, time.perf_counter() - start, reason)
     return shaped(u, components), report
+
+
+def _number(preconditioner: Preconditioner, coarse: Coarse) -> int:
+    """The native solver's number of a preconditioner."""
+    by_aggregates = preconditioner == "p-multigrid" and coarse == "aggregation"
+    return get_args(Preconditioner).index(preconditioner) + int(by_aggregates)
 
 
 def _mask(operator: Operator, fixed: ArrayLike | None) -> np.ndarray:

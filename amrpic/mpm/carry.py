@@ -16,7 +16,7 @@ AT_FACE = 1e-9  # parts of a mesh's size: so far outside points may be, by round
 def carried(solid: Solid, u: np.ndarray, mesh: Mesh, *, weights: Weights = "moments") -> Solid:
     """Return the solid after a displacement, (nodes, 3) in m, on a mesh that has none. Collective.
 
-    Points move by u and have F and volumes from there on; damage and driving energy stay. Each rank passes through all points, so
+    Points move by u and have F and volumes from there on; damage and driving energy stay. Each rank sees all points, so
     they must fit one. InputError on all ranks for points that are outside the mesh.
     """
     states, points = solid.states(u), solid.points

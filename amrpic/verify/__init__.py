@@ -21,6 +21,7 @@ from . import (
     dynamics,
     hard,
     least_squares,
+    materials,
     openboundary,
     operators,
     pareto,
@@ -46,6 +47,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "dynamics": dynamics.tables,
     "least-squares": least_squares.tables,
     "operators": operators.tables,
+    "materials": materials.tables,
 }
 
 

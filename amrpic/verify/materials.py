@@ -111,7 +111,7 @@ def _derivatives(law: str, layout: str) -> Row:
     solid = mpm.Solid(
         points,
         LAWS[law],
-        deformation=(np.eye(3) + 0.1 * wave) * (1.3 if law.startswith("damaged") else 1),
+        deformation=(np.eye(3) + 0.1 * wave) * (1.8 if law.startswith("damaged") else 1),
         damage=np.full(len(points), 0.4),
     )
     u, v = _wavy(mesh), _wavy(mesh, seed=3)

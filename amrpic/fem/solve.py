@@ -18,6 +18,7 @@ from .points import checked_vector, reals, shaped
 
 MOST_ITERATIONS = 2**31 - 1
 Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the native ones
+Coarse = Literal["geometric", "aggregation"]  # two of the last kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,7 @@ def solve(
     fixed: ArrayLike | None = None,
     values: ArrayLike | float = 0.0,
     preconditioner: Preconditioner = "p-multigrid",
+    coarse: Coarse = "geometric",
     tolerance: float = 1e-10,
     most_iterations: int = 10_000,
 ) -> tuple[np.ndarray, SolveReport]:
@@ -46,7 +48,8 @@ def solve(
     Nodes that are `fixed`, a mask (nodes,) or (nodes, components), have `values`, a number or a vector, in place of their
     equations. The residual comes down to `tolerance` times what it is with all others at zero.
 
-    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and on by aggregates.
+    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and from there to half the elements along each
+    axis, and so on; with coarse = "aggregation" by MueLu's smoothed aggregates.
 
     Raises on all ranks InputError for arrays of other shapes or with values that are not finite and options that do not exist,
     and SolverError for free nodes whose elements have no points, and for numbers whose squares double precision cannot hold.
@@ -58,13 +61,15 @@ def solve(
         held = _held(operator, values)
         if preconditioner not in get_args(Preconditioner):
             raise InputError(f'preconditioner is "{preconditioner}"; use {", ".join(get_args(Preconditioner))}')
+        if coarse not in get_args(Coarse):
+            raise InputError(f'coarse is "{coarse}"; use {" or ".join(get_args(Coarse))}')
         _require_limits(tolerance, most_iterations)
         _require_finite(right[~mask], "the right-hand side of a free node")
         _require_finite(held[mask], "the value of a fixed node")
     start = time.perf_counter()
     try:
         u, residuals, curved_down = operator.native.solve(
-            right, mask, held, get_args(Preconditioner).index(preconditioner), tolerance, most_iterations
+            right, mask, held, _number(preconditioner, coarse), tolerance, most_iterations
         )
     except _native.SolverError as refused:
         raise SolverError(str(refused)) from None
@@ -100,6 +105,12 @@ def _require_finite(values: np.ndarray, what: str) -> None:
         raise InputError(
             f"{what} is {values[np.argmin(good)]}, as {int((~good).sum())} are not finite on a rank; give numbers"
         )
+
+
+def _number(preconditioner: Preconditioner, coarse: Coarse) -> int:
+    """The native solver's number of a preconditioner."""
+    by_aggregates = preconditioner == "p-multigrid" and coarse == "aggregation"
+    return get_args(Preconditioner).index(preconditioner) + int(by_aggregates)
 
 
 def _mask(operator: Operator, fixed: ArrayLike | None) -> np.ndarray:

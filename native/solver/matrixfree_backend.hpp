@@ -32,6 +32,12 @@ class MatrixFreeBackend : public Backend {
 
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) override;
 
+  ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) override {
+    return composite_.electric_field(potential, problem_.walls, covered, holds);
+  }
+  void to_points(Field const& means, Field& points) override { composite_.to_points(means, points); }
+  void to_means(Field const& points, Field& means) override { composite_.to_means(points, means); }
+
   LevelOperators const& operators_with_gradient(int level) override;
 
   std::int64_t assemblies() const override { return shown_.operators.empty() ? 0 : 1; }
@@ -54,6 +60,8 @@ class MatrixFreeBackend : public Backend {
   Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
   std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
   bool accelerated_ = false;
+  std::array<Real, 2> steps_;  ///< factors of corrections, in turn
+  std::size_t cycles_ = 0;     ///< since `start`
   MinimalResidual corrections_;
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2

@@ -205,7 +205,9 @@ class Field(FieldViews):
         if isinstance(other, Field) and other.hierarchy is not self.hierarchy:
             raise HierarchyError("the two fields live on two hierarchies; carry one of them over to the other's")
         if isinstance(other, Field) and other.holds != self.holds:
-            raise InputError(f"one field holds {self.holds}, the other {other.holds}; convert one of them, as_{self.holds}()")
+            raise InputError(
+                f"one field holds {self.holds}, the other {other.holds}; convert one of them, as_{self.holds}()"
+            )
         out = Field.unset(self.hierarchy, unit)
         out.holds = self.holds
         for level in range(self.hierarchy.levels):

@@ -184,7 +184,9 @@ class SolverOptions(Section):
                 what = "is a choice of the backend of compressed rows alone"
                 self._refuse(option, what, 'leave it out, or set backend to "crs"')
         if self.order == 4 and self.backend == "crs":
-            self._refuse("order", "is what the matrix-free backend has alone", 'set backend to "matrix-free", or order to 2')
+            self._refuse(
+                "order", "is what the matrix-free backend has alone", 'set backend to "matrix-free", or order to 2'
+            )
         for axis, factor in enumerate(self.stretch):
             if not 0 < factor < LARGEST_STRETCH:
                 remedy = f"give a factor above 0, below {LARGEST_STRETCH:g}"

@@ -162,7 +162,9 @@ class PoissonSolver:
         """
         _one_of("holds", holds, ("points", "means"))
         if holds == "means" and self.options.order != 4:
-            raise SolverError("means of E over cells are what a solver of order 4 knows; leave holds out, or set order to 4")
+            raise SolverError(
+                "means of E over cells are what a solver of order 4 knows; leave holds out, or set order to 4"
+            )
         out = self._field(phi, covered, holds).with_components()
         for component in out.components:
             component.holds = holds  # type: ignore[assignment]
@@ -235,7 +237,9 @@ class PoissonSolver:
                 data = self.native.wall_data(level)
                 for kind, function in ((DIRICHLET, values), (NEUMANN, flux)):
                     faces = kinds == kind
-                    data[faces] = 0.0 if function is None else self._on_faces(level, function, points[faces], axes[faces])
+                    data[faces] = (
+                        0.0 if function is None else self._on_faces(level, function, points[faces], axes[faces])
+                    )
                 # the native side works in stretched coordinates
                 data[kinds == NEUMANN] /= np.array(self.options.stretch)[axes[kinds == NEUMANN]]
         self._walls = values, flux

@@ -159,7 +159,8 @@ void bind_matrixfree(nb::module_& m) {
   nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")
       .def(
           "__init__",
-          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch, Real shift, int order) {
+          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch, Real shift,
+             int order) {
             nb::gil_scoped_release release;
             new (self) CompositeLaplacian(hierarchy->stretched(stretch), shift, stretch, order);
           },

@@ -52,8 +52,8 @@ void FourthOrderField::add_second_differences(Field const& from, Real factor, bo
             [&](int n) {
               Index3 there = cell;
               there[d] += n;
-              bool const known = there[d] >= -FourthOrderGhosts::layers &&
-                                 there[d] < own.extent(d) + FourthOrderGhosts::layers;
+              bool const known =
+                  there[d] >= -FourthOrderGhosts::layers && there[d] < own.extent(d) + FourthOrderGhosts::layers;
               return known ? ghosts_.value(own, cells, d, there) : std::numeric_limits<Real>::quiet_NaN();
             },
             four_points);
@@ -90,7 +90,7 @@ ElectricField FourthOrderField::electric_field(Field const& phi, std::vector<Wal
                                                Holds holds) {
   std::array<std::shared_ptr<Field>, 3> e;
   for (auto& component : e) component = std::make_shared<Field>(phi.share_hierarchy(), false);
-  ghosts_.visit(phi, &walls, Ends::ghosts, FullyCovered::visit, [&](int l, int b) {
+  ghosts_.visit(phi, &walls, Ends::of_field, FullyCovered::visit, [&](int l, int b) {
     Box const& own = mesh_.box(l, b);
     Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
     for (int d = 0; d < 3; ++d) {

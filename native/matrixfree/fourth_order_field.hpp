@@ -20,22 +20,22 @@ class FourthOrderField {
       : mesh_(mesh), ghosts_(ghosts), average_(average) {}
 
   /// The means over cells of E = -grad phi (V/m; over the stretch along each axis once more), or its values at their
-  /// centres. `potential` must be averaged down. In covered cells stands what follows from the means of the children, or,
-  /// as asked, from the level's own potentials. Collective.
+  /// centres. `potential` must be averaged down. In covered cells stands what follows from the means of the children,
+  /// or, as asked, from the level's own potentials. Collective.
   ElectricField electric_field(Field const& potential, std::vector<Walls> const& walls, CoveredField covered,
                                Holds holds);
 
-  /// Values at centres, those of covered cells included, from means, which must be averaged down for that, with an error of fourth order also where levels end.
-  /// Collective.
+  /// Values at centres, those of covered cells included, from means, which must be averaged down for that, with an
+  /// error of fourth order also where levels end. Collective.
   void to_points(Field const& means, Field& points);
 
   /// Means from values at the centres; those in covered cells are not read. The error is of fourth order, of third in
   /// cells where a level ends or a finer one begins: in a density that counts as one of fourth order. Collective.
   void to_means(Field const& points, Field& means);
 
-  /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones, rounded
-  /// to T, from sixth differences: -h^4/90 times the sixth derivatives. Nothing is known of cells where a level ends.
-  /// Returns the largest magnitude, without the scale. Collective.
+  /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones,
+  /// rounded to T, from sixth differences: -h^4/90 times the sixth derivatives. Nothing is known of cells where a level
+  /// ends. Returns the largest magnitude, without the scale. Collective.
   template <class T>
   Real truncation(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& scale,
                   Blocks<T> const& truncation);

@@ -14,8 +14,8 @@ FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(m
     for (int f = 0; f < 6; ++f) {
       Boundary const kind = mesh_.hierarchy().domain().boundary[std::size_t(f / 2)][std::size_t(f % 2)];
       for (int cells = 1; cells <= fourth_order::wall_cells; ++cells)
-        wall_ghosts_.back()[std::size_t(f)][std::size_t(cells)] = fourth_order::make_wall_ghosts(
-            kind, mesh_.level(l).spacing()[std::size_t(f / 2)], std::min(cells, fourth_order::cells_at_wall(kind)));
+        wall_ghosts_.back()[std::size_t(f)][std::size_t(cells)] =
+            fourth_order::make_wall_ghosts(kind, mesh_.level(l).spacing()[std::size_t(f / 2)], cells);
     }
   }
   for (int coarse = 1; coarse <= fourth_order::coarse_cells; ++coarse)
@@ -40,7 +40,7 @@ void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls,
   zero_ = false;
   bool waiting = true;
   for (int l = mesh_.levels() - 1; l >= 0; --l) {
-    if (mesh_.hierarchy().has_finer(l) && ends == Ends::ghosts) mesh_.plan(l).finer_fluxes.finish();
+    if (mesh_.hierarchy().has_finer(l) && ends != Ends::nothing) mesh_.plan(l).finer_fluxes.finish();
     for (bool remote : {false, true}) {
       if (remote && waiting) {
         plan_.cells.finish();
@@ -54,7 +54,7 @@ void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls,
         f(l, b);
       }
     }
-    if (l > 0 && ends == Ends::ghosts) send_fluxes(l);
+    if (l > 0 && ends != Ends::nothing) send_fluxes(l);
   }
 }
 
@@ -85,9 +85,9 @@ void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls,
         copy(plan_.level(l).rectangles[std::size_t(r)], phi.level(l).data(), layer.data(), pitch);
     }
   }
-  for (int f = 0; f < 6 && ends == Ends::ghosts; ++f) {
+  for (int f = 0; f < 6 && ends != Ends::nothing; ++f) {
     if (int const wall = mesh_.plan(l, b).faces[std::size_t(f)].wall; wall >= 0)
-      fill_wall(l, b, f / 2, f % 2, phi.level(l).data() + mesh_.offset(l, b), walls->datum.data() + wall);
+      fill_wall(l, b, f / 2, f % 2, ends, phi.level(l).data() + mesh_.offset(l, b), walls->datum.data() + wall);
     if (plan_.face(l, b, f).blocks >= 0) fill_interface(l, b, f / 2, f % 2, phi);
   }
 }
@@ -104,8 +104,7 @@ void FourthOrderGhosts::visit_zero(int l, int b, Walls const& walls) {
     for (int y = 0; y < mesh_.box(l, b).extent(v); ++y)
       for (int x = 0; x < mesh_.box(l, b).extent(u); ++x, ++out) {
         auto const& ghosts = wall_ghosts(l, axis, side, cells_inside(l, b, axis, side, x, y));
-        for (std::size_t n = 0; n < layers; ++n)
-          ghosts_[std::size_t(f)][n][out] = ghosts.layer[n].datum * datum[out];
+        for (std::size_t n = 0; n < layers; ++n) ghosts_[std::size_t(f)][n][out] = ghosts.layer[n].datum * datum[out];
       }
   }
 }
@@ -129,14 +128,14 @@ int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int
   if (opposite.interface >= 0) {
     Interface const& i = mesh_.plan(l).interfaces[std::size_t(opposite.interface)];
     int const x = u / 2 - i.u, y = v / 2 - i.v;
-    bool const ends = x >= 0 && x < i.nu && y >= 0 && y < i.nv &&
-                      mesh_.plan(l).fits[std::size_t(i.fits + x + y * i.nu)] != no_fit;
+    bool const ends =
+        x >= 0 && x < i.nu && y >= 0 && y < i.nv && mesh_.plan(l).fits[std::size_t(i.fits + x + y * i.nu)] != no_fit;
     if (ends) return extent;
   }
   return std::min(extent + layers, fourth_order::wall_cells);
 }
 
-void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data) {
+void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Real const* data) {
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
   std::size_t const face = std::size_t(2 * axis + side);
@@ -151,7 +150,8 @@ void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Real const* 
         cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
         inside[std::size_t(n)] = value(own, phi, axis, cell);
       }
-      auto const& ghosts = wall_ghosts(l, axis, side, cells);
+      auto const& ghosts =
+          ends == Ends::of_field ? polynomial_at_wall(l, axis, side, cells) : wall_ghosts(l, axis, side, cells);
       for (std::size_t n = 0; n < layers; ++n) ghosts_[face][n][out] = ghosts.layer[n](inside, data[out]);
     }
 }
@@ -199,8 +199,7 @@ void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field c
   Real *const near = ghosts_[f][0].data(), *const far = ghosts_[f][1].data();
   for (int row = 0; row < i.nv; ++row) {
     FitNumber const* const fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
-    auto const* const blocks =
-        plan_.level(l).blocks.data() + face.blocks + i.u + std::ptrdiff_t(i.v + row) * face.nu;
+    auto const* const blocks = plan_.level(l).blocks.data() + face.blocks + i.u + std::ptrdiff_t(i.v + row) * face.nu;
     Real* const flux = fluxes_[std::size_t(l)].data() + i.fluxes + std::ptrdiff_t(row) * i.nu;
     for (int n = 0; n < layers; ++n)
       fit_row(n, blocks, fits, i.nu,

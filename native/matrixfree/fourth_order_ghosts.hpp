@@ -18,8 +18,9 @@ class FourthOrderGhosts {
 
   /// What stands behind walls and coarse-fine faces.
   enum class Ends {
-    ghosts,  ///< what walls and coarser cells make of it
-    nothing  ///< not a number
+    ghosts,    ///< what walls and coarser cells make of it
+    of_field,  ///< the same, with as many cells behind Dirichlet walls as behind others: for E, not for the operator
+    nothing    ///< not a number
   };
   enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 
@@ -79,7 +80,8 @@ class FourthOrderGhosts {
   /// The ghosts behind a wall of a level, of as many cells as lie between it and the next end of the level, up to those
   /// that they take.
   fourth_order::WallGhosts const& wall_ghosts(int l, int axis, int side, int cells) const {
-    return wall_ghosts_[std::size_t(l)][std::size_t(2 * axis + side)][std::size_t(cells)];
+    Boundary const kind = mesh_.hierarchy().domain().boundary[std::size_t(axis)][std::size_t(side)];
+    return polynomial_at_wall(l, axis, side, std::min(cells, fourth_order::cells_at_wall(kind)));
   }
   /// How many cells in line from a face of the box under way inwards the level has, as far as ghosts matter.
   int cells_inside(int l, int b, int axis, int side, int u, int v) const;
@@ -89,7 +91,10 @@ class FourthOrderGhosts {
 
  private:
   void fill(int l, int b, Field const& phi, Walls const* walls, Ends ends);
-  void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
+  void fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Real const* data);
+  fourth_order::WallGhosts const& polynomial_at_wall(int l, int axis, int side, int cells) const {
+    return wall_ghosts_[std::size_t(l)][std::size_t(2 * axis + side)][std::size_t(cells)];
+  }
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
   void fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count, Real const* coarse,
                std::ptrdiff_t pitch);
@@ -99,14 +104,15 @@ class FourthOrderGhosts {
   CompositeMesh& mesh_;
   FourthOrderPlan plan_;
   using OfWalls = std::array<std::array<fourth_order::WallGhosts, fourth_order::wall_cells + 1>, 6>;
-  std::vector<OfWalls> wall_ghosts_;                                               ///< [level][face][cells]
+  std::vector<OfWalls> wall_ghosts_;                                                ///< [level][face][cells]
   std::array<std::array<fourth_order::InterfaceGhosts, 4>, 3> interface_ghosts_{};  ///< [coarse][fine cells]
   /// [size][- first cell]: half weights of blocks along an axis.
-  std::array<std::array<std::array<std::array<Real, fourth_order::MeansBlock::most>, 2>, fourth_order::MeansBlock::most>,
-             fourth_order::MeansBlock::most + 1>
+  std::array<
+      std::array<std::array<std::array<Real, fourth_order::MeansBlock::most>, 2>, fourth_order::MeansBlock::most>,
+      fourth_order::MeansBlock::most + 1>
       half_weights_{};
-  bool zero_ = false;                                             ///< whether the box under way is of `visit_zero`
-  std::vector<std::vector<Real>> fluxes_;                         ///< [level]: through its coarse faces
+  bool zero_ = false;                                            ///< whether the box under way is of `visit_zero`
+  std::vector<std::vector<Real>> fluxes_;                        ///< [level]: through its coarse faces
   std::array<std::array<std::vector<Real>, layers>, 6> ghosts_;  ///< of the box under way
   std::array<std::vector<Real>, layers> coarse_, star_;  ///< of the interface under way: coarse means, those over the
                                                          ///< fine cells' faces in two rows

@@ -94,8 +94,7 @@ void FourthOrderPlan::plan_face(CompositeMesh const& mesh, int l, int b, int f, 
     Box const layer = box.layer(axis, side, n + 1);
     for (Overlap const& o : near) {
       Box const part = o.part.intersect(layer);
-      if (!part.empty())
-        level.rectangles.push_back(rectangle(mesh, l, l, b, f, {o.box, part, o.shift}, layer.lower));
+      if (!part.empty()) level.rectangles.push_back(rectangle(mesh, l, l, b, f, {o.box, part, o.shift}, layer.lower));
     }
     plan.neighbours[std::size_t(n)].last = std::int32_t(level.rectangles.size());
   }

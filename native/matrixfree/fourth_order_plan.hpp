@@ -26,7 +26,7 @@ class FourthOrderPlan {
 
   struct OnLevel {
     std::vector<std::array<FacePlan, 6>> faces;  ///< of the boxes of this rank
-    std::vector<char> remote;  ///< of each of these boxes: whether it takes values from other ranks
+    std::vector<char> remote;                    ///< of each of these boxes: whether it takes values from other ranks
     std::vector<Rectangle> rectangles;
     std::vector<OfCell> blocks;
   };

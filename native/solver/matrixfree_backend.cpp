@@ -182,7 +182,8 @@ Real MatrixFreeBackend::largest_phi_term() { return composite_.diagonal_norm(*ph
 /// One cycle with the truncation error; 0 while the residual is too large beside it.
 Real MatrixFreeBackend::discretisation_error() {
   Index3 const below = cycle_.ratio_below_base();
-  if (problem_.options.order == 2 && levels() == 1 && below == Index3{1, 1, 1}) return 0;  // nothing is coarser than the base, nothing finer
+  if (problem_.options.order == 2 && levels() == 1 && below == Index3{1, 1, 1})
+    return 0;  // nothing is coarser than the base, nothing finer
   Real const residual = problem_.options.norm == Norm::max ? latest_residual_ : largest(residual_, scale_);
   kept_.resize(std::size_t(levels()));  // dearer to find again than to copy
   for (int l = 0; l < levels(); ++l) {

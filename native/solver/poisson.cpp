@@ -177,8 +177,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
       stuck = factor > 0.98 ? stuck + 1 : 0;
-      if (report.cycles > 2 && !options_.to_discretisation && is_slow(report.residuals))
-        backend_->accelerate();
+      if (report.cycles > 2 && !options_.to_discretisation && is_slow(report.residuals)) backend_->accelerate();
     }
     since_lowest = residual < 0.8 * lowest ? 0 : since_lowest + 1;
     if (since_lowest == 0) lowest = residual;

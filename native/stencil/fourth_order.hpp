@@ -34,9 +34,8 @@ inline Real diagonal(Equation const& l) { return -own_cell * (l.weight[0] + l.we
 
 /// L phi of a cell's mean and, along each axis, the sums of the means one and two cells away.
 inline Real laplacian(Equation const& l, Real c, Real3 const& near, Real3 const& far) {
-  return fused(
-      -diagonal(l), c,
-      weighted_sum(l.weight, across(near[0], far[0]), across(near[1], far[1]), across(near[2], far[2])));
+  return fused(-diagonal(l), c,
+               weighted_sum(l.weight, across(near[0], far[0]), across(near[1], far[1]), across(near[2], far[2])));
 }
 
 /// The mean over a cell of -h d phi/dx along an axis: the difference of the face means, which are

@@ -53,7 +53,8 @@ class PoissonSolver:
     With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
     that moves along z with the Lorentz factor γ, in the laboratory frame; solved as a Poisson equation in coordinates s_d x_d.
     With `order=4` the equation holds for means over cells, with an error of h⁴ where ρ is smooth: ρ that holds points is turned
-    into means, and φ holds means (`Field.holds`); E comes at points, or as means. With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
+    into means, and φ holds means (`Field.holds`); E comes at points, or as means; open faces are refused.
+    With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
 
     A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
     coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of

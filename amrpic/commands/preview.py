@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +65,9 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     prepare(comm, scene)
     plan, notes = _plan_without_solves(comm, scene)
     base = make_base(plan)
+    begun = time.perf_counter()
     bunches = make_bunches(comm, scene)
+    made_in = comm.allreduce(time.perf_counter() - begun, op=MPI.MAX)
     plan.settle_clouds(bunches)
     particles, gone = migrate(concatenate(bunches), base)
     fields = follow(ParticleFields(particles, base, plan))
@@ -79,7 +82,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         _levels(fields.particles_per_cell),
         _bunches(comm, scene, bunches[1:], fields.hierarchy),
         _memory(fields, made, ranks),
-        _time(comm, scene, fields.hierarchy, ranks, seconds) if seconds > 0 else [],
+        _time(comm, scene, fields.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
         list(map(str, _pictures(scene, fields.rho))),
     ]
@@ -216,10 +219,11 @@ def _memory(fields: ParticleFields, particles: int, ranks: int) -> list[str]:
     ]
 
 
-def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, seconds: float) -> list[str]:
-    """Return how long a run will take. Collective."""
+def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, made: float, seconds: float) -> list[str]:
+    """Return how long a run will take, whose particles were made in so many s. Collective."""
+    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
     try:
-        found = forecast(comm, scene, sum(hierarchy.cells(level) for level in range(hierarchy.levels)), seconds)
+        found = forecast(comm, scene, cells, made, seconds)
     except AmrpicError as failure:
         return [f"time: a trial of the run ended with: {failure}"]
     if found is None:

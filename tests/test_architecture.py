@@ -65,6 +65,7 @@ ORDER = (
     "units",
     "html",
     "failure",
+    "progress",
     "parallel",
     "gmls",
     "mesh",

@@ -19,6 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles, concatenate
+from ..progress import progress
 from ..run.adapt import follow, make_base
 from ..run.course import Course
 from ..run.folder import prepare
@@ -66,7 +67,8 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     plan, notes = _plan_without_solves(comm, scene)
     base = make_base(plan)
     begun = time.perf_counter()
-    bunches = make_bunches(comm, scene)
+    with progress("making particles"):
+        bunches = make_bunches(comm, scene)
     made_in = comm.allreduce(time.perf_counter() - begun, op=MPI.MAX)
     plan.settle_clouds(bunches)
     particles, gone = migrate(concatenate(bunches), base)
@@ -223,7 +225,8 @@ def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, made: 
     """Return how long a run will take, whose particles were made in so many s. Collective."""
     cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
     try:
-        found = forecast(comm, scene, cells, made, seconds)
+        with progress("measuring how long a step takes"):
+            found = forecast(comm, scene, cells, made, seconds)
     except AmrpicError as failure:
         return [f"time: a trial of the run ended with: {failure}"]
     if found is None:
@@ -263,7 +266,8 @@ def _pictures(scene: Scene, rho: Field) -> list[Path]:
     path = scene.directory / FILE
     vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene))
     dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0)
-    return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
+    with progress("drawing pictures"):
+        return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
 
 
 # ---- the command ----
@@ -272,7 +276,11 @@ def _pictures(scene: Scene, rho: Field) -> list[Path]:
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     added = command(
-        commands, "preview", _preview, "show mesh, bunches, memory, time and pictures of a scene before it is run"
+        commands,
+        "preview",
+        _preview,
+        "show mesh, bunches, memory, time and pictures of a scene before it is run",
+        "making the preview",
     )
     scene_arguments(added)
     added.add_argument(

@@ -103,7 +103,9 @@ def test_regrids_and_dumps_are_shared_out_over_their_steps(comm, tmp_path):
     trial, given = Trial(1.0, 3.0, 0.5, 0.25, 1.0), scene(tmp_path, steps=40)
     assert trial.per_step(given) == pytest.approx(0.5 + 0.25 / 2 + 1.0 / 10)
     assert trial.per_step(given.replace(output={"write": ["series"]})) == pytest.approx(0.5 + 0.25 / 2)
-    short = scene(tmp_path, steps=9).replace(refinement={"levels": 1, "regrid_every": 5})  # one regrid in nine steps, no dump
+    short = scene(tmp_path, steps=9).replace(
+        refinement={"levels": 1, "regrid_every": 5}
+    )  # one regrid in nine steps, no dump
     assert trial.per_step(short) == pytest.approx(0.5 + 0.25 / 9)
     still = given.replace(refinement={"regrid_every": 0}, output={"write": ["fields", "checkpoint"], "fields_every": 4})
     assert trial.per_step(still) == pytest.approx(0.5 + 1.0 / 4 + 1.0 / 10)

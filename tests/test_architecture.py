@@ -67,6 +67,7 @@ ORDER = (
     "units",
     "html",
     "failure",
+    "progress",
     "parallel",
     "gmls",
     "mesh",

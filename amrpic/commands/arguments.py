@@ -23,11 +23,14 @@ class Parser(argparse.ArgumentParser):
 
 
 def command(
-    commands: Commands, name: str, call: Callable[[argparse.Namespace], int], help: str
+    commands: Commands, name: str, call: Callable[[argparse.Namespace], int], help: str, doing: str = ""
 ) -> argparse.ArgumentParser:
-    """Return the parser of a new command; `call` runs it and returns its exit status."""
+    """Return the parser of a new command; `call` runs it and returns its exit status.
+
+    `doing` says what takes its time, as in "still checking files"; without it no progress is reported.
+    """
     added: argparse.ArgumentParser = commands.add_parser(name, help=help, description=help)
-    added.set_defaults(command=call)
+    added.set_defaults(command=call, doing=doing)
     added.add_argument("--traceback", action="store_true", help="show where in the code an error comes from")
     return added
 

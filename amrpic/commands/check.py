@@ -22,7 +22,7 @@ from .arguments import Commands, command, count, scene_arguments, scene_of
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     what = "check whether a scene can run, without running it, or whether what a run wrote is whole"
-    check = command(commands, "check", _check, what)
+    check = command(commands, "check", _check, what, "checking")
     scene_arguments(check, "a scene file in TOML, a file or checkpoint that a run wrote, or the folder of a run")
     check.add_argument("--ranks", type=count, default=1, metavar="N", help="number of ranks it is meant for")
     check.add_argument("--resolved", action="store_true", help="print the scene with all defaults filled in, as TOML")

@@ -19,7 +19,13 @@ DIFFERENT = 1  # exit status
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    added = command(commands, "compare", _compare, "compare two runs; exit status 0 if they found the same, 1 if not")
+    added = command(
+        commands,
+        "compare",
+        _compare,
+        "compare two runs; exit status 0 if they found the same, 1 if not",
+        "comparing the runs",
+    )
     added.add_argument("first", metavar="RUN", help="the folder of a run")
     added.add_argument("second", metavar="RUN", help="that of another one")
     added.add_argument(

@@ -174,7 +174,7 @@ def result_on_first_rank(comm: MPI.Comm) -> str:
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    command(commands, "doctor", _doctor, "check this machine; each failed check prints a fix")
+    command(commands, "doctor", _doctor, "check this machine; each failed check prints a fix", "checking this machine")
 
 
 def _doctor(chosen: argparse.Namespace) -> int:

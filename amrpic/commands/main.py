@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 import traceback
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from importlib.metadata import version
 from mpi4py import MPI
 
 from ..failure import Meeting, sentence
+from ..progress import progress, reported
 from . import check, compare, doctor, plot, preview, report, run, scaling, schema, verify, watch
 from .arguments import Parser
 
@@ -23,7 +25,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         chosen = parser().parse_args(arguments)
         show_traceback = chosen.traceback
-        status = chosen.command(chosen)
+        with (
+            reported(MPI.COMM_WORLD) if chosen.doing else contextlib.nullcontext(),
+            progress(chosen.doing) if chosen.doing else contextlib.nullcontext(),
+        ):
+            status = chosen.command(chosen)
         sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as failure:
         status = meeting.report(failure, traceback.format_exc() if show_traceback else sentence(failure))

@@ -18,7 +18,7 @@ from .arguments import Commands, command
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    plot = command(commands, "plot", _plot, "draw pictures of a run that was written")
+    plot = command(commands, "plot", _plot, "draw pictures of a run that was written", "drawing")
     plot.add_argument(
         "path", metavar="PATH", help="directory of a run, a fields file, a checkpoint, a particles file, or losses.csv"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..particles.particles import Particles, concatenate
+from ..progress import progress
 from ..run.adapt import follow, make_base
 from ..run.course import Course
 from ..run.folder import prepare
@@ -64,7 +66,10 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
     prepare(comm, scene)
     plan, notes = _plan_without_solves(comm, scene)
     base = make_base(plan)
-    bunches = make_bunches(comm, scene)
+    begun = time.perf_counter()
+    with progress("making particles"):
+        bunches = make_bunches(comm, scene)
+    made_in = comm.allreduce(time.perf_counter() - begun, op=MPI.MAX)
     plan.settle_clouds(bunches)
     particles, gone = migrate(concatenate(bunches), base)
     fields = follow(ParticleFields(particles, base, plan))
@@ -79,7 +84,7 @@ def preview(comm: MPI.Comm, scene: Scene, ranks: int, seconds: float = 0.0) -> s
         _levels(fields.particles_per_cell),
         _bunches(comm, scene, bunches[1:], fields.hierarchy),
         _memory(fields, made, ranks),
-        _time(comm, scene, fields.hierarchy, ranks, seconds) if seconds > 0 else [],
+        _time(comm, scene, fields.hierarchy, ranks, made_in, seconds) if seconds > 0 else [],
         [f"note: {note}" for note in [*scene.remarks(), *plan.remarks, *plan.notes, *notes]],
         list(map(str, _pictures(scene, fields.rho))),
     ]
@@ -216,10 +221,12 @@ def _memory(fields: ParticleFields, particles: int, ranks: int) -> list[str]:
     ]
 
 
-def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, seconds: float) -> list[str]:
-    """Return how long a run will take. Collective."""
+def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, made: float, seconds: float) -> list[str]:
+    """Return how long a run will take, whose particles were made in so many s. Collective."""
+    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
     try:
-        found = forecast(comm, scene, sum(hierarchy.cells(level) for level in range(hierarchy.levels)), seconds)
+        with progress("measuring how long a step takes"):
+            found = forecast(comm, scene, cells, made, seconds)
     except AmrpicError as failure:
         return [f"time: a trial of the run ended with: {failure}"]
     if found is None:
@@ -259,7 +266,8 @@ def _pictures(scene: Scene, rho: Field) -> list[Path]:
     path = scene.directory / FILE
     vtkhdf_writer.write(path, rho.hierarchy, {"rho": rho}, 0, 0.0, about(scene), writers_of(scene))
     dump = LiveDump(path, rho.hierarchy, {"rho": rho}, 0, 0.0)
-    return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
+    with progress("drawing pictures"):
+        return [path, *draw(dump, path.parent, [View("rho", "projection", axis) for axis in range(len(AXES))])]
 
 
 # ---- the command ----
@@ -268,7 +276,11 @@ def _pictures(scene: Scene, rho: Field) -> list[Path]:
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     added = command(
-        commands, "preview", _preview, "show mesh, bunches, memory, time and pictures of a scene before it is run"
+        commands,
+        "preview",
+        _preview,
+        "show mesh, bunches, memory, time and pictures of a scene before it is run",
+        "making the preview",
     )
     scene_arguments(added)
     added.add_argument(

@@ -11,7 +11,9 @@ from .arguments import Commands, command
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    added = command(commands, "report", _report, "write a page on a run, pictures included, for any browser")
+    added = command(
+        commands, "report", _report, "write a page on a run, pictures included, for any browser", "writing the page"
+    )
     added.add_argument("run", metavar="RUN", help="the folder of a run")
 
 

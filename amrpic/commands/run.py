@@ -23,7 +23,7 @@ STOPPED = 75  # "try again later": stopped by a signal or the clock after a chec
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    run = command(commands, "run", _run, "run a scene; under mpiexec on many ranks")
+    run = command(commands, "run", _run, "run a scene; under mpiexec on many ranks", "at work on the run")
     scene_arguments(run)
     run.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
     run.add_argument(

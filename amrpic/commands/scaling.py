@@ -27,6 +27,7 @@ def add(commands: Commands) -> None:
         "scaling",
         _scaling,
         "measure how steps of a scene speed up with ranks, or plan it for any number of them",
+        "measuring and planning",
     )
     scene_arguments(scaling)
     scaling.add_argument("--ranks", type=count, nargs="+", default=[1, 2], metavar="N", help="numbers of ranks")

@@ -15,7 +15,9 @@ from .arguments import Commands, command
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
-    verify = command(commands, "verify", _verify, "measure accuracy against exact answers; under mpiexec on many ranks")
+    verify = command(
+        commands, "verify", _verify, "measure accuracy against exact answers; under mpiexec on many ranks", "measuring"
+    )
     verify.add_argument("topics", nargs="*", metavar="TOPIC", help="such as convergence; default all of them")
     verify.add_argument(
         "--pareto",

@@ -29,6 +29,7 @@ GROWTH, GROWTHS = 1.15, 8  # of reaches that do not determine a fit, and most of
 WANTED, ENOUGH = (10.0, 5e-4), (40.0, 1e-6)
 TOGETHER = 2048  # points
 CANDIDATES = 1 << 20  # cells that are looked up together
+LARGEST = 1 << 18  # cells of a level around a point: those of 16 times finer ones are more
 QUANTITIES = ("value", "gradient")
 
 
@@ -73,6 +74,10 @@ class _Cells:
     level: Array  # (m,)
     box: Array  # (m,) of the level
     index: Array  # (m, 3) in the domain
+
+
+# the columns of no cells
+NOTHING = np.zeros(0, int), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3), int)
 
 
 class _Sampler:
@@ -128,6 +133,7 @@ class _Sampler:
             at = np.flatnonzero(self.home[which] == home)
             places = self._places(home)[which[at]]
             found += [cells for level in self.levels for cells in self._of_level(at, places, home, level, reach)]
+        found.append(NOTHING)
         point, offset, width, level, box, index = (np.concatenate(column) for column in zip(*found, strict=True))
         order = np.argsort(point, kind="stable")
         return _Cells(*(column[order] for column in (point, offset, width, level, box, index)))
@@ -141,6 +147,14 @@ class _Sampler:
         crossing = (((lowest < 0) | (highest >= extent)) & np.array(self.fields.periodic)).any(axis=1)
         meets = self.fields.levels[level].table.meets(rows_of(np.hstack([lowest, highest]))).astype(bool)
         near = np.flatnonzero(crossing | meets)
+        if count**3 > LARGEST and near.size:
+            point = self.points[at[near[0]]].tolist()
+            raise InputError(
+                f"the cells of level {level} beside the point {point} m are {1 / width:g} times as fine as those of level "
+                f"{home} at it, too many for a fit; use order 1"
+            )
+        if near.size == 0:
+            return
         z, y, x = np.meshgrid(*[np.arange(count)] * 3, indexing="ij")
         window = np.stack([x, y, z], axis=-1).reshape(-1, 3)
         some = max(CANDIDATES // len(window), 1)
@@ -154,7 +168,6 @@ class _Sampler:
             point, cell = point[held], cell[held]
             sizes = np.full(len(point), width), np.full(len(point), level)
             yield at[rows[point]], offset[point, cell], *sizes, box[held], index[held]
-        yield np.zeros(0, int), np.zeros((0, 3)), np.zeros(0), np.zeros(0, int), np.zeros(0, int), np.zeros((0, 3), int)
 
     def _looked_up(self, level: int, cells: Array) -> tuple[Array, Array]:
         """Return indices of cells (n, 3) in the domain, and their boxes, -1 for those that are not there or do not count."""

@@ -77,7 +77,7 @@ def _require_room(made: Hierarchy, fields: ParticleFields) -> None:
 def _remark_on_tags(tags: Tags, fields: ParticleFields) -> None:
     plan, count = fields.plan, tagged(fields.plan.comm, tags)[0]
     rule, unless = "refinement.rule tags", "its thresholds if that is not meant"
-    if count == 0 and fields.particles.global_count(plan.comm) > 0:
+    if count == 0 and fields.hierarchy.levels == 1 and fields.particles.global_count(plan.comm) > 0:
         plan.remark(f"{rule} no cell, so nothing is refined; lower {unless}")
     elif count == fields.hierarchy.cells(0):
         plan.remark(f"{rule} every cell, so all of the domain is refined; raise {unless}")

@@ -8,6 +8,18 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from ..parallel import Traffic, traffic
+from ..progress import progress
+
+WORKS = {  # what progress reports of stages
+    "beam": "making particles",
+    "migrate": "moving particles to their ranks",
+    "regrid": "making the mesh",
+    "deposit": "depositing charge",
+    "solve": "solving for the potential",
+    "gather": "reading the field at particles",
+    "push": "moving particles",
+    "output": "writing files",
+}
 
 
 @dataclass(frozen=True)
@@ -46,7 +58,8 @@ class Clock:
             start = Spent(self.now(), traffic())
         self._within.append(Spent())
         try:
-            yield
+            with progress(WORKS.get(stage, stage)):
+                yield
         finally:
             left = Spent(self.now(), traffic())
             self._stages[stage] = self._stages.get(stage, Spent()) + (left - start - self._within.pop())

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
+from statistics import median
 
 from mpi4py import MPI
 
@@ -24,6 +25,7 @@ FOLDER = ".trial"
 COARSER = tuple(2**power for power in range(10, -1, -1))  # how many times as wide base cells of trials are
 FEWEST_CELLS = 8  # of a trial along an axis, if the scene has as many
 SHARE = 0.05  # of the time, for a trial of a coarser one
+STARTS = 3  # of a run of one solve, at most
 MARGIN = 1.3  # what comes next may take so much longer than expected
 DUMPS = {"checkpoint": "checkpoint_every", "fields": "fields_every", "particles": "particles_every"}
 
@@ -32,20 +34,29 @@ DUMPS = {"checkpoint": "checkpoint_every", "fields": "fields_every", "particles"
 class Trial:
     """What parts of a run take, s."""
 
-    start: float  # particles, mesh and first solve
+    beam: float  # the particles
+    start: float  # mesh and first solve
     step: float  # without regrid, 0 for a run of one solve
     regrid: float  # what a step with regrid takes besides
     dump: float  # a checkpoint
 
     @property
     def total(self) -> float:
-        return self.start + self.step + self.regrid + self.dump
+        return self.beam + self.start + self.step + self.regrid + self.dump
 
     def per_step(self, scene: Scene) -> float:
         """Return the mean time of a step of a scene, with its regrids and dumps."""
-        every = scene.refinement.regrid_every if scene.refinement.follows else 0
-        dumps = [getattr(scene.output, key) for kind, key in DUMPS.items() if kind in scene.output.write]
-        return self.step + (self.regrid / every if every else 0.0) + sum(self.dump / steps for steps in dumps if steps)
+        steps = scene.schedule.last_step
+        regrids = _times(steps, scene.refinement.regrid_every) if scene.refinement.follows else 0
+        dumps = sum(
+            _times(steps, getattr(scene.output, key)) for kind, key in DUMPS.items() if kind in scene.output.write
+        )
+        return self.step + (regrids * self.regrid + dumps * self.dump) / max(steps, 1)
+
+
+def _times(steps: int, every: int) -> int:
+    """Return how often so many steps do what comes every so many of them; 0: never."""
+    return steps // every if every else 0
 
 
 @dataclass(frozen=True)
@@ -57,12 +68,14 @@ class Forecast:
     source: str  # what it follows from
 
 
-def forecast(comm: MPI.Comm, scene: Scene, cells: int, seconds: float = 5.0) -> Forecast | None:
+def forecast(comm: MPI.Comm, scene: Scene, cells: int, made: float, seconds: float = 5.0) -> Forecast | None:
     """Return how long a run will take, from trials of about so many seconds; None if there is no time for any.
 
-    The scene itself is tried if that is short enough, after coarser ones with fewer particles that tell; else it follows from
-    the last two of these, linearly in the number of cells. `cells` are those of all levels. The mesh is that of the start:
-    what it grows by is not foreseen. Collective; raises what the run may raise, and OutputError.
+    The scene itself is tried if that is short enough, after coarser ones with fewer particles that show how long it will be;
+    else the time follows from the last two of these, linearly in the number of cells. `cells` are those of all levels. `made`
+    are the seconds that its particles took when this process first made them: a run loads modules and tabulates
+    distributions then, which trials find done. The mesh is that of the start: its growth is not foreseen. Collective; raises
+    what the run may raise, and OutputError.
     """
     comm, end = own(comm), time.perf_counter() + seconds
     tried: list[tuple[float, Trial]] = []  # with the cells of each
@@ -79,13 +92,15 @@ def forecast(comm: MPI.Comm, scene: Scene, cells: int, seconds: float = 5.0) -> 
                 raise
             continue  # boxes by their cells, for instance, do not fit a coarser mesh
         if factor == 1:
-            return Forecast(trial.start, trial.per_step(scene), f"{steps} steps of it" if steps else "its first solve")
+            return Forecast(
+                made + trial.start, trial.per_step(scene), f"{steps} steps of it" if steps else "its first solve"
+            )
         tried.append((held, trial))
     if not tried:
         return None
     found, share = _extrapolated(tried[-2:], cells), f"{tried[-1][0] / cells:.2g} of its cells"
     source = f"runs on up to {share}" if len(tried) > 1 else f"one run on {share}, in proportion: rather too long"
-    return Forecast(found.start, found.per_step(scene), source)
+    return Forecast(made + found.start, found.per_step(scene), source)
 
 
 def _expected(tried: list[tuple[float, Trial]], cells: float) -> float:
@@ -128,13 +143,13 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
     """Return what a run takes that goes on until `end`, its cells and its steps: at least one, and one that regrids."""
     with _folder(comm, scene.directory / FOLDER) as folder:
         output = Output(directory=str(folder), write=[kind for kind in scene.output.write if kind == "series"])
-        began = time.perf_counter()
-        simulation = Simulation(comm, scene.model_copy(update={"output": output}))
-        start = time.perf_counter() - began
+        simulation, beam, start = _started(comm, scene.model_copy(update={"output": output}), end)
         plan, plain = simulation._plan, [0.0]  # 0 for a run of one solve
         regrids: list[float] = []
+        begun = time.perf_counter()
         with Recorder(comm, simulation.state, plan, False, log="silent") as record:
             record.state(simulation.state, [])
+            start += time.perf_counter() - begun
             while simulation.step < scene.schedule.last_step:
                 behind = plan.scene.refinement.regrid_every
                 if simulation.step > 0 and not _in_time(comm, plain[-1], end):
@@ -152,7 +167,26 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
         dump = time.perf_counter() - begun
         cells = sum(simulation.hierarchy.cells(level) for level in range(simulation.hierarchy.levels))
     step = _mean(plain[1:] or regrids or plain)
-    return Trial(start, step, max(_mean(regrids) - step, 0.0) if regrids else 0.0, dump), cells, simulation.step
+    return Trial(beam, start, step, max(_mean(regrids) - step, 0.0) if regrids else 0.0, dump), cells, simulation.step
+
+
+def _started(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Simulation, float, float]:
+    """Return a run before its first step, and what its particles and what came after them took, s. Collective.
+
+    A run of one solve is that alone, so it is started a few times if `end` leaves time, for the median.
+    """
+    times: list[tuple[float, float]] = []
+    for _ in range(1 if scene.schedule.last_step else STARTS):
+        if times and not _in_time(comm, sum(times[-1]), end):
+            break
+        simulation = None  # its memory goes before the next one comes
+        begun = time.perf_counter()
+        simulation = Simulation(comm, scene)
+        whole, beam = time.perf_counter() - begun, simulation.state.seconds["beam"]
+        times.append((beam, whole - beam))
+    assert simulation is not None
+    beam, start = (median(parts) for parts in zip(*times, strict=True))
+    return simulation, beam, start
 
 
 def _mean(values: list[float]) -> float:

@@ -15,6 +15,7 @@ from typing import Literal, TextIO
 from mpi4py import MPI
 
 from ..failure import discard
+from ..progress import progress
 
 Log = Literal["print", "logging", "silent"]
 LOGGER = logging.getLogger("amrpic.run")
@@ -91,6 +92,7 @@ class RunLog:
         """Print a line; a stream that takes no more, as on a full disk, does not end a run."""
         try:
             print(line, file=stream, flush=True)
+            progress.spoke()
         except OSError as error:
             self._speaks = False
             discard(stream)

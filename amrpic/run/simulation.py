@@ -156,7 +156,8 @@ class Simulation:
                 self.advance()
                 self._record(record)
             self.state = kicked(self.state, self._plan)
-            record.end(self.state)
+            with self.clock("output"):
+                record.end(self.state)
         return None
 
     def _claim(self) -> AbstractContextManager[object]:

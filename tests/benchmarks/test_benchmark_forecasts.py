@@ -11,17 +11,20 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import forecasts
 
 
-def test_a_short_run_is_foreseen_and_taken(comm, tmp_path):
-    text = (forecasts.ROOT / "examples" / "waist.toml").read_text().replace("steps = 20", "steps = 2")
-    assert "steps = 2 " in text or "steps = 2\n" in text
-    (tmp_path / "short.toml").write_text(text)
-    found = forecasts.compare(comm, tmp_path / "short.toml")
-    assert found.scene == "short" and found.steps == 2 and found.source == "2 steps of it"
-    assert min(*found.foreseen, *found.taken, found.end) > 1e-4
-    assert len(forecasts.rows([found])) == 2
+def test_a_short_run_is_foreseen_and_taken():
+    found = forecasts.compare(forecasts.ROOT / "examples" / "waist.toml", 2, steps=3)
+    assert (found.scene, found.ranks, found.steps, found.source) == ("waist", 2, 3, "3 steps of it")
+    assert min(*found.foreseen, *found.taken) > 1e-4
+    header, row = forecasts.rows([found])
+    assert dict(zip(header[:2], row[:2], strict=True)) == {"scene": "waist", "ranks": "2"}
 
 
 @pytest.mark.parametrize("foreseen", [0.5, 2.0])
-def test_too_long_is_as_wrong_as_too_short(foreseen):
-    one = forecasts.Compared("one", 10, "", (1.0, foreseen), (1.0, 1.0), 0.0)
+@pytest.mark.parametrize("steps", [0, 10])
+def test_too_long_is_as_wrong_as_too_short(foreseen, steps):
+    """Of a run of one solve the start is judged, of others the steps."""
+    other = 1.2
+    pair = (other, foreseen) if steps else (foreseen, other)
+    one = forecasts.Compared("one", 1, steps, "", pair, (1.0, 1.0))
     assert one.factor == 2.0
+    assert [goal.verdict for goal in forecasts.verdicts([one])] == ["missed"]

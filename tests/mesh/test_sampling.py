@@ -179,3 +179,15 @@ def test_too_few_cells_around_a_point_are_refused(comm):
     ):
         thin.sample([(0.5, 0.5, 0.5)], order=3)
     assert thin.sample([(0.5, 0.5, 0.5)], what="gradient") == pytest.approx(np.ones((1, 3)))
+
+
+def test_cells_far_finer_than_those_at_a_point_are_refused_rather_than_gathered(comm):
+    """Seven nested blocks of 8^3 cells: the finest lie within the reach of a point that has coarse cells around it."""
+    middle = [8 * 2**level for level in range(1, 7)]
+    nested = [[((m - 4,) * 3, (m + 3,) * 3)] for m in middle]
+    mesh = Hierarchy(Domain(0, 16, 16), levels=nested, blocking_factor=4)
+    field = Field(mesh).fill(lambda x, y, z: x)
+    with pytest.raises(InputError, match=r"beside the point .* times as fine as those of level 0 at it"):
+        field.sample([(5.9, 8.0, 8.0)], order=3)
+    assert field.sample([(1.5, 1.5, 1.5)], order=3) == pytest.approx(1.5)
+    assert field.sample([(5.5, 8.5, 8.5)]) == pytest.approx(5.5)

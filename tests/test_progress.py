@@ -11,6 +11,7 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import progress as module
+from amrpic.errors import InputError
 from amrpic.progress import Progress, reported
 from amrpic.run.clock import WORKS, Clock
 
@@ -66,12 +67,36 @@ def test_a_thread_of_rank_0_reports_while_the_work_goes_on(rank, monkeypatch):
     told = Progress(time)
     monkeypatch.setattr(module, "progress", told)
     monkeypatch.setattr(module, "PERIOD", 1e-3)
+    monkeypatch.delenv(module.VARIABLE, raising=False)
     with reported(cast(MPI.Comm, SimpleNamespace(rank=rank)), out), told("solving for the potential"):
         time.now += 3.0
         if rank == 0:
             assert said.wait(60)
     assert out.getvalue() == ("" if rank else "still solving for the potential, 3 s so far\n")
     assert "progress" not in [thread.name for thread in threading.enumerate()]
+
+
+@pytest.mark.parametrize("seconds", ["0", "7"])
+def test_the_variable_chooses_after_which_silence(seconds, monkeypatch):
+    time, out = Time(), io.StringIO()
+    told = Progress(time)
+    monkeypatch.setattr(module, "progress", told)
+    monkeypatch.setenv(module.VARIABLE, seconds)
+    with reported(MPI.COMM_SELF, out), told("making the mesh"):
+        names = [thread.name for thread in threading.enumerate()]
+        assert ("progress" in names) == (seconds != "0")
+    if seconds != "0":  # the thread is over, the silence stays
+        with told("making the mesh"):
+            assert lines_of(told, time, 30) == [
+                (when, f"still making the mesh, {when:.0f} s so far") for when in (7, 21)
+            ]
+
+
+@pytest.mark.parametrize("text", ["x", "-1", "nan", "inf", ""])
+def test_what_is_no_number_of_seconds_is_refused(text, monkeypatch):
+    monkeypatch.setenv(module.VARIABLE, text)
+    with pytest.raises(InputError, match=f'AMRPIC_PROGRESS is "{text}"; give seconds'), reported(MPI.COMM_SELF):
+        raise AssertionError("not reached")
 
 
 @pytest.mark.parametrize("stage", WORKS)

@@ -50,7 +50,7 @@ CASES: dict[str, Callable[[Any], Any]] = {
     "volume has shape (2,) for 1 points": lambda comm: fem.given(mesh_of(comm), [[0.5] * 3], volume=[1, 2]),
     "the volume of point 0 is 0": lambda comm: fem.given(mesh_of(comm), [[0.5] * 3], volume=[0.0]),
     "the volume of point 0 is nan": lambda comm: fem.given(mesh_of(comm), [[0.5] * 3], volume=[np.nan]),
-    "volume is no array of real numbers": lambda comm: fem.given(mesh_of(comm), [[0.5] * 3], volume=["a"]),  # type: ignore[list-item]
+    "volume is no array of real numbers": lambda comm: fem.given(mesh_of(comm), [[0.5] * 3], volume=["a"]),
     "components are 2": lambda comm: fem.Mass(fem.gauss(mesh_of(comm)), components=2),
     "the vector has shape (5,) on a rank": lambda comm: poisson(comm)[0] @ np.ones(5),
     "the vector has 3 components; the operator has 1": lambda comm: poisson(comm)[0] @ np.ones((len(poisson(comm)[1]), 3)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import cast
 
 import numpy as np
 import pytest
@@ -315,7 +316,7 @@ def test_vectors_are_carried_component_by_component():
         (lambda f, to: f.remap(to, order="3"), InputError, "the order of the fit is '3'; use 1, 2, 3 or 4"),
         (lambda f, to: f.remap(to, order=2.0), InputError, "the order of the fit is 2.0; use 1, 2, 3 or 4"),
         (lambda f, to: f.remap(to, order=np.arange(3)), InputError, r"fit is array\(\[0, 1, 2\]\); use 1, 2, 3 or 4"),
-        (lambda f, to: carry_over(f, f.hierarchy, 3.0), InputError, "is 3.0; use 2, 3 or 4"),
+        (lambda f, to: carry_over(f, f.hierarchy, cast(int, 3.0)), InputError, "is 3.0; use 2, 3 or 4"),
         (lambda f, to: f.remap(to, bounds="05"), InputError, "bounds are '05'; use \"neighbours\", or the least"),
         (lambda f, to: carry_over(f, f.hierarchy, 1), InputError, "is 1; use 2, 3 or 4"),
         (lambda f, to: f.remap(to, bounds="none"), InputError, "bounds are 'none'; use \"neighbours\", or the least"),

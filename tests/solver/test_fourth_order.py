@@ -32,8 +32,11 @@ MOST_ROWS = 1500  # that the oracle makes of a case, cell by cell
 
 def closed(case: Case) -> Case:
     """The case with Dirichlet walls in place of open ones."""
-    sides = {axis: tuple("dirichlet" if s == "open" else s for s in both) for axis, both in case.boundary.items()}
-    return replace(case, boundary=sides)
+
+    def kept(kind: str) -> str:
+        return "dirichlet" if kind == "open" else kind
+
+    return replace(case, boundary={axis: (kept(lower), kept(upper)) for axis, (lower, upper) in case.boundary.items()})
 
 
 CASES = {name: closed(case) for name, case in all_cases().items()}

@@ -7,15 +7,22 @@ side)`, the mean of the datum over a wall's face. Polynomials come from NumPy's 
 from __future__ import annotations
 
 import itertools
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
-Form = Counter
 FLUX = {-2: -1 / 12, -1: 15 / 12, 0: -15 / 12, 1: 1 / 12}  # outwards: of the cells 2 and 1 inside, then 1 and 2 outside
+
+
+class Form(defaultdict[tuple, float]):
+    """Weights of means of cells and of wall data; what is not there has none."""
+
+    def __init__(self, terms: Mapping[tuple, float] | None = None) -> None:
+        super().__init__(float, terms or {})
 
 
 def _monomials(known: tuple[Any, ...], degree: int) -> np.ndarray:
@@ -77,7 +84,7 @@ class Oracle:
         """The mean of a cell of the level: its own, or that of its children."""
         if not self.covered(level, cell):
             return Form({(level, cell): 1.0})
-        out: Form = Form()
+        out = Form()
         for child in itertools.product((0, 1), repeat=3):
             add(out, self._mean(level + 1, tuple(2 * i + c for i, c in zip(cell, child, strict=True))), 1 / 8)
         return out
@@ -103,7 +110,7 @@ class Oracle:
         inside = [first]
         while len(inside) < 4 and self.has(level, self.along(inside[-1], axis, -side)):
             inside.append(self.along(inside[-1], axis, -side))
-        out: Form = Form()
+        out = Form()
         if self.place(level, self.along(first, axis, side)) is None:
             kind = self.kind(axis, (side + 1) // 2)
             cells = inside[: 3 if kind == "dirichlet" else 4]
@@ -136,7 +143,7 @@ class Oracle:
         for layer in (0, 1):
             middle = self.along(behind, axis, side * layer)
             size, block = self.block(level - 1, middle, u, v)
-            form: Form = Form()
+            form = Form()
             weights = {}
             for d, first in ((u, block[0]), (v, block[1])):
                 if size:
@@ -152,11 +159,12 @@ class Oracle:
     def block(self, level: int, middle: tuple[int, ...], u: int, v: int) -> tuple[int, tuple[int, int]]:
         """The largest block of cells of the level around one of them, and where it starts: its middle is the nearest one."""
         for size in (5, 4, 3, 2, 1):
-            starts = sorted(
-                itertools.product(range(1 - size, 1), repeat=2),
-                key=lambda s, size=size: (sum((2 * i + size - 1) ** 2 for i in s), s[1], s[0]),
-            )
-            for a, b in starts:
+            starts = [
+                ((2 * a + size - 1) ** 2 + (2 * b + size - 1) ** 2, b, a)
+                for a in range(1 - size, 1)
+                for b in range(1 - size, 1)
+            ]
+            for _, b, a in sorted(starts):
                 block = itertools.product(range(a, a + size), range(b, b + size))
                 if all(self.has(level, self.along(self.along(middle, u, i), v, j)) for i, j in block):
                     return size, (a, b)
@@ -166,11 +174,17 @@ class Oracle:
         """The mean derivative of φ over a face, outwards."""
         width = self.h.spacing(level)[axis]
         beyond = self.along(cell, axis, side)
-        out: Form = Form()
-        if self.has(level, beyond) and self.covered(level, self.place(level, beyond)) and not self.covered(level, cell):
+        out = Form()
+        place = self.place(level, beyond)
+        if (
+            place is not None
+            and self.has(level, beyond)
+            and self.covered(level, place)
+            and not self.covered(level, cell)
+        ):
             u, v = (d for d in range(3) if d != axis)
             for i, j in itertools.product((0, 1), repeat=2):
-                fine = [2 * n for n in self.place(level, beyond)]
+                fine = [2 * n for n in place]
                 fine[axis] += (1 - side) // 2
                 fine[u] += i
                 fine[v] += j
@@ -188,14 +202,14 @@ class Oracle:
         return out
 
     def row(self, level: int, cell: tuple[int, ...]) -> Form:
-        out: Form = Form({(level, cell): -self.shift})
+        out = Form({(level, cell): -self.shift})
         for axis, side in itertools.product(range(3), (-1, 1)):
             add(out, self.flux(level, cell, axis, side), 1 / self.h.spacing(level)[axis])
         return out
 
     def leaves(self) -> list[tuple[int, tuple[int, ...]]]:
         """The uncovered cells, level by level, box by box, x fastest."""
-        out = []
+        out: list[tuple[int, tuple[int, ...]]] = []
         for level in range(self.h.levels):
             for box in self.h.boxes(level):
                 for k, j, i in itertools.product(*(range(box[d], box[3 + d] + 1) for d in (2, 1, 0))):

@@ -50,8 +50,8 @@ def test_work_unit_grows_with_its_cells_and_is_bounded_by_memory():
         assert unit.seconds == pytest.approx(min(unit.apply, performance.APPLY_BYTES * cells / unit.triad))
 
 
-def test_work_unit_of_few_cells_is_a_time():
-    assert measuring.work_unit(WORLD, 1).seconds > 0
+def test_work_unit_of_one_cell_is_a_time_below_that_of_many():
+    assert 0 < measuring.work_unit(WORLD, 1).seconds < measuring.work_unit(WORLD, 10**6).seconds
 
 
 def test_goals_in_work_units_take_the_least():

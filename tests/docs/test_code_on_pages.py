@@ -141,6 +141,7 @@ def test_code_on_a_page_runs(path, runs, tmp_path, monkeypatch):
     for package in page.needs:
         pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("AMRPIC_PROGRESS", "0")  # the machine may be busy
     matplotlib.use("Agg")
     reader = Reader(tmp_path, page.shorter, page.loosely)
     for name, text in page.files.items():

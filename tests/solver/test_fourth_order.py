@@ -27,7 +27,7 @@ TURN = 2 * np.pi
 MIXED = {"x": ("dirichlet", "neumann"), "y": "neumann", "z": ("neumann", "dirichlet")}
 WAVES = Product((Wave(TURN, 0.3), Wave(TURN, 1.0), Wave(2 * TURN, 0.2)))
 ONE_AXIS = {"x": "periodic", "y": ("dirichlet", "neumann"), "z": "dirichlet"}
-MOST_ROWS = 1500  # that the oracle makes of a case, cell by cell
+MOST_ROWS, OF_LONG_TESTS = 800, 3000  # that the oracle makes of a case, cell by cell
 
 
 def closed(case: Case) -> Case:
@@ -47,7 +47,11 @@ def _rows(case: Case) -> int:
     return sum(int(np.prod([box[3 + d] - box[d] + 1 for d in range(3)])) for box in boxes)
 
 
-SMALL = sorted(name for name, case in CASES.items() if _rows(case) <= MOST_ROWS)
+SMALL = [
+    pytest.param(name, marks=[pytest.mark.long] if _rows(case) > MOST_ROWS else [])
+    for name, case in sorted(CASES.items())
+    if _rows(case) <= OF_LONG_TESTS
+]
 
 
 def drawn(hierarchy: amrpic.Hierarchy, seed: int) -> Field:

@@ -1,0 +1,73 @@
+#include "operators/level_cells.hpp"
+
+#include <numeric>
+
+namespace amrpic {
+
+LevelCells::LevelCells(Communicator const& comm, std::shared_ptr<Level const> level, Halo halo, CellReads const& swept)
+    : level_(std::move(level)), halo_(std::move(halo)), place_(std::size_t(halo_.size())) {
+  std::vector<char> is_swept(place_.size(), 0);
+  for (NumberRun const& run : swept.wanted())
+    for (LocalIndex n = 0; n < run.count; ++n) is_swept[std::size_t(halo_.local(run.first + n) - rows())] = 1;
+  swept_ = std::accumulate(is_swept.begin(), is_swept.end(), LocalIndex(0));
+  LocalIndex first = rows(), other = rows() + swept_;
+  for (std::size_t n = 0; n < place_.size(); ++n) place_[n] = is_swept[n] ? first++ : other++;
+
+  using T = TpetraTypes;
+  Maps maps;
+  auto const ranks = ranks_of(comm);
+  maps.own = Teuchos::rcp(new T::Map(Tpetra::global_size_t(level_->cells()), std::size_t(rows()), 0, ranks));
+  maps.all = maps.swept = maps.own;
+  if (comm.ranks() > 1) {
+    auto const cells = numbers();
+    auto const map_of = [&](LocalIndex count) {
+      std::vector<T::Global> const global(cells.begin(), cells.begin() + count);
+      auto const unknown = Teuchos::OrdinalTraits<Tpetra::global_size_t>::invalid();
+      return Teuchos::rcp(new T::Map(unknown, Teuchos::ArrayView<T::Global const>(global), 0, ranks));
+    };
+    maps.all = map_of(columns());
+    maps.swept = map_of(rows() + swept_);
+    maps.to_all = Teuchos::rcp(new T::Import(maps.own, maps.all));
+    maps.to_swept = Teuchos::rcp(new T::Import(maps.own, maps.swept));
+  }
+  maps_ = UntilFinalize<Maps>(std::move(maps));
+}
+
+std::vector<GlobalIndex> LevelCells::numbers() const {
+  std::vector<GlobalIndex> out;
+  out.resize(std::size_t(columns()));
+  std::iota(out.begin(), out.begin() + rows(), level_->first_local_cell());
+  auto const halo = halo_.numbers();
+  for (std::size_t n = 0; n < halo.size(); ++n) out[std::size_t(place_[n])] = halo[n];
+  return out;
+}
+
+ArrayOnBox<LocalIndex> LevelCells::places(Box const& region) const {
+  auto out = halo_.places(*level_, region);
+  if (swept_ != halo_.size())
+    for (LocalIndex& place : out.values())
+      if (place >= rows()) place = place_[std::size_t(place - rows())];
+  return out;
+}
+
+LevelVector::LevelVector(std::shared_ptr<LevelCells const> cells) : cells_(std::move(cells)) {
+  auto const& maps = cells_->maps();
+  Vectors out;
+  out.all = Teuchos::rcp(new TpetraTypes::MultiVector(maps.all, 1));
+  out.own = out.all->offsetViewNonConst(maps.own, 0);
+  out.swept = out.all->offsetViewNonConst(maps.swept, 0);
+  vectors_ = UntilFinalize<Vectors>(std::move(out));
+}
+
+// Restricted: own cells, which source and target share, stay as they are.
+void LevelVector::update_halo() {
+  auto const& import = cells_->maps().to_all;
+  if (!import.is_null()) all().doImport(own(), *import, Tpetra::INSERT, true);
+}
+
+void LevelVector::update_swept_halo() {
+  auto const& import = cells_->maps().to_swept;
+  if (!import.is_null()) vectors_->swept->doImport(own(), *import, Tpetra::INSERT, true);
+}
+
+}  // namespace amrpic

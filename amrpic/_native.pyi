@@ -123,6 +123,114 @@ class ElectricField:
 
     def own_integral_of_square(self) -> float: ...
 
+def fem_gauss_rule(count: int) -> tuple:
+    """Places and weights of Gauss's rule on [-1, 1]."""
+
+def fem_lobatto_nodes(degree: int) -> NDArray[numpy.float64]:
+    """Nodes of an element along an axis, from -1 to 1."""
+
+def fem_fit_moments(
+    first: NDArray[numpy.int64],
+    reference: NDArray[numpy.float64],
+    volume: NDArray[numpy.float64],
+    element_volume: float,
+    highest: int,
+) -> tuple:
+    """
+    Weights of points near their volumes, and to which degree they are exact in each element.
+    """
+
+class FemLattice:
+    """
+    Nodes of elements on the base cells of a hierarchy; amrpic.fem.Mesh has it.
+    """
+
+    def __init__(self, hierarchy: Hierarchy, degree: int) -> None: ...
+    def nodes(self) -> NDArray[numpy.int32]: ...
+    def elements(self) -> NDArray[numpy.int32]: ...
+    @property
+    def first_node(self) -> int: ...
+    def locate(self, places: NDArray[numpy.float64]) -> tuple:
+        """The element of each place among this rank's, or -1, and where in it."""
+
+class FemPoints:
+    """Integration points; amrpic.fem.Points has them."""
+
+    def __init__(
+        self,
+        lattice: FemLattice,
+        element: NDArray[numpy.int32],
+        reference: NDArray[numpy.float64],
+        weight: NDArray[numpy.float64],
+        gauss: bool,
+    ) -> None: ...
+    @property
+    def bytes(self) -> int: ...
+    def values(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def slopes(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def integrals(self, components: int, values: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+
+def fem_mass(points: FemPoints, components: int) -> FemOperator: ...
+def fem_poisson(points: FemPoints, components: int) -> FemOperator: ...
+
+class FemOperator:
+    """An operator at points; amrpic.fem has those of mass and of Poisson."""
+
+    def apply(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
+    def diagonal(self) -> NDArray[numpy.float64]: ...
+    def entries(self) -> tuple: ...
+    def corner_rows(self, fixed: NDArray[numpy.bool_]) -> tuple:
+        """
+        This rank's rows of an operator of degree 1, as the coarse level of a solve has them.
+        """
+
+    def halved_rows(self, fixed: NDArray[numpy.bool_]) -> tuple:
+        """
+        The next level's nodes of this rank, by their indices along the axes, and their rows.
+        """
+
+    def solve(
+        self,
+        f: NDArray[numpy.float64],
+        fixed: NDArray[numpy.bool_],
+        values: NDArray[numpy.float64],
+        preconditioner: int,
+        tolerance: float,
+        most_iterations: int,
+    ) -> tuple: ...
+
+class NeoHookean:
+    def __init__(self, mu: float, lambda_: float) -> None: ...
+    def energy(self, f: Sequence[Sequence[float]]) -> float:
+        """Per initial volume."""
+
+    def stress(self, f: Sequence[Sequence[float]]) -> list[list[float]]:
+        """Kirchhoff's."""
+
+    def change_initially(
+        self, f: Sequence[Sequence[float]], change: Sequence[Sequence[float]]
+    ) -> list[list[float]]: ...
+    def change(self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]]) -> list[list[float]]: ...
+
+class Ogden:
+    def __init__(self, terms: Sequence[tuple[float, float]], lambda_: float) -> None: ...
+    def energy(self, f: Sequence[Sequence[float]]) -> float: ...
+    def stress(self, f: Sequence[Sequence[float]]) -> list[list[float]]: ...
+    def change_initially(
+        self, f: Sequence[Sequence[float]], change: Sequence[Sequence[float]]
+    ) -> list[list[float]]: ...
+    def change(self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]]) -> list[list[float]]: ...
+
+class DamagedNeoHookean:
+    def __init__(self, mu: float, lambda_: float, residual: float) -> None: ...
+    def energy(self, f: Sequence[Sequence[float]], damage: float) -> float: ...
+    def driving_energy(self, f: Sequence[Sequence[float]]) -> float: ...
+    def stress(self, f: Sequence[Sequence[float]], damage: float) -> list[list[float]]: ...
+    def damage_of(self, driving: float, toughness: float, length: float) -> float: ...
+    def change(
+        self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]], damage: float
+    ) -> list[list[float]]: ...
+
 def cluster(blocks: NDArray[numpy.int32], efficiency: float) -> NDArray[numpy.int32]: ...
 def refine(
     hierarchy: Hierarchy,
@@ -262,75 +370,6 @@ class ExternalFields:
         Means of E (V/m) and B (T) along flights position + velocity τ, τ from `start` to `stop` (s).
         """
 
-def fem_gauss_rule(count: int) -> tuple:
-    """Places and weights of Gauss's rule on [-1, 1]."""
-
-def fem_lobatto_nodes(degree: int) -> NDArray[numpy.float64]:
-    """Nodes of an element along an axis, from -1 to 1."""
-
-def fem_fit_moments(
-    first: NDArray[numpy.int64],
-    reference: NDArray[numpy.float64],
-    volume: NDArray[numpy.float64],
-    element_volume: float,
-    highest: int,
-) -> tuple:
-    """
-    Weights of points near their volumes, and to which degree they are exact in each element.
-    """
-
-class FemLattice:
-    """
-    Nodes of elements on the base cells of a hierarchy; amrpic.fem.Mesh has it.
-    """
-
-    def __init__(self, hierarchy: Hierarchy, degree: int) -> None: ...
-    def nodes(self) -> NDArray[numpy.int32]: ...
-    def elements(self) -> NDArray[numpy.int32]: ...
-    @property
-    def first_node(self) -> int: ...
-    def locate(self, places: NDArray[numpy.float64]) -> tuple:
-        """The element of each place among this rank's, or -1, and where in it."""
-
-class FemPoints:
-    """Integration points; amrpic.fem.Points has them."""
-
-    def __init__(
-        self,
-        lattice: FemLattice,
-        element: NDArray[numpy.int32],
-        reference: NDArray[numpy.float64],
-        weight: NDArray[numpy.float64],
-        gauss: bool,
-    ) -> None: ...
-    @property
-    def bytes(self) -> int: ...
-    def values(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
-    def slopes(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
-    def integrals(self, components: int, values: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
-
-class FemOperator:
-    """Mass or Poisson at points; amrpic.fem has both."""
-
-    def __init__(self, points: FemPoints, poisson: bool, components: int) -> None: ...
-    def apply(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
-    def diagonal(self) -> NDArray[numpy.float64]: ...
-    def entries(self) -> tuple: ...
-    def corner_rows(self, fixed: NDArray[numpy.bool_]) -> tuple:
-        """
-        This rank's rows of an operator of degree 1, as the coarse level of a solve has them.
-        """
-
-    def solve(
-        self,
-        f: NDArray[numpy.float64],
-        fixed: NDArray[numpy.bool_],
-        values: NDArray[numpy.float64],
-        preconditioner: int,
-        tolerance: float,
-        most_iterations: int,
-    ) -> tuple: ...
-
 def lattice_green(spacing: Sequence[float], reach: Sequence[int]) -> NDArray[numpy.float64]:
     """
     Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach.
@@ -409,38 +448,6 @@ class GmlsProblem:
         Weighted rows of a target's samples (m, n), roots of their weights, and the targets (n, rows wanted): weights are root * z with rows.T @ z = targets.
         """
 
-class NeoHookean:
-    def __init__(self, mu: float, lambda_: float) -> None: ...
-    def energy(self, f: Sequence[Sequence[float]]) -> float:
-        """Per initial volume."""
-
-    def stress(self, f: Sequence[Sequence[float]]) -> list[list[float]]:
-        """Kirchhoff's."""
-
-    def change_initially(
-        self, f: Sequence[Sequence[float]], change: Sequence[Sequence[float]]
-    ) -> list[list[float]]: ...
-    def change(self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]]) -> list[list[float]]: ...
-
-class Ogden:
-    def __init__(self, terms: Sequence[tuple[float, float]], lambda_: float) -> None: ...
-    def energy(self, f: Sequence[Sequence[float]]) -> float: ...
-    def stress(self, f: Sequence[Sequence[float]]) -> list[list[float]]: ...
-    def change_initially(
-        self, f: Sequence[Sequence[float]], change: Sequence[Sequence[float]]
-    ) -> list[list[float]]: ...
-    def change(self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]]) -> list[list[float]]: ...
-
-class DamagedNeoHookean:
-    def __init__(self, mu: float, lambda_: float, residual: float) -> None: ...
-    def energy(self, f: Sequence[Sequence[float]], damage: float) -> float: ...
-    def driving_energy(self, f: Sequence[Sequence[float]]) -> float: ...
-    def stress(self, f: Sequence[Sequence[float]], damage: float) -> list[list[float]]: ...
-    def damage_of(self, driving: float, toughness: float, length: float) -> float: ...
-    def change(
-        self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]], damage: float
-    ) -> list[list[float]]: ...
-
 def padded_cells(boxes: Sequence[Sequence[int]], halo: int) -> int:
     """
     The most padded cells that boxes, each lower x, y, z and upper x, y, z, take with a halo.
@@ -492,8 +499,17 @@ def cycle_work(
     What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.
     """
 
+class Means:
+    """
+    Leads from values at the centres of cells to means over them, and back.
+    """
+
+    def __init__(self, hierarchy: Hierarchy) -> None: ...
+    def to_points(self, means: Field, points: Field) -> None: ...
+    def to_means(self, points: Field, means: Field) -> None: ...
+
 class CompositeLaplacian:
-    def __init__(self, hierarchy: Hierarchy, stretch: Sequence[float], shift: float = 0.0) -> None: ...
+    def __init__(self, hierarchy: Hierarchy, stretch: Sequence[float], shift: float = 0.0, order: int = 2) -> None: ...
     def average_down(self, phi: Field) -> None: ...
     def add(self, correction: Sequence[NDArray[numpy.float64]], scale: float, phi: Field) -> None: ...
     def residual(
@@ -545,6 +561,33 @@ class CompositeLaplacian:
 
     @property
     def bytes(self) -> int: ...
+
+class MpmSolid:
+    """Points that carry a solid; amrpic.mpm.Solid has it."""
+
+    def __init__(
+        self,
+        points: FemPoints,
+        laws: Sequence[NeoHookean | Ogden | DamagedNeoHookean],
+        law: NDArray[numpy.int32],
+        deformation: NDArray[numpy.float64],
+        damage: NDArray[numpy.float64],
+    ) -> None: ...
+    def respond(self, u: NDArray[numpy.float64]) -> tuple:
+        """Internal forces, energy, and the smallest det F."""
+
+    def tangent(self, u: NDArray[numpy.float64], initial: bool) -> FemOperator: ...
+    def states(self, deformation: NDArray[numpy.float64]) -> tuple:
+        """Kirchhoff's stress, energy and driving energy of each point."""
+
+def mpm_damage(
+    points: FemPoints,
+    volume: NDArray[numpy.float64],
+    driving: NDArray[numpy.float64],
+    surface: NDArray[numpy.float64],
+    length: NDArray[numpy.float64],
+) -> FemOperator:
+    """The operator that damage is found with."""
 
 class LevelOperators:
     def rows_of(self, name: str, columns: LevelOperators, axis: int = 0) -> tuple: ...
@@ -621,6 +664,20 @@ class Migration:
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> bool: ...
+    @property
+    def starts(self) -> NDArray[numpy.int64]: ...
+    def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
+
+class Arrangement:
+    def __init__(
+        self,
+        mesh: ParticleMesh,
+        servers: NDArray[numpy.int64],
+        position: NDArray[numpy.float64],
+        id: NDArray[numpy.int64],
+    ) -> None: ...
+    @property
+    def places(self) -> NDArray[numpy.int32]: ...
     @property
     def starts(self) -> NDArray[numpy.int64]: ...
     def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...
@@ -907,6 +964,11 @@ class CoveredField(enum.Enum):
 
     difference = 1
 
+class Holds(enum.Enum):
+    points = 0
+
+    means = 1
+
 class WorkUnit:
     @property
     def seconds(self) -> float: ...
@@ -943,6 +1005,10 @@ class SolverOptions:
     def norm(self) -> Norm: ...
     @norm.setter
     def norm(self, arg: Norm, /) -> None: ...
+    @property
+    def order(self) -> int: ...
+    @order.setter
+    def order(self, arg: int, /) -> None: ...
     @property
     def max_cycles(self) -> int: ...
     @max_cycles.setter
@@ -1019,6 +1085,9 @@ class PoissonSolver:
     def __init__(self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable) -> None: ...
     def solve(self, rho: Field, phi: Field, from_zero: bool) -> SolveReport: ...
     def electric_field(self, potential: Field, covered: CoveredField) -> ElectricField: ...
+    def electric_field_as(self, potential: Field, covered: CoveredField, holds: Holds) -> ElectricField: ...
+    def to_points(self, means: Field, points: Field) -> None: ...
+    def to_means(self, points: Field, means: Field) -> None: ...
     def wall_faces(self, level: int) -> tuple: ...
     def wall_data(self, level: int) -> NDArray[numpy.float64]: ...
     def operators(self, level: int) -> LevelOperators: ...

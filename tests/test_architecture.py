@@ -25,6 +25,7 @@ NATIVE = {
     "freespace": {"mesh", "stencil", "base"},
     "fem": {"mesh", "base"},
     "material": {"base"},
+    "mpm": {"fem", "material", "mesh", "base"},
     "matrixfree": {"operators", "stencil", "mesh", "base"},
     "solver": {"matrixfree", "operators", "freespace", "fem", "stencil", "mesh", "base"},
     "external": {"base"},
@@ -42,6 +43,7 @@ NATIVE = {
         "gmls",
         "fem",
         "material",
+        "mpm",
         "base",
     },
 }
@@ -69,6 +71,7 @@ ORDER = (
     "gmls",
     "mesh",
     "fem",
+    "mpm",
     "particles",
     "scene",
     "stages",

@@ -14,7 +14,7 @@ from .. import _native
 from ..errors import InputError
 from ..parallel import raise_together, together
 from .mesh import Mesh
-from .points import Points, Weights, require_weights
+from .points import Points, Weights, reals, require_weights
 
 STREAM = 26  # of random numbers, apart from those of particles
 MOST_PER_AXIS = 32
@@ -72,7 +72,7 @@ def given(mesh: Mesh, position: ArrayLike, volume: ArrayLike | None = None, weig
         require_weights(weights)
         places, volumes = _places(mesh, position), None
         if volume is not None:
-            volumes = np.asarray(volume, dtype=np.float64)
+            volumes = reals(volume, "volume", f"({len(places)},) in m³")
             if volumes.shape != (len(places),):
                 raise InputError(f"volume has shape {volumes.shape} for {len(places)} points; give one for each")
             if not (good := np.isfinite(volumes) & (volumes > 0)).all():
@@ -113,12 +113,9 @@ def _checked(mesh: Mesh, per_axis: int, seed: int, weights: str) -> int:
 
 
 def _places(mesh: Mesh, position: ArrayLike) -> np.ndarray:
-    try:
-        places = np.ascontiguousarray(position, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("positions are no array of numbers; give (n, 3) in m") from None
+    places = reals(position, "position", "(n, 3) in m")
     if places.ndim != 2 or places.shape[1] != 3:
-        raise InputError(f"positions have shape {places.shape}; give (n, 3) in m")
+        raise InputError(f"position has shape {places.shape}; give (n, 3) in m")
     inside = ((places >= mesh.domain.lower) & (places <= mesh.domain.upper)).all(axis=1)
     if not inside.all():
         first = int(np.argmin(inside))

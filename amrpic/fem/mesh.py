@@ -52,7 +52,7 @@ class Mesh:
     ) -> None:
         self.comm = own(comm)
         with together(self.comm, InputError):
-            if degree not in DEGREES:
+            if np.ndim(degree) > 0 or degree not in DEGREES:
                 raise InputError(f"degree is {degree!r}; elements have degree 1, 2, 3 or 4")
             self.domain = Domain(lower, upper, cells, "dirichlet")
         self.degree = int(degree)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from mpi4py import MPI
 from numpy.typing import ArrayLike
@@ -19,14 +21,14 @@ class Operator:
     InputError on all ranks unless it has 1 or 3 components.
     """
 
-    _poisson: bool
+    _made: Callable[[_native.FemPoints, int], _native.FemOperator]
 
     def __init__(self, points: Points, components: int = 1) -> None:
         with together(points.mesh.comm, InputError):
-            if components not in COMPONENTS:
+            if np.ndim(components) > 0 or components not in COMPONENTS:
                 raise InputError(f"components are {components!r}; an operator has 1 or 3")
         self.points, self.mesh, self.components = points, points.mesh, int(components)
-        self.native = _native.FemOperator(points.native, self._poisson, self.components)
+        self.native = self._made(points.native, self.components)
 
     def __matmul__(self, u: ArrayLike) -> np.ndarray:
         """Return the operator times a vector, (nodes,), or (nodes, 3) if it has three components. Collective.
@@ -64,10 +66,10 @@ def _gathered(comm: MPI.Intracomm, values: np.ndarray) -> np.ndarray:
 class Mass(Operator):
     """(u, v): each component by itself."""
 
-    _poisson = False
+    _made = staticmethod(_native.fem_mass)
 
 
 class Poisson(Operator):
     """(∇u, ∇v): each component by itself."""
 
-    _poisson = True
+    _made = staticmethod(_native.fem_poisson)

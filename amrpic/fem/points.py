@@ -98,12 +98,20 @@ class Points:
         return shaped(self.native.integrals(components, given.reshape(-1)), components)
 
 
+def reals(values: ArrayLike, what: str, shape: str) -> np.ndarray:
+    """Return values as a contiguous array of any shape. InputError if they are no real numbers. Local."""
+    try:
+        array = np.asarray(values)
+        if np.iscomplexobj(array):
+            raise TypeError
+        return np.asarray(array, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        raise InputError(f"{what} is no array of real numbers; give {shape}") from None
+
+
 def numbers(values: ArrayLike, count: int, what: str) -> np.ndarray:
     """Return values as a contiguous array (count,) or (count, 3). InputError if they are something else. Local."""
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} is no array of numbers; give ({count},) or ({count}, 3)") from None
+    array = reals(values, what, f"({count},) or ({count}, 3)")
     if array.shape not in ((count,), (count, 3)):
         raise InputError(f"{what} has shape {array.shape} on a rank; give ({count},) or ({count}, 3) there")
     return array
@@ -132,5 +140,5 @@ def shaped(values: np.ndarray, components: int) -> np.ndarray:
 
 def require_weights(weights: str) -> None:
     """Raise InputError unless there are such weights. Local."""
-    if weights not in get_args(Weights):
+    if not isinstance(weights, str) or weights not in get_args(Weights):
         raise InputError(f'weights are "{weights}"; use {" or ".join(get_args(Weights))}')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from operator import index
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,9 +14,11 @@ from .. import _native
 from ..errors import InputError, SolverError
 from ..parallel import together
 from .operators import Operator
-from .points import checked_vector, shaped
+from .points import checked_vector, reals, shaped
 
+MOST_ITERATIONS = 2**31 - 1
 Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the native ones
+Coarse = Literal["geometric", "aggregation"]  # two of the last kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +39,7 @@ def solve(
     fixed: ArrayLike | None = None,
     values: ArrayLike | float = 0.0,
     preconditioner: Preconditioner = "p-multigrid",
+    coarse: Coarse = "geometric",
     tolerance: float = 1e-10,
     most_iterations: int = 10_000,
 ) -> tuple[np.ndarray, SolveReport]:
@@ -44,10 +48,11 @@ def solve(
     Nodes that are `fixed`, a mask (nodes,) or (nodes, components), have `values`, a number or a vector, in place of their
     equations. The residual comes down to `tolerance` times what it is with all others at zero.
 
-    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and on by aggregates.
+    "p-multigrid" goes from the elements' degree to degree 1 at the same points, and from there to half the elements along each
+    axis, and so on; with coarse = "aggregation" by MueLu's smoothed aggregates.
 
-    Raises on all ranks InputError for arrays of other shapes and options that do not exist, and SolverError for free nodes
-    whose elements have no points.
+    Raises on all ranks InputError for arrays of other shapes or with values that are not finite and options that do not exist,
+    and SolverError for free nodes whose elements have no points, and for numbers whose squares double precision cannot hold.
     """
     mesh, components = operator.mesh, operator.components
     right, _ = checked_vector(mesh, f, "the right-hand side", components)
@@ -56,17 +61,20 @@ def solve(
         held = _held(operator, values)
         if preconditioner not in get_args(Preconditioner):
             raise InputError(f'preconditioner is "{preconditioner}"; use {", ".join(get_args(Preconditioner))}')
-        if not 0 < tolerance < 1:
-            raise InputError(f"tolerance is {tolerance}; give a number between 0 and 1, for instance 1e-10")
-        if most_iterations < 1:
-            raise InputError(f"most_iterations is {most_iterations}; give at least 1")
+        if coarse not in get_args(Coarse):
+            raise InputError(f'coarse is "{coarse}"; use {" or ".join(get_args(Coarse))}')
+        _require_limits(tolerance, most_iterations)
+        _require_finite(right[~mask], "the right-hand side of a free node")
+        _require_finite(held[mask], "the value of a fixed node")
     start = time.perf_counter()
     try:
         u, residuals, curved_down = operator.native.solve(
-            right, mask, held, get_args(Preconditioner).index(preconditioner), tolerance, most_iterations
+            right, mask, held, _number(preconditioner, coarse), tolerance, most_iterations
         )
     except _native.SolverError as refused:
         raise SolverError(str(refused)) from None
+    if not np.isfinite(residuals[0]):
+        raise SolverError(f"the residual to start from is {residuals[0]}, beyond double precision; use other units")
     converged = bool(residuals[-1] <= tolerance * residuals[0])
     reason = (
         "the tolerance was met"
@@ -79,11 +87,40 @@ def solve(
     return shaped(u, components), report
 
 
+def _require_limits(tolerance: float, most_iterations: int) -> None:
+    try:
+        share, most = float(tolerance), index(most_iterations)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"tolerance is {tolerance!r} and most_iterations {most_iterations!r}; give a number below 1, and a whole one"
+        ) from None
+    if not 0 < share < 1:
+        raise InputError(f"tolerance is {share}; give a number between 0 and 1, for instance 1e-10")
+    if not 1 <= most <= MOST_ITERATIONS:
+        raise InputError(f"most_iterations is {most}; give 1 to {MOST_ITERATIONS}")
+
+
+def _require_finite(values: np.ndarray, what: str) -> None:
+    if not (good := np.isfinite(values)).all():
+        raise InputError(
+            f"{what} is {values[np.argmin(good)]}, as {int((~good).sum())} are not finite on a rank; give numbers"
+        )
+
+
+def _number(preconditioner: Preconditioner, coarse: Coarse) -> int:
+    """The native solver's number of a preconditioner."""
+    by_aggregates = preconditioner == "p-multigrid" and coarse == "aggregation"
+    return get_args(Preconditioner).index(preconditioner) + int(by_aggregates)
+
+
 def _mask(operator: Operator, fixed: ArrayLike | None) -> np.ndarray:
     count, components = len(operator.mesh.node_indices), operator.components
     if fixed is None:
         return np.zeros(count * components, dtype=bool)
-    mask = np.asarray(fixed)
+    try:
+        mask = np.asarray(fixed)
+    except ValueError:
+        raise InputError(f"fixed is no array; give a mask ({count},) or ({count}, {components})") from None
     if mask.dtype != bool or mask.shape not in ((count,), (count, components)):
         raise InputError(
             f"fixed is of {mask.dtype} with shape {mask.shape} on a rank; give a mask ({count},) or ({count}, {components})"
@@ -96,7 +133,7 @@ def _held(operator: Operator, values: ArrayLike | float) -> np.ndarray:
     count, components = len(operator.mesh.node_indices), operator.components
     shape = (count,) if components == 1 else (count, components)
     try:
-        held = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
-    except (TypeError, ValueError):
+        held = np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape)
+    except ValueError:
         raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
     return np.ascontiguousarray(held).reshape(-1)

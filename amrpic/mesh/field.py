@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +24,8 @@ from .sampling import Request, fitted_values
 if TYPE_CHECKING:
     import pyvista
 
+Holds = Literal["points", "means"]
+KAPPA = {"points": 0.0, "means": 1 / 24}  # what a cell holds less the value at its centre, over h² Δ
 Function = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray | float]
 
 
@@ -31,8 +33,14 @@ class Field(FieldViews):
     """One number per cell, on every level of a hierarchy; starts at zero.
 
     Each rank holds the cells of its own boxes. Cells that a finer level covers hold the mean of their children in every
-    field that the package returns, except the electric field of matched clouds.
+    field that the package returns, except the electric field of matched clouds, and values at centres made of means.
+
+    `holds` says what a number stands for: "points", the value at the cell's centre, as `fill` sets it, or "means", the mean
+    over the cell. They differ by h²/24 Δ, which matters in fourth order; `as_means` and `as_points` lead from one to the
+    other.
     """
+
+    holds: Holds = "points"
 
     def __init__(self, hierarchy: Hierarchy, unit: str = "") -> None:
         if not isinstance(hierarchy, Hierarchy):
@@ -103,8 +111,31 @@ class Field(FieldViews):
     def copy(self) -> Field:
         """A field with the same values and memory of its own."""
         out = Field.unset(self.hierarchy, self.unit)
+        out.holds = self.holds
         for level in range(self.hierarchy.levels):
             out.array(level)[:] = self.array(level)
+        return out
+
+    def as_means(self) -> Field:
+        """Return the means over cells of a field of points, to fourth order; itself if it holds means. Collective.
+
+        Values in covered cells are not read; the means of the children stand there. Where a level ends or a finer one begins
+        single cells have an error of third order.
+        """
+        return self if self.holds == "means" else self._converted("means")
+
+    def as_points(self) -> Field:
+        """Return the values at centres of a field of means, to fourth order; itself if it holds points. Collective.
+
+        Those at the centres of covered cells follow from the means there, which are to be those of the children.
+        """
+        return self if self.holds == "points" else self._converted("points")
+
+    def _converted(self, holds: Holds) -> Field:
+        out = Field.unset(self.hierarchy, self.unit)
+        out.holds = holds
+        means = _native.Means(self.hierarchy.native)
+        (means.to_means if holds == "means" else means.to_points)(self.native, out.native)
         return out
 
     def average_down(self) -> Field:
@@ -173,7 +204,12 @@ class Field(FieldViews):
     def _combined(self, other: Field | float, operation: Callable[..., np.ndarray], unit: str) -> Field:
         if isinstance(other, Field) and other.hierarchy is not self.hierarchy:
             raise HierarchyError("the two fields live on two hierarchies; carry one of them over to the other's")
+        if isinstance(other, Field) and other.holds != self.holds:
+            raise InputError(
+                f"one field holds {self.holds}, the other {other.holds}; convert one of them, as_{self.holds}()"
+            )
         out = Field.unset(self.hierarchy, unit)
+        out.holds = self.holds
         for level in range(self.hierarchy.levels):
             second = other.array(level) if isinstance(other, Field) else other
             operation(self.array(level), second, out=out.array(level))
@@ -241,18 +277,18 @@ class Field(FieldViews):
 
         Orders 2 to 4, and gradients of any order, fit a polynomial of that order by least squares to the uncovered cells of all
         levels around each point, up to walls and across periodic faces: errors of values are of order + 1, of gradients of
-        order. What a cell holds stands for the value at its centre plus `kappa` h² times the sum of second derivatives:
-        0, the default, for fields that were filled at centres; 1/24 for means over cells; 1/30 for a potential solved
+        order. What a cell holds stands for the value at its centre plus `kappa` h² times the sum of second derivatives: by
+        default 0 for fields that hold points, 1/24 for those that hold means; 1/30 for a potential solved
         from charge that was deposited by clouds-in-cells, -1/120 from one of cell means.
 
         Raises InputError for what are no points, orders, quantities or kappa, and for points with too few cells around.
         """
         at = points_of(points)
-        if order == 1 and what == "value" and kappa is None and not isinstance(order, bool):
-            return self.native.sample(at)
-        request = Request(order, what, 0.0 if kappa is None else kappa)
+        request = Request(order, what, KAPPA[self.holds] if kappa is None else kappa)
         if order == 1 and what == "value":
-            raise InputError("kappa says nothing to trilinear values; leave it out, or choose an order from 2 to 4")
+            if kappa is not None:
+                raise InputError("kappa says nothing to trilinear values; leave it out, or choose an order from 2 to 4")
+            return self.native.sample(at)
         return fitted_values(self._composite, "field", at, request)
 
 

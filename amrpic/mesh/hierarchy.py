@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import operator
 from collections.abc import Sequence
 from functools import cached_property
 from typing import cast
@@ -33,6 +34,17 @@ def _index_boxes(level: int, boxes: Sequence[Sequence[Sequence[int]]] | np.ndarr
             f"a box of level {level} has index {np.abs(given).max()}, beyond 32 bits; use fewer levels"
         )
     return given.astype(np.int32).reshape(-1, 6)
+
+
+def _whole(value: int, what: str) -> int:
+    """Return a number of cells; HierarchyError if it is no whole number of 32 bits."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise HierarchyError(f"{what} is {value!r}; give a whole number of cells") from None
+    if abs(number) > np.iinfo(np.int32).max:
+        raise HierarchyError(f"{what} is {number}; give a number of cells below 2^31")
+    return number
 
 
 class Hierarchy:
@@ -66,6 +78,8 @@ class Hierarchy:
         earlier: Hierarchy | None = None,
     ) -> None:
         boxes = [_index_boxes(number, level) for number, level in enumerate(levels, start=1)]
+        self.max_grid_size = _whole(max_grid_size, "max_grid_size")
+        self.blocking_factor = _whole(blocking_factor, "blocking_factor")
         codes = [BOUNDARIES.index(face) for faces in domain.boundary for face in faces]
         self.comm = cast(Communicator, comm) if isinstance(comm, VirtualRank) else own(comm)
         shared = None if earlier is None else earlier.native
@@ -77,16 +91,14 @@ class Hierarchy:
                 domain.cells,
                 codes,
                 boxes,
-                max_grid_size,
-                blocking_factor,
+                self.max_grid_size,
+                self.blocking_factor,
                 _index_boxes(0, np.empty((0, 6), dtype=np.int32) if base is None else base),
                 shared,
             )
         except _native.HierarchyError as refused:
             raise HierarchyError(str(refused)) from None
         self.domain = domain
-        self.max_grid_size = int(max_grid_size)
-        self.blocking_factor = int(blocking_factor)
 
     def seen_by(self, rank: int) -> Hierarchy:
         """Return the hierarchy of a virtual rank as another virtual rank of as many has it. Local.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import HierarchyError, InputError
 from ..parallel import raise_together
 from .hierarchy import Hierarchy
+from .orders import require_order
 from .overlaps import Part, parts
 from .patch import Patch
 from .polynomials import Fits, exponents, neighbour_bounds
@@ -25,6 +26,7 @@ from .surroundings import Lattice, Surroundings, block
 Array = NDArray[Any]
 Bounds = str | tuple[float, float] | None
 ORDERS = (1, 2, 3, 4)
+UNBOUNDED = float(np.finfo(float).max) / 8  # in place of infinite bounds: what is left up to there can be summed
 
 
 class Values(Protocol):
@@ -38,7 +40,7 @@ class Values(Protocol):
 
 def remap(field: Values, to: Values, order: int, bounds: Bounds) -> None:
     """Set the uncovered cells of `to` to a field on another hierarchy of the same domain. Collective; see `Field.remap`."""
-    _require_order(order)
+    require_order(order, ORDERS, "the fit")
     _require_one_domain(field.hierarchy, to.hierarchy)
     source, target = Lattice(field.hierarchy), Lattice(to.hierarchy)
     wanted = _checked_bounds(field, bounds)
@@ -67,17 +69,13 @@ def _require_one_domain(mine: Hierarchy, other: Hierarchy) -> None:
         )
 
 
-def _require_order(order: object) -> None:
-    """Raise InputError for what is no order of a fit."""
-    if isinstance(order, bool) or order not in ORDERS:
-        raise InputError(f"the order of the fit is {order!r}; use 1, 2, 3 or 4")
-
-
 def _checked_bounds(field: Values, bounds: Bounds) -> Bounds:
     """Return bounds after checks. InputError on all ranks; collective if they are two numbers."""
     if bounds is None or (isinstance(bounds, str) and bounds == "neighbours"):
         return bounds
     try:
+        if isinstance(bounds, str):
+            raise TypeError
         least, most = (float(number) for number in bounds)
     except (TypeError, ValueError):
         raise InputError(f'bounds are {bounds!r:.60}; use "neighbours", or the least and the most value') from None
@@ -92,7 +90,7 @@ def _checked_bounds(field: Values, bounds: Bounds) -> Bounds:
         else None,
         InputError,
     )
-    return least, most
+    return max(least, -UNBOUNDED), min(most, UNBOUNDED)
 
 
 # ---- the cells of the source, with their polynomials ----

@@ -18,6 +18,7 @@ from ..errors import InputError
 from ..parallel import share
 from .boxes import rows_of
 from .composite import Composite
+from .orders import require_order
 
 Array = NDArray[Any]
 
@@ -41,8 +42,7 @@ class Request:
     level: int | None = None  # whose cells alone are taken; none: those of all levels that no finer one covers
 
     def __post_init__(self) -> None:
-        if isinstance(self.order, bool) or self.order not in REACH:
-            raise InputError(f"the order of a sample is {self.order!r}; use 1, 2, 3 or 4")
+        require_order(self.order, tuple(REACH), "a sample")
         if self.what not in QUANTITIES:
             raise InputError(f'{self.what!r} cannot be sampled; use "value" or "gradient"')
         if not (isinstance(self.kappa, int | float) and np.isfinite(self.kappa)) or isinstance(self.kappa, bool):

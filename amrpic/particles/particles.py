@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -169,15 +170,8 @@ class Particles:
         return self.weight.strides == (0,)
 
     def one_weight_and_most(self, comm: MPI.Comm) -> tuple[float | None, int]:
-        """The weight that all particles on all ranks are known to have, if there is one, and the most particles of a rank.
-
-        Collective.
-        """
-        bounds = np.array([np.inf, np.inf, -len(self)])
-        if len(self) > 0:
-            bounds[:2] = [self.weight[0], -self.weight[0]] if self.equal_weights else -np.inf
-        comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MIN)
-        return float(bounds[0]) if bounds[0] == -bounds[1] else None, int(-bounds[2])
+        """The same as the function of all."""
+        return one_weight_and_most(comm, [self])
 
     def with_own_weights(self) -> Particles:
         """The same particles, with memory for the weight of each even if all are equal."""
@@ -215,12 +209,59 @@ def concatenate(parts: Sequence[Particles]) -> Particles:
             raise ParticleError(
                 f"particles of the species {part.species} cannot join those of {species}; give all one table of species"
             )
-    weights = {float(part.weight[0]) if part.equal_weights else None for part in parts if len(part) > 0}
-    out = Particles.allocate(sum(map(len, parts)), species, weights.pop() if len(weights) == 1 else None)
-    for target, *sources in zip(out.arrays, *(part.arrays for part in parts), strict=True):
-        if target.flags.writeable:  # not of weights that are equal
-            np.concatenate(sources, out=target)
-    return out
+    position, momentum, weight, id = (joined(column) for column in zip(*(part.arrays for part in parts), strict=True))
+    return Particles(position, momentum, weight, id, species)
+
+
+def one_weight_and_most(comm: MPI.Comm, parts: Sequence[Particles]) -> tuple[float | None, int]:
+    """The weight that all particles of all parts on all ranks are known to have, if there is one, and the most particles of a
+    rank, those of its parts together. Collective.
+    """
+    bounds = np.array([np.inf, np.inf, -sum(map(len, parts))])
+    for part in parts:
+        if len(part) > 0:
+            own = [part.weight[0], -part.weight[0]] if part.equal_weights else [-np.inf, -np.inf]
+            bounds[:2] = np.minimum(bounds[:2], own)
+    comm.Allreduce(MPI.IN_PLACE, bounds, MPI.MIN)
+    return float(bounds[0]) if bounds[0] == -bounds[1] else None, int(-bounds[2])
+
+
+def cut(parts: list[Particles], number: int) -> list[Particles]:
+    """So many portions of the same particles, in order and of about equal size, each with arrays of its own.
+
+    The list of parts is empty afterwards. Unless somebody else holds them, no more than one column is ever held twice.
+    """
+    columns, species = emptied(parts)
+    pieces = []
+    for arrays in columns:
+        whole = arrays.pop() if len(arrays) == 1 else joined(arrays)
+        arrays.clear()
+        ends = [len(whole) * n // number for n in range(number + 1)]
+        slices = [whole[begin:end] for begin, end in itertools.pairwise(ends)]
+        pieces.append([joined([one]) for one in slices] if number > 1 else slices)
+        del whole, slices
+    positions, momenta, weights, ids = pieces
+    return [Particles(*of, species) for of in zip(positions, momenta, weights, ids, strict=True)]
+
+
+def emptied(parts: list[Particles]) -> tuple[list[list[np.ndarray]], SpeciesTable]:
+    """The positions, momenta, weights and ids of some particles, and their species; the list is empty afterwards.
+
+    So each array is freed as soon as it is dropped, unless somebody else holds the particles.
+    """
+    species = parts[0].species
+    columns = [list(column) for column in zip(*(part.arrays for part in parts), strict=True)]
+    parts.clear()
+    return columns, species
+
+
+def joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """A copy of the values of all arrays, in order, as `Particles` holds them; one number that is repeated stays one."""
+    count, given = sum(map(len, arrays)), [array for array in arrays if len(array) > 0]
+    if given and all(array.strides == (0,) for array in given) and len({array[0] for array in given}) == 1:
+        return np.broadcast_to(given[0][0], count)
+    out = empty_columns(count) if arrays[0].ndim == 2 else recycled(count, arrays[0].dtype.type)
+    return np.concatenate(arrays, out=out)
 
 
 def _weights(values: np.ndarray) -> np.ndarray:

@@ -11,11 +11,11 @@ from mpi4py import MPI
 from ..mesh.domain import FACES
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.window import Window
-from ..particles.particles import Particles, concatenate
+from ..particles.particles import Particles, cut
 from ..scene.obstacles import aperture_names
 from ..scene.scene import Scene
 from ..stages.encounters import Encounters, Flights
-from ..stages.migrate import migrate, migrate_without, share_out, weights
+from ..stages.migrate import arranged, migrate_without, share_out, weights
 from .leapfrog import kick
 from .plan import Plan
 from .records import Record
@@ -48,27 +48,21 @@ def place(bunches: list[Particles], base: Hierarchy, window: Window, plan: Plan)
         momentum = window.to_laboratory(made.momentum[outside])
         lost = lost.joined(_record(left, momentum, made, np.zeros(len(left)), causes(scene)))
         del made, here  # else they live beside what follows
-    particles = portions[0]
-    if len(portions) > 1:
-        particles = concatenate(portions)
-        portions.clear()
-        particles, _ = migrate(particles, base, servers)
+    particles = portions[0] if len(portions) == 1 else arranged(portions, base, servers)
     return particles, lost, Record.empty(species, [screen.name for screen in scene.screens])
 
 
 def _portions(comm: MPI.Comm, bunches: list[Particles]) -> Iterator[Particles]:
-    """Yield the particles of bunches in portions, as many on all ranks; on one rank by itself all at once. Collective."""
+    """Yield the particles of bunches in portions, as many on all ranks; the list is emptied. Collective."""
     counts = comm.allreduce(np.array([len(bunch) for bunch in bunches])) // comm.size
-    most, waiting, count = PORTION if comm.size > 1 else int(counts.sum()) + 1, [], 0
+    waiting, count = [], 0
     for of_bunch in counts.tolist():
         waiting.append(bunches.pop(0))
         count += of_bunch
-        if count >= most or not bunches:
-            made = waiting[0] if len(waiting) == 1 else concatenate(waiting)
-            waiting.clear()
-            portions, count = count // most + 1, 0
-            for n in range(portions):
-                yield made.select(slice(len(made) * n // portions, len(made) * (n + 1) // portions))
+        if count >= PORTION or not bunches:
+            portions, count = cut(waiting, count // PORTION + 1), 0
+            while portions:
+                yield portions.pop(0)
 
 
 def fly(state: State, moved: Particles, window: Window, plan: Plan) -> tuple[Particles, Record, Record]:

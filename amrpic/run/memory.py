@@ -32,7 +32,7 @@ NEIGHBOURS, CHILDREN, AXES = 7, 8, 3
 BOTTOM = 64  # cells of a multigrid level that is not coarsened further
 LAPLACIAN = ROW + NEIGHBOURS * ENTRY
 PARTICLE = 7 * NUMBER  # position, momentum, id
-PLACING = 2.35  # measured: what a rank holds of particles while they are placed, in its own ones
+PLACING = 1.75  # measured: what a rank holds of particles while they are placed, in its own ones
 
 # The matrix-free backend: a correction and a right-hand side in single precision, with rows padded to whole vectors, the
 # ghosts around boxes, and the coarser values around each box, those of an eighth of the cells and of those beside them; on

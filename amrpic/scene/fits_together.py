@@ -20,7 +20,20 @@ LARGEST_ROW = 2**63 - 1  # rows of the equations are counted in 64 bits over all
 
 def check(scene: SceneParts) -> None:
     """Raise the first complaint about parts of a scene that do not fit together."""
-    for fits in (_name, _cells, _boxes, _places, _balance, _stretch, _screening, _elements, _window, _names, _bins):
+    for fits in (
+        _name,
+        _cells,
+        _boxes,
+        _places,
+        _balance,
+        _stretch,
+        _screening,
+        _order,
+        _elements,
+        _window,
+        _names,
+        _bins,
+    ):
         fits(scene)
 
 
@@ -116,6 +129,11 @@ def _stretch(scene: SceneParts) -> None:
 def _screening(scene: SceneParts) -> None:
     if refused := scene.solver.screening_refusal(scene.domain.value):
         raise complaint(*refused, path="solver.screening", found=scene.solver.screening)
+
+
+def _order(scene: SceneParts) -> None:
+    if refused := scene.solver.order_refusal(scene.domain.value):
+        raise complaint(*refused, path="solver.order", found=scene.solver.order)
 
 
 def _elements(scene: SceneParts) -> None:

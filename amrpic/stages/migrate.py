@@ -15,7 +15,8 @@ from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import raise_together
-from ..particles.particles import Particles, Sorting
+from ..particles.arrays import empty_columns, recycled
+from ..particles.particles import Particles, Sorting, emptied, joined, one_weight_and_most
 
 NONE = np.zeros(0, dtype=np.int64)
 BRICK_COST = 64  # particles that take as long as a brick by itself, about: its part of the field is brought to it
@@ -71,6 +72,43 @@ def migrate_without(
         _refuse_not_finite(particles, comm)
     sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
     return Particles(*here.arrays, here.species, sorting), plan.lost, missing
+
+
+def arranged(parts: list[Particles], hierarchy: Hierarchy, servers: np.ndarray) -> Particles:
+    """Return particles that came to their `servers` in parts, as `migrate` returns all of them at once. Collective.
+
+    The list is empty afterwards, and each column is freed as soon as its values are in their places: never are there two copies
+    of all. Raises ParticleError on all ranks if there are too many on one.
+    """
+    weight, most = one_weight_and_most(hierarchy.comm, parts)
+    _require_few(most)
+    (positions, momenta, weights, ids), species = emptied(parts)
+    position, id = joined(positions), joined(ids)
+    positions.clear()
+    ids.clear()
+    plan = _native.Arrangement(hierarchy.particle_mesh, servers, position, id)
+    places, sorting = plan.places, Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
+    del plan
+    positions.append(position)
+    ids.append(id)
+    del position, id
+    here = np.broadcast_to(weight, len(places)) if weight is not None else _in_places(weights, places)
+    return Particles(
+        _in_places(positions, places), _in_places(momenta, places), here, _in_places(ids, places), species, sorting
+    )
+
+
+def _in_places(arrays: list[np.ndarray], places: np.ndarray) -> np.ndarray:
+    """Return an array with the values of some, one after the other, in these places; the list is empty afterwards."""
+    vectors = arrays[0].ndim == 2
+    out, first = empty_columns(len(places)) if vectors else recycled(len(places), arrays[0].dtype.type), 0
+    while arrays:
+        values = arrays.pop(0)
+        there = places[first : first + len(values)]
+        for target, source in zip(out.T, values.T, strict=True) if vectors else [(out, values)]:
+            target[there] = source
+        first += len(values)
+    return out
 
 
 def _require_few(most: int) -> None:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import _native
-from ..errors import HierarchyError, InputError
+from ..errors import HierarchyError
 from ..mesh.boxes import cells_of
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
+from ..mesh.orders import require_order
 from ..mesh.remap import Bounds
 from ..parallel import raise_together
 
@@ -110,8 +111,7 @@ def carry_over(field: Field, hierarchy: Hierarchy, order: int = 2, bounds: Bound
     """
     if field.hierarchy.domain != hierarchy.domain:
         raise HierarchyError("the field lives on another domain than the new hierarchy; make both on one domain")
-    if isinstance(order, bool) or order not in CARRIED_ORDERS:
-        raise InputError(f"the order of what is carried over is {order!r}; use 2, 3 or 4")
+    require_order(order, CARRIED_ORDERS, "what is carried over")
     if order > 2 or bounds is not None:
         return field.remap(hierarchy, order, bounds)
     out = Field(hierarchy, field.unit)

@@ -22,6 +22,7 @@ from . import (
     gaps,
     hard,
     least_squares,
+    materials,
     openboundary,
     operators,
     pareto,
@@ -48,6 +49,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "least-squares": least_squares.tables,
     "gaps": gaps.tables,
     "operators": operators.tables,
+    "materials": materials.tables,
 }
 
 

@@ -1,6 +1,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
 
 #include <cmath>
 
@@ -43,6 +44,13 @@ LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* refer
   int const b = level.find(cell);
   if (level.owner(b) != level.rank()) return -1;
   return level.local_offset(b) + LocalIndex(level.box(b).offset(cell));
+}
+
+/// 1 where unknowns are free, 0 where they are fixed.
+std::vector<Real> free_of(Flags const& fixed) {
+  std::vector<Real> out;
+  for (std::size_t i = 0; i < fixed.size(); ++i) out.push_back(!fixed.data()[i]);
+  return out;
 }
 
 /// An operator's function of vectors of so many values, without the interpreter.
@@ -135,13 +143,9 @@ void bind_fem(nb::module_& m) {
           },
           "components"_a, "values"_a);
 
-  nb::class_<fem::Operator>(m, "FemOperator", "Mass or Poisson at points; amrpic.fem has both.")
-      .def(
-          "__init__",
-          [](fem::Operator* self, std::shared_ptr<fem::Points> const& points, bool poisson, int components) {
-            new (self) fem::Operator(points, poisson ? fem::Term::poisson : fem::Term::mass, components);
-          },
-          "points"_a, "poisson"_a, "components"_a)
+  m.def("fem_mass", &fem::mass, "points"_a, "components"_a);
+  m.def("fem_poisson", &fem::poisson, "points"_a, "components"_a);
+  nb::class_<fem::Operator>(m, "FemOperator", "An operator at points; amrpic.fem has those of mass and of Poisson.")
       .def(
           "apply",
           [](fem::Operator const& a, bind::Reals u) {
@@ -162,12 +166,23 @@ void bind_fem(nb::module_& m) {
       .def(
           "corner_rows",
           [](fem::Operator const& a, Flags fixed) {
-            auto rows = corner_rows(a, {fixed.data(), fixed.data() + fixed.size()});
+            SharedRows rows = compressed(fem::node_blocks(a, free_of(fixed)));
             std::vector<std::int64_t> start(rows.row_start.begin(), rows.row_start.end());
             return nb::make_tuple(bind::to_array(std::move(start)), bind::to_array(std::move(rows.column)),
                                   bind::to_array(std::move(rows.value)));
           },
           "fixed"_a, "This rank's rows of an operator of degree 1, as the coarse level of a solve has them.")
+      .def(
+          "halved_rows",
+          [](fem::Operator const& a, Flags fixed) {
+            auto const fine = fem::node_blocks(a, free_of(fixed));
+            fem::Halving const halving(a.points().lattice().comm(), fine.nodes);
+            auto rows = compressed(halving.galerkin(fine));
+            std::vector<std::int64_t> start(rows.row_start.begin(), rows.row_start.end());
+            return nb::make_tuple(indices_of(*halving.coarse()), bind::to_array(std::move(start)),
+                                  bind::to_array(std::move(rows.column)), bind::to_array(std::move(rows.value)));
+          },
+          "fixed"_a, "The next level's nodes of this rank, by their indices along the axes, and their rows.")
       .def(
           "solve",
           [](fem::Operator const& a, bind::Reals f, Flags fixed, bind::Reals values, int preconditioner, Real tolerance,

@@ -146,14 +146,25 @@ void bind_matrixfree(nb::module_& m) {
       },
       "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
       "What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.");
+  nb::class_<Means>(m, "Means", "Leads from values at the centres of cells to means over them, and back.")
+      .def(
+          "__init__",
+          [](Means* self, std::shared_ptr<Hierarchy const> hierarchy) {
+            nb::gil_scoped_release release;
+            new (self) Means(std::move(hierarchy));
+          },
+          "hierarchy"_a)
+      .def("to_points", &Means::to_points, "means"_a, "points"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def("to_means", &Means::to_means, "points"_a, "means"_a, nb::call_guard<nb::gil_scoped_release>());
   nb::class_<CompositeLaplacian>(m, "CompositeLaplacian")
       .def(
           "__init__",
-          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch, Real shift) {
+          [](CompositeLaplacian* self, std::shared_ptr<Hierarchy const> hierarchy, Real3 stretch, Real shift,
+             int order) {
             nb::gil_scoped_release release;
-            new (self) CompositeLaplacian(hierarchy->stretched(stretch), shift, stretch);
+            new (self) CompositeLaplacian(hierarchy->stretched(stretch), shift, stretch, order);
           },
-          "hierarchy"_a, "stretch"_a, "shift"_a = 0.0)
+          "hierarchy"_a, "stretch"_a, "shift"_a = 0.0, "order"_a = 2)
       .def("average_down", &CompositeLaplacian::average_down, "phi"_a, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "add",

@@ -11,6 +11,7 @@
 #include "bind/communicator.hpp"
 #include "bind/convert.hpp"
 #include "particle/apertures.hpp"
+#include "particle/arrange.hpp"
 #include "particle/array_pool.hpp"
 #include "particle/beam_amplitudes.hpp"
 #include "particle/beam_moments.hpp"
@@ -167,6 +168,31 @@ void bind_particle(nb::module_& m) {
           "remote",
           [](Migration const& self, std::shared_ptr<Hierarchy const> hierarchy) {
             return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote());
+          },
+          "hierarchy"_a);
+
+  nb::class_<Arrangement>(m, "Arrangement")
+      .def(
+          "__init__",
+          [](Arrangement* self, ParticleMesh& mesh, Row<std::int64_t const> servers, ConstColumns position,
+             Row<std::int64_t const> id) {
+            nb::gil_scoped_release release;
+            std::vector<std::int64_t> first(servers.data(), servers.data() + servers.shape(0));
+            Hierarchy const& hierarchy = mesh.hierarchy();
+            ParticleView const particles{std::int64_t(position.shape(0)),     columns(position), {}, nullptr, true,
+                                         const_cast<std::int64_t*>(id.data())};
+            Servers const all(hierarchy.domain(), std::move(first), hierarchy.comm().rank());
+            new (self) Arrangement(arrange(mesh, all, particles));
+          },
+          "mesh"_a, "servers"_a, "position"_a, "id"_a)
+      .def_prop_ro(
+          "places", [](Arrangement const& self) { return bind::to_array(self.places); }, nb::rv_policy::automatic)
+      .def_prop_ro(
+          "starts", [](Arrangement const& self) { return bind::to_array(self.starts); }, nb::rv_policy::automatic)
+      .def(
+          "remote",
+          [](Arrangement const& self, std::shared_ptr<Hierarchy const> hierarchy) {
+            return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote);
           },
           "hierarchy"_a);
 

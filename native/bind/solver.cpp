@@ -56,6 +56,8 @@ void bind_solver(nb::module_& m) {
       .value("mean", CoveredField::mean)
       .value("difference", CoveredField::difference);
 
+  nb::enum_<Holds>(m, "Holds").value("points", Holds::points).value("means", Holds::means);
+
   nb::class_<WorkUnit>(m, "WorkUnit")
       .def_ro("seconds", &WorkUnit::seconds)
       .def_ro("apply_seconds", &WorkUnit::apply_seconds)
@@ -70,6 +72,7 @@ void bind_solver(nb::module_& m) {
       .def_rw("to_discretisation", &SolverOptions::to_discretisation)
       .def_rw("absolute_tolerance", &SolverOptions::absolute_tolerance)
       .def_rw("norm", &SolverOptions::norm)
+      .def_rw("order", &SolverOptions::order)
       .def_rw("max_cycles", &SolverOptions::max_cycles)
       .def_rw("smoother", &SolverOptions::smoother)
       .def_rw("pre_sweeps", &SolverOptions::pre_sweeps)
@@ -106,6 +109,10 @@ void bind_solver(nb::module_& m) {
       .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,
            nb::call_guard<nb::gil_scoped_release>())
+      .def("electric_field_as", &PoissonSolver::electric_field_as, "potential"_a, "covered"_a, "holds"_a,
+           nb::call_guard<nb::gil_scoped_release>())
+      .def("to_points", &PoissonSolver::to_points, "means"_a, "points"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def("to_means", &PoissonSolver::to_means, "points"_a, "means"_a, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "wall_faces",
           [](PoissonSolver& solver, int level) {

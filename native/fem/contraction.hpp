@@ -173,4 +173,28 @@ inline __attribute__((always_inline)) void add_by_gradient(Vector3<V> const& flu
   }
 }
 
+/// Rows of the nodes' own functions, multiplied in pairs: N N, N N', N' N'.
+template <int P, class V>
+struct PairedRows {
+  V values[P], mixed[P], slopes[P];
+};
+
+/// Add g' K g of each of the P^3 products of values to `sums`, where g are its slopes, and `value` times its square.
+template <int P, class V>
+inline void add_squares(V const& value, std::array<Vector3<V>, 3> const& k, Vector3<PairedRows<P, V>> const& rows,
+                        V* sums) {
+  V const xy = k[0][1] + k[1][0], xz = k[0][2] + k[2][0], yz = k[1][2] + k[2][1];
+  for (int z = 0, n = 0; z < P; ++z) {
+    V const none = value * rows[2].values[z] + k[2][2] * rows[2].slopes[z];
+    V const of_x = xz * rows[2].mixed[z], of_y = yz * rows[2].mixed[z];
+    V const of_xx = k[0][0] * rows[2].values[z], of_xy = xy * rows[2].values[z], of_yy = k[1][1] * rows[2].values[z];
+    for (int y = 0; y < P; ++y) {
+      V const line = none * rows[1].values[y] + of_y * rows[1].mixed[y] + of_yy * rows[1].slopes[y];
+      V const line_x = of_x * rows[1].values[y] + of_xy * rows[1].mixed[y], line_xx = of_xx * rows[1].values[y];
+      for (int x = 0; x < P; ++x, ++n)
+        sums[n] += line * rows[0].values[x] + line_x * rows[0].mixed[x] + line_xx * rows[0].slopes[x];
+    }
+  }
+}
+
 }  // namespace amrpic::fem

@@ -11,9 +11,9 @@ namespace amrpic::fem {
 
 using V = NativeLanes;
 
-/// The weights of a block of points.
-inline V weights_of(Points const& points, std::int64_t block) {
-  return load<V>(points.weights() + native_lane_count * block);
+/// One of `width` values of a block of points.
+inline V of_block(Real const* values, std::int64_t block, int width = 1, int number = 0) {
+  return load<V>(values + (block * width + number) * native_lane_count);
 }
 
 /// Elements that are worked on together, a lane each. Lanes without an element repeat the first one, and are not read.
@@ -99,16 +99,17 @@ inline void transform(Matrix<P> const& m, V* values) {
 template <int P, int C, class Kernel>
 void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel const& kernel) {
   Lattice const& lattice = points.lattice();
-  std::size_t const halo = std::size_t(lattice.halo().size()) * C;
+  NodeRegions const& regions = lattice.regions();
+  std::size_t const halo = regions.halo_size() * C;
   std::vector<Real> halo_u(Kernel::reads ? halo : 0), halo_v(Kernel::writes ? halo : 0), dense_u, dense_v;
-  if (Kernel::reads) lattice.update(C, u, halo_u.data());
+  if (Kernel::reads) regions.update(C, u, halo_u.data());
   if (Kernel::writes) std::fill_n(v, std::size_t(lattice.own_nodes()) * C, Real(0));
   for (std::size_t p = 0; p < lattice.parts().size(); ++p) {
     auto const& part = lattice.parts()[p];
     auto const& filled = points.filled()[p];
     if (filled.element.empty()) continue;
     std::size_t const size = std::size_t(part.nodes.cells()) * C;
-    if (Kernel::reads) dense_u.resize(size), lattice.read(part, C, u, halo_u.data(), dense_u.data());
+    if (Kernel::reads) dense_u.resize(size), regions.read(p, C, u, halo_u.data(), dense_u.data());
     if (Kernel::writes) dense_v.assign(size, 0);
     for (std::size_t e = 0; e < filled.element.size(); e += native_lane_count) {
       int const count = int(std::min<std::size_t>(native_lane_count, filled.element.size() - e));
@@ -118,9 +119,9 @@ void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel cons
       kernel(group.element, group.count, values);
       if (Kernel::writes) scatter(part.nodes, group, values, dense_v.data());
     }
-    if (Kernel::writes) lattice.add(part, C, dense_v.data(), v, halo_v.data());
+    if (Kernel::writes) regions.add(p, C, dense_v.data(), v, halo_v.data());
   }
-  if (Kernel::writes) lattice.fold(C, v, halo_v.data());
+  if (Kernel::writes) regions.fold(C, v, halo_v.data());
 }
 
 }  // namespace amrpic::fem

@@ -52,12 +52,12 @@ std::vector<Real> Interpolation::at_corners(int components, Real const* fine) co
 }
 
 void Interpolation::add(int components, Real const* corners, Real* fine) const {
-  std::vector<Real> halo(std::size_t(corners_->halo().size()) * std::size_t(components)), dense;
-  corners_->update(components, corners, halo.data());
+  std::vector<Real> halo(corners_->regions().halo_size() * std::size_t(components)), dense;
+  corners_->regions().update(components, corners, halo.data());
   for (std::size_t p = 0; p < corners_->parts().size(); ++p) {
     auto const& part = corners_->parts()[p];
     dense.resize(std::size_t(part.nodes.cells()) * std::size_t(components));
-    corners_->read(part, components, corners, halo.data(), dense.data());
+    corners_->regions().read(p, components, corners, halo.data(), dense.data());
     for_each_weight(p, [&](LocalIndex node, GlobalIndex corner, Real weight) {
       for (int c = 0; c < components; ++c)
         fine[std::ptrdiff_t(node) * components + c] += weight * dense[std::size_t(corner * components + c)];
@@ -66,7 +66,7 @@ void Interpolation::add(int components, Real const* corners, Real* fine) const {
 }
 
 void Interpolation::transposed(int components, Real const* fine, Real* corners) const {
-  std::vector<Real> halo(std::size_t(corners_->halo().size()) * std::size_t(components), 0), dense;
+  std::vector<Real> halo(corners_->regions().halo_size() * std::size_t(components), 0), dense;
   std::fill_n(corners, std::size_t(corners_->own_nodes()) * std::size_t(components), Real(0));
   for (std::size_t p = 0; p < corners_->parts().size(); ++p) {
     auto const& part = corners_->parts()[p];
@@ -75,9 +75,9 @@ void Interpolation::transposed(int components, Real const* fine, Real* corners) 
       for (int c = 0; c < components; ++c)
         dense[std::size_t(corner * components + c)] += weight * fine[std::ptrdiff_t(node) * components + c];
     });
-    corners_->add(part, components, dense.data(), corners, halo.data());
+    corners_->regions().add(p, components, dense.data(), corners, halo.data());
   }
-  corners_->fold(components, corners, halo.data());
+  corners_->regions().fold(components, corners, halo.data());
 }
 
 }  // namespace amrpic::fem

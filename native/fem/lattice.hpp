@@ -3,7 +3,7 @@
 #include <memory>
 #include <vector>
 
-#include "mesh/halo.hpp"
+#include "fem/node_regions.hpp"
 #include "mesh/hierarchy.hpp"
 
 namespace amrpic::fem {
@@ -23,36 +23,25 @@ class Lattice {
   Communicator const& comm() const { return hierarchy_->comm(); }
   Level const& elements() const { return hierarchy_->level(0); }
   Level const& nodes() const { return *nodes_; }
-  Halo const& halo() const { return halo_; }
+  std::shared_ptr<Level const> share_nodes() const { return nodes_; }
+  /// The nodes of each part.
+  NodeRegions const& regions() const { return regions_; }
   int degree() const { return degree_; }
   LocalIndex own_nodes() const { return nodes_->local_cells(); }
 
-  /// Nodes that follow each other on a box's elements and in [own nodes | halo], all in one of both.
-  struct Run {
-    LocalIndex place, offset, count;
-  };
   /// One of this rank's boxes of elements.
   struct Part {
     Box elements;
-    Box nodes;  ///< of its elements, those on its upper faces too
-    std::vector<Run> runs;
+    Box nodes;                 ///< of its elements, those on its upper faces too
     LocalIndex first_element;  ///< among this rank's
   };
   std::vector<Part> const& parts() const { return parts_; }
-
-  /// The values of a part's nodes, x fastest, from [own | halo]; and the same added to those.
-  void read(Part const& part, int components, Real const* own, Real const* halo, Real* dense) const;
-  void add(Part const& part, int components, Real const* dense, Real* own, Real* halo) const;
-
-  /// Fill the halo of a vector from its owners; add a halo to its owners' nodes. Collective.
-  void update(int components, Real const* own, Real* halo) const;
-  void fold(int components, Real* own, Real const* halo) const;
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
   int degree_;
   std::shared_ptr<Level const> nodes_;
-  Halo halo_;
+  NodeRegions regions_;
   std::vector<Part> parts_;
 };
 

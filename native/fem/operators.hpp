@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -7,39 +8,50 @@
 
 namespace amrpic::fem {
 
-enum class Term { mass, poisson };
-
 /// Entries of a matrix by global numbers of unknowns; those of one place are to be added.
 struct Entries {
   std::vector<GlobalIndex> row, column;
   std::vector<Real> value;
 };
 
-/// Mass (u, v) or Poisson's operator (grad u, grad v), each component by itself, summed over points.
+/// A symmetric operator on vectors of nodes, whose integrals are sums over points.
 class Operator {
  public:
-  /// `components`: 1 or 3.
-  Operator(std::shared_ptr<Points const> points, Term term, int components)
-      : points_(std::move(points)), term_(term), components_(components) {}
+  Operator(std::shared_ptr<Points const> points, int components)
+      : points_(std::move(points)), components_(components) {}
+  Operator(Operator const&) = delete;
+  virtual ~Operator() = default;
 
   Points const& points() const { return *points_; }
-  Term term() const { return term_; }
   int components() const { return components_; }
   std::size_t unknowns() const { return std::size_t(points_->lattice().own_nodes()) * std::size_t(components_); }
 
   /// v = A u. Collective.
-  void apply(Real const* u, Real* v) const;
+  virtual void apply(Real const* u, Real* v) const = 0;
   /// Collective.
-  std::vector<Real> diagonal() const;
+  virtual std::vector<Real> diagonal() const = 0;
+  /// The same operator for another degree; `points` are its own on that lattice.
+  virtual std::unique_ptr<Operator> on(std::shared_ptr<Points const> points) const = 0;
+  /// Whether rotations cost nothing, nearly, as in a solid without stress.
+  virtual bool has_rigid_modes() const { return false; }
+
+  /// Call f(part of the lattice, first node among the part's, matrix) for each of this rank's elements with points.
+  /// Rows and columns of an element are its nodes, x fastest, component after component. Local.
+  using TakeMatrix = std::function<void(std::size_t part, LocalIndex corner, std::vector<Real> const& matrix)>;
+  virtual void for_each_element_matrix(TakeMatrix const& f) const = 0;
+
   /// What this rank's elements add to the matrix. An unknown's number is that of its node times the components, plus
   /// its own. Local.
   Entries entries() const;
 
  private:
   std::shared_ptr<Points const> points_;
-  Term term_;
   int components_;
 };
+
+/// (u, v), and (grad u, grad v), each component by itself: 1 or 3.
+std::unique_ptr<Operator> mass(std::shared_ptr<Points const> points, int components);
+std::unique_ptr<Operator> poisson(std::shared_ptr<Points const> points, int components);
 
 // ---- between nodes and points ----
 // Arrays of points hold the components of each side by side; slopes (components, 3) are those in space.

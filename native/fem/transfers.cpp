@@ -36,7 +36,7 @@ struct WriteValues {
 
   template <int C>
   void operator()(std::int64_t block, AtPoint<C>& at) const {
-    V const weight = weights_of(points, block);
+    V const weight = of_block(points.weights(), block);
     for (int c = 0; c < C; ++c) at.value[c] = weight * load<V>(in + (block * C + c) * native_lane_count);
   }
 };

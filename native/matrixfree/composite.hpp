@@ -7,6 +7,8 @@
 #include "matrixfree/composite_field.hpp"
 #include "matrixfree/composite_residual.hpp"
 #include "matrixfree/composite_truncation.hpp"
+#include "matrixfree/fourth_order_field.hpp"
+#include "matrixfree/fourth_order_residual.hpp"
 
 namespace amrpic {
 
@@ -21,10 +23,18 @@ namespace amrpic {
 class CompositeLaplacian {
  public:
   /// `shift`: of the Equation. `hierarchy` is in coordinates stretched by `stretch` already; norms and fields are those
-  /// of the unstretched space. Collective.
+  /// of the unstretched space. `order`: 2, of values at the cells' centres, or 4, of their means. Collective.
   explicit CompositeLaplacian(std::shared_ptr<Hierarchy const> hierarchy, Real shift = 0,
-                              Real3 const& stretch = {1, 1, 1})
-      : mesh_(std::move(hierarchy), shift, stretch) {}
+                              Real3 const& stretch = {1, 1, 1}, int order = 2)
+      : mesh_(std::move(hierarchy), shift, stretch) {
+    if (order == 4) {
+      means_ = std::make_unique<OnMeans>(mesh_, average_);
+      residual_ = std::make_unique<FourthOrderResidual>(mesh_, means_->ghosts);
+    } else {
+      points_ = std::make_unique<OnPoints>(mesh_);
+      residual_ = std::make_unique<SecondOrderResidual>(mesh_, points_->ghosts);
+    }
+  }
   CompositeLaplacian(CompositeLaplacian const&) = delete;  // its parts refer to the mesh
   CompositeLaplacian& operator=(CompositeLaplacian const&) = delete;
 
@@ -44,26 +54,26 @@ class CompositeLaplacian {
   template <class T>
   Real residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
                 Blocks<T> const& residual) {
-    return residual_.residual(source, phi, norm, scale, residual);
+    return residual_->residual(source, phi, norm, scale, residual);
   }
 
   /// The same for a potential of zero: f less what the wall data add to the Laplacian. Collective.
   template <class T>
   Real residual_of_zero(Source const& source, Norm norm, std::vector<Real> const& scale, Blocks<T> const& residual) {
-    return residual_.residual_of_zero(source, norm, scale, residual);
+    return residual_->residual_of_zero(source, norm, scale, residual);
   }
 
   /// Norm of f less what the wall data add to the Laplacian. Collective.
-  Real right_hand_side_norm(Source const& source, Norm norm) { return residual_.right_hand_side_norm(source, norm); }
+  Real right_hand_side_norm(Source const& source, Norm norm) { return residual_->right_hand_side_norm(source, norm); }
 
   /// Integral over uncovered cells of f less what the wall data add to the Laplacian, and of the magnitudes of all
   /// terms of that, in the stretched space. Collective.
   IntegralOfSource integrate_right_hand_side(Source const& source) {
-    return residual_.integrate_right_hand_side(source);
+    return residual_->integrate_right_hand_side(source);
   }
 
   /// Norm of the largest single term of the Laplacian, the diagonal one: what rounding is relative to. Collective.
-  Real diagonal_norm(Field const& phi, Norm norm) { return residual_.diagonal_norm(phi, norm); }
+  Real diagonal_norm(Field const& phi, Norm norm) { return residual_->diagonal_norm(phi, norm); }
 
   /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones,
   /// rounded to T: for each cell what the Laplacian of the next coarser level makes of the mean potentials there, less
@@ -71,9 +81,11 @@ class CompositeLaplacian {
   /// times its spacing; {1, 1, 1} if it has none, which leaves zeros there. Nothing is known of cells at walls, and of
   /// those with covered children. `phi` must be averaged down. Lists are made anew by each call. Returns the largest
   /// magnitude, without the scale. Collective.
+  /// In fourth order it comes from sixth differences, on all levels, and needs nothing coarser.
   template <class T>
   Real truncation(Source const& source, Field const& phi, Index3 const& base_ratio, std::vector<Real> const& scale,
                   Blocks<T> const& truncation) {
+    if (means_) return means_->field.truncation(phi, source.walls, scale, truncation);
     return composite_truncation(mesh_, source, phi, base_ratio, scale, truncation);
   }
 
@@ -81,25 +93,48 @@ class CompositeLaplacian {
   /// must be averaged down, and stay as it is. Collective.
   ElectricField electric_field(std::shared_ptr<Field const> potential, std::vector<Walls> const& walls,
                                CoveredField covered) {
-    return field_.electric_field(std::move(potential), walls, covered);
+    if (means_) return means_->field.electric_field(*potential, walls, covered, Holds::points);
+    return points_->field.electric_field(std::move(potential), walls, covered);
   }
 
+  // ---- in fourth order alone ----
+
+  /// E as `electric_field`, its means or its values at the centres. Collective.
+  ElectricField electric_field(Field const& potential, std::vector<Walls> const& walls, CoveredField covered,
+                               Holds holds) {
+    return means_->field.electric_field(potential, walls, covered, holds);
+  }
+  /// See FourthOrderField. Collective.
+  void to_points(Field const& means, Field& points) { means_->field.to_points(means, points); }
+  void to_means(Field const& points, Field& means) { means_->field.to_means(points, means); }
+
   // What this rank sends in a call of `residual`, besides the norm, and of `add`.
-  Traffic of_residual() const { return mesh_.plan().of_residual(); }
+  Traffic of_residual() const { return means_ ? means_->ghosts.of_visit() : mesh_.plan().of_residual(); }
   Traffic of_add() const { return mesh_.plan().of_average(); }
 
   Hierarchy const& hierarchy() const { return mesh_.hierarchy(); }
   /// Of lists and buffers on this rank.
   std::size_t bytes() const {
-    return mesh_.plan().bytes() + ghosts_.bytes() + average_.bytes() + residual_.bytes() + field_.bytes();
+    std::size_t const of_order = means_ ? means_->ghosts.bytes() : points_->ghosts.bytes() + points_->field.bytes();
+    return mesh_.plan().bytes() + average_.bytes() + residual_->bytes() + of_order;
   }
 
  private:
+  struct OnPoints {
+    explicit OnPoints(CompositeMesh& mesh) : ghosts(mesh), field(mesh, ghosts) {}
+    CompositeGhosts ghosts;
+    CompositeField field;
+  };
+  struct OnMeans {
+    OnMeans(CompositeMesh& mesh, CompositeAverage& average) : ghosts(mesh), field(mesh, ghosts, average) {}
+    FourthOrderGhosts ghosts;
+    FourthOrderField field;
+  };
   CompositeMesh mesh_;
-  CompositeGhosts ghosts_{mesh_};
   CompositeAverage average_{mesh_};
-  CompositeResidual residual_{mesh_, ghosts_};
-  CompositeField field_{mesh_, ghosts_};
+  std::unique_ptr<OnPoints> points_;  ///< in second order
+  std::unique_ptr<OnMeans> means_;    ///< in fourth order
+  std::unique_ptr<CompositeResidual> residual_;
 };
 
 }  // namespace amrpic

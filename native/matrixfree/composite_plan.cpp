@@ -132,8 +132,9 @@ class LevelPlanner {
   Gaps gaps_at(ArrayOnBox<FitNumber> const& fits, Box const& coarse, int f) {
     Gaps out{coarse, {}, {}, std::int32_t(out_.fits_in_gaps.size())};
     out.coarse_parts = parts_of_window(l_ - 1, coarse_near_, coarse, f);
-    out.parts = parts_of_window(l_, refined_near_, coarse.refine(refinement_ratio), f);
-    GapCells const cells(coarse, coarse_near_, refined_near_, finer_);
+    if (gap_fits_take_fine_cells(level_))
+      out.parts = parts_of_window(l_, refined_near_, coarse.refine(refinement_ratio), f);
+    GapCells const cells(level_, coarse, coarse_near_, refined_near_, finer_);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
       if (fits(cell) == fit_in_gap) out_.fits_in_gaps.push_back(&out_.gap_fits(cells.around(cell), f / 2));
     });

@@ -106,6 +106,16 @@ struct LevelPlan {
   std::vector<Family> families;           ///< of this level's boxes and the coarser level
   std::vector<RemoteMeans> remote_means;  ///< for covered cells of this level
   Imports finer_fluxes, finer_means;      ///< from the next finer level
+
+  /// Call f(place of the coarse cell along u, along v, fit) for the fits in gaps behind an interface, u fastest.
+  template <class F>
+  void for_each_gap(Interface const& i, F&& f) const {
+    if (i.gaps < 0) return;
+    auto fit = fits_in_gaps.begin() + gaps[std::size_t(i.gaps)].fits;
+    for (int v = 0; v < i.nv; ++v)
+      for (int u = 0; u < i.nu; ++u)
+        if (fits[std::size_t(i.fits + u + v * i.nu)] == fit_in_gap) f(u, v, **fit++);
+  }
 };
 
 /// All that the composite Laplacian must know of a hierarchy besides the formulas: made of faces and rectangles, so

@@ -28,7 +28,7 @@ void for_each_on_face(Box const& box, int face, int k, F&& f) {
 }  // namespace
 
 /// f - L phi of a plane of cells, into `plane_`; zero in covered ones.
-void CompositeResidual::residual_plane(int l, int b, int k, Source const& source, Field const& phi) {
+void SecondOrderResidual::residual_plane(int l, int b, int k, Source const& source, Field const& phi) {
   Box const& own = mesh_.box(l, b);
   int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
   std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
@@ -69,21 +69,15 @@ void CompositeResidual::residual_plane(int l, int b, int k, Source const& source
 }
 
 /// f less what wall data add to the Laplacian, of a plane of cells; zero in covered ones.
-void CompositeResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
-  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
-  Background const background = source.background;
-  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
-  kernels::for_each_part(0, cells, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
-    fetch<Use::read>(rho + begin + page<Real>, end - begin);
-    for (std::ptrdiff_t i = begin; i < end; ++i) plane_[std::size_t(i)] = background.right_hand_side(rho[i]);
-  });
+void SecondOrderResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
+  source_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] -= term; });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
 /// Call f(place in the plane, term) for what wall data add to the Laplacian in plane k of a box.
 template <class F>
-void CompositeResidual::for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const {
+void SecondOrderResidual::for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const {
   Real3 const& h = mesh_.level(l).spacing();
   for (int face = 0; face < 6; ++face) {
     int const wall = mesh_.plan(l, b).faces[face].wall, axis = face / 2;
@@ -97,18 +91,44 @@ void CompositeResidual::for_each_wall_term(int l, int b, int k, Source const& so
 }
 
 /// The magnitudes of all terms of that, added up; zero in covered cells.
-void CompositeResidual::term_sizes_plane(int l, int b, int k, Source const& source) {
-  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
-  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
-  Real const background = std::abs(source.background.mean);
-  for (std::ptrdiff_t i = 0; i < cells; ++i)
-    plane_[std::size_t(i)] = Background::inverse_permittivity * std::abs(rho[i]) + background;
+void SecondOrderResidual::term_sizes_plane(int l, int b, int k, Source const& source) {
+  source_sizes_plane(l, b, k, source);
   for_each_wall_term(l, b, k, source, [&](std::ptrdiff_t at, Real term) { plane_[std::size_t(at)] += std::abs(term); });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
+/// Call f(cell, weight) for the weights that cells have in the fits in gaps for their own ghosts behind a face of a
+/// box; cells count from the first one of the box.
+template <class F>
+void SecondOrderResidual::for_each_own_share_in_gaps(int l, int b, int face, F&& f) const {
+  Level const& level = mesh_.level(l);
+  int const axis = face / 2, side = face % 2;
+  auto const [u, v] = tangential_axes(axis);
+  Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[face].interface)];
+  Index3 cell, own;  // in the box, and from the first child of the cell behind the face
+  cell[axis] = side == 0 ? 0 : mesh_.box(l, b).extent(axis) - 1, own[axis] = side == 0 ? 2 : -1;
+  auto const is_own = [&](GapFit::Term const& term) {  // or an image of it
+    bool out = term.fine;
+    for (std::size_t d = 0; d < 3; ++d) {
+      int const away = term.offset[d] - own[d];
+      out = out && (level.periodic()[d] ? away % level.domain().extent(int(d)) : away) == 0;
+    }
+    return out;
+  };
+  mesh_.plan(l).for_each_gap(i, [&](int coarse_u, int coarse_v, GapFit const& fit) {
+    for (own[v] = 0; own[v] < 2; ++own[v])
+      for (own[u] = 0; own[u] < 2; ++own[u]) {
+        cell[u] = 2 * (i.u + coarse_u) + own[u], cell[v] = 2 * (i.v + coarse_v) + own[v];
+        Real share = 0;
+        for (auto const& term : fit.terms)
+          if (is_own(term)) share += term.weight[std::size_t(own[v])][std::size_t(own[u])];
+        f(cell, share);
+      }
+  });
+}
+
 /// The diagonal of the Laplacian times phi, of a plane of cells; zero in covered ones.
-void CompositeResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
+void SecondOrderResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
   Box const& own = mesh_.box(l, b);
   Index3 const pitch = pitches(own);
   Real3 const& h = mesh_.level(l).spacing();
@@ -131,6 +151,10 @@ void CompositeResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
         if (mesh_.plan(l).fits[std::size_t(i.fits + a + e * i.nu)] == no_fit) return;
         plane_[std::size_t(at)] += c * interface_ghost::first * cells[at];
       });
+      for_each_own_share_in_gaps(l, b, f, [&](Index3 const& cell, Real share) {
+        std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1];
+        if (cell[2] == k) plane_[std::size_t(at)] += c * interface_ghost::coarse * share * cells[at];
+      });
     }
   }
   mesh_.clear_covered(l, b, k, plane_.data());
@@ -138,11 +162,31 @@ void CompositeResidual::diagonal_plane(int l, int b, int k, Field const& phi) {
 
 // ---- residual and norms ----
 
+/// f of a plane of cells, covered ones included.
+void CompositeResidual::source_plane(int l, int b, int k, Source const& source) {
+  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  Background const background = source.background;
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
+  kernels::for_each_part(0, cells, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
+    fetch<Use::read>(rho + begin + page<Real>, end - begin);
+    for (std::ptrdiff_t i = begin; i < end; ++i) plane_[std::size_t(i)] = background.right_hand_side(rho[i]);
+  });
+}
+
+/// The magnitudes of its terms, added up.
+void CompositeResidual::source_sizes_plane(int l, int b, int k, Source const& source) {
+  std::ptrdiff_t const cells = pitches(mesh_.box(l, b))[2];
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * cells;
+  Real const background = std::abs(source.background.mean);
+  for (std::ptrdiff_t i = 0; i < cells; ++i)
+    plane_[std::size_t(i)] = Background::inverse_permittivity * std::abs(rho[i]) + background;
+}
+
 template <class T>
 Real CompositeResidual::residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
                                  Blocks<T> const& residual) {
   Magnitude magnitude(norm);
-  ghosts_.visit(phi, source.walls, CompositeGhosts::FullyCovered::skip, [&](int l, int b) {
+  visit(phi, source.walls, [&](int l, int b) {
     std::ptrdiff_t const cells = std::ptrdiff_t(mesh_.box(l, b).extent(0)) * mesh_.box(l, b).extent(1);
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       residual_plane(l, b, k, source, phi);

@@ -17,11 +17,12 @@ struct IntegralOfSource {
   Real net, magnitude;
 };
 
-/// Residuals and right-hand sides, plane by plane, and their norms; see CompositeLaplacian.
+/// Residuals and right-hand sides, plane by plane, and their norms; see CompositeLaplacian. How a plane comes about is
+/// the scheme's own.
 class CompositeResidual {
  public:
-  CompositeResidual(CompositeMesh& mesh, CompositeGhosts& ghosts)
-      : mesh_(mesh), ghosts_(ghosts), plane_(mesh.largest_face(2)) {}
+  explicit CompositeResidual(CompositeMesh& mesh) : mesh_(mesh), plane_(mesh.largest_face(2)) {}
+  virtual ~CompositeResidual() = default;
 
   template <class T>
   Real residual(Source const& source, Field const& phi, Norm norm, std::vector<Real> const& scale,
@@ -34,21 +35,52 @@ class CompositeResidual {
 
   std::size_t bytes() const { return plane_.capacity() * sizeof(Real); }
 
+ protected:
+  // Each fills `plane_` for plane k of a box, zero in covered cells.
+  /// f - L phi, of the box under way in `visit`.
+  virtual void residual_plane(int l, int b, int k, Source const& source, Field const& phi) = 0;
+  /// f less what wall data add to the Laplacian.
+  virtual void right_hand_side_plane(int l, int b, int k, Source const& source) = 0;
+  /// The magnitudes of all terms of that, added up.
+  virtual void term_sizes_plane(int l, int b, int k, Source const& source) = 0;
+  /// The diagonal of the Laplacian times phi.
+  virtual void diagonal_plane(int l, int b, int k, Field const& phi) = 0;
+  /// Call f(level, box) for the boxes with uncovered cells, finest level first, with what `residual_plane` takes at
+  /// hand. Collective.
+  virtual void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) = 0;
+
+  void source_plane(int l, int b, int k, Source const& source);
+  void source_sizes_plane(int l, int b, int k, Source const& source);
+
+  CompositeMesh& mesh_;
+  std::vector<Real> plane_;  ///< of the cells under way
+
  private:
-  void residual_plane(int l, int b, int k, Source const& source, Field const& phi);
-  void right_hand_side_plane(int l, int b, int k, Source const& source);
-  void term_sizes_plane(int l, int b, int k, Source const& source);
-  template <class F>
-  void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
-  void diagonal_plane(int l, int b, int k, Field const& phi);
   template <class T>
   void clear_fully_covered(Blocks<T> const& blocks);
   template <class Fill, class Use>
   void for_each_plane(Fill&& fill, Use&& use);
+};
 
-  CompositeMesh& mesh_;
+/// In second order: the seven-point Laplacian.
+class SecondOrderResidual : public CompositeResidual {
+ public:
+  SecondOrderResidual(CompositeMesh& mesh, CompositeGhosts& ghosts) : CompositeResidual(mesh), ghosts_(ghosts) {}
+
+ private:
+  void residual_plane(int l, int b, int k, Source const& source, Field const& phi) override;
+  void right_hand_side_plane(int l, int b, int k, Source const& source) override;
+  void term_sizes_plane(int l, int b, int k, Source const& source) override;
+  void diagonal_plane(int l, int b, int k, Field const& phi) override;
+  void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
+    ghosts_.visit(phi, walls, CompositeGhosts::FullyCovered::skip, f);
+  }
+  template <class F>
+  void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;
+  template <class F>
+  void for_each_own_share_in_gaps(int l, int b, int face, F&& f) const;
+
   CompositeGhosts& ghosts_;
-  std::vector<Real> plane_;  ///< of the cells under way
 };
 
 }  // namespace amrpic

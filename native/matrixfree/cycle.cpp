@@ -46,10 +46,10 @@ GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& ope
 
 constexpr int reach_in_gaps = 4;  ///< how many cells away those lie that fits in gaps take
 
-/// Which levels have gaps behind their faces, on any rank. Collective.
+/// Which levels have gaps behind their faces whose fits take fine cells, on any rank. Collective.
 std::vector<int> levels_with_gaps(Communicator const& comm, MultigridLevels const& multigrid) {
   std::vector<int> out(multigrid.levels.size());
-  for (std::size_t l = multigrid.base + 1; l < out.size(); ++l)
+  for (std::size_t l = multigrid.base + 1; l < out.size() && gap_fits_take_fine_cells(*multigrid.levels[l]); ++l)
     for (BoxFaces const& faces : *multigrid.faces[l])
       for (Box const& gap : gaps_behind(faces, *multigrid.levels[l], *multigrid.levels[l - 1]))
         out[l] = out[l] || !gap.empty();

@@ -45,7 +45,7 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level c
         face.flux_weight = float(fine_face_weight) * coarse_weight[axis];
         face.axis = axis, face.side = side;
         face.parent_normal = patch.cells.stride(axis);
-        add_gaps(face, fits, near, refined, finer, layout);
+        add_gaps(face, fits, near, refined, level, finer, layout);
         faces_.push_back(face);
         plane_.resize(std::max(plane_.size(), std::size_t(face.nu + 2 * margin) * std::size_t(face.nv + 2 * margin)));
         rows_.resize(std::max(rows_.size(), std::size_t(4 * face.nu)));
@@ -55,21 +55,23 @@ InterfaceCells::InterfaceCells(Level const& level, Level const& coarser, Level c
 
 /// The fits in gaps behind a face. `near`, `refined`: parts of the coarser level and of this one around it.
 void InterfaceCells::add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& fits, std::vector<Overlap> const& near,
-                              std::vector<Overlap> const& refined, Level const* finer, Layout const& layout) {
+                              std::vector<Overlap> const& refined, Level const& level, Level const* finer,
+                              Layout const& layout) {
   face.first_gap = gaps_.size(), face.first_part = parts_.size();
   Box const gaps = hull_of_fits(fits, [](FitNumber fit) { return fit == fit_in_gap; });
   if (!gaps.empty()) {
     face.first_child = first_child_of(fits.box().lower);
     face.window = gaps.grow(1).refine(refinement_ratio);
-    GapCells const cells(gaps.grow(1), near, refined, finer);
+    GapCells const cells(level, gaps.grow(1), near, refined, finer);
     for_each_cell(fits.box(), [&](Index3 const& cell) {
       if (fits(cell) == fit_in_gap) gaps_.push_back(&gap_fits_(cells.around(cell), face.axis));
     });
-    layout.for_each_overlap(face.window, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
-      Placement from = block.cells;
-      from.origin = block.place(part.shift_back(shift).lower);
-      parts_.push_back({part, from});
-    });
+    if (gap_fits_take_fine_cells(level))
+      layout.for_each_overlap(face.window, [&](CellBlock const& block, Box const& part, Index3 const& shift) {
+        Placement from = block.cells;
+        from.origin = block.place(part.shift_back(shift).lower);
+        parts_.push_back({part, from});
+      });
   }
   face.gaps = gaps_.size() - face.first_gap, face.parts = parts_.size() - face.first_part;
   taken_.resize(gaps_.size());

@@ -61,7 +61,7 @@ class InterfaceCells {
     Placement from;
   };
   void add_gaps(InterfaceSide& face, ArrayOnBox<FitNumber> const& fits, std::vector<Overlap> const& near,
-                std::vector<Overlap> const& refined, Level const* finer, Layout const& layout);
+                std::vector<Overlap> const& refined, Level const& level, Level const* finer, Layout const& layout);
   void subtract_from_cells(InterfaceSide const& face, int u, int v, FourStars<float> const& stars, Vector& r) const;
   template <class F>
   void for_each_gap(InterfaceSide const& face, F&& f) const;

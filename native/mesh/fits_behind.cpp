@@ -86,13 +86,13 @@ ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overla
   return out;
 }
 
-GapCells::GapCells(Box const& coarse, std::vector<Overlap> const& coarser, std::vector<Overlap> const& refined,
-                   Level const* finer)
+GapCells::GapCells(Level const& level, Box const& coarse, std::vector<Overlap> const& coarser,
+                   std::vector<Overlap> const& refined, Level const* finer)
     : coarse_(coarse, 0), fine_(coarse.refine(refinement_ratio), 0) {
   for (Overlap const& o : coarser) coarse_.fill(o.part, 1);
   for (Overlap const& o : refined) {
     coarse_.fill(o.part.coarsen(refinement_ratio), 0);
-    fine_.fill(o.part, 1);
+    if (gap_fits_take_fine_cells(level)) fine_.fill(o.part, 1);
   }
   if (!finer) return;
   for (Overlap const& o : overlaps(*finer, fine_.box().refine(refinement_ratio)))
@@ -117,6 +117,7 @@ Reads coarse_reads_in_gaps(Level const& level, LevelFaces const& own, Level cons
 }
 
 Reads fine_reads_in_gaps(Level const& level, LevelFaces const& own, Level const& coarser) {
+  if (!gap_fits_take_fine_cells(level)) return {};
   GapsOfBoxes gaps(level, coarser, &own);
   return reads_across_ranks(
       level, level, [](Box const& o) { return o.coarsen(refinement_ratio).grow(2).refine(refinement_ratio); },
@@ -126,6 +127,7 @@ Reads fine_reads_in_gaps(Level const& level, LevelFaces const& own, Level const&
 }
 
 Reads fine_reads_before_gaps(Level const& coarser, Level const& level) {
+  if (!gap_fits_take_fine_cells(level)) return {};
   GapsOfBoxes gaps(level, coarser);
   return reads_across_ranks(
       coarser, level, [](Box const& o) { return o.coarsen(refinement_ratio).grow(2); },
@@ -140,6 +142,7 @@ Reads fine_reads_before_gaps(Level const& coarser, Level const& level) {
 
 std::vector<CellOfBox> cells_behind_gaps(Level const& coarser, Level const& level) {
   std::vector<CellOfBox> out;
+  if (!gap_fits_take_fine_cells(level)) return out;
   std::map<int, std::vector<ArrayOnBox<FitNumber>>> known;  // fits behind the faces of finer boxes
   for (int c = coarser.first_local_box(); c < coarser.last_local_box(); ++c) {
     ArrayOnBox<char> behind(coarser.box(c), 0);

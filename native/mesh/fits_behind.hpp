@@ -31,13 +31,17 @@ Box hull_of_fits(ArrayOnBox<FitNumber> const& fits, Of&& of) {
   return out;
 }
 
+/// Whether fits in gaps take cells of the finer level, too: not where cells are long. There such fits would couple
+/// cells along the long axes as strongly as along the short ones, which no cycle is made for.
+inline bool gap_fits_take_fine_cells(Level const& level) { return !has_long_cells(level); }
+
 /// The usable cells of both levels around gaps.
 class GapCells {
  public:
   /// `coarse`: coarser cells around the gaps; `coarser`, `refined`: parts of them that the coarser level has, and of
   /// their children that the level has; `finer`: the next finer level, null if there is none.
-  GapCells(Box const& coarse, std::vector<Overlap> const& coarser, std::vector<Overlap> const& refined,
-           Level const* finer);
+  GapCells(Level const& level, Box const& coarse, std::vector<Overlap> const& coarser,
+           std::vector<Overlap> const& refined, Level const* finer);
 
   /// Around a coarse cell behind fine faces.
   GapSites around(Index3 const& middle) const { return gap_sites(middle, coarse_, fine_); }

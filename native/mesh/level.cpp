@@ -66,4 +66,9 @@ std::shared_ptr<Level const> Level::seen_by(int rank) const {
   return out;
 }
 
+bool has_long_cells(Level const& level) {
+  auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
+  return is_long(*most, *least);
+}
+
 }  // namespace amrpic

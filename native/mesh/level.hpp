@@ -115,4 +115,11 @@ class Level {
   int rank_;
 };
 
+/// Whether one spacing is so much longer than another that relaxing does not couple cells along it.
+inline bool is_long(Real spacing, Real other) { return spacing > 1.8 * other; }
+
+/// Whether the cells of a level are so long or flat, more than 1.8 to 1, that relaxing points is not enough to smooth
+/// it.
+bool has_long_cells(Level const& level);
+
 }  // namespace amrpic

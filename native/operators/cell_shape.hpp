@@ -4,6 +4,7 @@
 #include <array>
 #include <unordered_map>
 
+#include "mesh/fits_behind.hpp"
 #include "operators/stencil_cells.hpp"
 #include "stencil/gap_fit.hpp"
 #include "stencil/interface.hpp"
@@ -63,6 +64,7 @@ inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis,
                             GapFits& gaps) {
   FaceShape out{n.faces(cell)(axis, side)};
   if (out.beyond == Beyond::finer && execution == Execution::without_finer) out.beyond = Beyond::same_level;
+  bool const takes_fine = gap_fits_take_fine_cells(*n.level);
   if (out.beyond == Beyond::coarser) {
     Index3 outer = cell;
     outer[axis] += side == 0 ? -1 : 1;
@@ -70,12 +72,13 @@ inline FaceShape face_shape(StencilCells const& n, Index3 const& cell, int axis,
     auto const [u, v] = tangential_axes(axis);
     out.upper_u = outer[u] != 2 * behind[u];
     out.upper_v = outer[v] != 2 * behind[v];
-    set_fit(out, behind, axis, n.coarse, n.coarse_covered, gaps,
-            [&](Index3 const& c) { return n.around_gaps().own(c) != no_cell && !n.around_gaps().covered(c); });
+    set_fit(out, behind, axis, n.coarse, n.coarse_covered, gaps, [&](Index3 const& c) {
+      return takes_fine && n.around_gaps().own(c) != no_cell && !n.around_gaps().covered(c);
+    });
   }
   if (out.beyond == Beyond::finer)
     set_fit(out, cell, axis, n.own, n.covered, gaps,
-            [&](Index3 const& c) { return n.fine(c) != no_cell && !n.around_gaps().fine_covered(c); });
+            [&](Index3 const& c) { return takes_fine && n.fine(c) != no_cell && !n.around_gaps().fine_covered(c); });
   if (n.level->periodic()[axis] && n.seam_width[axis] != 1)
     out.seam = seam_factor(cell[axis], side, n.level->domain().extent(axis), n.seam_width[axis]);
   return out;

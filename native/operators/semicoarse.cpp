@@ -161,9 +161,6 @@ class CopyCells {
   std::array<bool, 3> whole_;
 };
 
-/// Whether one spacing is so much longer than another that relaxing does not couple cells along it.
-bool is_long(Real spacing, Real other) { return spacing > 1.8 * other; }
-
 /// By how much to coarsen each axis of a copy: 2 along the axes of smallest spacing, of those that can be coarsened,
 /// while another spacing is about twice that; else all ones.
 Index3 semicoarsening_of(Level const& level, Faces const& boundary) {
@@ -237,11 +234,6 @@ LevelCopy copy_of(Above const& above, Index3 const& ratio, std::shared_ptr<Level
 }
 
 }  // namespace
-
-bool has_long_cells(Level const& level) {
-  auto const [least, most] = std::minmax_element(level.spacing().begin(), level.spacing().end());
-  return is_long(*most, *least);
-}
 
 std::vector<LevelCopy> semicoarse_copies(std::shared_ptr<Level const> const& level, WallGhosts const& walls,
                                          Faces const& boundary, int max_grid_size) {

@@ -10,10 +10,6 @@
 
 namespace amrpic {
 
-/// Whether the cells of a level are so long or flat, more than 1.8 to 1, that relaxing points is not enough to smooth
-/// it.
-bool has_long_cells(Level const& level);
-
 /// Over-relaxation, less one, that is best where the potential is screened, over that where it is not: 2 / (1 + sqrt(1
 /// - r^2)) - 1 with the factor r by which a Jacobi step multiplies errors that vary along one axis of three (Yavneh,
 /// SIAM J. Sci. Comput. 17, 180, 1996), on cells of twice the width. So it was best on nested levels for kappa h from

@@ -4,6 +4,8 @@
 #include <memory>
 #include <vector>
 
+#include "base/error.hpp"
+#include "matrixfree/fourth_order_field.hpp"
 #include "mesh/electric_field.hpp"
 #include "mesh/field.hpp"
 #include "operators/walls.hpp"
@@ -52,6 +54,11 @@ class Backend {
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   virtual ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) = 0;
 
+  // In fourth order alone: E, points and means, see FourthOrderField.
+  virtual ElectricField electric_field_as(Field const&, CoveredField, Holds) { throw SolverError(of_fourth_order); }
+  virtual void to_points(Field const&, Field&) { throw SolverError(of_fourth_order); }
+  virtual void to_means(Field const&, Field&) { throw SolverError(of_fourth_order); }
+
   /// The operators of a level as compressed rows, those of E among them; assembled now if the backend has none.
   virtual LevelOperators const& operators_with_gradient(int level) = 0;
 
@@ -63,6 +70,7 @@ class Backend {
   Stopwatch& stopwatch() { return stopwatch_; }
 
  protected:
+  static constexpr char const* of_fourth_order = "means of cells are what a solver of order 4 knows; set order to 4";
   Stopwatch stopwatch_;
 };
 

@@ -205,6 +205,7 @@ void CrsBackend::start(Field& phi, bool /*is_zero*/) {
     own.scale(1 / unit_);
   }
   krylov_ = make_krylov(options_.krylov, equations());
+  if (krylov_) find_cells_behind_gaps();
 }
 
 void CrsBackend::finish() {
@@ -289,6 +290,11 @@ void CrsBackend::improve() {
 void CrsBackend::accelerate() {
   if (krylov_) return;
   krylov_ = make_krylov(KrylovKind::fgmres, equations());
+  find_cells_behind_gaps();
+}
+
+/// When they are first needed. Collective.
+void CrsBackend::find_cells_behind_gaps() {
   if (std::exchange(knows_gaps_, true)) return;
   Real found = 0;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {

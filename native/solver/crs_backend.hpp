@@ -54,6 +54,7 @@ class CrsBackend : public Backend {
   void multiply(CompositeVector const& x, int l, Real scale, LevelVector& out) const;
   void compute_residual();
   CompositeEquations equations();
+  void find_cells_behind_gaps();
   void relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const;
   void set_truncation();
   void difference_covered(std::array<Field*, 3> const& components);

@@ -33,6 +33,12 @@ class MatrixFreeBackend : public Backend {
 
   ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) override;
 
+  ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) override {
+    return composite_.electric_field(potential, problem_.walls, covered, holds);
+  }
+  void to_points(Field const& means, Field& points) override { composite_.to_points(means, points); }
+  void to_means(Field const& points, Field& means) override { composite_.to_means(points, means); }
+
   LevelOperators const& operators_with_gradient(int level) override;
 
   std::int64_t assemblies() const override { return shown_.operators.empty() ? 0 : 1; }
@@ -59,6 +65,8 @@ class MatrixFreeBackend : public Backend {
   /// Of each level, places in the cycle's vectors; empty until first used, and where no rank has any.
   std::vector<std::vector<std::size_t>> behind_gaps_;
   bool knows_gaps_ = false;
+  std::array<Real, 2> steps_;  ///< factors of corrections, in turn
+  std::size_t cycles_ = 0;     ///< since `start`
   MinimalResidual corrections_;
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2

@@ -36,7 +36,10 @@ NodeSolution solve_nodes(fem::Operator const& a, Real const* f, bool const* fixe
       if (fixed[i]) v[i] = 0;
   };
   std::unique_ptr<NodeMultigrid> multigrid;
-  if (preconditioner == NodePreconditioner::p_multigrid) multigrid = std::make_unique<NodeMultigrid>(a, inverse);
+  if (preconditioner == NodePreconditioner::p_multigrid)
+    multigrid = std::make_unique<NodeMultigrid>(a, inverse, CornerCycle::halving);
+  if (preconditioner == NodePreconditioner::p_multigrid_by_aggregates)
+    multigrid = std::make_unique<NodeMultigrid>(a, inverse, CornerCycle::aggregation);
   NodeSolution out;
   out.u.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i)

@@ -7,7 +7,7 @@
 
 namespace amrpic {
 
-enum class NodePreconditioner { none, jacobi, p_multigrid };
+enum class NodePreconditioner { none, jacobi, p_multigrid, p_multigrid_by_aggregates };
 
 struct NodeSolution {
   std::vector<Real> u;  ///< this rank's unknowns

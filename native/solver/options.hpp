@@ -50,6 +50,7 @@ struct SolverOptions {
   Norm norm = Norm::max;
   BackendKind backend = BackendKind::matrix_free;  ///< the fastest
   matrixfree::Kernels kernels = matrixfree::Kernels::tuned;
+  int order = 2;  ///< 2: of values at the cells' centres; 4: of their means, matrix-free alone
   int max_cycles = 100;
   SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and the same on any decomposition
   int pre_sweeps = 2, post_sweeps = 2;

@@ -177,8 +177,7 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
       stuck = factor > 0.98 ? stuck + 1 : 0;
-      if (report.cycles > 2 && !options_.to_discretisation && is_slow(residual, factor, report.cycles))
-        backend_->accelerate();
+      if (report.cycles > 2 && !options_.to_discretisation && is_slow(report.residuals)) backend_->accelerate();
     }
     since_lowest = residual < 0.8 * lowest ? 0 : since_lowest + 1;
     if (since_lowest == 0) lowest = residual;
@@ -202,12 +201,17 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
 }
 
 /// Whether so many cycles, and those to come at the pace of the latest one, are more than nine for ten digits, or
-/// eleven where cells are long.
-bool PoissonSolver::is_slow(Real residual, Real factor, int cycles) const {
+/// eleven where cells are long; in fourth order at the pace of the latest two, whose steps differ, four more, or eight
+/// with Dirichlet walls.
+bool PoissonSolver::is_slow(std::vector<Real> const& residuals) const {
+  Real const residual = residuals.back();
+  std::size_t const cycles = residuals.size() - 1, back = options_.order == 4 && cycles > 1 ? 2 : 1;
+  Real const factor = std::pow(residual / residuals[cycles - back], Real(1) / Real(back));
   if (factor >= 1) return true;
   Real const tolerance = std::clamp(options_.tolerance, 1e-10, 0.1);
-  Real const most = has_long_cells(hierarchy_->level(0)) ? 11 : 9;
-  return cycles + std::log(tolerance / residual) / std::log(factor) > most * std::log10(1 / tolerance) / 10;
+  Real most = has_long_cells(hierarchy_->level(0)) ? 11 : 9;
+  if (options_.order == 4) most += hierarchy_->domain().has(Boundary::dirichlet) ? 8 : 4;
+  return Real(cycles) + std::log(tolerance / residual) / std::log(factor) > most * std::log10(1 / tolerance) / 10;
 }
 
 /// Whether what the cycles to come would still change is a tenth of the error of the mesh: the latest correction times

@@ -44,6 +44,13 @@ class PoissonSolver {
     return backend_->electric_field(std::move(potential), covered);
   }
 
+  // Of a solver of order 4; see FourthOrderField. Collective.
+  ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) {
+    return backend_->electric_field_as(potential, covered, holds);
+  }
+  void to_points(Field const& means, Field& points) { backend_->to_points(means, points); }
+  void to_means(Field const& points, Field& means) { backend_->to_means(points, means); }
+
   Hierarchy const& hierarchy() const { return *given_; }
   /// The operators of a level as compressed rows, which are made for this where the backend does without. Collective at
   /// the first call.
@@ -61,7 +68,7 @@ class PoissonSolver {
   Real rounding_floor() const;
   void check_size(Real right_hand_side) const;
   void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
-  bool is_slow(Real residual, Real factor, int cycles) const;
+  bool is_slow(std::vector<Real> const& residuals) const;
   bool below_discretisation(SolveReport& report);
 
   std::shared_ptr<Hierarchy const> given_;

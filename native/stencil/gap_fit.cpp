@@ -1,5 +1,7 @@
 #include "stencil/gap_fit.hpp"
 
+#include <algorithm>
+
 #include "gmls/problem.hpp"
 #include "stencil/interface.hpp"
 
@@ -60,9 +62,38 @@ struct Problems {
   }
 };
 
+/// The value of the middle cell, with a slope along each axis of the plane from what neighbours there are.
+GapFit linear_fit(GapSites const& sites, int axis) {
+  GapFit out{{{false, {0, 0, 0}, {{{1, 1}, {1, 1}}}}}};
+  auto const [u, v] = tangential_axes(axis);
+  for (int d : {u, v}) {
+    constexpr int middle = 13;
+    int const step = d == 0 ? 1 : d == 1 ? 3 : 9;
+    bool const below = sites.coarse >> (middle - step) & 1, above = sites.coarse >> (middle + step) & 1;
+    Real const share = below && above ? 0.5 : 1;  // of a one-sided difference
+    for (int side : {-1, 1}) {
+      if (!(side < 0 ? below : above)) continue;
+      GapFit::Term term{false, {0, 0, 0}, {}};
+      term.offset[std::size_t(d)] = std::int8_t(side);
+      for (std::size_t b = 0; b < 2; ++b)
+        for (std::size_t a = 0; a < 2; ++a) {
+          term.weight[b][a] = share * side * quarter((d == u ? a : b) != 0);
+          out.terms.front().weight[b][a] -= term.weight[b][a];
+        }
+      out.terms.push_back(term);
+    }
+  }
+  return out;
+}
+
+bool has_fine_cells(GapSites const& sites) {
+  return std::any_of(sites.children.begin(), sites.children.end(), [](auto children) { return children != 0; });
+}
+
 }  // namespace
 
 GapFit gap_fit(GapSites const& sites, int axis) {
+  if (!has_fine_cells(sites)) return linear_fit(sites, axis);
   Sites all(sites);
   Problems const problems(all, axis);
   Real const one = 1;

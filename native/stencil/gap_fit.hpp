@@ -49,7 +49,9 @@ struct GapFit {
 
 /// The fit of phi* where none of the nine blocks of coarse cells in its plane is complete, as in gaps of few cells: by
 /// moving least squares, quadratic in space, to the usable cells within three fine widths, in units of the cells, with
-/// weights (1 - (r / 3)^2)^2. Where these do not determine it the fit is linear, else constant. `axis`: the normal.
+/// weights (1 - (r / 3)^2)^2. Where these do not determine it the fit is linear, else constant. Without fine cells, as
+/// where cells are long, it is the value of the cell behind the face with a slope along each axis of the plane, from
+/// one neighbour or two; the mean of the four is that cell's value then. `axis`: the normal.
 GapFit gap_fit(GapSites const& sites, int axis);
 
 /// The fits that were asked for, each made once: cells have few different surroundings. They stay where they are.

@@ -13,24 +13,31 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import fem
+from amrpic import fem, mpm
 from amrpic.verify import operators
 from amrpic.verify.operators import SOLUTIONS, difference, errors, exact, orders, source
+from amrpic.verify.press import exact_stress
 from amrpic.verify.table import Goal
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_the_page_runs():
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "mpm.md").read_text(encoding="utf-8"), re.DOTALL)
+    block, of_solids = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "mpm.md").read_text(encoding="utf-8"), re.DOTALL
+    )
     seen: dict[str, Any] = {}
     exec(block, seen)
     assert seen["u"].max() == pytest.approx(0.0562, rel=0.01)  # of -Δu = 1 in the unit cube, at its centre
+    exec(of_solids, seen)
+    assert seen["stress"][:, 2, 2] == pytest.approx(exact_stress(seen["rubber"], 0.96)[0], rel=1e-6)
 
 
 def test_public_names_have_docstrings():
-    for name in fem.__all__:
-        thing = getattr(fem, name)
+    for package, name in [*((fem, name) for name in fem.__all__), *((mpm, name) for name in mpm.__all__)]:
+        thing = getattr(package, name)
+        if not (inspect.isclass(thing) or callable(thing)):
+            continue
         assert inspect.getdoc(thing), name
         for key, member in vars(thing).items() if inspect.isclass(thing) else ():
             if not key.startswith("_") and (inspect.isfunction(member) or isinstance(member, property)):
@@ -40,7 +47,7 @@ def test_public_names_have_docstrings():
 def test_particle_in_cell_loads_no_elements():
     loads = "import sys, amrpic, amrpic.commands.main, amrpic.commands.run, amrpic.run.simulation, amrpic.io.checkpoint_reader"
     done = subprocess.run(
-        [sys.executable, "-c", f"{loads}; print([m for m in sys.modules if m.startswith('amrpic.fem')])"],
+        [sys.executable, "-c", f"{loads}; print([m for m in sys.modules if m.startswith(('amrpic.fem', 'amrpic.mpm'))])"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert done.stdout.strip() == "[]"

@@ -186,6 +186,19 @@ def test_with_bounds_no_value_is_outside(order, cells):
     assert np.ptp(whole(carry_over(field, in_the_middle(MPI.COMM_SELF, 16, at=0.0), order, "neighbours"), 0)) <= 1
 
 
+@pytest.mark.parametrize("bounds", [(0.0, np.inf), (-np.inf, 1.0), (-np.inf, np.inf)])
+def test_one_bound_is_enough_and_keeps_the_integral(bounds):
+    field = steps(in_the_middle(MPI.COMM_SELF, 16))
+    to = in_the_middle(MPI.COMM_SELF, 20, at=0.0)
+    found, free = (field.remap(to, 4, given) for given in (bounds, None))
+    assert bounds[0] <= found.min() and found.max() <= bounds[1]
+    assert found.integral() == pytest.approx(field.integral(), rel=1e-14, abs=0)
+    if bounds == (-np.inf, np.inf):
+        assert (found - free).max_abs() < 1e-15
+    else:
+        assert (found - free).max_abs() > 1e-3
+
+
 def test_bounds_by_neighbours_are_those_of_the_cells_that_touch():
     field = steps(Hierarchy(MPI.COMM_SELF, domain(16), (), 16, 4))
     to = Hierarchy(MPI.COMM_SELF, domain(16), [[((0, 0, 0), (31, 31, 31))]], 32, 4)
@@ -300,6 +313,10 @@ def test_vectors_are_carried_component_by_component():
         (lambda f, to: f.remap(to, order=5), InputError, "the order of the fit is 5; use 1, 2, 3 or 4"),
         (lambda f, to: f.remap(to, order=True), InputError, "the order of the fit is True; use 1, 2, 3 or 4"),
         (lambda f, to: f.remap(to, order="3"), InputError, "the order of the fit is '3'; use 1, 2, 3 or 4"),
+        (lambda f, to: f.remap(to, order=2.0), InputError, "the order of the fit is 2.0; use 1, 2, 3 or 4"),
+        (lambda f, to: f.remap(to, order=np.arange(3)), InputError, r"fit is array\(\[0, 1, 2\]\); use 1, 2, 3 or 4"),
+        (lambda f, to: carry_over(f, f.hierarchy, 3.0), InputError, "is 3.0; use 2, 3 or 4"),
+        (lambda f, to: f.remap(to, bounds="05"), InputError, "bounds are '05'; use \"neighbours\", or the least"),
         (lambda f, to: carry_over(f, f.hierarchy, 1), InputError, "is 1; use 2, 3 or 4"),
         (lambda f, to: f.remap(to, bounds="none"), InputError, "bounds are 'none'; use \"neighbours\", or the least"),
         (lambda f, to: f.remap(to, bounds=(1, 2, 3)), InputError, r"bounds are \(1, 2, 3\); use \"neighbours\""),

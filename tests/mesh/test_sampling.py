@@ -156,6 +156,8 @@ def test_vectors_are_sampled_component_by_component():
     [
         ({"order": 5}, "the order of a sample is 5; use 1, 2, 3 or 4"),
         ({"order": 0}, "the order of a sample is 0; use 1, 2, 3 or 4"),
+        ({"order": 1.0}, "the order of a sample is 1.0; use 1, 2, 3 or 4"),
+        ({"order": np.arange(3)}, r"the order of a sample is array\(\[0, 1, 2\]\); use 1, 2, 3 or 4"),
         ({"order": True}, "the order of a sample is True; use 1, 2, 3 or 4"),
         ({"order": "3"}, "the order of a sample is '3'; use 1, 2, 3 or 4"),
         ({"what": "curl"}, "'curl' cannot be sampled; use \"value\" or \"gradient\""),

@@ -11,9 +11,9 @@ import hierarchies
 from amrpic import _native
 from amrpic.parallel import traffic
 from amrpic.particles.clouds import Clouds
-from amrpic.particles.particles import Particles
+from amrpic.particles.particles import Particles, cut
 from amrpic.stages.deposit import deposit
-from amrpic.stages.migrate import migrate, share_out, weights
+from amrpic.stages.migrate import arranged, migrate, share_out, weights
 from amrpic.stages.push import random_walk
 from particle_cases import ONE_KIND, everywhere, hierarchy_of, scattered
 
@@ -159,3 +159,40 @@ def test_messages_of_a_deposit_are_those_that_follow_from_boxes_and_servers(comm
     assert sent[1].bytes - sent[0].bytes == 8 * parts[others, 3].sum()
     assert sent[1].messages - sent[0].messages == len(np.unique(owner[others]))
     assert sent[1].collectives == sent[0].collectives
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=120)
+@pytest.mark.parametrize("equal", [False, True], ids=["own weights", "equal weights"])
+def test_particles_that_came_in_parts_are_arranged_as_if_they_had_come_at_once(comm, equal):
+    for hierarchy, made in [
+        one_cell(comm),
+        *((h, scattered(h, 500)) for h in (hierarchy_of(c, comm) for c in CASES[::5])),
+    ]:
+        here, _ = migrate(made, hierarchy)
+        if equal:
+            here = Particles(here.position, here.momentum, np.broadcast_to(2.5, len(here)), here.id, here.species)
+        servers = share_out(comm, *weights(here, hierarchy))
+        whole, _ = migrate(here, hierarchy, servers)
+        mixed = whole.select(np.random.default_rng(comm.rank).permutation(len(whole)))
+        if equal:
+            mixed = mixed.with_weight(np.broadcast_to(2.5, len(mixed)))
+        expected, _ = migrate(mixed, hierarchy, servers)
+        parts = cut([mixed], 3)
+        assert [len(part) for part in parts] == np.diff(len(mixed) * np.arange(4) // 3).tolist()
+        found = arranged(parts, hierarchy, servers)
+        assert parts == [] and found.equal_weights == expected.equal_weights
+        for one, other in zip(found.arrays, expected.arrays, strict=True):
+            assert np.array_equal(one, other)
+        sorting, wanted = found.sorted_on(hierarchy), expected.sorted_on(hierarchy)
+        assert np.array_equal(sorting.starts, wanted.starts)
+        assert np.array_equal(sorting.remote.bricks, wanted.remote.bricks)
+
+
+@pytest.mark.mpi(ranks=(2,))
+def test_particles_of_other_servers_cannot_be_arranged(comm):
+    hierarchy, particles = one_cell(comm)
+    here, _ = migrate(particles, hierarchy)
+    servers = here.sorted_on(hierarchy).servers
+    none_here = np.array([0, 0, servers[-1]] if comm.rank == 0 else [0, servers[-1], servers[-1]])
+    with pytest.raises(ValueError, match="must be with their servers"):
+        arranged([here], hierarchy, none_here)

@@ -61,7 +61,11 @@ def test_the_field_is_solved_anew_for_the_same_particles(comm, tmp_path, changed
     # what is solved does not depend on the potential that was carried over
     phi, report = amrpic.PoissonSolver(run.hierarchy, tolerance=1e-11).solve(run.rho)
     assert (run.phi - phi).max_abs() < 1e-9 * phi.max_abs() and run.report.converged
-    assert run.report.residuals[0] < 0.6 * report.residuals[0], "the guess is no better than zero"
+    # the potential carried over belongs to the charge as the other mesh held it: what differs is the first residual
+    other_charge = (run.rho - before.rho.remap(run.hierarchy)).max_abs() / run.rho.max_abs()
+    assert run.report.residuals[0] < (1.1 * other_charge + 0.02) * report.residuals[0], (
+        "the guess is no better than zero"
+    )
     carried = before.phi.remap(run.hierarchy)
     assert (carried - run.phi).norm() < 0.1 * run.phi.norm()
     run.advance(2)

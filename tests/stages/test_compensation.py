@@ -153,11 +153,14 @@ def test_compensation_adds_no_force_on_itself_near_faces_where_clouds_are_matche
 
 @pytest.mark.mpi(ranks=(1, 2, 3, 4))
 @pytest.mark.parametrize("matched", [False, True])
-@pytest.mark.parametrize("boundary", ["open", "periodic"])
+@pytest.mark.parametrize(
+    "boundary", ["open", "periodic", {"x": ("dirichlet", "neumann"), "y": "periodic", "z": "neumann"}], ids=str
+)
 def test_field_does_not_depend_on_boxes_and_ranks(comm, matched, boundary):
     position = np.random.default_rng(5).random((4000, 3)) ** 0.7
-    alone = Hierarchy(MPI.COMM_SELF, Domain(lower=0, upper=1, cells=CELLS), LEVELS, max_grid_size=64, blocking_factor=4)
-    cut = Hierarchy(comm, Domain(lower=0, upper=1, cells=CELLS), LEVELS, max_grid_size=8, blocking_factor=4)
+    domain = Domain(lower=0, upper=1, cells=CELLS, boundary=boundary)
+    alone = Hierarchy(MPI.COMM_SELF, domain, LEVELS, max_grid_size=64, blocking_factor=4)
+    cut = Hierarchy(comm, domain, LEVELS, max_grid_size=8, blocking_factor=4)
     clouds = Clouds("triangular-shaped-cloud", matched, "clouds-and-mesh")
     one = added(MPI.COMM_SELF, alone, position, clouds)
     other = added(comm, cut, position, clouds)

@@ -351,8 +351,11 @@ def named_cases() -> list[Case]:
     ]
 
 
-def random_case(seed: int) -> Case:
-    """Return a hierarchy of scattered blocks; boundary, sizes, widths and number of levels are drawn from the seed."""
+def random_case(seed: int, long_cells: bool = True) -> Case:
+    """Return a hierarchy of scattered blocks; boundary, sizes, widths and number of levels are drawn from the seed.
+
+    `long_cells`: cells are of any shape; else none is longer than 1:1.7.
+    """
     rng = np.random.default_rng(seed)
     blocking_factor = int(rng.choice([2, 2, 4]))
     cells = tuple(int(n) for n in rng.choice([6, 8, 10] if blocking_factor == 2 else [8, 12], size=3))
@@ -364,6 +367,8 @@ def random_case(seed: int) -> Case:
     shapes = alone if rng.random() < 0.5 else deep[: int(rng.integers(2, 4))]
     upper = tuple(float(x) for x in (-1, 0.5, 0) + 2 * rng.choice([0.5, 1.0, 1.3, 2.0], size=3))
     size = int(rng.choice([blocking_factor, 2 * blocking_factor, 8]))
+    if not long_cells:
+        upper = tuple(float(x) for x in (-1, 0.5, 0) + 0.1 * np.array(cells) * rng.choice([1.0, 1.3, 1.7], size=3))
     for count in range(len(shapes), 0, -1):  # scattered blocks may leave no room for the deepest level
         try:
             return make(f"scattered {seed}", cells, boundary, blocking_factor, shapes[:count], size, upper)  # type: ignore[arg-type]

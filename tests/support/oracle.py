@@ -57,8 +57,9 @@ PLACEMENTS = (
 )
 IN_GAPS = ("in a gap, constant", "in a gap, linear", "in a gap, quadratic")  # by the order of the fit
 QUADRATIC_FITS = frozenset(name for name, _, _ in PLACEMENTS) | {IN_GAPS[2]}
-LINEAR_FITS = QUADRATIC_FITS | {IN_GAPS[1]}
-FITS = (*(name for name, _, _ in PLACEMENTS), IN_GAPS[2])
+LINES = ("in a gap of long cells, constant", "in a gap of long cells, one slope", "in a gap of long cells, two slopes")
+LINEAR_FITS = QUADRATIC_FITS | {IN_GAPS[1], LINES[2]}
+FITS = (*(name for name, _, _ in PLACEMENTS), IN_GAPS[2], *LINES)
 
 
 @cache
@@ -93,6 +94,7 @@ def product(columns: tuple[int, ...], rows: tuple[int, ...], at: tuple[Fraction,
 
 REACH = 3.0  # fine widths
 LARGEST_SUM = 20.0  # of the magnitudes of the weights
+LONG = 1.8  # aspect ratio of cells beyond which they are
 
 
 def monomials(order: int, x: np.ndarray) -> np.ndarray:
@@ -301,8 +303,7 @@ class Oracle:
         found = fit(lambda i, j: self.is_usable(level - 1, coarse(i, j)), at)
         form: Form = {}
         if found is None:
-            order, star = self.fit_in_space(level, ghost, axis, side)
-            self.interfaces[Wall(level, cell, axis, side)] = IN_GAPS[order]
+            self.interfaces[Wall(level, cell, axis, side)], star = self.fit_in_gap(level, ghost, axis, side)
             add(form, star, 8 / 15)
         else:
             self.interfaces[Wall(level, cell, axis, side)] = found[0]
@@ -314,9 +315,11 @@ class Oracle:
         add(form, {Phi(level, self.inward(level, cell, axis, side)): -1 / 5})
         return form
 
-    def fit_in_space(self, level: int, ghost: Cell, axis: int, side: int) -> tuple[int, Form]:
-        """Return phi* half a fine width further out than the ghost's centre, and the order of the fit: to all uncovered cells
-        of both levels within the reach, in units of the cells."""
+    def fit_in_gap(self, level: int, ghost: Cell, axis: int, side: int) -> tuple[str, Form]:
+        """Return phi* half a fine width further out than the ghost's centre, and the name of the fit: to all uncovered cells
+        of both levels within the reach, in units of the cells; where cells are long, by lines through the cell behind."""
+        if max(self.spacing[level]) > LONG * min(self.spacing[level]):
+            return self.fit_by_lines(level, ghost, axis)
         place = np.array(ghost) + 0.5
         place[axis] += 0.5 * side
         found: list[tuple[Phi, np.ndarray]] = []
@@ -331,7 +334,24 @@ class Oracle:
         form: Form = {}
         for (key, _), weight in zip(found, weights, strict=True):
             add(form, {key: float(weight)})
-        return order, form
+        return IN_GAPS[order], form
+
+    def fit_by_lines(self, level: int, ghost: Cell, axis: int) -> tuple[str, Form]:
+        """Return the name of the fit and phi*, from the coarse cell behind a face by differences in its plane."""
+        middle = parent(ghost)
+        first = self.wrapped(level - 1, middle)
+        assert first is not None
+        form: Form = {Phi(level - 1, first): 1.0}
+        slopes = 0
+        for d in (other for other in range(3) if other != axis):
+            near = [self.wrapped(level - 1, shifted(middle, d, side)) for side in (-1, 1)]
+            ends = [first if cell is None or not self.is_usable(level - 1, cell) else cell for cell in near]
+            distance = sum(end != first for end in ends)
+            slopes += distance > 0
+            for end, sign in zip(ends, (-1, 1), strict=True):
+                if distance:
+                    add(form, {Phi(level - 1, end): sign * (ghost[d] % 2 - 0.5) / 2 / distance})
+        return LINES[slopes], form
 
     def slope(self, level: int, cell: Cell, axis: int, side: int, composite: bool) -> Form:
         """Return the outward derivative of phi at a face; on the composite grid a refined neighbour gives its mean."""

@@ -1,0 +1,28 @@
+"""Solids that are carried by material points, on a background mesh of `amrpic.fem`. See docs/mpm.md."""
+
+from .carry import carried
+from .damage import DamageReport, Settled, damage_field, settle
+from .equilibrium import EquilibriumReport, equilibrium
+from .loads import LoadStep, in_steps
+from .materials import Damage, Material, NeoHookean, Ogden
+from .solid import Response, Solid, States, Tangent
+
+__all__ = [
+    "Damage",
+    "DamageReport",
+    "EquilibriumReport",
+    "LoadStep",
+    "Material",
+    "NeoHookean",
+    "Ogden",
+    "Response",
+    "Settled",
+    "Solid",
+    "States",
+    "Tangent",
+    "carried",
+    "damage_field",
+    "equilibrium",
+    "in_steps",
+    "settle",
+]

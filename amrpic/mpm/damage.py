@@ -1,0 +1,115 @@
+"""Damage of a solid, and its equilibrium with damage, in turns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _native
+from ..errors import SolverError
+from ..fem import Operator, Points, solve
+from ..parallel import global_sum
+from .equilibrium import EquilibriumReport, equilibrium
+from .solid import Solid
+
+LINEAR_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class DamageReport:
+    """How displacement and damage came together; the same on all ranks."""
+
+    converged: bool
+    turns: int
+    residuals: Sequence[
+        float
+    ]  # of equilibrium with the damage that it led to, over the size of forces, after each turn
+    equilibria: Sequence[EquilibriumReport]
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A solid in equilibrium: its displacement (nodes, 3) in m, damage at nodes, and what points have seen."""
+
+    displacement: np.ndarray
+    damage: np.ndarray
+    solid: Solid
+
+
+class _DamageOperator(Operator):
+    def __init__(self, points: Points, native: _native.FemOperator) -> None:
+        self.points, self.mesh, self.components, self.native = points, points.mesh, 1, native
+
+
+def damage_field(
+    solid: Solid, driving: np.ndarray, *, fixed: ArrayLike | None = None, values: ArrayLike | float = 0.0
+) -> np.ndarray:
+    """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
+
+    2 (1 - k)(1 - d) H = G/ℓ (d - ℓ² Δd), which is linear in d: integrals are over initial volumes, gradients in the mesh as it
+    is. Nodes that are `fixed` have `values`; those whose elements hold no material that breaks have none. SolverError on all
+    ranks if the solve does not end.
+    """
+    surface, length = solid.surface_and_length()
+    left = np.array([2 * (1 - m.damage.residual) if m.damage else 0.0 for m in solid.materials])[solid.material]
+    source = np.ascontiguousarray(left * driving)
+    points = solid.points
+    operator = _DamageOperator(points, _native.mpm_damage(points.native, solid.initial_volume, source, surface, length))
+    mask = np.zeros(len(solid.mesh.node_indices), dtype=bool) if fixed is None else np.asarray(fixed)
+    empty = operator.diagonal() <= 0
+    held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
+    right = points.integrate(source * (surface > 0) / solid.j)
+    d, report = solve(
+        operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=LINEAR_TOLERANCE
+    )
+    if not report.converged:
+        raise SolverError(f"damage was not found in {report.iterations} iterations: {report.reason}")
+    return d
+
+
+def settle(
+    solid: Solid,
+    *,
+    fixed: ArrayLike,
+    tolerance: float = 1e-8,
+    most_turns: int = 100,
+    start: ArrayLike | None = None,
+    **conditions: Any,
+) -> tuple[Settled, DamageReport]:
+    """Return the equilibrium of a solid that may break, and how it was found. Collective.
+
+    Displacement and damage are found in turns, each with the other as it is, until the displacement is in equilibrium with the
+    damage that it leads to, to `tolerance`. `conditions` and the rest are those of `equilibrium`. The driving energy of points
+    grows from what the solid had before, whatever turns pass through. What was reached is returned, converged or not.
+    """
+    u, breaks = start, any(m.damage for m in solid.materials)
+    now, nodes = solid, np.zeros(len(solid.mesh.node_indices))
+    residuals: list[float] = []
+    reports: list[EquilibriumReport] = []
+    for _ in range(most_turns):
+        u, report = equilibrium(now, fixed=fixed, tolerance=tolerance, start=u, **conditions)
+        reports.append(report)
+        if not report.converged or not breaks:
+            residuals.append(report.residuals[-1] / (report.size or 1))
+            break
+        driving = np.maximum(solid.driving, now.states(u).driving)
+        nodes = damage_field(solid, driving)
+        now = solid.with_damage(np.clip(solid.points.values(nodes), 0, 1), driving)
+        residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
+        if residuals[-1] <= tolerance:
+            break
+    assert isinstance(u, np.ndarray)
+    converged = reports[-1].converged and residuals[-1] <= tolerance
+    return Settled(u, nodes, now), DamageReport(converged, len(reports), residuals, reports)
+
+
+def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:
+    """The L2 norm of what is not in equilibrium. Collective."""
+    residual = solid.respond(u).force - (0.0 if load is None else np.asarray(load))
+    mask = np.asarray(fixed)
+    free = np.where(mask if mask.ndim == 2 else mask[:, None], 0.0, residual)
+    return float(np.sqrt(global_sum(solid.mesh.comm, float((free**2).sum()))))

@@ -1,0 +1,159 @@
+"""Equilibrium of a solid by Newton's method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError
+from ..fem import solve
+from ..fem.points import checked_vector
+from ..fem.solve import Coarse, Preconditioner
+from ..parallel import global_sum, together
+from .solid import Form, Response, Solid
+
+FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.1, 0.9  # Eisenstat and Walker, choice 2
+ENOUGH = 1e-4  # part of the expected fall that a step must reach
+MOST_CUTS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class EquilibriumReport:
+    """How Newton's method went; the same on all ranks."""
+
+    converged: bool
+    reason: str
+    residuals: Sequence[float] = field(repr=False)  # N, L2 over free unknowns, before each iteration and at the end
+    size: float  # N, L2 of internal forces and loads of all nodes: the residual is measured by it
+    gradients: Sequence[int]  # iterations of CG, for each of Newton's
+    lengths: Sequence[float]  # of steps, 1 unless the line search cut them
+    energy: float  # J
+
+    @property
+    def iterations(self) -> int:
+        """How many of Newton's there were."""
+        return len(self.gradients)
+
+
+def equilibrium(
+    solid: Solid,
+    *,
+    fixed: ArrayLike,
+    values: ArrayLike | float = 0.0,
+    load: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    tolerance: float = 1e-9,
+    linear_tolerance: float | None = None,
+    most_iterations: int = 30,
+    form: Form = "current",
+    preconditioner: Preconditioner = "p-multigrid",
+    coarse: Coarse = "geometric",
+) -> tuple[np.ndarray, EquilibriumReport]:
+    """Return the displacement (nodes, 3) in m at which internal forces are the `load` (nodes, 3) in N, and how it was found.
+
+    Unknowns that are `fixed`, a mask (nodes,) or (nodes, 3), go to their `values` in m. The residual of the others falls to
+    `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`, or
+    where the tangent is not positive; steps are halved until all det F are positive and the residual or the potential falls.
+    What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
+    """
+    held, target, force = _conditions(solid, fixed, values, load)
+    u = np.zeros_like(target) if start is None else _vector(solid, start, "start").copy()
+    state, size = solid.respond(u), 0.0
+    residuals: list[float] = []
+    gradients: list[int] = []
+    lengths: list[float] = []
+    before, reason = None, "it took the most iterations"
+    for iteration in range(most_iterations + 1):
+        residual, jump = force - state.force, np.where(held, target - u, 0.0)
+        moving = _norm(solid, jump) > 0
+        residuals.append(_norm(solid, np.where(held, 0.0, residual)))
+        size = max(size, _norm(solid, state.force) + _norm(solid, force))
+        if residuals[-1] <= tolerance * size and not moving:
+            reason = "the tolerance was met"
+            break
+        if iteration == most_iterations:
+            break
+        tangent = solid.tangent(u, form)
+        eta = linear_tolerance or _forcing(residuals[-1], before, tolerance * size)
+        step, linear = solve(
+            tangent, residual, fixed=held, values=jump, tolerance=eta, preconditioner=preconditioner, coarse=coarse
+        )
+        if linear.iterations == 0 and not linear.converged:  # no positive direction was found: down the slope
+            step = np.where(held, jump, residual / np.maximum(np.abs(tangent.diagonal()), 1e-300))
+        before = linear.residuals[0]
+        found = _searched(solid, u, step, state, force, held, moving)
+        gradients.append(linear.iterations)
+        if found is None:
+            reason = "no part of a step leaves det F positive and lowers the residual or the potential"
+            break
+        u, state, length = found
+        if moving and length == 1:
+            u[held] = target[held]
+        lengths.append(length)
+    converged = reason == "the tolerance was met"
+    return u, EquilibriumReport(converged, reason, residuals, size, gradients, lengths, state.energy)
+
+
+def _forcing(residual: float, before: float | None, enough: float) -> float:
+    """The tolerance of a linear solve: as the residual fell in the last iteration, and no lower than is of use."""
+    if before is None or before == 0:
+        return FIRST_FORCING
+    eta = min(LARGEST_FORCING, GAMMA * (residual / before) ** 2)
+    return max(eta, min(LARGEST_FORCING, 0.3 * enough / residual))
+
+
+def _searched(
+    solid: Solid, u: np.ndarray, step: np.ndarray, state: Response, force: np.ndarray, held: np.ndarray, moving: bool
+) -> tuple[np.ndarray, Response, float] | None:
+    """Where a step or a part of it leads that is good enough; None if there is none. Collective.
+
+    While walls move, potentials and residuals of both ends are not comparable, and det F alone decides.
+    """
+    free = np.where(held, 0.0, force - state.force)
+    norm, slope = _norm(solid, free), _dot(solid, force - state.force, step)
+    potential = state.energy - _dot(solid, force, u)
+    length = 1.0
+    for _ in range(MOST_CUTS):
+        there = u + length * step
+        response = solid.respond(there)
+        if response.smallest_j > 0:
+            if moving or _norm(solid, np.where(held, 0.0, force - response.force)) <= (1 - ENOUGH * length) * norm:
+                return there, response, length
+            if slope > 0 and response.energy - _dot(solid, force, there) <= potential - ENOUGH * length * slope:
+                return there, response, length
+        length /= 2
+    return None
+
+
+def _conditions(
+    solid: Solid, fixed: ArrayLike, values: ArrayLike | float, load: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    count = len(solid.mesh.node_indices)
+    with together(solid.mesh.comm, InputError):
+        mask = np.asarray(fixed)
+        if mask.dtype != bool or mask.shape not in ((count,), (count, 3)):
+            raise InputError(
+                f"fixed is of {mask.dtype} with shape {mask.shape} on a rank; give a mask ({count}, 3) there"
+            )
+        held = np.ascontiguousarray(np.broadcast_to(mask if mask.ndim == 2 else mask[:, None], (count, 3)))
+        try:
+            target = np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), (count, 3)))
+        except (TypeError, ValueError):
+            raise InputError(f"values do not fit nodes; give a number or an array ({count}, 3) on this rank") from None
+    force = np.zeros((count, 3)) if load is None else _vector(solid, load, "the load")
+    return held, target, force
+
+
+def _vector(solid: Solid, values: ArrayLike, what: str) -> np.ndarray:
+    return checked_vector(solid.mesh, values, what, 3)[0].reshape(-1, 3)
+
+
+def _dot(solid: Solid, a: np.ndarray, b: np.ndarray) -> float:
+    return global_sum(solid.mesh.comm, float((a * b).sum()))
+
+
+def _norm(solid: Solid, a: np.ndarray) -> float:
+    return float(np.sqrt(_dot(solid, a, a)))

@@ -1,0 +1,166 @@
+"""A solid as its points carry it, and what a displacement of the mesh does to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .. import _native
+from ..errors import InputError
+from ..fem import Operator, Points
+from ..fem.points import checked_vector
+from ..parallel import global_sum, together
+from .materials import Material, NeoHookean
+
+Form = Literal["current", "initial"]
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Internal `force` of this rank's nodes (nodes, 3) in N; of all ranks the `energy` in J and the smallest det F.
+
+    Nothing but the last is of use unless that is positive.
+    """
+
+    force: np.ndarray
+    energy: float
+    smallest_j: float
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """What points have: F (n, 3, 3), det F (n,), Kirchhoff's stress (n, 3, 3) in Pa, energies (n,) in J per initial m³."""
+
+    deformation: np.ndarray
+    j: np.ndarray
+    kirchhoff: np.ndarray
+    energy: np.ndarray
+    driving: np.ndarray  # what drives damage, zero without
+
+    @property
+    def cauchy(self) -> np.ndarray:
+        """Cauchy's stress, (n, 3, 3) in Pa."""
+        return self.kirchhoff / self.j[:, None, None]
+
+
+class Tangent(Operator):
+    """How internal forces change with the displacement: a symmetric operator of three components, N/m. See `Solid.tangent`."""
+
+    def __init__(self, points: Points, native: _native.FemOperator) -> None:
+        self.points, self.mesh, self.components, self.native = points, points.mesh, 3, native
+
+
+class Solid:
+    """Points with materials, in a mesh that has no displacement yet. Collective to make.
+
+    `materials` are one or several, `material` (n,) says which each point has. Points carry their `deformation` F (n, 3, 3),
+    1 if not given, `damage` (n,) from 0 to 1, and the largest `driving` energy they have seen, (n,) in J/m³. A displacement
+    u (nodes, 3) in m is from the mesh as it is: F = (1 + ∇u) F of the point. A point's initial volume is its weight over its
+    det F.
+
+    InputError on all ranks for arrays of other shapes, a material that does not exist, and det F that is not positive.
+    """
+
+    def __init__(
+        self,
+        points: Points,
+        materials: Material | Sequence[Material],
+        material: ArrayLike | None = None,
+        *,
+        deformation: ArrayLike | None = None,
+        damage: ArrayLike | None = None,
+        driving: ArrayLike | None = None,
+    ) -> None:
+        count = len(points)
+        self.points, self.mesh = points, points.mesh
+        with together(self.mesh.comm, InputError):
+            self.materials = tuple(materials) if isinstance(materials, Sequence) else (materials,)
+            which = np.zeros(count) if material is None else np.asarray(material)
+            self.material = np.ascontiguousarray(which, dtype=np.int32)
+            if self.material.shape != (count,) or not np.isin(self.material, range(len(self.materials))).all():
+                raise InputError(
+                    f"material has shape {self.material.shape} and holds numbers that are no material's; give {count} "
+                    f"numbers from 0 to {len(self.materials) - 1}"
+                )
+            unit = np.broadcast_to(np.eye(3), (count, 3, 3))
+            self.deformation = _array(unit if deformation is None else deformation, (count, 3, 3), "deformation")
+            self.damage = _array(np.zeros(count) if damage is None else damage, (count,), "damage")
+            self.driving = _array(np.zeros(count) if driving is None else driving, (count,), "driving")
+            self.j = np.linalg.det(self.deformation)
+            if not (self.j > 0).all():
+                first = int(np.argmin(self.j > 0))
+                raise InputError(
+                    f"point {int(points.number[first])} at {points.position[first]} m has det F = {self.j[first]}; it "
+                    "must be positive"
+                )
+        laws = [m.native() for m in self.materials]
+        self.native = _native.MpmSolid(points.native, laws, self.material, self.deformation.reshape(-1), self.damage)
+
+    def with_damage(self, damage: np.ndarray, driving: np.ndarray) -> Solid:
+        """Return the same solid with other damage and driving energy. Collective."""
+        return Solid(
+            self.points,
+            self.materials,
+            self.material,
+            deformation=self.deformation,
+            damage=damage,
+            driving=driving,
+        )
+
+    @property
+    def initial_volume(self) -> np.ndarray:
+        """Volumes that integrals are over, (n,) in m³."""
+        return self.points.weight / self.j
+
+    def respond(self, u: ArrayLike) -> Response:
+        """Return internal forces and energy of a displacement. Collective. InputError on all ranks for another shape."""
+        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        force, energy, smallest_j = self.native.respond(given)
+        return Response(force.reshape(-1, 3), energy, smallest_j)
+
+    def tangent(self, u: ArrayLike, form: Form = "current") -> Tangent:
+        """Return how internal forces change at a displacement, where all det F must be positive. Collective.
+
+        Both forms are the same operator; "initial" has gradients in the mesh as it is, and neo-Hookean materials without damage
+        alone. InputError on all ranks otherwise.
+        """
+        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        with together(self.mesh.comm, InputError):
+            if form not in get_args(Form):
+                raise InputError(f'form is "{form}"; use {" or ".join(get_args(Form))}')
+            plain = all(isinstance(m, NeoHookean) and m.damage is None for m in self.materials)
+            if form == "initial" and not plain:
+                raise InputError('form is "initial", which neo-Hookean materials without damage have; use "current"')
+        return Tangent(self.points, self.native.tangent(given, form == "initial"))
+
+    def states(self, u: ArrayLike) -> States:
+        """Return what points have at a displacement, where all det F must be positive. Collective."""
+        whole = (np.eye(3) + self.points.slopes(u)) @ self.deformation
+        stress, energy, driving = self.native.states(whole.reshape(-1))
+        return States(whole, np.linalg.det(whole), stress.reshape(-1, 3, 3), energy, driving)
+
+    def dissipated(self, damage_at_nodes: ArrayLike) -> float:
+        """Return G/(2ℓ) ∫ d² + ℓ² |∇d|² over initial volumes, in J: what breaking took. Collective."""
+        d, slope = self.points.values(damage_at_nodes), self.points.slopes(damage_at_nodes)
+        surface, length = self.surface_and_length()
+        density = surface / 2 * (d**2 + length**2 * (slope**2).sum(axis=1))
+        return global_sum(self.mesh.comm, float((self.initial_volume * density).sum()))
+
+    def surface_and_length(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return G/ℓ in J/m³ and ℓ in m of each point, zeros where its material does not break. Local."""
+        each = [
+            (m.damage.toughness / m.damage.length, m.damage.length) if m.damage else (0.0, 0.0) for m in self.materials
+        ]
+        surface, length = np.array(each)[self.material].T
+        return np.ascontiguousarray(surface), np.ascontiguousarray(length)
+
+
+def _array(values: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise InputError(f"{what} has shape {array.shape} on a rank; give {shape} there")
+    return array

@@ -1,0 +1,71 @@
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/variant.h>
+#include <nanobind/stl/vector.h>
+
+#include "bind/bind.hpp"
+#include "bind/convert.hpp"
+#include "mpm/solid.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using namespace amrpic;
+
+namespace {
+
+using Numbers = nb::ndarray<int const, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+std::vector<Real> values_of(bind::Reals const& array) { return {array.data(), array.data() + array.size()}; }
+
+}  // namespace
+
+void bind_mpm(nb::module_& m) {
+  nb::class_<mpm::Solid>(m, "MpmSolid", "Points that carry a solid; amrpic.mpm.Solid has it.")
+      .def(
+          "__init__",
+          [](mpm::Solid* self, std::shared_ptr<fem::Points> const& points, std::vector<mpm::Law> laws, Numbers law,
+             bind::Reals deformation, bind::Reals damage) {
+            new (self) mpm::Solid{points,
+                                  std::move(laws),
+                                  {law.data(), law.data() + law.size()},
+                                  values_of(deformation),
+                                  values_of(damage)};
+          },
+          "points"_a, "laws"_a, "law"_a, "deformation"_a, "damage"_a)
+      .def(
+          "respond",
+          [](mpm::Solid const& solid, bind::Reals u) {
+            mpm::Response found;
+            {
+              nb::gil_scoped_release release;
+              found = mpm::respond(solid, u.data());
+            }
+            return nb::make_tuple(bind::to_array(std::move(found.force)), found.energy, found.smallest_j);
+          },
+          "u"_a, "Internal forces, energy, and the smallest det F.")
+      .def(
+          "tangent",
+          [](mpm::Solid const& solid, bind::Reals u, bool initial) {
+            nb::gil_scoped_release release;
+            return mpm::tangent(solid, u.data(), initial ? mpm::Form::initial : mpm::Form::current);
+          },
+          "u"_a, "initial"_a)
+      .def(
+          "states",
+          [](mpm::Solid const& solid, bind::Reals deformation) {
+            auto found = mpm::states(solid, deformation.data());
+            return nb::make_tuple(bind::to_array(std::move(found.stress)), bind::to_array(std::move(found.energy)),
+                                  bind::to_array(std::move(found.driving)));
+          },
+          "deformation"_a, "Kirchhoff's stress, energy and driving energy of each point.");
+  m.def(
+      "mpm_damage",
+      [](std::shared_ptr<fem::Points> const& points, bind::Reals volume, bind::Reals driving, bind::Reals surface,
+         bind::Reals length) {
+        return mpm::damage_operator(
+            {points, values_of(volume), values_of(driving), values_of(surface), values_of(length)});
+      },
+      "points"_a, "volume"_a, "driving"_a, "surface"_a, "length"_a, "The operator that damage is found with.");
+}

@@ -1,0 +1,117 @@
+// From a function of a point to an operator: its products, its diagonal, its matrices of elements.
+#pragma once
+
+#include "fem/at_gauss.hpp"
+#include "fem/at_points.hpp"
+#include "fem/degrees.hpp"
+#include "fem/operators.hpp"
+
+namespace amrpic::fem {
+
+/// What slopes in space are over those in the coordinates of an element.
+inline Real3 slope_scale(Lattice const& lattice) {
+  Real3 out = lattice.elements().spacing();
+  for (Real& h : out) h = 2 / h;
+  return out;
+}
+
+/// What `D` makes of one component's value and slopes, where all others are zero, in the same component: both parts of
+/// an operator's diagonal there.
+template <class D, int C>
+struct OnDiagonal {
+  static constexpr bool values = D::values, slopes = D::slopes;
+  D const& d;
+
+  void operator()(std::int64_t block, SquaresAtPoint<C>& at) const {
+    for (int c = 0; c < C; ++c) {
+      if constexpr (values) {
+        AtPoint<C> unit{};
+        unit.value[c] = V{} + Real(1);
+        d(block, unit);
+        at.value[c] = unit.value[c];
+      }
+      if constexpr (slopes)
+        for (std::size_t e = 0; e < 3; ++e) {
+          AtPoint<C> unit{};
+          unit.slope[c][e] = V{} + Real(1);
+          d(block, unit);
+          at.slope[c][e] = unit.slope[c];
+        }
+    }
+  }
+};
+
+/// The operator of a function D at points: d(block, at), as in `AtPoints`, is linear and symmetric. At Gauss's points
+/// its kernel is D::at_gauss<nodes along an axis, components>(points).
+template <class D, int C>
+class OperatorOf : public Operator {
+ public:
+  OperatorOf(std::shared_ptr<Points const> points, D d) : Operator(std::move(points), C), d_(std::move(d)) {}
+
+  void apply(Real const* u, Real* v) const override {
+    with_kernel([&](auto nodes, auto const& kernel) { sum_over_elements<nodes(), C>(points(), u, v, kernel); });
+  }
+
+  std::vector<Real> diagonal() const override {
+    std::vector<Real> out(unknowns());
+    with_degree(points().lattice().degree(), [&](auto nodes) {
+      DiagonalAtPoints<nodes(), C, OnDiagonal<D, C>> const kernel{points(), {d_}};
+      sum_over_elements<nodes(), C>(points(), nullptr, out.data(), kernel);
+    });
+    return out;
+  }
+
+  std::unique_ptr<Operator> on(std::shared_ptr<Points const> points) const override {
+    return std::make_unique<OperatorOf>(std::move(points), d_);
+  }
+
+  bool has_rigid_modes() const override { return D::rigid_modes; }
+
+  void for_each_element_matrix(TakeMatrix const& f) const override {
+    with_kernel([&](auto nodes, auto const& kernel) {
+      std::vector<Real> matrix;
+      for (std::size_t p = 0; p < points().filled().size(); ++p) {
+        auto const& filled = points().filled()[p];
+        for (std::size_t e = 0; e < filled.element.size(); ++e) {
+          fill_matrix<nodes()>(kernel, filled.element[e], matrix);
+          f(p, filled.corner[e], matrix);
+        }
+      }
+    });
+  }
+
+ private:
+  template <class F>
+  void with_kernel(F&& f) const {
+    with_degree(points().lattice().degree(), [&](auto nodes) {
+      if (points().gauss())
+        f(nodes, d_.template at_gauss<nodes(), C>(points()));
+      else
+        f(nodes, AtPoints<nodes(), C, D>{points(), d_});
+    });
+  }
+
+  /// The matrix of one element, by groups of columns: a lane each.
+  template <int P, class Kernel>
+  static void fill_matrix(Kernel const& kernel, LocalIndex element, std::vector<Real>& matrix) {
+    constexpr int nodes = P * P * P, all = C * nodes;
+    matrix.resize(std::size_t(all) * all);
+    std::array<LocalIndex, native_lane_count> same;
+    same.fill(element);
+    for (int first = 0; first < all; first += native_lane_count) {
+      int const count = std::min(native_lane_count, all - first);
+      GroupValues<P, C> values;
+      for (int c = 0; c < C; ++c)
+        for (int n = 0; n < nodes; ++n)
+          for (int l = 0; l < native_lane_count; ++l) values.value[c][n][l] = first + l == c * nodes + n;
+      kernel(same.data(), count, values);
+      for (int row = 0; row < all; ++row)
+        for (int l = 0; l < count; ++l)
+          matrix[std::size_t(row) * all + std::size_t(first + l)] = values.value[row / nodes][row % nodes][l];
+    }
+  }
+
+  D d_;
+};
+
+}  // namespace amrpic::fem

@@ -1,0 +1,173 @@
+#include "matrixfree/fourth_order_field.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace amrpic {
+
+namespace {
+
+using Ends = FourthOrderGhosts::Ends;
+using FullyCovered = FourthOrderGhosts::FullyCovered;
+
+/// The second difference about a place of a line, where at(n) is the value n cells further, not a number where the line
+/// has none: one-sided at its ends, of four points or of three; zero where these do not exist.
+template <class At>
+Real second_difference(At&& at, bool four_points) {
+  Real const own = at(0);
+  Real const below = at(-1), above = at(1);
+  if (!std::isnan(below) && !std::isnan(above)) return (below - own) + (above - own);
+  for (int side : {-1, 1}) {
+    Real const first = side < 0 ? below : above;
+    if (std::isnan(first)) continue;
+    Real const second = at(2 * side);
+    if (std::isnan(second)) continue;
+    Real const third = four_points ? at(3 * side) : std::numeric_limits<Real>::quiet_NaN();
+    if (!std::isnan(third)) return 2 * own - 5 * first + 4 * second - third;
+    return own - 2 * first + second;
+  }
+  return 0;
+}
+
+}  // namespace
+
+/// Call f(cell, counted from the first one of the box; place among the own cells of the level).
+template <class F>
+void FourthOrderField::for_each_cell_of(int l, int b, F&& f) const {
+  Box const& own = mesh_.box(l, b);
+  std::size_t place = std::size_t(mesh_.offset(l, b));
+  for_each_cell(own.shift_back(own.lower), [&](Index3 const& cell) { f(cell, place++); });
+}
+
+/// to += factor * the second differences of `from` along all axes.
+void FourthOrderField::add_second_differences(Field const& from, Real factor, bool four_points, Field& to) {
+  ghosts_.visit(from, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
+    Box const& own = mesh_.box(l, b);
+    Real const* const cells = from.level(l).data() + mesh_.offset(l, b);
+    for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
+      Real sum = 0;
+      for (int d = 0; d < 3; ++d)
+        sum += second_difference(
+            [&](int n) {
+              Index3 there = cell;
+              there[d] += n;
+              bool const known =
+                  there[d] >= -FourthOrderGhosts::layers && there[d] < own.extent(d) + FourthOrderGhosts::layers;
+              return known ? ghosts_.value(own, cells, d, there) : std::numeric_limits<Real>::quiet_NaN();
+            },
+            four_points);
+      to.level(l)[place] += factor * sum;
+    });
+  });
+}
+
+void FourthOrderField::to_points(Field const& means, Field& points) {
+  for (int l = 0; l < mesh_.levels(); ++l)
+    std::copy(means.level(l).begin(), means.level(l).end(), points.level(l).begin());
+  add_second_differences(means, -fourth_order::mean_less_point, true, points);
+}
+
+void FourthOrderField::to_means(Field const& points, Field& means) {
+  Field uncovered(points.share_hierarchy(), false);
+  for (int l = 0; l < mesh_.levels(); ++l) {
+    std::copy(points.level(l).begin(), points.level(l).end(), uncovered.level(l).begin());
+    std::copy(points.level(l).begin(), points.level(l).end(), means.level(l).begin());
+  }
+  mesh_.for_each_box([&](int l, int b) {
+    std::ptrdiff_t const plane = pitches(mesh_.box(l, b))[2];
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k)
+      mesh_.for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
+        std::fill_n(uncovered.level(l).data() + mesh_.offset(l, b) + k * plane + at, n,
+                    std::numeric_limits<Real>::quiet_NaN());
+      });
+  });
+  add_second_differences(uncovered, fourth_order::mean_less_point, false, means);
+  average_.average_down(means);
+}
+
+ElectricField FourthOrderField::electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
+                                               Holds holds) {
+  std::array<std::shared_ptr<Field>, 3> e;
+  for (auto& component : e) component = std::make_shared<Field>(phi.share_hierarchy(), false);
+  ghosts_.visit(phi, &walls, Ends::of_field, FullyCovered::visit, [&](int l, int b) {
+    Box const& own = mesh_.box(l, b);
+    Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+    for (int d = 0; d < 3; ++d) {
+      Real const factor = 2 * mesh_.factor_of_field(l, d);
+      std::ptrdiff_t const step = pitches(own)[d];
+      for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
+        auto at = [&](int n) {
+          Index3 there = cell;
+          there[d] += n;
+          return ghosts_.value(own, cells, d, there);
+        };
+        Real const* const c = phi.level(l).data() + place;
+        bool const inside = cell[d] >= 2 && cell[d] + 2 < own.extent(d);
+        e[std::size_t(d)]->level(l)[place] =
+            factor * (inside ? fourth_order::mean_field(c[-2 * step], c[-step], c[step], c[2 * step])
+                             : fourth_order::mean_field(at(-2), at(-1), at(1), at(2)));
+      });
+    }
+  });
+  std::array<std::shared_ptr<Field const>, 3> out;
+  for (std::size_t d = 0; d < 3; ++d) {
+    if (covered == CoveredField::mean) average_.average_down(*e[d]);
+    if (holds == Holds::points) {
+      auto points = std::make_shared<Field>(phi.share_hierarchy(), false);
+      to_points(*e[d], *points);
+      e[d] = std::move(points);
+    }
+    out[d] = e[d];
+  }
+  return ElectricField(out);
+}
+
+template <class T>
+Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& walls, std::vector<Real> const& scale,
+                                  Blocks<T> const& truncation) {
+  Field sum(phi.share_hierarchy()), fourth(phi.share_hierarchy(), false);
+  for (int d = 0; d < 3; ++d) {
+    ghosts_.visit(phi, &walls, Ends::ghosts, FullyCovered::visit, [&](int l, int b) {
+      Box const& own = mesh_.box(l, b);
+      Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+      for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
+        auto at = [&](int n) {
+          Index3 there = cell;
+          there[d] += n;
+          return ghosts_.value(own, cells, d, there);
+        };
+        fourth.level(l)[place] = (at(-2) + at(2)) - 4 * (at(-1) + at(1)) + 6 * at(0);
+      });
+    });
+    ghosts_.visit(fourth, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
+      Box const& own = mesh_.box(l, b);
+      Real const* const cells = fourth.level(l).data() + mesh_.offset(l, b);
+      Real const weight = mesh_.equation(l).weight[d];
+      for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
+        auto at = [&](int n) {
+          Index3 there = cell;
+          there[d] += n;
+          return ghosts_.value(own, cells, d, there);
+        };
+        Real const sixth = (at(-1) - at(0)) + (at(1) - at(0));
+        if (!std::isnan(sixth)) sum.level(l)[place] += fourth_order::truncation_error(weight, sixth);
+      });
+    });
+  }
+  Real largest = 0;
+  mesh_.for_each_box([&](int l, int b) {
+    std::ptrdiff_t const plane = pitches(mesh_.box(l, b))[2];
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
+      Real* const values = sum.level(l).data() + mesh_.offset(l, b) + k * plane;
+      mesh_.clear_covered(l, b, k, values);
+      for (std::ptrdiff_t i = 0; i < plane; ++i) largest = std::max(largest, std::abs(values[i]));
+      mesh_.write_plane(l, b, k, values, scale[std::size_t(l)], truncation[std::size_t(l)][std::size_t(b)]);
+    }
+  });
+  return mesh_.comm().largest(largest);
+}
+template Real FourthOrderField::truncation(Field const&, std::vector<Walls> const&, std::vector<Real> const&,
+                                           Blocks<float> const&);
+
+}  // namespace amrpic

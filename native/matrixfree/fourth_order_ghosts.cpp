@@ -1,0 +1,257 @@
+#include "matrixfree/fourth_order_ghosts.hpp"
+
+#include <algorithm>
+#include <limits>
+
+namespace amrpic {
+
+using fourth_order::MeansBlock;
+
+FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(mesh) {
+  for (int l = 0; l < mesh_.levels(); ++l) {
+    fluxes_.emplace_back(std::size_t(mesh_.plan(l).fluxes));
+    wall_ghosts_.emplace_back();
+    for (int f = 0; f < 6; ++f) {
+      Boundary const kind = mesh_.hierarchy().domain().boundary[std::size_t(f / 2)][std::size_t(f % 2)];
+      for (int cells = 1; cells <= fourth_order::wall_cells; ++cells)
+        wall_ghosts_.back()[std::size_t(f)][std::size_t(cells)] =
+            fourth_order::make_wall_ghosts(kind, mesh_.level(l).spacing()[std::size_t(f / 2)], cells);
+    }
+  }
+  for (int coarse = 1; coarse <= fourth_order::coarse_cells; ++coarse)
+    for (int fine = 2; fine <= fourth_order::fine_cells; ++fine)
+      interface_ghosts_[std::size_t(coarse)][std::size_t(fine)] = fourth_order::make_interface_ghosts(coarse, fine);
+  for (int size = 1; size <= MeansBlock::most; ++size)
+    for (int back = 0; back < size; ++back)
+      half_weights_[std::size_t(size)][std::size_t(back)] = fourth_order::make_half_weights(-back, size);
+  std::size_t const row = mesh_.largest_row(), coarse_row = row / 2 + 2 + 2 * FourthOrderPlan::margin;
+  for (int n = 0; n < layers; ++n) {
+    for (int f = 0; f < 6; ++f) ghosts_[std::size_t(f)][std::size_t(n)].resize(mesh_.largest_face(f / 2));
+    coarse_[std::size_t(n)].resize(mesh_.levels() > 1 ? coarse_row * coarse_row : 0);
+    star_[std::size_t(n)].resize(2 * row);
+  }
+}
+
+void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls, Ends ends, FullyCovered fully_covered,
+                              std::function<void(int, int)> const& f) {
+  plan_.cells.start([&](int purpose, Read const& read, Real* out) {
+    mesh_.pack_cells(phi, FourthOrderPlan::level_of(purpose), read, out);
+  });
+  zero_ = false;
+  bool waiting = true;
+  for (int l = mesh_.levels() - 1; l >= 0; --l) {
+    if (mesh_.hierarchy().has_finer(l) && ends != Ends::nothing) mesh_.plan(l).finer_fluxes.finish();
+    for (bool remote : {false, true}) {
+      if (remote && waiting) {
+        plan_.cells.finish();
+        waiting = false;
+      }
+      for (int b = 0; b < mesh_.boxes(l); ++b) {
+        if (plan_.is_remote(l, b) != remote ||
+            (mesh_.plan(l, b).is_fully_covered && fully_covered == FullyCovered::skip))
+          continue;
+        fill(l, b, phi, walls ? &(*walls)[std::size_t(l)] : nullptr, ends);
+        f(l, b);
+      }
+    }
+    if (l > 0 && ends != Ends::nothing) send_fluxes(l);
+  }
+}
+
+void FourthOrderGhosts::send_fluxes(int l) {
+  mesh_.plan(l - 1).finer_fluxes.start([&](int, Read const& read, Real* out) {
+    int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
+    auto const [u, v] = tangential_axes(face / 2);
+    Box const part = read.cells();
+    Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
+    Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
+    for (int y = part.lower[v]; y <= part.upper[v]; ++y) {
+      std::ptrdiff_t const from =
+          i.fluxes + (part.lower[u] - parents.lower[u] - i.u) + std::ptrdiff_t(i.nu) * (y - parents.lower[v] - i.v);
+      out = std::copy_n(fluxes_[std::size_t(l)].data() + from, part.extent(u), out);
+    }
+  });
+}
+
+void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls, Ends ends) {
+  constexpr Real nothing = std::numeric_limits<Real>::quiet_NaN();
+  for (int f = 0; f < 6; ++f) {  // of the level first: others may take them
+    int const pitch = mesh_.box(l, b).extent(tangential_axes(f / 2)[0]);
+    auto const& face = plan_.face(l, b, f);
+    for (int n = 0; n < layers; ++n) {
+      auto& layer = ghosts_[std::size_t(f)][std::size_t(n)];
+      if (ends == Ends::nothing) std::fill(layer.begin(), layer.end(), nothing);
+      for (int r = face.neighbours[std::size_t(n)].first; r < face.neighbours[std::size_t(n)].last; ++r)
+        copy(plan_.level(l).rectangles[std::size_t(r)], phi.level(l).data(), layer.data(), pitch);
+    }
+  }
+  for (int f = 0; f < 6 && ends != Ends::nothing; ++f) {
+    if (int const wall = mesh_.plan(l, b).faces[std::size_t(f)].wall; wall >= 0)
+      fill_wall(l, b, f / 2, f % 2, ends, phi.level(l).data() + mesh_.offset(l, b), walls->datum.data() + wall);
+    if (plan_.face(l, b, f).blocks >= 0) fill_interface(l, b, f / 2, f % 2, phi);
+  }
+}
+
+void FourthOrderGhosts::visit_zero(int l, int b, Walls const& walls) {
+  zero_ = true;
+  for (int f = 0; f < 6; ++f) {
+    for (auto& layer : ghosts_[std::size_t(f)]) std::fill(layer.begin(), layer.end(), 0.0);
+    int const wall = mesh_.plan(l, b).faces[std::size_t(f)].wall, axis = f / 2, side = f % 2;
+    if (wall < 0) continue;
+    auto const [u, v] = tangential_axes(axis);
+    Real const* datum = walls.datum.data() + wall;
+    std::size_t out = 0;
+    for (int y = 0; y < mesh_.box(l, b).extent(v); ++y)
+      for (int x = 0; x < mesh_.box(l, b).extent(u); ++x, ++out) {
+        auto const& ghosts = wall_ghosts(l, axis, side, cells_inside(l, b, axis, side, x, y));
+        for (std::size_t n = 0; n < layers; ++n) ghosts_[std::size_t(f)][n][out] = ghosts.layer[n].datum * datum[out];
+      }
+  }
+}
+
+void FourthOrderGhosts::copy(Rectangle const& r, Real const* own, Real* to, std::ptrdiff_t pitch) const {
+  Real const* from = (r.here ? own : plan_.cells.values()) + r.from;
+  to += r.u + pitch * r.v;
+  for (int v = 0; v < r.nv; ++v, from += r.pv, to += pitch) {
+    if (r.pu == 1)
+      std::copy_n(from, r.nu, to);
+    else
+      for (int u = 0; u < r.nu; ++u) to[u] = from[std::ptrdiff_t(u) * r.pu];
+  }
+}
+
+int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int v) const {
+  int const extent = mesh_.box(l, b).extent(axis);
+  if (extent >= fourth_order::wall_cells) return fourth_order::wall_cells;
+  auto const& opposite = mesh_.plan(l, b).faces[std::size_t(2 * axis + 1 - side)];
+  if (opposite.wall >= 0) return extent;
+  if (opposite.interface >= 0) {
+    Interface const& i = mesh_.plan(l).interfaces[std::size_t(opposite.interface)];
+    int const x = u / 2 - i.u, y = v / 2 - i.v;
+    bool const ends =
+        x >= 0 && x < i.nu && y >= 0 && y < i.nv && mesh_.plan(l).fits[std::size_t(i.fits + x + y * i.nu)] != no_fit;
+    if (ends) return extent;
+  }
+  return std::min(extent + layers, fourth_order::wall_cells);
+}
+
+void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Real const* data) {
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  std::size_t const face = std::size_t(2 * axis + side);
+  Index3 cell{0, 0, 0};
+  std::size_t out = 0;
+  for (int y = 0; y < own.extent(v); ++y)
+    for (int x = 0; x < own.extent(u); ++x, ++out) {
+      cell[u] = x, cell[v] = y;
+      int const cells = cells_inside(l, b, axis, side, x, y);
+      std::array<Real, fourth_order::wall_cells> inside{};
+      for (int n = 0; n < cells; ++n) {
+        cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
+        inside[std::size_t(n)] = value(own, phi, axis, cell);
+      }
+      auto const& ghosts =
+          ends == Ends::of_field ? polynomial_at_wall(l, axis, side, cells) : wall_ghosts(l, axis, side, cells);
+      for (std::size_t n = 0; n < layers; ++n) ghosts_[face][n][out] = ghosts.layer[n](inside, data[out]);
+    }
+}
+
+/// Means of a layer of coarse cells over the faces of the fine cells in front of them, of a row of these: two rows.
+void FourthOrderGhosts::fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count,
+                                Real const* coarse, std::ptrdiff_t pitch) {
+  Real* const star = star_[std::size_t(layer)].data();
+  for (int m = 0; m < count; ++m) {
+    if (fits[m] == no_fit) continue;
+    MeansBlock const block = blocks[m][std::size_t(layer)];
+    if (block.size == 0) continue;
+    auto const& along_u = half_weights_[std::size_t(block.size)][std::size_t(-block.u)];
+    auto const& along_v = half_weights_[std::size_t(block.size)][std::size_t(-block.v)];
+    Real const* const first = coarse + m + block.u + pitch * block.v;
+    std::array<std::array<Real, 2>, 2> sum{};  // [upper half along v][along u]
+    for (int j = 0; j < block.size; ++j) {
+      Real const* const row = first + pitch * j;
+      std::array<Real, 2> of_row{};
+      for (int i = 0; i < block.size; ++i)
+        for (std::size_t half = 0; half < 2; ++half) of_row[half] += along_u[half][std::size_t(i)] * row[i];
+      for (std::size_t upper = 0; upper < 2; ++upper)
+        for (std::size_t half = 0; half < 2; ++half) sum[upper][half] += along_v[upper][std::size_t(j)] * of_row[half];
+    }
+    for (std::size_t upper = 0; upper < 2; ++upper)
+      for (std::size_t half = 0; half < 2; ++half)
+        star[upper * 2 * std::size_t(count) + 2 * std::size_t(m) + half] = sum[upper][half];
+  }
+}
+
+/// Ghosts in front of coarser cells, and what the four ghosts of each coarse face leave for the coarser cell behind it:
+/// the sum of the differences across them, inwards.
+void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field const& phi) {
+  std::size_t const f = std::size_t(2 * axis + side);
+  Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[f].interface)];
+  auto const& face = plan_.face(l, b, int(f));
+  std::ptrdiff_t const coarse_pitch = face.nu + 2 * FourthOrderPlan::margin;
+  for (std::size_t n = 0; n < layers; ++n)
+    for (int r = face.coarse[n].first; r < face.coarse[n].last; ++r)
+      copy(plan_.level(l).rectangles[std::size_t(r)], phi.level(l - 1).data(), coarse_[n].data(), coarse_pitch);
+
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
+  Real *const near = ghosts_[f][0].data(), *const far = ghosts_[f][1].data();
+  for (int row = 0; row < i.nv; ++row) {
+    FitNumber const* const fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
+    auto const* const blocks = plan_.level(l).blocks.data() + face.blocks + i.u + std::ptrdiff_t(i.v + row) * face.nu;
+    Real* const flux = fluxes_[std::size_t(l)].data() + i.fluxes + std::ptrdiff_t(row) * i.nu;
+    for (int n = 0; n < layers; ++n)
+      fit_row(n, blocks, fits, i.nu,
+              coarse_[std::size_t(n)].data() + FourthOrderPlan::margin + i.u +
+                  (FourthOrderPlan::margin + i.v + row) * coarse_pitch,
+              coarse_pitch);
+    for (int m = 0; m < i.nu; ++m) {
+      if (fits[m] == no_fit) continue;
+      flux[m] = 0;
+      // A second layer whose means are worse than the first's would only spoil the polynomial along the normal.
+      bool const deep = blocks[m][1].size >= std::min<int>(blocks[m][0].size, MeansBlock::most - 1);
+      for (int half = 0; half < 4; ++half) {
+        Index3 cell{0, 0, 0};
+        cell[u] = 2 * (i.u + m) + half % 2, cell[v] = 2 * (i.v + row) + half / 2;
+        int const inside = std::min(cells_inside(l, b, axis, side, cell[u], cell[v]), fourth_order::fine_cells);
+        std::array<Real, fourth_order::fine_cells> fine{};
+        for (int n = 0; n < inside; ++n) {
+          cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
+          fine[std::size_t(n)] = value(own, cells, axis, cell);
+        }
+        auto const& weights = interface_ghosts_[deep ? 2 : 1][std::size_t(inside)];
+        std::size_t const at_star = std::size_t(half / 2 * 2 * i.nu + 2 * m + half % 2);
+        std::array<Real, layers> ghost{};
+        for (std::size_t n = 0; n < layers; ++n) {
+          auto const& w = weights.layer[n];
+          Real sum = w.coarse[0] * star_[0][at_star];
+          if (deep) sum += w.coarse[1] * star_[1][at_star];
+          for (std::size_t c = 0; c < fourth_order::fine_cells; ++c) sum += w.fine[c] * fine[c];
+          ghost[n] = sum;
+        }
+        std::ptrdiff_t const at = cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u);
+        near[at] = ghost[0], far[at] = ghost[1];
+        flux[m] += fourth_order::difference(ghost[1], ghost[0], fine[0], fine[1]);
+      }
+    }
+  }
+}
+
+Traffic FourthOrderGhosts::of_visit() const {
+  Traffic out = plan_.cells.of_start();
+  for (int l = 0; l < mesh_.levels(); ++l) out = out + mesh_.plan(l).finer_fluxes.of_start();
+  return out;
+}
+
+std::size_t FourthOrderGhosts::bytes() const {
+  std::size_t values = 0;
+  for (int n = 0; n < layers; ++n) {
+    values += coarse_[std::size_t(n)].capacity() + star_[std::size_t(n)].capacity();
+    for (auto const& face : ghosts_) values += face[std::size_t(n)].capacity();
+  }
+  for (auto const& level : fluxes_) values += level.capacity();
+  return plan_.bytes() + values * sizeof(Real);
+}
+
+}  // namespace amrpic

@@ -1,0 +1,121 @@
+#pragma once
+
+#include <functional>
+
+#include "matrixfree/fourth_order_plan.hpp"
+#include "operators/walls.hpp"
+
+namespace amrpic {
+
+/// The two layers of ghost cells around one box after the other, and the fluxes that finer levels leave for coarser
+/// ones, so that each face has one flux. As CompositeGhosts, in fourth order.
+class FourthOrderGhosts {
+ public:
+  /// Collective.
+  explicit FourthOrderGhosts(CompositeMesh& mesh);
+
+  static constexpr int layers = FourthOrderPlan::layers;
+
+  /// What stands behind walls and coarse-fine faces.
+  enum class Ends {
+    ghosts,    ///< what walls and coarser cells make of it
+    of_field,  ///< the same, with as many cells behind Dirichlet walls as behind others: for E, not for the operator
+    nothing    ///< not a number
+  };
+  enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
+
+  /// Call f(level, box) for all boxes of this rank, finest level first, with the ghosts of the box at hand and the
+  /// fluxes from the finer level through its faces. `walls` may be null where the ends have no ghosts. Collective.
+  void visit(Field const& phi, std::vector<Walls> const* walls, Ends ends, FullyCovered fully_covered,
+             std::function<void(int, int)> const& f);
+
+  /// Take a box under way whose level and those around it are zero, so that ghosts are what wall data make them. Local.
+  void visit_zero(int l, int b, Walls const& walls);
+
+  /// Those of the box under way beyond a face, in a layer counted from it, the lower tangential axis fastest.
+  Real const* ghosts(int axis, int side, int layer) const {
+    return ghosts_[std::size_t(2 * axis + side)][std::size_t(layer)].data();
+  }
+
+  /// The value in a cell of the box under way, or of a ghost: `cell` may be two cells beyond it along `axis`.
+  Real value(Box const& own, Real const* phi, int axis, Index3 const& cell) const {
+    int const n = cell[axis], extent = own.extent(axis);
+    if (n >= 0 && n < extent)
+      return phi[cell[0] + std::ptrdiff_t(own.extent(0)) * (cell[1] + std::ptrdiff_t(own.extent(1)) * cell[2])];
+    auto const [u, v] = tangential_axes(axis);
+    return ghosts(axis, n < 0 ? 0 : 1, n < 0 ? -n - 1 : n - extent)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
+  }
+
+  /// Call f(place in the box, axis, excess) for each uncovered cell of a plane and each of its faces with a refined
+  /// cell beyond: the difference of phi across the face, outwards, by the finer fluxes, less that by the level's cells.
+  template <class F>
+  void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
+    bool const zero = zero_;
+    Box const& own = mesh_.box(l, b);
+    Index3 const pitch = pitches(own);
+    for (int s = mesh_.plan(l, b).refined.first; s < mesh_.plan(l, b).refined.last; ++s) {
+      RefinedSide const& r = mesh_.plan(l).refined[std::size_t(s)];
+      if (k < r.cells.lower[2] || k > r.cells.upper[2]) continue;
+      auto const [u, v] = tangential_axes(r.axis);
+      Real const* const fluxes =
+          (r.fluxes.here ? fluxes_[std::size_t(l) + 1].data() : mesh_.plan(l).finer_fluxes.values()) + r.fluxes.from;
+      int const outward = r.side == 0 ? -1 : 1;
+      Index3 cell{0, 0, k};
+      for (cell[1] = r.cells.lower[1]; cell[1] <= r.cells.upper[1]; ++cell[1])
+        for (cell[0] = r.cells.lower[0]; cell[0] <= r.cells.upper[0]; ++cell[0]) {
+          Real const flux = zero ? 0
+                                 : fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
+                                          std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
+          auto at = [&](int n) {
+            Index3 there = cell;
+            there[r.axis] += n * outward;
+            return value(own, phi, r.axis, there);
+          };
+          f(cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(k) * pitch[2], r.axis,
+            fine_face_weight * flux - fourth_order::difference(at(-1), at(0), at(1), at(2)));
+        }
+    }
+  }
+
+  /// The ghosts behind a wall of a level, of as many cells as lie between it and the next end of the level, up to those
+  /// that they take.
+  fourth_order::WallGhosts const& wall_ghosts(int l, int axis, int side, int cells) const {
+    Boundary const kind = mesh_.hierarchy().domain().boundary[std::size_t(axis)][std::size_t(side)];
+    return polynomial_at_wall(l, axis, side, std::min(cells, fourth_order::cells_at_wall(kind)));
+  }
+  /// How many cells in line from a face of the box under way inwards the level has, as far as ghosts matter.
+  int cells_inside(int l, int b, int axis, int side, int u, int v) const;
+
+  Traffic of_visit() const;
+  std::size_t bytes() const;
+
+ private:
+  void fill(int l, int b, Field const& phi, Walls const* walls, Ends ends);
+  void fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Real const* data);
+  fourth_order::WallGhosts const& polynomial_at_wall(int l, int axis, int side, int cells) const {
+    return wall_ghosts_[std::size_t(l)][std::size_t(2 * axis + side)][std::size_t(cells)];
+  }
+  void fill_interface(int l, int b, int axis, int side, Field const& phi);
+  void fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count, Real const* coarse,
+               std::ptrdiff_t pitch);
+  void copy(Rectangle const& from, Real const* own, Real* to, std::ptrdiff_t pitch) const;
+  void send_fluxes(int l);
+
+  CompositeMesh& mesh_;
+  FourthOrderPlan plan_;
+  using OfWalls = std::array<std::array<fourth_order::WallGhosts, fourth_order::wall_cells + 1>, 6>;
+  std::vector<OfWalls> wall_ghosts_;                                                ///< [level][face][cells]
+  std::array<std::array<fourth_order::InterfaceGhosts, 4>, 3> interface_ghosts_{};  ///< [coarse][fine cells]
+  /// [size][- first cell]: half weights of blocks along an axis.
+  std::array<
+      std::array<std::array<std::array<Real, fourth_order::MeansBlock::most>, 2>, fourth_order::MeansBlock::most>,
+      fourth_order::MeansBlock::most + 1>
+      half_weights_{};
+  bool zero_ = false;                                            ///< whether the box under way is of `visit_zero`
+  std::vector<std::vector<Real>> fluxes_;                        ///< [level]: through its coarse faces
+  std::array<std::array<std::vector<Real>, layers>, 6> ghosts_;  ///< of the box under way
+  std::array<std::vector<Real>, layers> coarse_, star_;  ///< of the interface under way: coarse means, those over the
+                                                         ///< fine cells' faces in two rows
+};
+
+}  // namespace amrpic

@@ -1,0 +1,157 @@
+#include "matrixfree/fourth_order_plan.hpp"
+
+#include "mesh/array_on_box.hpp"
+
+namespace amrpic {
+
+namespace {
+
+using fourth_order::MeansBlock;
+
+/// The two layers of cells beyond a face.
+Box beyond(Box const& box, int axis, int side) {
+  return box.layer(axis, side, 1).hull(box.layer(axis, side, FourthOrderPlan::layers));
+}
+
+/// The two layers of coarser cells behind a face of a box of cells, with what blocks may reach in their planes.
+Box behind(Box const& box, int axis, int side) {
+  Index3 along{FourthOrderPlan::margin, FourthOrderPlan::margin, FourthOrderPlan::margin};
+  along[axis] = 0;
+  return beyond(box.coarsen(refinement_ratio), axis, side).grow(along);
+}
+
+Reads reads_beyond(Level const& level) {
+  return reads_across_ranks(
+      level, level, [](Box const& o) { return o.grow(FourthOrderPlan::layers); },
+      [&](int b, auto&& read) {
+        for (int face = 0; face < 6; ++face) read(beyond(level.box(b), face / 2, face % 2));
+      });
+}
+
+Reads reads_behind(Level const& level, Level const& coarser) {
+  return reads_across_ranks(
+      level, coarser,
+      [](Box const& o) { return o.grow(FourthOrderPlan::layers + FourthOrderPlan::margin).refine(refinement_ratio); },
+      [&](int b, auto&& read) {
+        BoxFaces const faces(level, level.box(b));
+        for (int face = 0; face < 6; ++face)
+          read(faces.sides[std::size_t(face)].has_coarser ? behind(level.box(b), face / 2, face % 2) : Box{});
+      });
+}
+
+/// How many usable cells lie in any rectangle of a plane.
+class UsableCells {
+ public:
+  /// `usable`: a plane of cells across an axis.
+  UsableCells(ArrayOnBox<char> const& usable, int axis) {
+    auto const [u, v] = tangential_axes(axis);
+    pitch_ = usable.box().extent(u) + 1;
+    sums_.assign(std::size_t(pitch_) * std::size_t(usable.box().extent(v) + 1), 0);
+    char const* cell = usable.values().data();
+    for (int y = 1; y <= usable.box().extent(v); ++y)
+      for (int x = 1; x < pitch_; ++x)
+        sums_[place(x, y)] = *cell++ + sums_[place(x - 1, y)] + sums_[place(x, y - 1)] - sums_[place(x - 1, y - 1)];
+  }
+  /// Whether all cells of a block are usable.
+  bool operator()(int x, int y, int size) const {
+    return sums_[place(x + size, y + size)] - sums_[place(x, y + size)] - sums_[place(x + size, y)] +
+               sums_[place(x, y)] ==
+           size * size;
+  }
+
+ private:
+  std::size_t place(int x, int y) const { return std::size_t(x) + std::size_t(y) * std::size_t(pitch_); }
+  int pitch_;
+  std::vector<int> sums_;
+};
+
+}  // namespace
+
+FourthOrderPlan::FourthOrderPlan(CompositeMesh const& mesh) : levels_(std::size_t(mesh.levels())) {
+  for (int l = 0; l < mesh.levels(); ++l) {
+    cells.add(as_neighbours(l), reads_beyond(mesh.level(l)));
+    if (l > 0) cells.add(behind_edges(l - 1), reads_behind(mesh.level(l), mesh.level(l - 1)));
+  }
+  cells.plan(mesh.comm());
+  mesh.for_each_box([&](int l, int b) {
+    levels_[std::size_t(l)].faces.emplace_back();
+    levels_[std::size_t(l)].remote.push_back(0);
+    BoxFaces const& faces = mesh.hierarchy().faces(l)[std::size_t(b)];
+    for (int f = 0; f < 6; ++f) plan_face(mesh, l, b, f, faces.sides[std::size_t(f)]);
+  });
+}
+
+void FourthOrderPlan::plan_face(CompositeMesh const& mesh, int l, int b, int f, Face const& face) {
+  if (face.is_wall) return;
+  OnLevel& level = levels_[std::size_t(l)];
+  FacePlan& plan = level.faces.back()[std::size_t(f)];
+  Box const& box = mesh.box(l, b);
+  int const axis = f / 2, side = f % 2;
+  auto const [u, v] = tangential_axes(axis);
+  auto const near = overlaps(mesh.level(l), beyond(box, axis, side));
+  for (int n = 0; n < layers; ++n) {
+    plan.neighbours[std::size_t(n)].first = std::int32_t(level.rectangles.size());
+    Box const layer = box.layer(axis, side, n + 1);
+    for (Overlap const& o : near) {
+      Box const part = o.part.intersect(layer);
+      if (!part.empty()) level.rectangles.push_back(rectangle(mesh, l, l, b, f, {o.box, part, o.shift}, layer.lower));
+    }
+    plan.neighbours[std::size_t(n)].last = std::int32_t(level.rectangles.size());
+  }
+  if (!face.has_coarser) return;
+  Box const parents = box.coarsen(refinement_ratio), read = behind(box, axis, side);
+  plan.nu = parents.extent(u), plan.nv = parents.extent(v);
+  plan.blocks = std::int32_t(level.blocks.size());
+  level.blocks.resize(level.blocks.size() + std::size_t(plan.nu) * std::size_t(plan.nv));
+  auto const coarse = overlaps(mesh.level(l - 1), read);
+  for (int n = 0; n < layers; ++n) {
+    plan.coarse[std::size_t(n)].first = std::int32_t(level.rectangles.size());
+    Box layer = read;
+    layer.lower[axis] = layer.upper[axis] = parents.layer(axis, side, n + 1).lower[axis];
+    ArrayOnBox<char> usable(layer, 0);
+    for (Overlap const& o : coarse) {
+      Box const part = o.part.intersect(layer);
+      if (part.empty()) continue;
+      usable.fill(part, 1);
+      level.rectangles.push_back(rectangle(mesh, l, l - 1, b, f, {o.box, part, o.shift}, layer.lower));
+    }
+    plan.coarse[std::size_t(n)].last = std::int32_t(level.rectangles.size());
+    UsableCells const all_usable(usable, axis);
+    OfCell* of_cell = level.blocks.data() + plan.blocks;
+    for (int y = margin; y < margin + plan.nv; ++y)
+      for (int x = margin; x < margin + plan.nu; ++x)
+        (*of_cell++)[std::size_t(n)] =
+            fourth_order::best_block([&](int du, int dv, int size) { return all_usable(x + du, y + dv, size); });
+  }
+}
+
+/// The part of a plane beyond face f of a box of level l that a box of level `of` covers, placed from `origin`.
+Rectangle FourthOrderPlan::rectangle(CompositeMesh const& mesh, int l, int of, int b, int f, Overlap const& o,
+                                     Index3 const& origin) {
+  auto const [u, v] = tangential_axes(f / 2);
+  Level const& level = mesh.level(of);
+  Rectangle out{};
+  out.u = o.part.lower[u] - origin[u], out.v = o.part.lower[v] - origin[v];
+  out.nu = o.part.extent(u), out.nv = o.part.extent(v);
+  out.here = level.owner(o.box) == level.rank();
+  Box const& box = level.box(o.box);
+  Imports::Values const values =
+      out.here ? Imports::Values{level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
+                                 box.extent(0) * box.extent(1)}
+               : cells.find(l == of ? as_neighbours(l) : behind_edges(of), mesh.level(l).first_local_box() + b, f,
+                            o.box, o.shift, o.part);
+  if (!out.here) levels_[std::size_t(l)].remote.back() = 1;
+  Index3 const pitch{1, values.pitch_y, values.pitch_z};
+  out.from = values.from, out.pu = pitch[u], out.pv = pitch[v];
+  return out;
+}
+
+std::size_t FourthOrderPlan::bytes() const {
+  std::size_t sum = cells.memory();
+  for (auto const& l : levels_)
+    sum += l.faces.capacity() * sizeof(l.faces[0]) + l.rectangles.capacity() * sizeof(Rectangle) +
+           l.blocks.capacity() * sizeof(OfCell);
+  return sum;
+}
+
+}  // namespace amrpic

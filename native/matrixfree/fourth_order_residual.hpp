@@ -1,0 +1,30 @@
+#pragma once
+
+#include "matrixfree/composite_residual.hpp"
+#include "matrixfree/fourth_order_ghosts.hpp"
+
+namespace amrpic {
+
+/// Residuals in fourth order, of means of cells.
+class FourthOrderResidual : public CompositeResidual {
+ public:
+  FourthOrderResidual(CompositeMesh& mesh, FourthOrderGhosts& ghosts);
+
+ private:
+  void residual_plane(int l, int b, int k, Source const& source, Field const& phi) override;
+  void right_hand_side_plane(int l, int b, int k, Source const& source) override;
+  void term_sizes_plane(int l, int b, int k, Source const& source) override;
+  /// Of the cells far from walls: those behind walls count no more than these.
+  void diagonal_plane(int l, int b, int k, Field const& phi) override;
+  void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
+    ghosts_.visit(phi, &walls, FourthOrderGhosts::Ends::ghosts, FourthOrderGhosts::FullyCovered::skip, f);
+  }
+
+  void plane_of(int l, int b, int k, Source const& source, Real const* cells, Real const* begin, Real const* end);
+  bool has_wall(int l, int b) const;
+
+  FourthOrderGhosts& ghosts_;
+  std::vector<Real> zeros_;  ///< of a box at a wall
+};
+
+}  // namespace amrpic

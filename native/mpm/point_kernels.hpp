@@ -1,0 +1,170 @@
+// Functions of a point, as in fem/at_points.hpp: of slopes in an element, a vector for each of some points. What they
+// need is kept in blocks, all weights and scales of coordinates in it.
+#pragma once
+
+#include "fem/operator_of.hpp"
+
+namespace amrpic::mpm {
+
+using fem::AtPoint;
+using fem::of_block;
+using fem::V;
+using Matrix = std::array<std::array<V, 3>, 3>;
+
+inline constexpr std::size_t symmetric[3][3] = {{0, 5, 4}, {5, 1, 3}, {4, 3, 2}};  ///< 11, 22, 33, 23, 31, 12
+
+template <class F>
+inline void for_each_entry(F&& f) {
+#pragma GCC unroll 3
+  for (std::size_t i = 0; i < 3; ++i)
+#pragma GCC unroll 3
+    for (std::size_t j = 0; j < 3; ++j) f(i, j);
+}
+
+/// a b
+template <class A, class B>
+inline Matrix product(A const& a, B const& b) {
+  Matrix out;
+  for_each_entry(
+      [&](std::size_t i, std::size_t j) { out[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j] + a[i][2] * b[2][j]; });
+  return out;
+}
+
+/// Blocks of `width` values of points.
+struct Blocks {
+  std::shared_ptr<std::vector<Real> const> values;
+  Real const* first;
+  int width;
+
+  Blocks(std::vector<Real> of_points, int width)
+      : values(std::make_shared<std::vector<Real> const>(std::move(of_points))), first(values->data()), width(width) {}
+  V operator()(std::int64_t block, std::size_t number) const { return of_block(first, block, width, int(number)); }
+  Matrix matrix(std::int64_t block, std::size_t number) const {
+    Matrix out;
+    for_each_entry([&](std::size_t i, std::size_t j) { out[i][j] = (*this)(block, number + 3 * i + j); });
+    return out;
+  }
+  Matrix symmetric_matrix(std::int64_t block, std::size_t number) const {
+    Matrix out;
+    for_each_entry([&](std::size_t i, std::size_t j) { out[i][j] = (*this)(block, number + symmetric[i][j]); });
+    return out;
+  }
+};
+
+/// What all have in common.
+struct OfSlopes {
+  static constexpr bool reads = true, writes = true, values = false, slopes = true;
+};
+
+/// In the current configuration: A = S (grad x)^-1 with the scales S of the element's coordinates, stress, moduli.
+/// Their rule is c : e = a tr(e) 1 + b e, less d (dev(stress) tr(e) + (dev(stress) : e) 1) if there is `damage`.
+template <bool damage>
+struct CurrentIsotropic : OfSlopes {
+  static constexpr int width = 9 + 6 + (damage ? 3 : 2);
+  static constexpr bool rigid_modes = true;
+  Blocks state;
+
+  explicit CurrentIsotropic(Blocks state) : state(std::move(state)) {}
+  void operator()(std::int64_t block, AtPoint<3>& at) const {
+    Matrix const a = state.matrix(block, 0), stress = state.symmetric_matrix(block, 9);
+    Matrix const h = product(at.slope, a);
+    V const of_trace = state(block, 15), half = state(block, 16);  // half of b
+    V const trace = h[0][0] + h[1][1] + h[2][2];
+    V along = of_trace * trace;
+    Matrix x = product(h, stress);
+    for_each_entry([&](std::size_t i, std::size_t j) { x[i][j] += half * (h[i][j] + h[j][i]); });
+    if constexpr (damage) {
+      V const d = state(block, 17), mean = (stress[0][0] + stress[1][1] + stress[2][2]) * Real(1. / 3);
+      V work = -mean * trace;
+      for_each_entry([&](std::size_t i, std::size_t j) { work += stress[i][j] * h[i][j]; });
+      V const by = d * trace;
+      for_each_entry([&](std::size_t i, std::size_t j) { x[i][j] -= by * stress[i][j]; });
+      along += by * mean - d * work;
+    }
+    for (std::size_t i = 0; i < 3; ++i) x[i][i] += along;
+    for_each_entry([&](std::size_t i, std::size_t j) {
+      at.slope[i][j] = x[i][0] * a[j][0] + x[i][1] * a[j][1] + x[i][2] * a[j][2];
+    });
+  }
+  template <int P, int C>
+  fem::SlopesAtGauss<P, C, CurrentIsotropic> at_gauss(fem::Points const& points) const {
+    return {points, *this};
+  }
+};
+
+/// The same with any 21 moduli between the six strains 11, 22, 33, 23, 31, 12, upper triangle row by row.
+struct CurrentGeneral : OfSlopes {
+  static constexpr int width = 9 + 6 + 21;
+  static constexpr bool rigid_modes = true;
+  Blocks state;
+
+  explicit CurrentGeneral(Blocks state) : state(std::move(state)) {}
+  void operator()(std::int64_t block, AtPoint<3>& at) const {
+    Matrix const a = state.matrix(block, 0);
+    Matrix const h = product(at.slope, a);
+    V const e[6] = {h[0][0], h[1][1], h[2][2], h[1][2] + h[2][1], h[2][0] + h[0][2], h[0][1] + h[1][0]};
+    V s[6] = {};
+    std::size_t number = 15;
+#pragma GCC unroll 6
+    for (std::size_t i = 0; i < 6; ++i) {
+      V const on_diagonal = state(block, number++);
+      s[i] += on_diagonal * e[i];
+#pragma GCC unroll 6
+      for (std::size_t j = i + 1; j < 6; ++j) {
+        V const modulus = state(block, number++);
+        s[i] += modulus * e[j];
+        s[j] += modulus * e[i];
+      }
+    }
+    Matrix x = product(h, state.symmetric_matrix(block, 9));
+    for_each_entry([&](std::size_t i, std::size_t j) { x[i][j] += s[symmetric[i][j]]; });
+    for_each_entry([&](std::size_t i, std::size_t j) {
+      at.slope[i][j] = x[i][0] * a[j][0] + x[i][1] * a[j][1] + x[i][2] * a[j][2];
+    });
+  }
+  template <int P, int C>
+  fem::SlopesAtGauss<P, C, CurrentGeneral> at_gauss(fem::Points const& points) const {
+    return {points, *this};
+  }
+};
+
+/// In the initial configuration, neo-Hookean: A as above, mu S F~ F~' S, mu - lambda ln J, lambda.
+struct InitialNeoHookean : OfSlopes {
+  static constexpr int width = 9 + 6 + 2;
+  static constexpr bool rigid_modes = true;
+  Blocks state;
+
+  explicit InitialNeoHookean(Blocks state) : state(std::move(state)) {}
+  void operator()(std::int64_t block, AtPoint<3>& at) const {
+    Matrix const a = state.matrix(block, 0);
+    Matrix const ag = product(a, at.slope);
+    Matrix const aga = product(ag, a);
+    V const back = state(block, 15), along = state(block, 16) * (ag[0][0] + ag[1][1] + ag[2][2]);
+    Matrix x = product(at.slope, state.symmetric_matrix(block, 9));
+    for_each_entry(
+        [&](std::size_t i, std::size_t j) { at.slope[i][j] = x[i][j] + back * aga[j][i] + along * a[j][i]; });
+  }
+  template <int P, int C>
+  fem::SlopesAtGauss<P, C, InitialNeoHookean> at_gauss(fem::Points const& points) const {
+    return {points, *this};
+  }
+};
+
+/// A mass and a Poisson operator with factors of each point: of the value, and of slopes along each axis.
+struct Damage {
+  static constexpr bool reads = true, writes = true, values = true, slopes = true, rigid_modes = false;
+  static constexpr int width = 4;
+  Blocks state;
+
+  explicit Damage(Blocks state) : state(std::move(state)) {}
+  void operator()(std::int64_t block, AtPoint<1>& at) const {
+    at.value[0] *= state(block, 0);
+    for (std::size_t d = 0; d < 3; ++d) at.slope[0][d] *= state(block, 1 + d);
+  }
+  template <int P, int C>
+  fem::AtPoints<P, C, Damage> at_gauss(fem::Points const& points) const {
+    return {points, *this};
+  }
+};
+
+}  // namespace amrpic::mpm

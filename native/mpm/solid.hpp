@@ -1,0 +1,62 @@
+#pragma once
+
+#include <memory>
+#include <variant>
+#include <vector>
+
+#include "fem/operators.hpp"
+#include "material/neo_hookean.hpp"
+#include "material/ogden.hpp"
+#include "material/phase_field.hpp"
+
+namespace amrpic::mpm {
+
+/// Stress, energy and tangent of one material at F; `damage` matters to some.
+using Law = std::variant<material::NeoHookean, material::Ogden, material::DamagedNeoHookean>;
+
+/// Points that carry a solid on a mesh that has no displacement yet: the configuration of the mesh is the one in which
+/// points have what they carry, and displacements u are from there on. F = (1 + grad u) F~.
+struct Solid {
+  std::shared_ptr<fem::Points const> points;
+  std::vector<Law> laws;
+  std::vector<int> law;           ///< of each point
+  std::vector<Real> deformation;  ///< F~, 9 of each point, row after row
+  std::vector<Real> damage;       ///< of each point
+};
+
+/// What a displacement does. Integrals are over initial volumes: a point's is its weight over det F~.
+struct Response {
+  std::vector<Real> force;  ///< of this rank's nodes: the internal forces, sums of w P : grad N
+  Real energy;              ///< of all ranks
+  Real smallest_j;          ///< of all ranks, det F; nothing else is of use unless it is positive
+};
+
+/// Collective.
+Response respond(Solid const& solid, Real const* u);
+
+enum class Form { initial, current };
+
+/// How the internal forces change with u, which must leave all det F positive. In the initial form, which neo-Hookean
+/// solids alone have, gradients are those of the mesh's configuration; in the current one those of the displaced one.
+/// Collective.
+std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form);
+
+/// Of each point at F, given as 9 numbers: Kirchhoff's stress, 9; energy per initial volume; the energy that drives
+/// damage, zero without. Local.
+struct States {
+  std::vector<Real> stress, energy, driving;
+};
+States states(Solid const& solid, Real const* deformation);
+
+/// What damage is found from: 2 (1 - k) H (1 - d) = G/l (d - l² Laplacian d), in weak form over initial volumes with
+/// gradients in the mesh's configuration. Points whose toughness is zero have no part in it.
+struct DamageEquation {
+  std::shared_ptr<fem::Points const> points;
+  std::vector<Real> volume;   ///< initial ones, m³
+  std::vector<Real> driving;  ///< 2 (1 - k) H, J/m³
+  std::vector<Real> surface;  ///< G/l, J/m³
+  std::vector<Real> length;   ///< l, m
+};
+std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& equation);
+
+}  // namespace amrpic::mpm

@@ -1,0 +1,112 @@
+#include "solver/node_aggregates.hpp"
+
+#include <MueLu_CreateTpetraPreconditioner.hpp>
+
+#include "mesh/array_on_box.hpp"
+#include "solver/tpetra_rows.hpp"
+
+namespace amrpic {
+
+namespace {
+
+Teuchos::ParameterList aggregation(int components) {
+  Teuchos::ParameterList list, sweeps;
+  list.set("verbosity", "none");
+  list.set("number of equations", components);
+  list.set("smoother: type", "CHEBYSHEV");
+  sweeps.set("chebyshev: degree", 3);
+  list.set("smoother: params", sweeps);
+  list.set("coarse: max size", 200);
+  list.set("coarse: type", "RELAXATION");  // KLU2 gives wrong answers on several ranks
+  Teuchos::ParameterList relaxation;
+  relaxation.set("relaxation: type", "Symmetric Gauss-Seidel");
+  relaxation.set("relaxation: sweeps", 20);
+  list.set("coarse: params", relaxation);
+  return list;
+}
+
+/// Three translations and three rotations about the middle, as columns.
+Teuchos::RCP<TpetraTypes::MultiVector> rigid_modes(Level const& nodes,
+                                                   Teuchos::RCP<TpetraTypes::Map const> const& own) {
+  auto const out = Teuchos::rcp(new TpetraTypes::MultiVector(own, 6));
+  auto const view = out->getLocalViewHost(Tpetra::Access::OverwriteAll);
+  Real3 const& h = nodes.spacing();
+  std::size_t row = 0;
+  for (int b = nodes.first_local_box(); b < nodes.last_local_box(); ++b)
+    for_each_cell(nodes.box(b), [&](Index3 const& at) {
+      Real3 x;
+      for (std::size_t d = 0; d < 3; ++d) x[d] = (at[d] - Real(nodes.domain().upper[d]) / 2) * h[d] / h[0];
+      for (std::size_t c = 0; c < 3; ++c, ++row)
+        for (std::size_t mode = 0; mode < 3; ++mode) {
+          view(row, mode) = mode == c;
+          // e_mode x x
+          std::size_t const next = (mode + 1) % 3, last = (mode + 2) % 3;
+          view(row, 3 + mode) = c == next ? -x[last] : c == last ? x[next] : 0;
+        }
+    });
+  return out;
+}
+
+}  // namespace
+
+SharedRows compressed(fem::NodeBlocks const& blocks) {
+  Level const& nodes = *blocks.nodes;
+  int const components = blocks.components;
+  SharedRows out;
+  Real const* node = blocks.value.data();
+  for (int b = nodes.first_local_box(); b < nodes.last_local_box(); ++b) {
+    Box const& box = nodes.box(b);
+    auto const number = cell_numbers(nodes, box.grow(1));
+    for_each_cell(box, [&](Index3 const& at) {
+      for (int r = 0; r < components; ++r) {
+        int n = 0;
+        for_each_cell(Box{at, at}.grow(1), [&](Index3 const& other) {
+          for (int c = 0; c < components; ++c) {
+            Real value = node[(n * components + r) * components + c];
+            if (other == at && c == r && !(value > 0)) value = 1;
+            if (value == 0) continue;
+            out.column.push_back(number(other) * components + c);
+            out.value.push_back(value);
+          }
+          ++n;
+        });
+        out.row_start.push_back(out.column.size());
+      }
+      node += blocks.width();
+    });
+  }
+  return out;
+}
+
+struct NodeAggregates::Library {
+  Teuchos::RCP<TpetraTypes::Matrix> matrix;
+  Teuchos::RCP<TpetraTypes::MultiVector> x, b;
+  Teuchos::RCP<TpetraTypes::Operator> cycle;
+};
+
+NodeAggregates::~NodeAggregates() = default;
+
+NodeAggregates::NodeAggregates(Communicator const& comm, fem::NodeBlocks const& blocks, bool rigid)
+    : library_(std::make_unique<Library>()) {
+  SharedRows const rows = compressed(blocks);
+  auto const ranks = Teuchos::rcp(new Teuchos::MpiComm<int>(comm.handle()));
+  auto const unknown = Teuchos::OrdinalTraits<Tpetra::global_size_t>::invalid();
+  Teuchos::RCP<TpetraTypes::Map const> const own =
+      Teuchos::rcp(new TpetraTypes::Map(unknown, std::size_t(rows.rows()), 0, ranks));
+  library_->matrix = tpetra_matrix(rows, own);
+  library_->x = Teuchos::rcp(new TpetraTypes::MultiVector(own, 1));
+  library_->b = Teuchos::rcp(new TpetraTypes::MultiVector(own, 1));
+  auto parameters = aggregation(blocks.components);
+  if (rigid) parameters.sublist("user data").set("Nullspace", rigid_modes(*blocks.nodes, own));
+  library_->cycle = MueLu::CreateTpetraPreconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>(
+      Teuchos::rcp_implicit_cast<TpetraTypes::Operator>(library_->matrix), parameters);
+}
+
+void NodeAggregates::apply(std::vector<Real> const& r, std::vector<Real>& z) {
+  copy_in(r, *library_->b);
+  library_->x->putScalar(0);
+  library_->cycle->apply(*library_->b, *library_->x);
+  copy_out(*library_->x, z);
+}
+
+}  // namespace amrpic

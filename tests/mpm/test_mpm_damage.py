@@ -1,0 +1,124 @@
+"""Damage by a phase field against closed forms, and loads that come on in steps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from amrpic import fem, mpm
+from amrpic.errors import InputError, SolverError
+
+TOUGHNESS = 60.0
+
+
+def shear(mesh, amount):
+    return mesh.nodes @ np.array([[0, amount, 0], [0, 0, 0], [0, 0, 0]]).T
+
+
+def test_damage_of_a_point_is_in_closed_form_and_never_falls():
+    law = mpm.NeoHookean(4e9, 0.25, mpm.Damage(TOUGHNESS, 0.25e-3))
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1e-3, 2, degree=1)
+    solid, before, least = mpm.Solid(fem.gauss(mesh), law), 0.0, 0.0
+    for amount in (1e-3, 3e-3, 0, 2e-3, 4e-3, 0, 5e-3, 1e-3):  # three cycles
+        settled, report = mpm.settle(solid, fixed=mesh.boundary, values=shear(mesh, amount), tolerance=1e-12)
+        assert report.converged
+        solid = settled.solid
+        by = 2 * 0.99 * solid.driving
+        assert solid.damage == pytest.approx(by / (by + TOUGHNESS / 0.25e-3), rel=1e-10)
+        largest = max(before, settled.solid.states(settled.displacement).driving.max())
+        assert solid.driving == pytest.approx(np.full(len(solid.driving), largest), rel=1e-12)
+        assert solid.damage.min() >= least * (1 - 1e-13)
+        before, least = float(solid.driving.max()), float(solid.damage.min())
+    assert least > 0.1
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("degree, cells", [(1, 80), (2, 40)])
+def test_a_crack_has_its_profile_and_dissipates_its_toughness(comm, degree, cells):
+    mesh = fem.Mesh(comm, 0, (1, 0.05, 0.05), (cells, 2, 2), degree=degree)
+    length = 4 / (cells * degree)  # node spacings
+    law = mpm.NeoHookean(4e9, 0.25, mpm.Damage(TOUGHNESS, length))
+    solid = mpm.Solid(fem.jittered(mesh, 6), law)
+    away = np.abs(mesh.nodes[:, 0] - 0.5)
+    d = mpm.damage_field(solid, np.zeros(len(solid.points)), fixed=away < 1e-9, values=1.0)
+    assert np.abs(d - np.exp(-away / length)).max(initial=0.0) < 0.02
+    assert solid.dissipated(d) == pytest.approx(TOUGHNESS * 0.05**2, rel=0.02)
+
+
+def test_what_does_not_break_has_no_damage():
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1e-3, 4, degree=1)
+    points = fem.uniform(mesh, 2)
+    upper = points.position[:, 2] > 0.5e-3
+    laws = (mpm.NeoHookean(4e9, 0.25, mpm.Damage(TOUGHNESS, 0.5e-3)), mpm.NeoHookean(4e9, 0.25))
+    solid = mpm.Solid(points, laws, upper.astype(int))
+    d = mpm.damage_field(solid, np.full(len(points), 1e5))
+    assert (d[mesh.node_indices[:, 2] > 2] == 0).all() and (d[mesh.node_indices[:, 2] <= 2] > 0.4).all()
+
+
+def pulled(comm):
+    """A bar with a weak middle, and how far its end goes."""
+    mesh = fem.Mesh(comm, 0, (4e-3, 1e-3, 1e-3), (16, 4, 4), degree=1)
+    points = fem.uniform(mesh, 2)
+    damage = mpm.Damage(TOUGHNESS, 0.5e-3)
+    weak = np.abs(points.position[:, 0] - 2e-3) < 0.25e-3
+    laws = (mpm.NeoHookean(4e9, 0.25, damage), mpm.NeoHookean(3.6e9, 0.25, damage))
+    return mpm.Solid(points, laws, weak.astype(int))
+
+
+def test_a_bar_pulled_apart_breaks_in_its_weak_middle_and_keeps_its_energy():
+    solid = pulled(MPI.COMM_SELF)
+    mesh = solid.mesh
+    end = mesh.node_indices[:, 0] == 16
+    fixed = np.stack([end | (mesh.node_indices[:, 0] == 0), *(mesh.node_indices[:, d] == 0 for d in (1, 2))], axis=1)
+    forces, work, pull = [0.0], 0.0, 40e-6
+
+    def advance(state, begin, to):
+        nonlocal work
+        now, u = state
+        values = np.zeros((len(mesh.nodes), 3))
+        values[end, 0] = to * pull
+        settled, report = mpm.settle(now, fixed=fixed, values=values, start=u, tolerance=1e-7, most_turns=300)
+        if not report.converged:
+            return None, 0
+        after = settled.solid.respond(settled.displacement).force[end, 0].sum()
+        work += (forces[-1] + after) / 2 * (to - begin) * pull
+        forces.append(after)
+        dissipated.append((settled.solid.dissipated(settled.damage), report.equilibria[-1].energy, work))
+        return (settled.solid, settled.displacement), max(r.iterations for r in report.equilibria)
+
+    dissipated: list[tuple[float, float, float]] = []
+    (broken, _), steps = mpm.in_steps((solid, np.zeros((len(mesh.nodes), 3))), advance, steps=20)
+    assert all(step.taken for step in steps)
+    assert forces[-1] < 0.5 * max(forces)
+    middle = np.abs(broken.points.position[:, 0] - 2e-3) < 0.5e-3
+    assert broken.damage[middle].max() > 0.9 > broken.damage[~middle].max()
+    for lost, stored, done in dissipated[:5]:  # before it breaks at once
+        assert lost + stored == pytest.approx(done, rel=0.03)
+
+
+@pytest.mark.parametrize("fails_at", [0.31, 0.77])
+def test_steps_are_halved_where_there_is_no_state_and_grow_again(fails_at):
+    seen = []
+
+    def advance(state, begin, to):
+        seen.append(to)
+        easy = 2 if begin < fails_at else 6
+        return (None, 9) if to - begin > 0.06 and begin <= fails_at < to else (to, easy)
+
+    state, steps = mpm.in_steps(0.0, advance, steps=10)
+    assert state == 1.0 and steps[-1].end == 1.0
+    taken = [step for step in steps if step.taken]
+    assert taken[0].begin == 0 and all(a.end == b.begin for a, b in pairwise(taken))
+    assert any(not step.taken for step in steps)
+    lengths = [step.end - step.begin for step in taken]
+    assert max(lengths) <= 0.1 + 1e-12 and min(lengths) <= 0.05 + 1e-12
+
+
+def test_loads_without_a_state_end_with_their_history():
+    with pytest.raises(SolverError, match=r"no equilibrium beyond 0.5 of the load; steps that failed: 0.5 to 0.6"):
+        mpm.in_steps(0, lambda state, begin, to: (None, 9) if to > 0.5 else (state, 2), steps=10)
+    with pytest.raises(InputError, match="give at least one, and a part of the load"):
+        mpm.in_steps(0, lambda state, begin, to: (state, 1), steps=0)

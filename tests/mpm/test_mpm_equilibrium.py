@@ -1,0 +1,252 @@
+"""Newton's method: patch test, closed forms, order, an independent finite element code, and trouble."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import skfem
+from mpi4py import MPI
+from scipy.sparse.linalg import spsolve
+from skfem.helpers import ddot, det, grad, identity, inv, mul, trace, transpose
+
+from amrpic import fem, mpm
+from amrpic.errors import InputError
+from amrpic.verify.press import between_walls, confined, exact_stress, iterations, upper_face
+
+YOUNG = 300e6
+PLAIN = mpm.NeoHookean(YOUNG, 0.25)
+OGDEN = mpm.Ogden(((PLAIN.mu, 2.0),), PLAIN.lame)
+GRADIENT = np.array([[0.1, 0.05, -0.08], [0.02, -0.2, 0.1], [0.1, 0, 0.15]])
+
+
+@pytest.mark.parametrize("law", [PLAIN, OGDEN], ids=["neo-hookean", "ogden"])
+@pytest.mark.parametrize("degree, per_axis", [(1, 4), (2, 5), (3, 8), (4, 8)])
+def test_affine_walls_give_an_affine_displacement_and_one_stress(degree, per_axis, law):
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 2, degree=degree)
+    points = fem.jittered(mesh, per_axis) if degree < 4 else fem.uniform(mesh, per_axis)
+    assert min(points.exactness()) >= degree
+    exact = mesh.nodes @ GRADIENT.T
+    start = exact + 0.01 * np.sin(20 * mesh.nodes) * ~mesh.boundary[:, None]
+    solid = mpm.Solid(points, law)
+    u, report = mpm.equilibrium(solid, fixed=mesh.boundary, values=exact, start=start, tolerance=1e-12)
+    assert report.converged and report.iterations <= 6, report
+    assert np.abs(u - exact).max() < 1e-10
+    stress = solid.states(u).cauchy
+    assert np.abs(stress - stress[0]).max() < 1e-10 * YOUNG
+
+
+@pytest.mark.parametrize("law", [PLAIN, OGDEN], ids=["neo-hookean", "ogden"])
+@pytest.mark.parametrize("degree, per_axis", [(1, 4), (2, 5)])
+def test_confined_compression_has_the_stress_in_closed_form(degree, per_axis, law):
+    exact = exact_stress(PLAIN)
+    assert exact == pytest.approx((-230.165e6, -102.165e6), abs=500)
+    apart = []
+    for steps in (10, 20):
+        found = confined(MPI.COMM_SELF, law, degree, lambda mesh: fem.jittered(mesh, per_axis), steps)
+        for measured, expected in zip((found.axial, found.lateral), exact, strict=True):
+            assert measured == pytest.approx((expected, expected), rel=1e-8)
+        apart.append(found.work / found.energy - 1)
+    assert abs(apart[0]) < 0.01
+    assert apart[0] / apart[1] == pytest.approx(4, abs=0.1)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_ranks_press_alike(comm):
+    found = confined(comm, PLAIN, 1, lambda mesh: fem.jittered(mesh, 4), 5)
+    assert found.axial == pytest.approx((exact_stress(PLAIN)[0],) * 2, rel=1e-8)
+    assert found.iterations <= 3
+
+
+def bent(law=PLAIN, degree=2, cells=3):
+    """A block of which one face is held and the opposite one turned about x by a large angle."""
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, (1, 1, 2), (cells, cells, 2 * cells), degree=degree)
+    top = upper_face(mesh)
+    fixed = (mesh.node_indices[:, 2] == 0) | top
+    values = np.zeros((len(mesh.nodes), 3))
+    angle, y = 0.5, mesh.nodes[top, 1] - 0.5
+    values[top, 1], values[top, 2] = y * (np.cos(angle) - 1), y * np.sin(angle)
+    return mpm.Solid(fem.gauss(mesh), law), fixed, values
+
+
+@pytest.mark.parametrize("law", [PLAIN, OGDEN], ids=["neo-hookean", "ogden"])
+def test_newton_converges_quadratically_and_forcing_terms_cost_little(law):
+    solid, fixed, values = bent(law)
+    taken = []
+    for linear in (1e-12, None):
+        _, report = mpm.equilibrium(solid, fixed=fixed, values=values, tolerance=1e-11, linear_tolerance=linear)
+        assert report.converged, report
+        taken.append((report.iterations, sum(report.gradients)))
+        if linear:
+            first, second, third = np.log(report.residuals[-4:-1])  # the last one is rounding
+            assert (third - second) / (second - first) >= 1.8, report.residuals
+    assert taken[1][0] <= taken[0][0] + 1 and taken[1][1] < taken[0][1], taken
+
+
+@pytest.mark.parametrize("form", ["initial", "current"])
+def test_preconditioners_and_forms_lead_to_the_same_place(form):
+    solid, fixed, values = bent(degree=1)
+    plain, _ = mpm.equilibrium(solid, fixed=fixed, values=values, tolerance=1e-11)
+    every: list[dict[str, Any]] = [{"preconditioner": "jacobi"}, {"coarse": "aggregation"}]
+    for options in every:
+        other, report = mpm.equilibrium(solid, fixed=fixed, values=values, tolerance=1e-11, form=form, **options)
+        assert report.converged
+        assert np.abs(other - plain).max() < 1e-9
+
+
+def test_steps_that_turn_points_inside_out_are_cut():
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 4, degree=1)
+    solid = mpm.Solid(fem.gauss(mesh), PLAIN)
+    load = np.where((mesh.node_indices == 2).all(axis=1)[:, None], [1e8, 0, 0], 0)
+    u, report = mpm.equilibrium(solid, fixed=mesh.boundary, load=load, tolerance=1e-12)
+    assert report.converged and min(report.lengths) < 1 and report.lengths[-1] == 1, report
+    assert 0 < solid.respond(u).smallest_j < 1
+    start = 0.12 * np.sin(40 * mesh.nodes) * ~mesh.boundary[:, None]
+    assert 0 < solid.respond(start).smallest_j < 1e-3
+    u, report = mpm.equilibrium(solid, fixed=mesh.boundary, start=start, tolerance=1e-12)
+    assert report.converged and np.abs(u).max() < 1e-10, report
+
+
+def test_walls_that_meet_have_no_equilibrium():
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 2, degree=1)
+    solid = mpm.Solid(fem.gauss(mesh), PLAIN)
+    values = -1.5 * mesh.nodes * [0, 0, 1]
+    u, report = mpm.equilibrium(solid, fixed=between_walls(mesh), values=values, most_iterations=15)
+    assert not report.converged and report.reason != "the tolerance was met"
+    assert solid.respond(u).smallest_j > 0
+
+
+# ---- beside scikit-fem ----
+
+SOFT, STIFF = mpm.NeoHookean(5e3, 0.3), mpm.NeoHookean(1.9e5, 0.3)
+WEIGHT = np.array([0.0, 0.0, -1e4])  # N/m³, of the ball
+
+
+def inside(x):
+    return ((x - 0.5) ** 2).sum(axis=-1) < 0.28**2
+
+
+def by_scikit_fem(degree, cells):
+    """Displacements of the same problem, by forms and quadrature of scikit-fem and its own Newton iteration."""
+    element = skfem.ElementVector(skfem.ElementHex1() if degree == 1 else skfem.ElementHex2())
+    along = np.linspace(0, 1, cells + 1)
+    basis = skfem.Basis(skfem.MeshHex.init_tensor(along, along, along), element, intorder=2 * degree + 1)
+
+    def moduli(w):
+        ball = inside(np.moveaxis(w.x, 0, -1))
+        return np.where(ball, STIFF.mu, SOFT.mu), np.where(ball, STIFF.lame, SOFT.lame), ball
+
+    def piola(f, mu, lame):
+        back = transpose(inv(f))
+        return mu * (f - back) + lame * np.log(det(f)) * back
+
+    @skfem.LinearForm
+    def unbalanced(v, w):
+        mu, lame, ball = moduli(w)
+        f = grad(w["u"]) + identity(grad(w["u"]))
+        return ddot(piola(f, mu, lame), grad(v)) - WEIGHT[2] * ball * v[2]
+
+    @skfem.BilinearForm
+    def change(du, v, w):
+        mu, lame, _ = moduli(w)
+        f = grad(w["u"]) + identity(grad(w["u"]))
+        back, h = inv(f), mul(grad(du), inv(f))
+        turned = transpose(mul(back, h))
+        return ddot(mu * grad(du) + (mu - lame * np.log(det(f))) * turned + lame * trace(h) * transpose(back), grad(v))
+
+    @skfem.Functional
+    def stored(w):
+        mu, lame, _ = moduli(w)
+        f = grad(w["u"]) + identity(grad(w["u"]))
+        return mu / 2 * (ddot(f, f) - 3) - mu * np.log(det(f)) + lame / 2 * np.log(det(f)) ** 2
+
+    u = np.zeros(basis.N)
+    held = basis.get_dofs(lambda x: x[2] == 0).flatten()
+    free = np.setdiff1d(np.arange(basis.N), held)
+    for _ in range(20):
+        r = unbalanced.assemble(basis, u=basis.interpolate(u))
+        if np.linalg.norm(r[free]) < 1e-12 * np.linalg.norm(r):
+            break
+        a = change.assemble(basis, u=basis.interpolate(u)).tocsc()
+        u[free] -= spsolve(a[free][:, free], r[free])
+    return basis.doflocs, u, r, float(stored.assemble(basis, u=basis.interpolate(u)))
+
+
+@pytest.mark.parametrize("degree, cells", [(1, 4), (2, 2)])
+def test_a_heavy_ball_sinks_as_scikit_fem_has_it(degree, cells):
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, cells, degree=degree)
+    bottom = mesh.node_indices[:, 2] == 0
+
+    def sunk(points):
+        ball = inside(points.position)
+        load = points.integrate(ball[:, None] * WEIGHT)
+        solid = mpm.Solid(points, (SOFT, STIFF), ball.astype(int))
+        u, report = mpm.equilibrium(solid, fixed=bottom, load=load, tolerance=1e-12)
+        assert report.converged, report
+        return u, solid.respond(u).force - load, report.energy
+
+    u, forces, energy = sunk(fem.gauss(mesh))
+    places, theirs, unbalanced, stored = by_scikit_fem(degree, cells)
+    of = {
+        (*np.round(place, 6), axis): n
+        for n, (place, axis) in enumerate(zip(places.T, np.arange(len(theirs)) % 3, strict=True))
+    }
+    order = np.array([[of[(*np.round(place, 6), axis)] for axis in range(3)] for place in mesh.nodes])
+    size = np.abs(theirs).max()
+    assert size > 0.02
+    assert np.abs(u - theirs[order]).max() < 1e-8 * size
+    assert energy == pytest.approx(stored, rel=1e-9)
+    assert np.abs(forces - unbalanced[order])[bottom].max() < 1e-8 * np.abs(forces).max()
+
+
+def test_jittered_points_sink_nearly_as_far():
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 6, degree=2)
+    found = []
+    for points in (fem.gauss(mesh), fem.jittered(mesh, 4)):
+        ball = inside(points.position)
+        solid = mpm.Solid(points, (SOFT, STIFF), ball.astype(int))
+        load = points.integrate(ball[:, None] * WEIGHT)
+        u, report = mpm.equilibrium(solid, fixed=mesh.node_indices[:, 2] == 0, load=load)
+        assert report.converged
+        found.append(float(np.average(points.values(u)[ball, 2], weights=points.weight[ball])))
+    assert found[0] < -0.02 and found[1] == pytest.approx(found[0], rel=0.05)
+
+
+# ---- multigrid ----
+
+
+@pytest.mark.parametrize("degree, cells, per_axis, most", [(1, 8, 4, 8), (2, 8, 4, 8), (3, 8, 6, 11)])
+def test_a_solid_of_one_material_takes_few_iterations(degree, cells, per_axis, most):
+    taken = iterations(MPI.COMM_SELF, degree, cells, per_axis, None)
+    assert taken["geometric"] <= most and abs(taken["geometric"] - taken["aggregation"]) <= 3, taken
+
+
+def test_grains_and_sticky_air_take_few_iterations_that_do_not_grow_as_those_of_jacobi():
+    few, more = (iterations(MPI.COMM_SELF, 2, cells, 4, 5e6) for cells in (8, 16))
+    assert few["geometric"] <= 30 and more["geometric"] <= 35, (few, more)
+    assert all(abs(taken["geometric"] - taken["aggregation"]) <= 3 for taken in (few, more))
+    assert more["jacobi"] >= 1.7 * few["jacobi"] and more["jacobi"] > 15 * more["geometric"]
+
+
+# ---- trouble ----
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_conditions_that_do_not_fit_are_refused(comm):
+    mesh = fem.Mesh(comm, 0, 1, 4, degree=1, max_grid_size=2)
+    solid = mpm.Solid(fem.uniform(mesh, 2), PLAIN)
+    with pytest.raises(InputError, match=r"fixed is of .* with shape .* on a rank; give a mask \(\d+, 3\) there"):
+        mpm.equilibrium(solid, fixed=[0])
+    with pytest.raises(InputError, match=r"values do not fit nodes; give a number or an array \(\d+, 3\)"):
+        mpm.equilibrium(solid, fixed=mesh.boundary, values=[1.0, 2.0])
+    with pytest.raises(InputError, match="the load has shape"):
+        mpm.equilibrium(solid, fixed=mesh.boundary, load=np.zeros(2))
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_points_that_leave_the_next_mesh_are_named(comm):
+    mesh = fem.Mesh(comm, 0, 1, 4, degree=1, max_grid_size=2)
+    solid = mpm.Solid(fem.uniform(mesh, 2), PLAIN)
+    with pytest.raises(InputError, match=r"point \d+ has left the mesh to .* m"):
+        mpm.carried(solid, np.zeros((len(mesh.nodes), 3)), fem.Mesh(comm, 0, (1, 1, 0.5), 4))

@@ -25,10 +25,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         chosen = parser().parse_args(arguments)
         show_traceback = chosen.traceback
-        with (
-            reported(MPI.COMM_WORLD) if chosen.doing else contextlib.nullcontext(),
-            progress(chosen.doing) if chosen.doing else contextlib.nullcontext(),
-        ):
+        with contextlib.ExitStack() as during:
+            if chosen.doing:
+                during.enter_context(reported(MPI.COMM_WORLD))
+                during.enter_context(progress(chosen.doing))
             status = chosen.command(chosen)
         sys.stdout.flush()
     except (Exception, KeyboardInterrupt) as failure:

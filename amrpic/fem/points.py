@@ -109,6 +109,25 @@ def reals(values: ArrayLike, what: str, shape: str) -> np.ndarray:
         raise InputError(f"{what} is no array of real numbers; give {shape}") from None
 
 
+def mask_of(fixed: ArrayLike, count: int, components: int, shapes: str) -> np.ndarray:
+    """Return which unknowns are fixed, (count, components). InputError for no mask of nodes or of unknowns. Local."""
+    try:
+        mask = np.asarray(fixed)
+    except ValueError:
+        raise InputError(f"fixed is no array; give a mask {shapes}") from None
+    if mask.dtype != bool or mask.shape not in ((count,), (count, components)):
+        raise InputError(f"fixed is of {mask.dtype} with shape {mask.shape} on a rank; give a mask {shapes}")
+    return np.ascontiguousarray(np.broadcast_to(mask if mask.ndim == 2 else mask[:, None], (count, components)))
+
+
+def held_of(values: ArrayLike | float, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the values of fixed unknowns, an array of that shape. InputError for what does not fit. Local."""
+    try:
+        return np.array(np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape))
+    except ValueError:
+        raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
+
+
 def numbers(values: ArrayLike, count: int, what: str) -> np.ndarray:
     """Return values as a contiguous array (count,) or (count, 3). InputError if they are something else. Local."""
     array = reals(values, what, f"({count},) or ({count}, 3)")

@@ -14,7 +14,7 @@ from .. import _native
 from ..errors import InputError, SolverError
 from ..parallel import together
 from .operators import Operator
-from .points import checked_vector, reals, shaped
+from .points import checked_vector, held_of, mask_of, shaped
 
 MOST_ITERATIONS = 2**31 - 1
 Preconditioner = Literal["none", "jacobi", "p-multigrid"]  # in the order of the native ones
@@ -117,23 +117,9 @@ def _mask(operator: Operator, fixed: ArrayLike | None) -> np.ndarray:
     count, components = len(operator.mesh.node_indices), operator.components
     if fixed is None:
         return np.zeros(count * components, dtype=bool)
-    try:
-        mask = np.asarray(fixed)
-    except ValueError:
-        raise InputError(f"fixed is no array; give a mask ({count},) or ({count}, {components})") from None
-    if mask.dtype != bool or mask.shape not in ((count,), (count, components)):
-        raise InputError(
-            f"fixed is of {mask.dtype} with shape {mask.shape} on a rank; give a mask ({count},) or ({count}, {components})"
-        )
-    each = mask if mask.ndim == 2 else np.repeat(mask, components)
-    return np.ascontiguousarray(each).reshape(-1)
+    return mask_of(fixed, count, components, f"({count},) or ({count}, {components})").reshape(-1)
 
 
 def _held(operator: Operator, values: ArrayLike | float) -> np.ndarray:
     count, components = len(operator.mesh.node_indices), operator.components
-    shape = (count,) if components == 1 else (count, components)
-    try:
-        held = np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape)
-    except ValueError:
-        raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
-    return np.ascontiguousarray(held).reshape(-1)
+    return held_of(values, (count,) if components == 1 else (count, components)).reshape(-1)

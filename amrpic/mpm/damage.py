@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from .. import _native
 from ..errors import SolverError
 from ..fem import Operator, Points, solve
+from ..fem.points import mask_of
 from ..parallel import global_sum
 from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
@@ -110,6 +111,6 @@ def settle(
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:
     """The L2 norm of what is not in equilibrium. Collective."""
     residual = solid.respond(u).force - (0.0 if load is None else np.asarray(load))
-    mask = np.asarray(fixed)
-    free = np.where(mask if mask.ndim == 2 else mask[:, None], 0.0, residual)
+    held = mask_of(fixed, len(residual), 3, f"({len(residual)}, 3) there")
+    free = np.where(held, 0.0, residual)
     return float(np.sqrt(global_sum(solid.mesh.comm, float((free**2).sum()))))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import InputError
 from ..fem import solve
-from ..fem.points import checked_vector
+from ..fem.points import checked_vector, held_of, mask_of
 from ..fem.solve import Coarse, Preconditioner
 from ..parallel import global_sum, together
 from .solid import Form, Response, Solid
@@ -133,16 +133,8 @@ def _conditions(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     count = len(solid.mesh.node_indices)
     with together(solid.mesh.comm, InputError):
-        mask = np.asarray(fixed)
-        if mask.dtype != bool or mask.shape not in ((count,), (count, 3)):
-            raise InputError(
-                f"fixed is of {mask.dtype} with shape {mask.shape} on a rank; give a mask ({count}, 3) there"
-            )
-        held = np.ascontiguousarray(np.broadcast_to(mask if mask.ndim == 2 else mask[:, None], (count, 3)))
-        try:
-            target = np.array(np.broadcast_to(np.asarray(values, dtype=np.float64), (count, 3)))
-        except (TypeError, ValueError):
-            raise InputError(f"values do not fit nodes; give a number or an array ({count}, 3) on this rank") from None
+        held = mask_of(fixed, count, 3, f"({count}, 3) there")
+        target = held_of(values, (count, 3))
     force = np.zeros((count, 3)) if load is None else _vector(solid, load, "the load")
     return held, target, force
 

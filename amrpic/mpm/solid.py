@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from .. import _native
 from ..errors import InputError
 from ..fem import Operator, Points
-from ..fem.points import checked_vector
+from ..fem.points import checked_vector, reals
 from ..parallel import global_sum, together
 from .materials import Material, NeoHookean
 
@@ -160,7 +160,7 @@ class Solid:
 
 
 def _array(values: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:
-    array = np.ascontiguousarray(values, dtype=np.float64)
+    array = reals(values, what, f"{shape} there")
     if array.shape != shape:
         raise InputError(f"{what} has shape {array.shape} on a rank; give {shape} there")
     return array

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from pydantic import ValidationError
@@ -14,7 +14,7 @@ from scipy import sparse
 from .. import _native, html
 from ..errors import SolverError
 from ..mesh.domain import BOUNDARIES
-from ..mesh.field import Field, Function, VectorField
+from ..mesh.field import Field, Function, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import together
 from ..scene.complaints import mistakes
@@ -153,7 +153,7 @@ class PoissonSolver:
         free space. Operators go to the first that takes them."""
         return BaseSetup(self._base, self.native.reusable)
 
-    def electric_field(self, phi: Field, covered: str = "mean", holds: str = "points") -> VectorField:
+    def electric_field(self, phi: Field, covered: str = "mean", holds: Holds = "points") -> VectorField:
         """Return E = −∇φ in V/m at cell centres, from the fluxes through the cell faces; stretched as the equation. Collective.
 
         In fourth order from means over the faces; there `holds="means"` gives means over the cells.
@@ -161,14 +161,14 @@ class PoissonSolver:
         Walls count with the data of the latest solve. In cells that a finer level covers stands the mean of the children, or,
         for `covered="difference"`, the central difference of the mean potentials, as matched clouds need it (see `Clouds`).
         """
-        _one_of("holds", holds, ("points", "means"))
+        _one_of("holds", holds, get_args(Holds))
         if holds == "means" and self.options.order != 4:
             raise SolverError(
                 "means of E over cells are what a solver of order 4 knows; leave holds out, or set order to 4"
             )
         out = self._field(phi, covered, holds).with_components()
         for component in out.components:
-            component.holds = holds  # type: ignore[assignment]
+            component.holds = holds
         return out
 
     def deferred_field(self, phi: Field, covered: str = "mean") -> VectorField:
@@ -181,7 +181,7 @@ class PoissonSolver:
         phi.lock()
         return field
 
-    def _field(self, phi: Field, covered: str, holds: str = "points") -> VectorField:
+    def _field(self, phi: Field, covered: str, holds: Holds = "points") -> VectorField:
         self._require_home("phi", phi)
         _one_of("covered", covered, COVERED)
         of_covered = getattr(_native.CoveredField, covered)
@@ -221,11 +221,12 @@ class PoissonSolver:
         over the faces, by Gauss's two points along each of their edges."""
         if self.options.order == 2:
             return function(*centres.T)
-        out = np.zeros(len(centres))
-        for shifts in product((-1, 1), repeat=3):
-            offset = np.array(shifts) * self.hierarchy.spacing(level) / np.sqrt(12)
-            at = centres + np.where(np.arange(3) == axes[:, None], 0.0, offset)
-            out += np.broadcast_to(function(*at.T), len(centres)) / 8
+        out, tangential = np.zeros(len(centres)), (axes[:, None] + [1, 2]) % 3
+        for shifts in product((-1, 1), repeat=2):
+            steps = np.zeros_like(centres)
+            np.put_along_axis(steps, tangential, np.broadcast_to(shifts, tangential.shape), axis=1)
+            at = centres + steps * self.hierarchy.spacing(level) / np.sqrt(12)
+            out += np.broadcast_to(function(*at.T), len(centres)) / 4
         return out
 
     def _set_walls(self, values: Function | None, flux: Function | None) -> None:

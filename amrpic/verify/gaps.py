@@ -12,7 +12,7 @@ from mpi4py import MPI
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from .chosen import solver_of
-from .errors import errors, level_errors
+from .errors import errors, level_errors, observed_order
 from .meshes import blocks
 from .sources import Product, Wave, fill
 from .table import Goal, Table
@@ -68,7 +68,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     )
     measured = [_solved(comm, Gaps(checkerboard, cells)) for cells in SIZES]
     norms = [np.array([m.efield[n] for m in measured]) for n in (0, 1)]
-    orders = [float(np.log(e[0] / e[-1]) / np.log(SIZES[-1] / SIZES[0])) for e in norms]
+    orders = [observed_order((SIZES[0], SIZES[-1]), (e[0], e[-1])) for e in norms]
     yield Table(
         "Narrow gaps: order",
         "Order of the error of E on the fine level of the checkerboard of blocks of 4, from a base of 12³ to one of 24³ cells.",

@@ -30,15 +30,13 @@ Row = list[str | float | Goal]
 
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
-    """The tables of this topic. Collective; but for the last one each rank measures by itself."""
+    """The tables of this topic. Collective: all ranks share the work of the last table; each does that of the others alone."""
     yield Table(
         "Solids: forces and tangents",
-        "3³ elements of degree 2, points deformed before (those that break are stretched, as their modulus "
-        "jumps at J = 1), and "
-        "a wavy displacement. Largest differences in parts of the largest entry: work of internal forces "
-        "against differences of "
-        "the energy, tangent against differences of forces, the tangent with gradients in the initial against that in the "
-        "current configuration; sums of internal forces and of their moments over those of their sizes.",
+        "3³ elements of degree 2, points deformed before (those that break are stretched, as their modulus jumps at J = 1), "
+        "and a wavy displacement. Largest differences in parts of the largest entry: work of internal forces against "
+        "differences of the energy, tangent against differences of forces, the tangent with gradients in the initial against "
+        "that in the current configuration; sums of internal forces and of their moments over those of their sizes.",
         ("law", "points", "forces", "tangent", "initial and current", "force", "moment"),
         [_derivatives(law, layout) for law in LAWS for layout in LAYOUTS],
     )
@@ -62,9 +60,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     yield Table(
         "Solids: confined compression",
         "A cube between walls without friction, E = 300 MPa, ν = 0.25, pressed to 0.6 of its height; F and volumes are carried "
-        "by jittered points from one mesh to the next. Axial and lateral Cauchy stress off -230.165 and "
-        "-102.165 MPa, the worst "
-        "point's; work of the walls, by the trapezoidal rule over steps, over the stored energy.",
+        "by jittered points from one mesh to the next. Axial and lateral Cauchy stress off -230.165 and -102.165 MPa, the "
+        "worst point's; work of the walls, by the trapezoidal rule over steps, over the stored energy.",
         ("law", "degree", "steps", "axial", "lateral", "work - energy", "over that of twice the steps"),
         [_pressed(law, degree) for law in ("neo-hookean", "ogden, one term") for degree in (1, 2)],
     )
@@ -78,9 +75,8 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     )
     yield Table(
         "Solids: damage",
-        "d = 1 on a plane across a bar, ℓ four node spacings, jittered 6³ points: largest difference from "
-        "exp(-|x|/ℓ), and energy "
-        "over G times the area.",
+        "d = 1 on a plane across a bar, ℓ four node spacings, jittered 6³ points: largest difference from exp(-|x|/ℓ), and "
+        "energy over G times the area.",
         ("degree", "profile", "energy - 1"),
         [_crack(degree) for degree in (1, 2, 3)],
     )

@@ -111,7 +111,6 @@ void bind_solver(nb::module_& m) {
            nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field_as", &PoissonSolver::electric_field_as, "potential"_a, "covered"_a, "holds"_a,
            nb::call_guard<nb::gil_scoped_release>())
-      .def("to_points", &PoissonSolver::to_points, "means"_a, "points"_a, nb::call_guard<nb::gil_scoped_release>())
       .def("to_means", &PoissonSolver::to_means, "points"_a, "means"_a, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "wall_faces",

@@ -105,7 +105,6 @@ class CompositeLaplacian {
     return means_->field.electric_field(potential, walls, covered, holds);
   }
   /// See FourthOrderField. Collective.
-  void to_points(Field const& means, Field& points) { means_->field.to_points(means, points); }
   void to_means(Field const& points, Field& means) { means_->field.to_means(points, means); }
 
   // What this rank sends in a call of `residual`, besides the norm, and of `add`.

@@ -147,7 +147,6 @@ ElectricField CompositeField::electric_field(std::shared_ptr<Field const> potent
         if (k % 2 == 1) average_field(l, b, k - 1, means[std::size_t(l)].data());
       }
   };
-  using FullyCovered = CompositeGhosts::FullyCovered;
   ghosts_.visit(phi, walls, averages ? FullyCovered::skip : FullyCovered::visit, set_box, finish_level);
   return out;
 }

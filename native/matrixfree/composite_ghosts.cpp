@@ -4,8 +4,7 @@
 
 namespace amrpic {
 
-CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh) {
-  for (int l = 0; l < mesh_.levels(); ++l) fluxes_.emplace_back(std::size_t(mesh_.plan(l).fluxes));
+CompositeGhosts::CompositeGhosts(CompositeMesh& mesh) : mesh_(mesh), fluxes_(mesh) {
   for (int f = 0; f < 6; ++f) ghosts_[std::size_t(f)].resize(mesh_.largest_face(f / 2));
   std::size_t const row = mesh_.largest_row();
   coarse_.resize((row / 2 + 4) * (row / 2 + 4));
@@ -17,40 +16,19 @@ void CompositeGhosts::visit(Field const& phi, std::vector<Walls> const& walls, F
   mesh_.plan().cells.start([&](int purpose, Read const& read, Real* out) {
     mesh_.pack_cells(phi, CompositePlan::level_of(purpose), read, out);
   });
-  bool waiting = true;
-  for (int l = mesh_.levels() - 1; l >= 0; --l) {
-    if (mesh_.hierarchy().has_finer(l)) mesh_.plan(l).finer_fluxes.finish();
-    for (bool remote : {false, true}) {
-      if (remote && waiting) {
-        mesh_.plan().cells.finish();
-        waiting = false;
-      }
-      for (int b = 0; b < mesh_.boxes(l); ++b) {
-        if (mesh_.plan(l, b).remote != remote ||
-            (mesh_.plan(l, b).is_fully_covered && fully_covered == FullyCovered::skip))
-          continue;
+  mesh_.visit(
+      mesh_.plan().cells, fully_covered, [&](int l, int b) { return mesh_.plan(l, b).remote; },
+      [&](int l) {
+        if (mesh_.hierarchy().has_finer(l)) fluxes_.finish(l);
+      },
+      [&](int l, int b) {
         fill(l, b, phi, walls[std::size_t(l)]);
         f(l, b);
-      }
-    }
-    if (l > 0) send_fluxes(l);
-    if (done) done(l);
-  }
-}
-
-void CompositeGhosts::send_fluxes(int l) {
-  mesh_.plan(l - 1).finer_fluxes.start([&](int, Read const& read, Real* out) {
-    int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
-    auto const [u, v] = tangential_axes(face / 2);
-    Box const part = read.cells();
-    Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
-    Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
-    for (int y = part.lower[v]; y <= part.upper[v]; ++y) {
-      std::ptrdiff_t const from =
-          i.fluxes + (part.lower[u] - parents.lower[u] - i.u) + std::ptrdiff_t(i.nu) * (y - parents.lower[v] - i.v);
-      out = std::copy_n(fluxes_[l].data() + from, part.extent(u), out);
-    }
-  });
+      },
+      [&](int l) {
+        if (l > 0) fluxes_.send(l);
+        if (done) done(l);
+      });
 }
 
 void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {
@@ -64,20 +42,9 @@ void CompositeGhosts::fill(int l, int b, Field const& phi, Walls const& walls) {
         continue;
       }
       for (int r = face.neighbours.first; r < face.neighbours.last; ++r)
-        copy(mesh_.plan(l).neighbours[r], phi.level(l).data(), ghosts_[f].data(), pitch);
+        mesh_.plan(l).neighbours[r].copy(phi.level(l).data(), mesh_.plan().cells.values(), ghosts_[f].data(), pitch);
       if (face.interface >= 0) fill_interface(l, b, axis, side, phi);
     }
-}
-
-void CompositeGhosts::copy(Rectangle const& r, Real const* own, Real* to, std::ptrdiff_t pitch) const {
-  Real const* from = (r.here ? own : mesh_.plan().cells.values()) + r.from;
-  to += r.u + pitch * r.v;
-  for (int v = 0; v < r.nv; ++v, from += r.pv, to += pitch) {
-    if (r.pu == 1)
-      std::copy_n(from, r.nu, to);
-    else
-      for (int u = 0; u < r.nu; ++u) to[u] = from[std::ptrdiff_t(u) * r.pu];
-  }
 }
 
 void CompositeGhosts::fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data) {
@@ -103,7 +70,7 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[f].interface)];
   std::ptrdiff_t const coarse_pitch = i.nu + 2 * i.margin;
   for (int r = i.coarse.first; r < i.coarse.last; ++r)
-    copy(mesh_.plan(l).coarse[r], phi.level(l - 1).data(), coarse_.data(), coarse_pitch);
+    mesh_.plan(l).coarse[r].copy(phi.level(l - 1).data(), mesh_.plan().cells.values(), coarse_.data(), coarse_pitch);
 
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
@@ -124,7 +91,7 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
   behind[u] += i.u, behind[v] += i.v;
   for (int row = 0; row < i.nv; ++row) {
     FitNumber const* fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
-    Real* flux = fluxes_[l].data() + i.fluxes + std::ptrdiff_t(row) * i.nu;
+    Real* flux = fluxes_.row(l, i, row);
     fit_row(fits, i.nu, coarse_.data() + i.margin + (i.margin + row) * coarse_pitch, coarse_pitch, star,
             star + 2 * i.nu);
     for (int m = 0; m < i.nu && in_gap; ++m) {
@@ -173,8 +140,7 @@ void CompositeGhosts::fill_windows(int l, Gaps const& gaps, Field const& phi) {
 std::size_t CompositeGhosts::bytes() const {
   std::size_t values = coarse_.capacity() + star_.capacity();
   for (auto const& face : ghosts_) values += face.capacity();
-  for (auto const& level : fluxes_) values += level.capacity();
-  return values * sizeof(Real) + coarse_window_.bytes() + window_.bytes();
+  return values * sizeof(Real) + fluxes_.bytes() + coarse_window_.bytes() + window_.bytes();
 }
 
 }  // namespace amrpic

@@ -2,7 +2,7 @@
 
 #include <functional>
 
-#include "matrixfree/composite_mesh.hpp"
+#include "matrixfree/coarse_fluxes.hpp"
 #include "matrixfree/gap_window.hpp"
 #include "operators/walls.hpp"
 #include "stencil/interface.hpp"
@@ -14,8 +14,6 @@ namespace amrpic {
 class CompositeGhosts {
  public:
   explicit CompositeGhosts(CompositeMesh& mesh);
-
-  enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 
   /// Call f(level, box) for all boxes of this rank, finest level first, with the ghosts of the box at hand and the
   /// fluxes from the finer level through its faces; and done(level) after all of a level. Collective.
@@ -32,26 +30,14 @@ class CompositeGhosts {
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
     Box const& own = mesh_.box(l, b);
     Index3 const pitch = pitches(own);
-    for (int s = mesh_.plan(l, b).refined.first; s < mesh_.plan(l, b).refined.last; ++s) {
-      RefinedSide const& r = mesh_.plan(l).refined[std::size_t(s)];
-      if (k < r.cells.lower[2] || k > r.cells.upper[2]) continue;
+    fluxes_.for_each_refined(l, b, k, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t at, Real flux) {
       auto const [u, v] = tangential_axes(r.axis);
-      Real const* const fluxes =
-          (r.fluxes.here ? fluxes_[std::size_t(l) + 1].data() : mesh_.plan(l).finer_fluxes.values()) + r.fluxes.from;
       int const layer = r.cells.lower[r.axis];
       bool const inside = r.side == 0 ? layer > 0 : layer + 1 < own.extent(r.axis);
-      std::ptrdiff_t const outward = r.side == 0 ? -pitch[r.axis] : pitch[r.axis];
-      Real const* const beyond = ghosts(r.axis, r.side);
-      Index3 cell{0, 0, k};
-      for (cell[1] = r.cells.lower[1]; cell[1] <= r.cells.upper[1]; ++cell[1])
-        for (cell[0] = r.cells.lower[0]; cell[0] <= r.cells.upper[0]; ++cell[0]) {
-          std::ptrdiff_t const at = cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(k) * pitch[2];
-          Real const flux = fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
-                                   std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
-          Real const covered = inside ? phi[at + outward] : beyond[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
-          f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
-        }
-    }
+      Real const covered = inside ? phi[at + (r.side == 0 ? -pitch[r.axis] : pitch[r.axis])]
+                                  : ghosts(r.axis, r.side)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
+      f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
+    });
   }
 
   std::size_t bytes() const;
@@ -60,12 +46,10 @@ class CompositeGhosts {
   void fill(int l, int b, Field const& phi, Walls const& walls);
   void fill_wall(int l, int b, int axis, int side, Real const* phi, Real const* data);
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
-  void copy(Rectangle const& from, Real const* own, Real* to, std::ptrdiff_t pitch) const;
   void fill_windows(int l, Gaps const& gaps, Field const& phi);
-  void send_fluxes(int l);
 
   CompositeMesh& mesh_;
-  std::vector<std::vector<Real>> fluxes_;    ///< [level]: through its coarse faces, see fill_interface
+  CoarseFluxes fluxes_;
   std::array<std::vector<Real>, 6> ghosts_;  ///< of the box under way, by face, u fastest
   std::vector<Real> coarse_, star_;          ///< of the interface under way: coarse values, two rows of phi*
   GapWindow<Real> coarse_window_, window_;   ///< of the gaps under way

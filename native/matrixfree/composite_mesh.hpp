@@ -29,6 +29,8 @@ using Blocks = std::vector<std::vector<Block<T>>>;
 /// Distances in memory of the neighbours of a cell of a box.
 inline Index3 pitches(Box const& box) { return {1, box.extent(0), box.extent(0) * box.extent(1)}; }
 
+enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
+
 /// The cells of all levels, as what is done to them box by box sees them: the boxes of this rank, counted on each level
 /// from its first one, and the lists of the plan.
 class CompositeMesh {
@@ -63,6 +65,25 @@ class CompositeMesh {
   void for_each_box(F&& f) const {
     for (int l = 0; l < levels(); ++l)
       for (int b = 0; b < boxes(l); ++b) f(l, b);
+  }
+  /// Call f(level, box) finest level first, and on each level the boxes that are remote(level, box) last: with the
+  /// first of these `cells`, which are under way, have come. before(level) and after(level) come around those of a
+  /// level.
+  template <class Remote, class Before, class F, class After>
+  void visit(Imports& cells, FullyCovered fully_covered, Remote&& remote, Before&& before, F&& f, After&& after) const {
+    bool waiting = true;
+    for (int l = levels() - 1; l >= 0; --l) {
+      before(l);
+      for (bool last : {false, true}) {
+        if (last && waiting) {
+          cells.finish();
+          waiting = false;
+        }
+        for (int b = 0; b < boxes(l); ++b)
+          if (remote(l, b) == last && !(plan(l, b).is_fully_covered && fully_covered == FullyCovered::skip)) f(l, b);
+      }
+      after(l);
+    }
   }
   /// Call f(place in the plane, count) for each row of covered cells in plane k of a box.
   template <class F>

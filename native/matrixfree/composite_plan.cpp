@@ -14,6 +14,14 @@ Reads reads_of_means(Level const& level, Level const& finer) {
                    refinement_ratio);
 }
 
+/// Put a rectangle across an axis where values lie.
+void place_across(int axis, Imports::Values const& values, Rectangle& out) {
+  Index3 const pitch{1, values.pitch_y, values.pitch_z};
+  auto const [u, v] = tangential_axes(axis);
+  out.from = values.from;
+  out.pu = pitch[u], out.pv = pitch[v];
+}
+
 /// Makes the lists of one level of this rank.
 class LevelPlanner {
  public:
@@ -149,12 +157,9 @@ class LevelPlanner {
       Overlap const met{o.box, o.part.intersect(window), o.shift};
       if (met.part.empty()) continue;
       bool const here = level.owner(o.box) == level.rank();
-      Box const& box = level.box(o.box);
+      int const purpose = l == l_ ? CompositePlan::around_gaps(l) : CompositePlan::behind_gaps(l);
       Imports::Values const values =
-          here ? Imports::Values{level.local_offset(o.box) + std::int32_t(box.offset(met.in_box().lower)),
-                                 box.extent(0), box.extent(0) * box.extent(1)}
-               : cells_.find(l == l_ ? CompositePlan::around_gaps(l) : CompositePlan::behind_gaps(l), number_, f, o.box,
-                             o.shift, met.part);
+          here ? own_values(level, met) : cells_.find(purpose, number_, f, o.box, o.shift, met.part);
       out_.window_parts.push_back({here, values.from, values.pitch_y, values.pitch_z, met.part});
       plan_->remote = plan_->remote || !here;
     }
@@ -164,33 +169,12 @@ class LevelPlanner {
 
   /// The part of the plane beyond face f that a box of level l covers, placed from `origin`.
   Rectangle rectangle(int l, Overlap const& o, int f, Index3 const& origin) {
-    auto const [u, v] = tangential_axes(f / 2);
     Level const& level = l == l_ ? level_ : *coarser_;
-    Rectangle out{};
-    out.u = o.part.lower[u] - origin[u], out.v = o.part.lower[v] - origin[v];
-    out.nu = o.part.extent(u), out.nv = o.part.extent(v);
-    out.here = level.owner(o.box) == level.rank();
-    Box const& box = level.box(o.box);
-    if (out.here)
-      place(out,
-            {level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
-             box.extent(0) * box.extent(1)},
-            f / 2);
-    else
-      place(out,
-            cells_.find(l == l_ ? CompositePlan::as_neighbours(l) : CompositePlan::behind_edges(l), number_, f, o.box,
-                        o.shift, o.part),
-            f / 2);
-    plan_->remote = plan_->remote || !out.here;
-    return out;
-  }
-
-  /// Put a rectangle across an axis where values lie.
-  static void place(Rectangle& rectangle, Imports::Values const& values, int axis) {
-    Index3 const pitch{1, values.pitch_y, values.pitch_z};
-    auto const [u, v] = tangential_axes(axis);
-    rectangle.from = values.from;
-    rectangle.pu = pitch[u], rectangle.pv = pitch[v];
+    bool const here = level.owner(o.box) == level.rank();
+    plan_->remote = plan_->remote || !here;
+    int const purpose = l == l_ ? CompositePlan::as_neighbours(l) : CompositePlan::behind_edges(l);
+    return rectangle_of(o, f / 2, origin, here,
+                        here ? own_values(level, o) : cells_.find(purpose, number_, f, o.box, o.shift, o.part));
   }
 
   void plan_means(std::size_t b, Overlap const& covered, std::vector<std::pair<int, Family>>& families) {
@@ -222,8 +206,9 @@ class LevelPlanner {
       fluxes.from = i.fluxes + (own.lower[u] - parents.lower[u] - i.u) + i.nu * (own.lower[v] - parents.lower[v] - i.v);
       fluxes.pu = 1, fluxes.pv = i.nu;
     } else {
-      place(fluxes, out_.finer_fluxes.find(0, number_, 6 * number + face, n.cells.box, n.cells.shift, n.cells.part),
-            n.axis);
+      place_across(n.axis,
+                   out_.finer_fluxes.find(0, number_, 6 * number + face, n.cells.box, n.cells.shift, n.cells.part),
+                   fluxes);
     }
     out_.refined.push_back({n.axis, n.side, counted_from_first(n.cells.part), fluxes});
   }
@@ -248,6 +233,33 @@ std::size_t bytes_of(std::vector<T> const& list) {
 }
 
 }  // namespace
+
+void Rectangle::copy(Real const* own, Real const* imported, Real* to, std::ptrdiff_t pitch) const {
+  Real const* row = (here ? own : imported) + from;
+  to += u + pitch * v;
+  for (int j = 0; j < nv; ++j, row += pv, to += pitch) {
+    if (pu == 1)
+      std::copy_n(row, nu, to);
+    else
+      for (int i = 0; i < nu; ++i) to[i] = row[std::ptrdiff_t(i) * pu];
+  }
+}
+
+Imports::Values own_values(Level const& level, Overlap const& o) {
+  Box const& box = level.box(o.box);
+  return {level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
+          box.extent(0) * box.extent(1)};
+}
+
+Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, Imports::Values const& values) {
+  auto const [u, v] = tangential_axes(axis);
+  Rectangle out{};
+  out.here = here;
+  out.u = o.part.lower[u] - origin[u], out.v = o.part.lower[v] - origin[v];
+  out.nu = o.part.extent(u), out.nv = o.part.extent(v);
+  place_across(axis, values, out);
+  return out;
+}
 
 CompositePlan::CompositePlan(Hierarchy const& hierarchy) : levels(std::size_t(hierarchy.level_count())) {
   Communicator const& comm = hierarchy.comm();

@@ -25,7 +25,16 @@ struct Rectangle {
   std::int32_t from;    ///< place of the first value among the own cells (or fluxes) of its level, or of those imported
   std::int32_t pu, pv;  ///< distance between neighbours
   int u, v, nu, nv;     ///< where it lies, and how far it goes
+
+  /// Copy it to where it lies in a plane, from its level's `own` values or those `imported`.
+  void copy(Real const* own, Real const* imported, Real* to, std::ptrdiff_t pitch) const;
 };
+
+/// Where the cells of a box of this rank lie that an overlap names.
+Imports::Values own_values(Level const& level, Overlap const& o);
+
+/// The cells of an overlap in a plane across an axis, placed from `origin`, in this rank's memory or as imported.
+Rectangle rectangle_of(Overlap const& o, int axis, Index3 const& origin, bool here, Imports::Values const& values);
 
 /// Where the values beyond a face of a box come from.
 struct FacePlan {

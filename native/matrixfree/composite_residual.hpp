@@ -73,7 +73,7 @@ class SecondOrderResidual : public CompositeResidual {
   void term_sizes_plane(int l, int b, int k, Source const& source) override;
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
   void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
-    ghosts_.visit(phi, walls, CompositeGhosts::FullyCovered::skip, f);
+    ghosts_.visit(phi, walls, FullyCovered::skip, f);
   }
   template <class F>
   void for_each_wall_term(int l, int b, int k, Source const& source, F&& f) const;

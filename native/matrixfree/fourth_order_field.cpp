@@ -9,7 +9,6 @@ namespace amrpic {
 namespace {
 
 using Ends = FourthOrderGhosts::Ends;
-using FullyCovered = FourthOrderGhosts::FullyCovered;
 
 /// The second difference about a place of a line, where at(n) is the value n cells further, not a number where the line
 /// has none: one-sided at its ends, of four points or of three; zero where these do not exist.
@@ -47,16 +46,15 @@ void FourthOrderField::add_second_differences(Field const& from, Real factor, bo
     Real const* const cells = from.level(l).data() + mesh_.offset(l, b);
     for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
       Real sum = 0;
-      for (int d = 0; d < 3; ++d)
-        sum += second_difference(
-            [&](int n) {
-              Index3 there = cell;
-              there[d] += n;
-              bool const known =
-                  there[d] >= -FourthOrderGhosts::layers && there[d] < own.extent(d) + FourthOrderGhosts::layers;
-              return known ? ghosts_.value(own, cells, d, there) : std::numeric_limits<Real>::quiet_NaN();
-            },
-            four_points);
+      for (int d = 0; d < 3; ++d) {
+        auto const at = ghosts_.in_line(own, cells, d, cell);
+        int const below = cell[d] + FourthOrderGhosts::layers,
+                  above = own.extent(d) - 1 - cell[d] + FourthOrderGhosts::layers;
+        auto const known = [&](int n) {
+          return n >= -below && n <= above ? at(n) : std::numeric_limits<Real>::quiet_NaN();
+        };
+        sum += second_difference(known, four_points);
+      }
       to.level(l)[place] += factor * sum;
     });
   });
@@ -97,11 +95,7 @@ ElectricField FourthOrderField::electric_field(Field const& phi, std::vector<Wal
       Real const factor = 2 * mesh_.factor_of_field(l, d);
       std::ptrdiff_t const step = pitches(own)[d];
       for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-        auto at = [&](int n) {
-          Index3 there = cell;
-          there[d] += n;
-          return ghosts_.value(own, cells, d, there);
-        };
+        auto const at = ghosts_.in_line(own, cells, d, cell);
         Real const* const c = phi.level(l).data() + place;
         bool const inside = cell[d] >= 2 && cell[d] + 2 < own.extent(d);
         e[std::size_t(d)]->level(l)[place] =
@@ -132,11 +126,7 @@ Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& wa
       Box const& own = mesh_.box(l, b);
       Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
       for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-        auto at = [&](int n) {
-          Index3 there = cell;
-          there[d] += n;
-          return ghosts_.value(own, cells, d, there);
-        };
+        auto const at = ghosts_.in_line(own, cells, d, cell);
         fourth.level(l)[place] = (at(-2) + at(2)) - 4 * (at(-1) + at(1)) + 6 * at(0);
       });
     });
@@ -145,11 +135,7 @@ Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& wa
       Real const* const cells = fourth.level(l).data() + mesh_.offset(l, b);
       Real const weight = mesh_.equation(l).weight[d];
       for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-        auto at = [&](int n) {
-          Index3 there = cell;
-          there[d] += n;
-          return ghosts_.value(own, cells, d, there);
-        };
+        auto const at = ghosts_.in_line(own, cells, d, cell);
         Real const sixth = (at(-1) - at(0)) + (at(1) - at(0));
         if (!std::isnan(sixth)) sum.level(l)[place] += fourth_order::truncation_error(weight, sixth);
       });

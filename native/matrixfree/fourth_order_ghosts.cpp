@@ -7,9 +7,8 @@ namespace amrpic {
 
 using fourth_order::MeansBlock;
 
-FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(mesh) {
+FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(mesh), fluxes_(mesh) {
   for (int l = 0; l < mesh_.levels(); ++l) {
-    fluxes_.emplace_back(std::size_t(mesh_.plan(l).fluxes));
     wall_ghosts_.emplace_back();
     for (int f = 0; f < 6; ++f) {
       Boundary const kind = mesh_.hierarchy().domain().boundary[std::size_t(f / 2)][std::size_t(f % 2)];
@@ -38,39 +37,18 @@ void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls,
     mesh_.pack_cells(phi, FourthOrderPlan::level_of(purpose), read, out);
   });
   zero_ = false;
-  bool waiting = true;
-  for (int l = mesh_.levels() - 1; l >= 0; --l) {
-    if (mesh_.hierarchy().has_finer(l) && ends != Ends::nothing) mesh_.plan(l).finer_fluxes.finish();
-    for (bool remote : {false, true}) {
-      if (remote && waiting) {
-        plan_.cells.finish();
-        waiting = false;
-      }
-      for (int b = 0; b < mesh_.boxes(l); ++b) {
-        if (plan_.is_remote(l, b) != remote ||
-            (mesh_.plan(l, b).is_fully_covered && fully_covered == FullyCovered::skip))
-          continue;
+  mesh_.visit(
+      plan_.cells, fully_covered, [&](int l, int b) { return plan_.is_remote(l, b); },
+      [&](int l) {
+        if (mesh_.hierarchy().has_finer(l) && ends != Ends::nothing) fluxes_.finish(l);
+      },
+      [&](int l, int b) {
         fill(l, b, phi, walls ? &(*walls)[std::size_t(l)] : nullptr, ends);
         f(l, b);
-      }
-    }
-    if (l > 0 && ends != Ends::nothing) send_fluxes(l);
-  }
-}
-
-void FourthOrderGhosts::send_fluxes(int l) {
-  mesh_.plan(l - 1).finer_fluxes.start([&](int, Read const& read, Real* out) {
-    int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
-    auto const [u, v] = tangential_axes(face / 2);
-    Box const part = read.cells();
-    Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
-    Box const parents = mesh_.box(l, b).coarsen(refinement_ratio);
-    for (int y = part.lower[v]; y <= part.upper[v]; ++y) {
-      std::ptrdiff_t const from =
-          i.fluxes + (part.lower[u] - parents.lower[u] - i.u) + std::ptrdiff_t(i.nu) * (y - parents.lower[v] - i.v);
-      out = std::copy_n(fluxes_[std::size_t(l)].data() + from, part.extent(u), out);
-    }
-  });
+      },
+      [&](int l) {
+        if (l > 0 && ends != Ends::nothing) fluxes_.send(l);
+      });
 }
 
 void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls, Ends ends) {
@@ -82,7 +60,7 @@ void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls,
       auto& layer = ghosts_[std::size_t(f)][std::size_t(n)];
       if (ends == Ends::nothing) std::fill(layer.begin(), layer.end(), nothing);
       for (int r = face.neighbours[std::size_t(n)].first; r < face.neighbours[std::size_t(n)].last; ++r)
-        copy(plan_.level(l).rectangles[std::size_t(r)], phi.level(l).data(), layer.data(), pitch);
+        plan_.level(l).rectangles[std::size_t(r)].copy(phi.level(l).data(), plan_.cells.values(), layer.data(), pitch);
     }
   }
   for (int f = 0; f < 6 && ends != Ends::nothing; ++f) {
@@ -106,17 +84,6 @@ void FourthOrderGhosts::visit_zero(int l, int b, Walls const& walls) {
         auto const& ghosts = wall_ghosts(l, axis, side, cells_inside(l, b, axis, side, x, y));
         for (std::size_t n = 0; n < layers; ++n) ghosts_[std::size_t(f)][n][out] = ghosts.layer[n].datum * datum[out];
       }
-  }
-}
-
-void FourthOrderGhosts::copy(Rectangle const& r, Real const* own, Real* to, std::ptrdiff_t pitch) const {
-  Real const* from = (r.here ? own : plan_.cells.values()) + r.from;
-  to += r.u + pitch * r.v;
-  for (int v = 0; v < r.nv; ++v, from += r.pv, to += pitch) {
-    if (r.pu == 1)
-      std::copy_n(from, r.nu, to);
-    else
-      for (int u = 0; u < r.nu; ++u) to[u] = from[std::ptrdiff_t(u) * r.pu];
   }
 }
 
@@ -191,7 +158,8 @@ void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field c
   std::ptrdiff_t const coarse_pitch = face.nu + 2 * FourthOrderPlan::margin;
   for (std::size_t n = 0; n < layers; ++n)
     for (int r = face.coarse[n].first; r < face.coarse[n].last; ++r)
-      copy(plan_.level(l).rectangles[std::size_t(r)], phi.level(l - 1).data(), coarse_[n].data(), coarse_pitch);
+      plan_.level(l).rectangles[std::size_t(r)].copy(phi.level(l - 1).data(), plan_.cells.values(), coarse_[n].data(),
+                                                     coarse_pitch);
 
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
@@ -200,7 +168,7 @@ void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field c
   for (int row = 0; row < i.nv; ++row) {
     FitNumber const* const fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
     auto const* const blocks = plan_.level(l).blocks.data() + face.blocks + i.u + std::ptrdiff_t(i.v + row) * face.nu;
-    Real* const flux = fluxes_[std::size_t(l)].data() + i.fluxes + std::ptrdiff_t(row) * i.nu;
+    Real* const flux = fluxes_.row(l, i, row);
     for (int n = 0; n < layers; ++n)
       fit_row(n, blocks, fits, i.nu,
               coarse_[std::size_t(n)].data() + FourthOrderPlan::margin + i.u +
@@ -250,8 +218,7 @@ std::size_t FourthOrderGhosts::bytes() const {
     values += coarse_[std::size_t(n)].capacity() + star_[std::size_t(n)].capacity();
     for (auto const& face : ghosts_) values += face[std::size_t(n)].capacity();
   }
-  for (auto const& level : fluxes_) values += level.capacity();
-  return plan_.bytes() + values * sizeof(Real);
+  return plan_.bytes() + fluxes_.bytes() + values * sizeof(Real);
 }
 
 }  // namespace amrpic

@@ -2,6 +2,7 @@
 
 #include <functional>
 
+#include "matrixfree/coarse_fluxes.hpp"
 #include "matrixfree/fourth_order_plan.hpp"
 #include "operators/walls.hpp"
 
@@ -22,7 +23,6 @@ class FourthOrderGhosts {
     of_field,  ///< the same, with as many cells behind Dirichlet walls as behind others: for E, not for the operator
     nothing    ///< not a number
   };
-  enum class FullyCovered { visit, skip };  ///< boxes without uncovered cells
 
   /// Call f(level, box) for all boxes of this rank, finest level first, with the ghosts of the box at hand and the
   /// fluxes from the finer level through its faces. `walls` may be null where the ends have no ghosts. Collective.
@@ -46,35 +46,27 @@ class FourthOrderGhosts {
     return ghosts(axis, n < 0 ? 0 : 1, n < 0 ? -n - 1 : n - extent)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
   }
 
+  /// The values in line with a cell along an axis: of the one `n` cells further.
+  auto in_line(Box const& own, Real const* phi, int axis, Index3 const& cell) const {
+    return [this, &own, phi, axis, cell](int n) {
+      Index3 there = cell;
+      there[axis] += n;
+      return value(own, phi, axis, there);
+    };
+  }
+
   /// Call f(place in the box, axis, excess) for each uncovered cell of a plane and each of its faces with a refined
   /// cell beyond: the difference of phi across the face, outwards, by the finer fluxes, less that by the level's cells.
   template <class F>
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
-    bool const zero = zero_;
     Box const& own = mesh_.box(l, b);
-    Index3 const pitch = pitches(own);
-    for (int s = mesh_.plan(l, b).refined.first; s < mesh_.plan(l, b).refined.last; ++s) {
-      RefinedSide const& r = mesh_.plan(l).refined[std::size_t(s)];
-      if (k < r.cells.lower[2] || k > r.cells.upper[2]) continue;
-      auto const [u, v] = tangential_axes(r.axis);
-      Real const* const fluxes =
-          (r.fluxes.here ? fluxes_[std::size_t(l) + 1].data() : mesh_.plan(l).finer_fluxes.values()) + r.fluxes.from;
+    fluxes_.for_each_refined(l, b, k, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t place, Real flux) {
+      auto const at = in_line(own, phi, r.axis, cell);
       int const outward = r.side == 0 ? -1 : 1;
-      Index3 cell{0, 0, k};
-      for (cell[1] = r.cells.lower[1]; cell[1] <= r.cells.upper[1]; ++cell[1])
-        for (cell[0] = r.cells.lower[0]; cell[0] <= r.cells.upper[0]; ++cell[0]) {
-          Real const flux = zero ? 0
-                                 : fluxes[std::ptrdiff_t(cell[u] - r.cells.lower[u]) * r.fluxes.pu +
-                                          std::ptrdiff_t(cell[v] - r.cells.lower[v]) * r.fluxes.pv];
-          auto at = [&](int n) {
-            Index3 there = cell;
-            there[r.axis] += n * outward;
-            return value(own, phi, r.axis, there);
-          };
-          f(cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(k) * pitch[2], r.axis,
-            fine_face_weight * flux - fourth_order::difference(at(-1), at(0), at(1), at(2)));
-        }
-    }
+      f(place, r.axis,
+        fine_face_weight * (zero_ ? 0 : flux) -
+            fourth_order::difference(at(-outward), at(0), at(outward), at(2 * outward)));
+    });
   }
 
   /// The ghosts behind a wall of a level, of as many cells as lie between it and the next end of the level, up to those
@@ -98,8 +90,6 @@ class FourthOrderGhosts {
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
   void fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count, Real const* coarse,
                std::ptrdiff_t pitch);
-  void copy(Rectangle const& from, Real const* own, Real* to, std::ptrdiff_t pitch) const;
-  void send_fluxes(int l);
 
   CompositeMesh& mesh_;
   FourthOrderPlan plan_;
@@ -111,8 +101,8 @@ class FourthOrderGhosts {
       std::array<std::array<std::array<Real, fourth_order::MeansBlock::most>, 2>, fourth_order::MeansBlock::most>,
       fourth_order::MeansBlock::most + 1>
       half_weights_{};
-  bool zero_ = false;                                            ///< whether the box under way is of `visit_zero`
-  std::vector<std::vector<Real>> fluxes_;                        ///< [level]: through its coarse faces
+  bool zero_ = false;  ///< whether the box under way is of `visit_zero`
+  CoarseFluxes fluxes_;
   std::array<std::array<std::vector<Real>, layers>, 6> ghosts_;  ///< of the box under way
   std::array<std::vector<Real>, layers> coarse_, star_;  ///< of the interface under way: coarse means, those over the
                                                          ///< fine cells' faces in two rows

@@ -128,22 +128,12 @@ void FourthOrderPlan::plan_face(CompositeMesh const& mesh, int l, int b, int f, 
 /// The part of a plane beyond face f of a box of level l that a box of level `of` covers, placed from `origin`.
 Rectangle FourthOrderPlan::rectangle(CompositeMesh const& mesh, int l, int of, int b, int f, Overlap const& o,
                                      Index3 const& origin) {
-  auto const [u, v] = tangential_axes(f / 2);
   Level const& level = mesh.level(of);
-  Rectangle out{};
-  out.u = o.part.lower[u] - origin[u], out.v = o.part.lower[v] - origin[v];
-  out.nu = o.part.extent(u), out.nv = o.part.extent(v);
-  out.here = level.owner(o.box) == level.rank();
-  Box const& box = level.box(o.box);
-  Imports::Values const values =
-      out.here ? Imports::Values{level.local_offset(o.box) + std::int32_t(box.offset(o.in_box().lower)), box.extent(0),
-                                 box.extent(0) * box.extent(1)}
-               : cells.find(l == of ? as_neighbours(l) : behind_edges(of), mesh.level(l).first_local_box() + b, f,
-                            o.box, o.shift, o.part);
-  if (!out.here) levels_[std::size_t(l)].remote.back() = 1;
-  Index3 const pitch{1, values.pitch_y, values.pitch_z};
-  out.from = values.from, out.pu = pitch[u], out.pv = pitch[v];
-  return out;
+  bool const here = level.owner(o.box) == level.rank();
+  if (!here) levels_[std::size_t(l)].remote.back() = 1;
+  int const purpose = l == of ? as_neighbours(l) : behind_edges(of), reader = mesh.level(l).first_local_box() + b;
+  return rectangle_of(o, f / 2, origin, here,
+                      here ? own_values(level, o) : cells.find(purpose, reader, f, o.box, o.shift, o.part));
 }
 
 std::size_t FourthOrderPlan::bytes() const {

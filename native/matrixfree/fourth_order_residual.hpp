@@ -17,7 +17,7 @@ class FourthOrderResidual : public CompositeResidual {
   /// Of the cells far from walls: those behind walls count no more than these.
   void diagonal_plane(int l, int b, int k, Field const& phi) override;
   void visit(Field const& phi, std::vector<Walls> const& walls, std::function<void(int, int)> const& f) override {
-    ghosts_.visit(phi, &walls, FourthOrderGhosts::Ends::ghosts, FourthOrderGhosts::FullyCovered::skip, f);
+    ghosts_.visit(phi, &walls, FourthOrderGhosts::Ends::ghosts, FullyCovered::skip, f);
   }
 
   void plane_of(int l, int b, int k, Source const& source, Real const* cells, Real const* begin, Real const* end);

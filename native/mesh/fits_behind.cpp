@@ -73,7 +73,14 @@ ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overla
   for (Overlap const& o : face.neighbours) out.fill(o.part.coarsen(refinement_ratio), no_fit);
   Index3 around{plane_reach, plane_reach, plane_reach};
   around[axis] = 0;
-  ArrayOnBox<char> usable(out.box().grow(around), 0);
+  Box const near = out.box().grow(around);
+  GlobalIndex coarse = 0;
+  for (Overlap const& o : coarser) coarse += o.part.intersect(near).cells();
+  bool const refined_near = std::any_of(refined.begin(), refined.end(), [&](Overlap const& o) {
+    return !o.part.coarsen(refinement_ratio).intersect(near).empty();
+  });
+  if (coarse == near.cells() && !refined_near) return out;  // as nearly everywhere
+  ArrayOnBox<char> usable(near, 0);
   for (Overlap const& o : coarser) usable.fill(o.part, 1);
   for (Overlap const& o : refined) usable.fill(o.part.coarsen(refinement_ratio), 0);
   auto const [u, v] = tangential_axes(axis);

@@ -1,6 +1,7 @@
 // Which fit of phi* the ghosts before coarser cells take, and what those in narrow gaps read.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 
 #include "mesh/reads.hpp"
@@ -25,6 +26,9 @@ ArrayOnBox<FitNumber> fits_behind(Face const& face, int axis, std::vector<Overla
 template <class Of>
 Box hull_of_fits(ArrayOnBox<FitNumber> const& fits, Of&& of) {
   Box out;
+  auto const& values = fits.values();
+  if (std::none_of(values.begin(), values.end(), of)) return out;
+  if (std::all_of(values.begin(), values.end(), of)) return fits.box();
   for_each_cell(fits.box(), [&](Index3 const& cell) {
     if (of(fits(cell))) out = out.empty() ? Box{cell, cell} : out.hull({cell, cell});
   });

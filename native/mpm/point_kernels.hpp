@@ -30,6 +30,13 @@ inline Matrix product(A const& a, B const& b) {
   return out;
 }
 
+/// out = a b'
+template <class Out>
+inline void write_transposed_product(Matrix const& a, Matrix const& b, Out& out) {
+  for_each_entry(
+      [&](std::size_t i, std::size_t j) { out[i][j] = a[i][0] * b[j][0] + a[i][1] * b[j][1] + a[i][2] * b[j][2]; });
+}
+
 /// Blocks of `width` values of points.
 struct Blocks {
   std::shared_ptr<std::vector<Real> const> values;
@@ -51,17 +58,22 @@ struct Blocks {
   }
 };
 
-/// What all have in common.
+/// What all functions `D` of slopes have in common.
+template <class D>
 struct OfSlopes {
-  static constexpr bool reads = true, writes = true, values = false, slopes = true;
+  static constexpr bool reads = true, writes = true, values = false, slopes = true, rigid_modes = true;
+
+  template <int P, int C>
+  fem::SlopesAtGauss<P, C, D> at_gauss(fem::Points const& points) const {
+    return {points, static_cast<D const&>(*this)};
+  }
 };
 
 /// In the current configuration: A = S (grad x)^-1 with the scales S of the element's coordinates, stress, moduli.
 /// Their rule is c : e = a tr(e) 1 + b e, less d (dev(stress) tr(e) + (dev(stress) : e) 1) if there is `damage`.
 template <bool damage>
-struct CurrentIsotropic : OfSlopes {
+struct CurrentIsotropic : OfSlopes<CurrentIsotropic<damage>> {
   static constexpr int width = 9 + 6 + (damage ? 3 : 2);
-  static constexpr bool rigid_modes = true;
   Blocks state;
 
   explicit CurrentIsotropic(Blocks state) : state(std::move(state)) {}
@@ -82,20 +94,13 @@ struct CurrentIsotropic : OfSlopes {
       along += by * mean - d * work;
     }
     for (std::size_t i = 0; i < 3; ++i) x[i][i] += along;
-    for_each_entry([&](std::size_t i, std::size_t j) {
-      at.slope[i][j] = x[i][0] * a[j][0] + x[i][1] * a[j][1] + x[i][2] * a[j][2];
-    });
-  }
-  template <int P, int C>
-  fem::SlopesAtGauss<P, C, CurrentIsotropic> at_gauss(fem::Points const& points) const {
-    return {points, *this};
+    write_transposed_product(x, a, at.slope);
   }
 };
 
 /// The same with any 21 moduli between the six strains 11, 22, 33, 23, 31, 12, upper triangle row by row.
-struct CurrentGeneral : OfSlopes {
+struct CurrentGeneral : OfSlopes<CurrentGeneral> {
   static constexpr int width = 9 + 6 + 21;
-  static constexpr bool rigid_modes = true;
   Blocks state;
 
   explicit CurrentGeneral(Blocks state) : state(std::move(state)) {}
@@ -118,20 +123,13 @@ struct CurrentGeneral : OfSlopes {
     }
     Matrix x = product(h, state.symmetric_matrix(block, 9));
     for_each_entry([&](std::size_t i, std::size_t j) { x[i][j] += s[symmetric[i][j]]; });
-    for_each_entry([&](std::size_t i, std::size_t j) {
-      at.slope[i][j] = x[i][0] * a[j][0] + x[i][1] * a[j][1] + x[i][2] * a[j][2];
-    });
-  }
-  template <int P, int C>
-  fem::SlopesAtGauss<P, C, CurrentGeneral> at_gauss(fem::Points const& points) const {
-    return {points, *this};
+    write_transposed_product(x, a, at.slope);
   }
 };
 
 /// In the initial configuration, neo-Hookean: A as above, mu S F~ F~' S, mu - lambda ln J, lambda.
-struct InitialNeoHookean : OfSlopes {
+struct InitialNeoHookean : OfSlopes<InitialNeoHookean> {
   static constexpr int width = 9 + 6 + 2;
-  static constexpr bool rigid_modes = true;
   Blocks state;
 
   explicit InitialNeoHookean(Blocks state) : state(std::move(state)) {}
@@ -143,10 +141,6 @@ struct InitialNeoHookean : OfSlopes {
     Matrix x = product(at.slope, state.symmetric_matrix(block, 9));
     for_each_entry(
         [&](std::size_t i, std::size_t j) { at.slope[i][j] = x[i][j] + back * aga[j][i] + along * a[j][i]; });
-  }
-  template <int P, int C>
-  fem::SlopesAtGauss<P, C, InitialNeoHookean> at_gauss(fem::Points const& points) const {
-    return {points, *this};
   }
 };
 

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <limits>
+#include <type_traits>
+#include <variant>
 
 #include "mpm/point_kernels.hpp"
 
@@ -17,22 +19,27 @@ Tensor tensor_at(Real const* entries) {
   return out;
 }
 
-// What a law says at F, where some ask for the damage.
+/// call(law, damage) where the law asks for the damage, else call(law).
+template <class Call>
+auto ask(Law const& law, Real damage, Call&& call) {
+  return std::visit(
+      [&](auto const& own) {
+        if constexpr (std::is_same_v<std::decay_t<decltype(own)>, material::DamagedNeoHookean>)
+          return call(own, damage);
+        else
+          return call(own);
+      },
+      law);
+}
 Real energy_of(Law const& law, Tensor const& f, Real damage) {
-  if (auto const* damaged = std::get_if<material::DamagedNeoHookean>(&law)) return damaged->energy(f, damage);
-  if (auto const* ogden = std::get_if<material::Ogden>(&law)) return ogden->energy(f);
-  return std::get<material::NeoHookean>(law).energy(f);
+  return ask(law, damage, [&](auto const& own, auto... d) { return own.energy(f, d...); });
 }
 Tensor stress_of(Law const& law, Tensor const& f, Real damage) {
-  if (auto const* damaged = std::get_if<material::DamagedNeoHookean>(&law)) return damaged->stress(f, damage);
-  if (auto const* ogden = std::get_if<material::Ogden>(&law)) return ogden->stress(f);
-  return std::get<material::NeoHookean>(law).stress(f);
+  return ask(law, damage, [&](auto const& own, auto... d) { return own.stress(f, d...); });
 }
 /// c : e
 Tensor moduli_times(Law const& law, Tensor const& f, Real damage, Tensor const& e) {
-  if (auto const* damaged = std::get_if<material::DamagedNeoHookean>(&law)) return damaged->moduli(f, damage)(e);
-  if (auto const* ogden = std::get_if<material::Ogden>(&law)) return ogden->moduli(f)(e);
-  return std::get<material::NeoHookean>(law).moduli(f)(e);
+  return ask(law, damage, [&](auto const& own, auto... d) { return own.moduli(f, d...)(e); });
 }
 
 /// One point under a displacement.

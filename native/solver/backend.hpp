@@ -55,7 +55,6 @@ class Backend {
 
   // In fourth order alone: E, points and means, see FourthOrderField.
   virtual ElectricField electric_field_as(Field const&, CoveredField, Holds) { throw SolverError(of_fourth_order); }
-  virtual void to_points(Field const&, Field&) { throw SolverError(of_fourth_order); }
   virtual void to_means(Field const&, Field&) { throw SolverError(of_fourth_order); }
 
   /// The operators of a level as compressed rows, those of E among them; assembled now if the backend has none.

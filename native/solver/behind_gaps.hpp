@@ -1,8 +1,10 @@
 #pragma once
 
 #include <array>
+#include <vector>
 
-#include "base/types.hpp"
+#include "mesh/fits_behind.hpp"
+#include "mesh/hierarchy.hpp"
 
 namespace amrpic {
 
@@ -14,5 +16,19 @@ namespace amrpic {
 /// 0.3 on a checkerboard of single blocks of two cells, so that cycles leave 0.7 of such errors, and with the steps (1
 /// - x)(1 - x)(1 - 1.8 x), at most 0.23. Larger factors leave less of these, but oscillate where fine cells respond.
 constexpr std::array<Real, 2> steps_behind_gaps{1.0, 1.8};
+
+/// Where place(level, box, cell) puts this rank's cells of those, for each level; empty if no rank has any. Collective.
+template <class Place>
+std::vector<std::vector<std::size_t>> places_behind_gaps(Hierarchy const& hierarchy, Place&& place) {
+  std::vector<std::vector<std::size_t>> out(std::size_t(hierarchy.level_count()));
+  Real found = 0;
+  for (int l = 0; hierarchy.has_finer(l); ++l)
+    for (auto const& [box, cell] : cells_behind_gaps(hierarchy.level(l), hierarchy.level(l + 1))) {
+      out[std::size_t(l)].push_back(std::size_t(place(l, box, cell)));
+      found = 1;
+    }
+  if (hierarchy.comm().largest(found) == 0) out.clear();
+  return out;
+}
 
 }  // namespace amrpic

@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "base/for_rows.hpp"
-#include "mesh/fits_behind.hpp"
 #include "operators/multigrid_levels.hpp"
 #include "solver/behind_gaps.hpp"
 
@@ -205,17 +204,18 @@ CompositeEquations CrsBackend::equations() {
 /// One cycle for the residual, and what it gives added to phi.
 void CrsBackend::improve() {
   std::size_t const levels = phi_.size();
-  CompositeVector values(levels), direction;
+  CompositeVector values(levels), residual;
   if (krylov_) {
     for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
-    direction = krylov_->direction(values);
+    CompositeVector const& direction = krylov_->direction(values);
+    if (!behind_gaps_.empty()) residual = direction;
     for (std::size_t l = 0; l < levels; ++l)
       std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
   }
   multigrid_.cycle(stopwatch_);
   if (krylov_) {
     for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).correction();
-    relax_behind_gaps(direction, values);
+    relax_behind_gaps(residual, values);
     values = krylov_->step(values);
   }
   for (std::size_t l = 0; l < levels; ++l) {
@@ -234,16 +234,10 @@ void CrsBackend::accelerate() {
 /// When they are first needed. Collective.
 void CrsBackend::find_cells_behind_gaps() {
   if (std::exchange(knows_gaps_, true)) return;
-  Real found = 0;
-  behind_gaps_.resize(phi_.size());
-  for (int l = 0; l + 1 < hierarchy_->level_count(); ++l) {
+  behind_gaps_ = places_behind_gaps(*hierarchy_, [&](int l, int box, Index3 const& cell) {
     Level const& level = hierarchy_->level(l);
-    for (auto const& [box, cell] : cells_behind_gaps(level, hierarchy_->level(l + 1))) {
-      behind_gaps_[std::size_t(l)].push_back(level.local_offset(box) + LocalIndex(level.box(box).offset(cell)));
-      found = 1;
-    }
-  }
-  if (hierarchy_->comm().largest(found) == 0) behind_gaps_.clear();
+    return level.local_offset(box) + LocalIndex(level.box(box).offset(cell));
+  });
 }
 
 /// Jacobi steps that become part of a cycle's correction for a residual, see `steps_behind_gaps`.
@@ -258,8 +252,7 @@ void CrsBackend::relax_behind_gaps(CompositeVector const& residual, CompositeVec
       subtract(
           int(l), [&](LocalIndex row) { return residual[l][std::size_t(row)]; }, before, left);
       Crs const& a = operators(int(l)).no_fine;
-      for (LocalIndex row : behind_gaps_[l])
-        correction[l][std::size_t(row)] += factor * left[std::size_t(row)] / a.value[a.row_start[std::size_t(row)]];
+      for (std::size_t row : behind_gaps_[l]) correction[l][row] += factor * left[row] / a.value[a.row_start[row]];
     }
   }
 }

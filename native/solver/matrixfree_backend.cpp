@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "matrixfree/capacity.hpp"
-#include "mesh/fits_behind.hpp"
 #include "solver/behind_gaps.hpp"
 
 namespace amrpic {
@@ -125,21 +124,13 @@ void MatrixFreeBackend::improve() {
 void MatrixFreeBackend::accelerate() {
   accelerated_ = true;
   if (std::exchange(knows_gaps_, true)) return;
-  behind_gaps_.resize(std::size_t(levels()));
-  Real found = 0;
-  for (int l = 0; l + 1 < levels(); ++l) {
-    Level const& level = problem_.hierarchy->level(l);
-    for (auto const& [box, cell] : cells_behind_gaps(level, problem_.hierarchy->level(l + 1))) {
-      Index3 const first = level.box(box).lower;
-      behind_gaps_[std::size_t(l)].push_back(
-          std::size_t(cycle_.level(std::size_t(l))
-                          .layout()
-                          .box(box)
-                          .place(cell[0] - first[0], cell[1] - first[1], cell[2] - first[2])));
-      found = 1;
-    }
-  }
-  if (problem_.hierarchy->comm().largest(found) == 0) behind_gaps_.clear();
+  behind_gaps_ = places_behind_gaps(*problem_.hierarchy, [&](int l, int box, Index3 const& cell) {
+    Index3 const first = problem_.hierarchy->level(l).box(box).lower;
+    return cycle_.level(std::size_t(l))
+        .layout()
+        .box(box)
+        .place(cell[0] - first[0], cell[1] - first[1], cell[2] - first[2]);
+  });
 }
 
 /// Jacobi steps that become part of the latest correction, see `steps_behind_gaps`.

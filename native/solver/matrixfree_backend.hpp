@@ -35,7 +35,6 @@ class MatrixFreeBackend : public Backend {
   ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) override {
     return composite_.electric_field(potential, problem_.walls, covered, holds);
   }
-  void to_points(Field const& means, Field& points) override { composite_.to_points(means, points); }
   void to_means(Field const& points, Field& means) override { composite_.to_means(points, means); }
 
   LevelOperators const& operators_with_gradient(int level) override;

@@ -46,23 +46,24 @@ void NodeMultigrid::solve_corners(std::vector<Real> const& r, std::vector<Real>&
 }
 
 void NodeMultigrid::apply(std::vector<Real> const& r, std::vector<Real>& z) {
-  if (!between_) {
-    solve_corners(r, z);
-  } else {
-    int const components = fine_.components();
-    smoother_->smooth(r, z, true);
-    fine_.apply(z.data(), residual_.data());
-    for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = inverse_[i] == 0 ? 0 : r[i] - residual_[i];
-    between_->transposed(components, residual_.data(), coarse_r_.data());
-    for (std::size_t i = 0; i < coarse_r_.size(); ++i) coarse_r_[i] *= corners_free_[i];
-    solve_corners(coarse_r_, coarse_z_);
-    between_->add(components, coarse_z_.data(), z.data());
+  auto const keep_fixed = [&] {
     for (std::size_t i = 0; i < z.size(); ++i)
       if (inverse_[i] == 0) z[i] = 0;
-    smoother_->smooth(r, z, false);
+  };
+  if (!between_) {
+    solve_corners(r, z);
+    return keep_fixed();
   }
-  for (std::size_t i = 0; i < z.size(); ++i)
-    if (inverse_[i] == 0) z[i] = 0;
+  int const components = fine_.components();
+  smoother_->smooth(r, z, true);
+  fine_.apply(z.data(), residual_.data());
+  for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = inverse_[i] == 0 ? 0 : r[i] - residual_[i];
+  between_->transposed(components, residual_.data(), coarse_r_.data());
+  for (std::size_t i = 0; i < coarse_r_.size(); ++i) coarse_r_[i] *= corners_free_[i];
+  solve_corners(coarse_r_, coarse_z_);
+  between_->add(components, coarse_z_.data(), z.data());
+  keep_fixed();  // smoothing leaves what is fixed as it is
+  smoother_->smooth(r, z, false);
 }
 
 }  // namespace amrpic

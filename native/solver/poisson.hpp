@@ -48,7 +48,6 @@ class PoissonSolver {
   ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) {
     return backend_->electric_field_as(potential, covered, holds);
   }
-  void to_points(Field const& means, Field& points) { backend_->to_points(means, points); }
   void to_means(Field const& points, Field& means) { backend_->to_means(points, means); }
 
   Hierarchy const& hierarchy() const { return *given_; }

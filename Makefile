@@ -35,7 +35,7 @@ run: setup  ## the main job: SCENE on RANKS ranks
 
 # A file more than there are cores: many tests wait for processes that end.
 test: setup  ## all tests, some files at a time; ARGS go to pytest
-	$(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n $$(($(JOBS) + 1)) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 # An old and a middling processor, as QEMU has them: the set that each gets, and a refined problem with a known potential.
 nehalem: setup .venv/.qemu  ## the solver on processors with SSE4.2 and AVX2 alone, emulated

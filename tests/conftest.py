@@ -18,6 +18,8 @@ import pytest
 import mpi_batch
 import mpi_rank
 
+WHOLE_RUNS = {"benchmarks", "commands", "docs", "run", "scaling", "verify"}  # folders of tests that take seconds each
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--need-browser", action="store_true", help="tests that need Chromium or mkdocs fail without")
@@ -41,6 +43,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if mark is not None:
         metafunc.fixturenames.append("ranks")
         metafunc.parametrize("ranks", mpi_batch.rank_counts(mark), ids=lambda n: f"{n}r")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whole runs first: a file of few, long tests that began last would end long after all others."""
+    items.sort(key=lambda item: item.path.parent.name not in WHOLE_RUNS)
 
 
 @pytest.fixture

@@ -17,6 +17,17 @@ def cells_of(boxes: Array) -> Array:
     return np.prod(boxes[:, 3:].astype(np.int64) - boxes[:, :3] + 1, axis=1)
 
 
+def each_cell(boxes: Array) -> tuple[Array, Array]:
+    """Return all cells of some boxes, x fastest: the row of the box of each, (m,), and their indices, (m, 3)."""
+    sides = boxes[:, 3:].astype(np.int64) - boxes[:, :3] + 1
+    count = sides.prod(axis=1)
+    row = np.repeat(np.arange(len(boxes)), count)
+    place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
+    place, x = np.divmod(place, sides[row, 0])
+    z, y = np.divmod(place, sides[row, 1])
+    return row, boxes[row, :3] + np.stack([x, y, z], axis=-1)
+
+
 def equal_shares(boxes: Array, ranks: int) -> Array:
     """Return owners (n,) that give each rank consecutive boxes with about equally many cells."""
     cells = cells_of(boxes)

@@ -34,6 +34,11 @@ class Level:
         """A look-up of the boxes by their cells."""
         return table_of(self.boxes)
 
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """The lowest and the highest index of a cell along each axis, (3,) each."""
+        return self.boxes[:, :3].min(axis=0), self.boxes[:, 3:].max(axis=0)
+
 
 class Composite(ABC):
     """Scalars and vectors by name on levels of boxes. Ranks of `comm` may share one: each has the boxes that are `here`."""

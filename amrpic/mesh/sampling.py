@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .. import gmls
 from ..errors import InputError
 from ..parallel import share
-from .boxes import rows_of
+from .boxes import cells_of, each_cell, rows_of
 from .composite import Composite
 from .orders import require_order
 
@@ -29,7 +29,7 @@ GROWTH, GROWTHS = 1.15, 8  # of reaches that do not determine a fit, and most of
 WANTED, ENOUGH = (10.0, 5e-4), (40.0, 1e-6)
 TOGETHER = 2048  # points
 CANDIDATES = 1 << 20  # cells that are looked up together
-LARGEST = 1 << 18  # cells of a level around a point: those of 16 times finer ones are more
+FINER = 2  # levels above that of a point; of the cells of still finer ones a fit takes one in each cell of that level
 QUANTITIES = ("value", "gradient")
 
 
@@ -141,33 +141,29 @@ class _Sampler:
     def _of_level(self, at: Array, places: Array, home: int, level: int, reach: float) -> Iterator[tuple[Array, ...]]:
         """Yield columns of `_Cells` for the cells of a level around points `at`, of some points at a time."""
         width = 2.0 ** (int(home) - level)
-        count = int(2 * reach / width) + 1  # along each axis
-        lowest = np.ceil((places - reach) / width - 0.5).astype(np.int64)
-        highest, extent = lowest + count - 1, self._extent(level)
+        stride = 2 ** max(level - int(home) - FINER, 0)  # one cell is taken of so many along each axis
+        block, chosen = width * stride, stride // 2
+        within = (chosen + 0.5) / stride  # of its block
+        lowest = np.ceil((places - reach) / block - within).astype(np.int64)
+        highest = lowest + int(2 * reach / block)
+        of_level, extent = self.fields.levels[level], self._extent(level) // stride
         crossing = (((lowest < 0) | (highest >= extent)) & np.array(self.fields.periodic)).any(axis=1)
-        meets = self.fields.levels[level].table.meets(rows_of(np.hstack([lowest, highest]))).astype(bool)
-        near = np.flatnonzero(crossing | meets)
-        if count**3 > LARGEST and near.size:
-            point = self.points[at[near[0]]].tolist()
-            raise InputError(
-                f"the cells of level {level} beside the point {point} m are {1 / width:g} times as fine as those of level "
-                f"{home} at it, too many for a fit; use order 1"
-            )
-        if near.size == 0:
-            return
-        z, y, x = np.meshgrid(*[np.arange(count)] * 3, indexing="ij")
-        window = np.stack([x, y, z], axis=-1).reshape(-1, 3)
-        some = max(CANDIDATES // len(window), 1)
-        for first in range(0, len(near), some):
-            rows = near[first : first + some]
-            cells = lowest[rows][:, None] + window
-            offset = (cells + 0.5) * width - places[rows][:, None]
-            point, cell = np.nonzero((offset**2).sum(axis=2) < reach**2)
-            index, box = self._looked_up(level, cells[point, cell])
+        # Else they end where the level does: the reach from a point beside many levels is far wider than the finest of them.
+        least, most = of_level.bounds
+        ends = np.maximum(lowest * stride, least), np.minimum((highest + 1) * stride - 1, most)
+        windows = np.where(crossing[:, None], np.hstack([lowest, highest]), np.hstack(ends) // stride)
+        near = np.flatnonzero(crossing | of_level.table.meets(rows_of(np.hstack(ends))).astype(bool))
+        groups = np.cumsum(cells_of(windows[near])) // CANDIDATES
+        for some in np.split(near, np.flatnonzero(np.diff(groups)) + 1):
+            row, blocks = each_cell(windows[some])
+            point = some[row]
+            offset = (blocks + within) * block - places[point]
+            there = np.flatnonzero((offset**2).sum(axis=1) < reach**2)
+            index, box = self._looked_up(level, blocks[there] * stride + chosen)
             held = box >= 0
-            point, cell = point[held], cell[held]
-            sizes = np.full(len(point), width), np.full(len(point), level)
-            yield at[rows[point]], offset[point, cell], *sizes, box[held], index[held]
+            there = there[held]
+            sizes = np.full(len(there), width), np.full(len(there), level)
+            yield at[point[there]], offset[there], *sizes, box[held], index[held]
 
     def _looked_up(self, level: int, cells: Array) -> tuple[Array, Array]:
         """Return indices of cells (n, 3) in the domain, and their boxes, -1 for those that are not there or do not count."""
@@ -175,7 +171,8 @@ class _Sampler:
         index = np.where(np.array(self.fields.periodic), cells % extent, cells)
         box = levels[level].table.find(rows_of(index))  # behind walls there are none
         if self.request.level is None and level + 1 < len(levels):
-            box[levels[level + 1].table.find(rows_of(2 * index)) >= 0] = -1
+            held = np.flatnonzero(box >= 0)
+            box[held[levels[level + 1].table.find(rows_of(2 * index[held])) >= 0]] = -1
         return index, box
 
     def _held(self, cells: _Cells) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -39,10 +39,12 @@ class Trial:
     step: float  # without regrid, 0 for a run of one solve
     regrid: float  # what a step with regrid takes besides
     dump: float  # a checkpoint
+    first: float = 0.0  # what the first step takes besides: its memory and caches are new
 
     @property
     def total(self) -> float:
-        return self.beam + self.start + self.step + self.regrid + self.dump
+        """What a trial takes, of two steps at least."""
+        return self.beam + self.start + self.first + 2 * self.step + self.regrid + self.dump
 
     def per_step(self, scene: Scene) -> float:
         """Return the mean time of a step of a scene, with its regrids and dumps."""
@@ -51,7 +53,7 @@ class Trial:
         dumps = sum(
             _times(steps, getattr(scene.output, key)) for kind, key in DUMPS.items() if kind in scene.output.write
         )
-        return self.step + (regrids * self.regrid + dumps * self.dump) / max(steps, 1)
+        return self.step + (self.first + regrids * self.regrid + dumps * self.dump) / max(steps, 1)
 
 
 def _times(steps: int, every: int) -> int:
@@ -140,20 +142,20 @@ def _coarser(scene: Scene, factor: int) -> Scene:
 
 
 def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
-    """Return what a run takes that goes on until `end`, its cells and its steps: at least one, and one that regrids."""
+    """Return what a run takes that goes on until `end`, its cells and its steps: at least two, and one that regrids."""
     with _folder(comm, scene.directory / FOLDER) as folder:
         output = Output(directory=str(folder), write=[kind for kind in scene.output.write if kind == "series"])
         simulation, beam, start = _started(comm, scene.model_copy(update={"output": output}), end)
-        plan, plain = simulation._plan, [0.0]  # 0 for a run of one solve
-        regrids: list[float] = []
+        plan = simulation._plan
+        taken: list[tuple[bool, float]] = []  # whether a step regrids, and its s
         begun = time.perf_counter()
         with Recorder(comm, simulation.state, plan, False, log="silent") as record:
             record.state(simulation.state, [])
             start += time.perf_counter() - begun
             while simulation.step < scene.schedule.last_step:
-                behind = plan.scene.refinement.regrid_every
-                if simulation.step > 0 and not _in_time(comm, plain[-1], end):
-                    if regrids or not scene.refinement.follows or behind == 0:
+                if len(taken) > 1 and not _in_time(comm, taken[-1][1], end):
+                    regrids = any(regrids for regrids, _ in taken)
+                    if regrids or not scene.refinement.follows or plan.scene.refinement.regrid_every == 0:
                         break
                     # none came up to now: the next step makes one
                     refinement = plan.scene.refinement.model_copy(update={"regrid_every": 1})
@@ -161,13 +163,21 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
                 begun = time.perf_counter()
                 simulation.advance()
                 record.state(simulation.state, [])
-                (regrids if plan.regrids_at(simulation.step) else plain).append(time.perf_counter() - begun)
+                taken.append((plan.regrids_at(simulation.step), time.perf_counter() - begun))
         begun = time.perf_counter()
         simulation.checkpoint(folder / "checkpoint")
         dump = time.perf_counter() - begun
         cells = sum(simulation.hierarchy.cells(level) for level in range(simulation.hierarchy.levels))
-    step = _mean(plain[1:] or regrids or plain)
-    return Trial(beam, start, step, max(_mean(regrids) - step, 0.0) if regrids else 0.0, dump), cells, simulation.step
+    return Trial(beam, start, dump=dump, **_parts(taken)), cells, simulation.step
+
+
+def _parts(taken: Sequence[tuple[bool, float]]) -> dict[str, float]:
+    """Return `step`, `regrid` and `first` of a trial from whether each of its steps regrids and how long it took, s."""
+    plain, regrids = ([seconds for one, seconds in taken[1:] if one is kind] for kind in (False, True))
+    step = _mean(plain or regrids or [seconds for _, seconds in taken] or [0.0])
+    regrid = max(_mean(regrids) - step, 0.0) if regrids else 0.0
+    first = max(taken[0][1] - step - regrid * taken[0][0], 0.0) if taken else 0.0
+    return {"step": step, "regrid": regrid, "first": first}
 
 
 def _started(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Simulation, float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
 
 from mpi4py import MPI
@@ -21,7 +21,8 @@ from ..parallel import together
 from ..results.run_results import SERIES
 from ..stages.diagnostics import measure, quantities
 from ..units import Quantity
-from ..view.draw import draw
+from ..view.draw import drawn
+from ..view.views import OVERVIEW
 from .beam_tables import BeamTables, Diagnostic
 from .flight import kicked
 from .folder import set_aside
@@ -140,8 +141,12 @@ class Recorder:
             self._status.says(self._plan.notes, self._log.warned)
             self._status.step(row, self._log.pace, self._plan.dt, self._written)
 
-    def end(self, state: State) -> None:
-        """Write what the end of a run leaves; the momenta are to be of its time."""
+    def end(self, state: State, stop: Callable[[], str | None]) -> str | None:
+        """Write what the end of a run leaves; the momenta are to be of its time.
+
+        Pictures come last: where `stop()`, which all ranks call before each, gives a reason, the rest is left out, and the
+        reason is returned.
+        """
         if self._beam is not None:
             self._beam.record_now(state)
             settle(self._comm, self._beam.series)
@@ -151,9 +156,12 @@ class Recorder:
         self._write_openpmd(state)
         self._write_records(state)
         self._write_checkpoint(state)
-        if "pictures" in self._wanted:
-            self._draw(state)
+        if "pictures" in self._wanted and (reason := self._draw(state, stop)) is not None:
+            self._log.warn(f"stopped at step {state.step}, not all pictures drawn: {reason}; go on with --restart auto")
+            self._ended(STOPPED, reason)
+            return reason
         self._ended(FINISHED)
+        return None
 
     def stopped(self, state: State, reason: str) -> None:
         """Write what a run needs to go on later; the momenta are to be of its time."""
@@ -268,10 +276,15 @@ class Recorder:
         write_losses(self._comm, state, self._scene, self._about)
         write_screens(self._comm, state, self._scene, self._about)
 
-    def _draw(self, state: State) -> None:
-        """Draw what a field dump of a state shows, or would show."""
+    def _draw(self, state: State, stop: Callable[[], str | None]) -> str | None:
+        """Draw what a field dump of a state shows, or would show, until `stop()` gives a reason, which is returned."""
         path = vtkhdf_writer.path_of(self._scene.directory, state.step)
-        draw(LiveDump(path, state.hierarchy, _shown(state), state.step, state.time), path.parent)
+        pictures = drawn(LiveDump(path, state.hierarchy, _shown(state), state.step, state.time), path.parent)
+        for _ in OVERVIEW:
+            if (reason := stop()) is not None:
+                return reason
+            next(pictures)
+        return None
 
     def _write_checkpoint(self, state: State) -> None:
         if "checkpoint" not in self._wanted or self._written.get("checkpoint") == state.step:

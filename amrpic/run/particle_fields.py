@@ -58,11 +58,7 @@ class ParticleFields:
                 efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
                 plan.compensate(efield, rho, only)
             return Solution(rho, phi, efield, report, frames)
-        if plan.clouds.compensation != "none":
-            plan.remark(
-                "particles.compensation does not act in several energy bins, whose magnetic field it would not fit; set "
-                'motion.energy_bins to 1, or particles.compensation to "none"'
-            )
+        plan.go_without_compensation()
         known = self.known.parts if self.known is not None else ()
         guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
         parts = []

@@ -41,6 +41,7 @@ class Plan:
         self.clock = Clock()
         self.remarks: list[str] = []
         self.notes: list[str] = []  # what the run chose by itself, for its log
+        self.compensation_by_auto = False  # whether the run chose it by itself
         self._solves: list[SolveReport] = []
         self._solvers: dict[Frame, PoissonSolver] = {}
         self.external = ExternalFields.of_scene(scene, self._maps())
@@ -184,6 +185,19 @@ class Plan:
         """Let particles feel the field of a density, solved for in a frame, without what their clouds smooth."""
         compensate(efield, rho, self.clouds, self.scene.solver.stretch if frame == LABORATORY else frame.stretch)
 
+    def go_without_compensation(self) -> None:
+        """Note that several energy bins go without it: a remark if the scene asks for it, a note if the run chose it."""
+        reason = "several energy bins, whose magnetic field it would not fit"
+        if self.clouds.compensation == "none":
+            return
+        if self.compensation_by_auto:
+            self.note(f"particles.compensation: none as long as there are {reason}")
+        else:
+            self.remark(
+                f"particles.compensation does not act in {reason}; set motion.energy_bins to 1, or particles.compensation "
+                'to "none"'
+            )
+
     def settle_clouds(self, bunches: Sequence[Particles]) -> None:
         """Put into the scene what "auto" means for these bunches, in interface and compensation, and note it. Collective."""
         self.settle_interface(bunches)
@@ -194,6 +208,7 @@ class Plan:
         scene = self.scene
         if scene.particles.compensation != "auto":
             return
+        self.compensation_by_auto = True
         widths = scene.domain.value.spacing / 2**scene.refinement.levels
         shape = scene.particles.shape
         moves = isinstance(scene.motion, Leapfrog)

@@ -87,6 +87,7 @@ def snapshot(state: State, plan: Plan) -> Snapshot:
             "dt": plan.dt,
             "course": state.course.to_dict(),
             "fields": list(plan.fields.names),
+            "compensation_by_auto": plan.compensation_by_auto,
             "servers": state.particles.sorted_on(hierarchy).servers.tolist(),
             "names": {"lost": state.lost.names, "screens": state.screens.names},
         },
@@ -106,6 +107,9 @@ def load(
     """
     manifest = read_manifest(comm, path)
     header = manifest.header
+    by_auto = (
+        header.extra.get("compensation_by_auto", False) if scene is None else scene.particles.compensation == "auto"
+    )
     scene = scene if scene is not None else Scene.from_dict(header.about.scene, source=f"the scene in {path}")
     if scene.particles.interface == "auto":
         scene = scene.with_interface(header.about.scene["particles"]["interface"])
@@ -118,6 +122,7 @@ def load(
     owners = [stored.owners(level) for level in range(stored.levels)]
     held = read(comm, path, lambda _: owners, manifest)
     plan = Plan(comm, scene, fields)
+    plan.compensation_by_auto = by_auto
     made_with = header.extra.get("fields", [])
     for remark in _remarks(scene, header) + _remarks_on_fields(plan.fields.names, made_with):
         plan.remark(remark)

@@ -157,8 +157,7 @@ class Simulation:
                 self._record(record)
             self.state = kicked(self.state, self._plan)
             with self.clock("output"):
-                record.end(self.state)
-        return None
+                return record.end(self.state, stop.reason)
 
     def _claim(self) -> AbstractContextManager[object]:
         """Hold the folder, if anything is written into it. Collective."""

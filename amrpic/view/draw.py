@@ -42,15 +42,20 @@ def draw(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> list[Pat
     Each rank rasters its own boxes, rank 0 draws the sum. Raises InputError for what is not in the dump, OutputError if a
     picture cannot be written.
     """
+    return list(drawn(dump, folder, views))
+
+
+def drawn(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> Iterator[Path]:
+    """Draw a dump as `draw` does, and yield the path of each picture when it is there. Collective."""
     for view in views:
         require(dump, view)
     spread = spread_of(dump)
-    paths = [folder / f"{dump.path.stem}_{view.name}.png" for view in views]
-    for path, view in zip(paths, views, strict=True):
+    for view in views:
         shown = numbers(dump, spread, view)
+        path = folder / f"{dump.path.stem}_{view.name}.png"
         with together(dump.comm, OutputError):
             if dump.comm.rank == 0:
                 from .plot import figure, save  # matplotlib takes long to import, and no other rank needs it
 
                 save(figure(dump, spread, view, shown), path)
-    return paths
+        yield path

@@ -8,6 +8,8 @@ from mpi4py import MPI
 
 from amrpic import Domain, Field, Hierarchy, VectorField
 from amrpic.errors import InputError
+from amrpic.mesh import sampling
+from amrpic.mesh.composite import LiveFields
 
 LOWER, UPPER = np.array([0.0, -0.2, 0.1]), np.array([1.0, 1.0, 0.9])
 
@@ -181,13 +183,33 @@ def test_too_few_cells_around_a_point_are_refused(comm):
     assert thin.sample([(0.5, 0.5, 0.5)], what="gradient") == pytest.approx(np.ones((1, 3)))
 
 
-def test_cells_far_finer_than_those_at_a_point_are_refused_rather_than_gathered(comm):
-    """Seven nested blocks of 8^3 cells: the finest lie within the reach of a point that has coarse cells around it."""
-    middle = [8 * 2**level for level in range(1, 7)]
-    nested = [[((m - 4,) * 3, (m + 3,) * 3)] for m in middle]
-    mesh = Hierarchy(Domain(0, 16, 16), levels=nested, blocking_factor=4)
-    field = Field(mesh).fill(lambda x, y, z: x)
-    with pytest.raises(InputError, match=r"beside the point .* times as fine as those of level 0 at it"):
-        field.sample([(5.9, 8.0, 8.0)], order=3)
-    assert field.sample([(1.5, 1.5, 1.5)], order=3) == pytest.approx(1.5)
-    assert field.sample([(5.5, 8.5, 8.5)]) == pytest.approx(5.5)
+def deep() -> Hierarchy:
+    """Eighteen nested blocks of 8^3 cells, whose finest lie within the reach of points with base cells around them."""
+    middle = [8 * 2**level for level in range(1, 19)]
+    return Hierarchy(Domain(0, 16, 16), [[((m - 4,) * 3, (m + 3,) * 3)] for m in middle], blocking_factor=4)
+
+
+def test_cubics_are_exact_where_eighteen_levels_meet():
+    """Also where cells within reach of a point are 2^18 times as fine as its own."""
+    distance = np.concatenate([np.linspace(0, 5, 200), 2.0 ** -np.arange(0, 20, 0.25)])
+    at = 8 + distance[:, None] * [-1, 0.01, 0.3]
+    field, scaled = Field(deep()).fill(lambda *c: cubic(*(np.asarray(x) / 8 - 1 for x in c))), at / 8 - 1
+    assert np.abs(field.sample(at, order=3) - cubic(*scaled.T)).max() < 1e-12
+    width = np.maximum(2.0 ** (np.ceil(np.log2(np.maximum(distance, 1e-9))) - 2), 2.0**-18)  # of the cells, or twice it
+    wrong = field.sample(at, order=3, what="gradient") - gradient_of_cubic(*scaled.T) / 8
+    assert np.abs(wrong * width[:, None]).max() < 1e-12
+
+
+def test_far_finer_cells_are_thinned_out():
+    """Beside 16 levels finer than a quarter of a base cell, one base cell wide, a point takes 4^3 cells of them."""
+    shown = LiveFields(deep(), {"field": [Field(deep())]})
+    cells = sampling._Sampler(shown, "field", sampling.Request(), np.array([[5.5, 8.0, 8.0]]))._around(
+        np.array([0]), 2.6
+    )
+    assert 8 <= np.sum(cells.level > 2) <= 64
+    few = np.arange(8)
+    within = [(24 + few + 0.5) / 4 for _ in range(3)]  # level 2, which is not thinned out, begins there
+    x, y, z = np.meshgrid(within[0] + 1, within[1] + 1, within[2] + 1, indexing="ij")
+    covered = np.max(np.abs([x - 8, y - 8, z - 8]), axis=0) < 0.5
+    near = (x - 5.5) ** 2 + (y - 8) ** 2 + (z - 8) ** 2 < 2.6**2
+    assert np.sum(cells.level == 2) == np.sum(near & ~covered)

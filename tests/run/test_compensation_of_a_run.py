@@ -89,18 +89,30 @@ def test_potential_energy_is_that_in_the_potential_which_particles_feel():
     assert with_it - potential_energy(state.rho, state.phi) == pytest.approx(square / 2, rel=1e-10)
 
 
-def test_energy_bins_go_without_and_the_run_says_so(capsys):
+@pytest.mark.parametrize("compensation", ["clouds", "auto"])
+def test_energy_bins_go_without_and_the_run_says_so(tmp_path, capsys, compensation):
+    """As a warning where the scene asks for it, as a note where the run itself chose it, also after a restart."""
     from mpi4py import MPI
 
+    number = int(1.2 * PAYING["triangular-shaped-cloud"] * 4 * (2 * np.pi) ** 1.5 * 8)
     beams = [
-        {"distribution": "gaussian", "species": "electron", "sigma": 2 * CELL, "charge": "-1 pC", "particles": 500}
+        {"distribution": "gaussian", "species": "electron", "sigma": 2 * CELL, "charge": "-1 pC", "particles": number}
         | {"momentum": [0, 0, sign * 4 * 2.73092449e-22]}
         for sign in (1, -1)
     ]
-    data = scene([1], "clouds").to_dict() | {"bunches": beams}
+    data = scene([1], compensation).to_dict() | {"bunches": beams}
     simulation = Simulation(MPI.COMM_SELF, Scene.from_dict(data))
     assert len(simulation.state.solution.frames.members) == 2
-    assert simulation.state.efield.compensation is None
-    simulation.run()
-    printed = capsys.readouterr()
-    assert "particles.compensation does not act in several energy bins" in printed.out + printed.err
+    assert simulation.scene.particles.compensation == "clouds" and simulation.state.efield.compensation is None
+    simulation.checkpoint(tmp_path / "start")
+    for run in (
+        simulation,
+        *(Simulation.restart(MPI.COMM_SELF, tmp_path / "start", s) for s in (None, Scene.from_dict(data))),
+    ):
+        run.run()
+        printed = capsys.readouterr()
+        warned = "particles.compensation does not act in several energy bins" in printed.out + printed.err
+        assert warned == (compensation == "clouds")
+        noted = "particles.compensation: none as long as there are several energy bins"
+        assert run is not simulation or (noted in printed.out) == (compensation == "auto")
+        assert not any("compensation" in remark for remark in run.remarks) or warned

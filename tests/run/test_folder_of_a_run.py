@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import amrpic
 from amrpic.io import time_series
+from amrpic.io.run_status import RunStatus
 from amrpic.run.folder import Claim, set_aside
+from amrpic.view import draw
+from amrpic.view.views import OVERVIEW, numbers
 
 
 def scene(folder: Path, steps: int = 3) -> amrpic.Scene:
@@ -76,3 +81,28 @@ def test_a_stop_file_ends_a_run_after_a_checkpoint(comm, tmp_path, monkeypatch):
     assert simulation.run(log="silent").stopped == f"the file {tmp_path}/STOP asks for it"
     assert simulation.step == 2 and (tmp_path / "checkpoint_00000002").is_dir()
     assert not (tmp_path / "STOP").exists()
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_signal_while_pictures_are_drawn_leaves_the_rest_for_a_restart(comm, tmp_path, monkeypatch):
+    drawn = []
+
+    def interrupted(*args: Any) -> Any:
+        drawn.append(args)
+        if len(drawn) == 2 and comm.rank == 0:
+            signal.raise_signal(signal.SIGTERM)
+        return numbers(*args)
+
+    monkeypatch.setattr(draw, "numbers", interrupted)
+    mine = scene(tmp_path, steps=1)
+    mine = mine.replace(output={"directory": str(tmp_path), "write": ["series", "checkpoint", "pictures"]})
+    assert amrpic.Simulation(comm, mine).run(log="silent").stopped == "signal SIGTERM"
+    comm.Barrier()
+    assert len(drawn) == len(list(tmp_path.glob("*.png"))) == 2
+    assert RunStatus.read(tmp_path).state == "stopped"
+    comm.Barrier()
+    again = amrpic.Simulation.restart(comm, tmp_path / "checkpoint_00000001", mine)
+    assert again.run(log="silent").stopped is None
+    comm.Barrier()
+    assert len(list(tmp_path.glob("*.png"))) == len(OVERVIEW)
+    assert RunStatus.read(tmp_path).state == "finished"

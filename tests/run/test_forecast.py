@@ -13,6 +13,8 @@ import amrpic
 from amrpic.run import forecast as module
 from amrpic.run.forecast import Forecast, Trial, _coarser, _extrapolated, forecast
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
 
 def scene(folder: Path, cells: int = 16, steps: int = 4, **more) -> amrpic.Scene:
     return amrpic.Scene(
@@ -50,11 +52,24 @@ def test_there_is_no_time_in_no_seconds(comm, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_at_least_one_step_with_regrid_is_taken(comm, tmp_path):
+def test_at_least_two_steps_and_one_with_regrid_are_taken(comm, tmp_path):
     _, cells, steps = module._tried(
         comm, scene(tmp_path, steps=50).replace(refinement={"levels": 1, "regrid_every": 40}), 0.0
     )
-    assert steps == 2 and cells > 16**3
+    assert steps == 3 and cells > 16**3
+
+
+def test_the_first_step_counts_once():
+    """It finds new memory and cold caches; as the mean of all steps it would make a forecast twice too long."""
+    assert module._parts([(False, 0.4), (False, 0.2), (False, 0.2), (True, 0.5)]) == pytest.approx(
+        {"step": 0.2, "regrid": 0.3, "first": 0.2}
+    )
+    assert module._parts([(True, 0.9), (True, 0.5)]) == pytest.approx({"step": 0.5, "regrid": 0.0, "first": 0.4})
+    assert module._parts([(False, 0.4)]) == pytest.approx({"step": 0.4, "regrid": 0.0, "first": 0.0})
+    assert module._parts([]) == {"step": 0.0, "regrid": 0.0, "first": 0.0}
+    assert Trial(0.0, 0.0, 0.2, 0.0, 0.0, first=0.2).per_step(
+        amrpic.Scene.from_toml(EXAMPLES / "ten_bunches.toml")
+    ) == (pytest.approx(0.2 + 0.2 / 9))
 
 
 class Clock:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Protocol
@@ -57,6 +57,20 @@ class Neighbours:
     def grown(self, which: np.ndarray, factor: float) -> Neighbours | None:
         """Return neighbours of some of the targets within a longer reach; none if they were given and cannot grow."""
         return None if self.search is None else self.search(which, self.reach[which] * factor)
+
+    def runs(self, entries: int) -> Iterator[slice]:
+        """Runs of targets with about so many neighbours each; one run, of none, for no targets."""
+        first = 0
+        while first < len(self) or first == 0:
+            last = int(np.searchsorted(self.start, self.start[first] + entries, side="right")) - 1
+            last = min(max(last, first + 1), len(self))
+            yield slice(first, last)
+            first = max(last, 1)
+
+    def run(self, targets: slice) -> Neighbours:
+        """Return the neighbours of a run of targets, which do not grow."""
+        start = self.start[targets.start : targets.stop + 1]
+        return Neighbours(start - start[0], self.index[start[0] : start[-1]], self.reach[targets])
 
     def of(self, which: np.ndarray) -> Neighbours:
         """Return the neighbours of some targets, which do not grow."""

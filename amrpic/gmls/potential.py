@@ -70,24 +70,37 @@ def poisson(
         if not 0 < tolerance < 1:
             raise InputError(f"tolerance is {tolerance}; give a number between 0 and 1, for instance 1e-10")
         rows = _Rows(mine, given, order, reach)
-    vectors = np.array([rows.given] if given.bounded else [rows.given, rows.of_one])
-    found, iterations, residual = _native.solve_points(mine.py2f(), *rows.matrix, vectors, tolerance, MOST_ITERATIONS)
+    if given.bounded:
+        (phi,), reached = _solved(mine, rows, [rows.given], tolerance)
+        phi[given.fixed], missing = given.potential, 0.0
+    else:
+        # Charge that the slopes do not balance leaves through one site, where its potential is steep. So both are found
+        # roughly, and anew, to the tolerance, with what makes up for the charge.
+        (of_given, of_one), roughly = _solved(mine, rows, [rows.given, rows.of_one], tolerance**0.5)
+        missing = rows.missing(mine, of_given, of_one)
+        (phi,), reached = _solved(mine, rows, [rows.given + missing * rows.of_one], tolerance)
+        more = rows.missing(mine, phi, of_one, missing) - missing
+        phi += more * of_one
+        phi -= phi.mean()
+        missing += more
+        reached = max(roughly[0], reached[0]), reached[1]
+    return PointPotential(phi, *reached, -missing * VACUUM_PERMITTIVITY, rows.quality)
+
+
+def _solved(
+    comm: Communicator, rows: _Rows, vectors: list[np.ndarray], tolerance: float
+) -> tuple[np.ndarray, tuple[int, float]]:
+    """Return solutions (vectors, m) on all sites, the iterations and the residual of the worst. Collective; SolverError."""
+    right = np.array(vectors)
+    found, iterations, residual = _native.solve_points(comm.py2f(), *rows.matrix, right, tolerance, MOST_ITERATIONS)
     if not residual <= tolerance:
         raise SolverError(
             f"GMRES stopped after {iterations} iterations at a residual of {residual:.1e}, not {tolerance:.0e}; take a longer "
             "reach, another order, or more evenly spaced sites"
         )
-    values = np.zeros((len(vectors), len(given.sites)))
+    values = np.zeros((len(right), rows.count))
     values[:, rows.sites] = found
-    values = mine.allreduce(values)
-    if given.bounded:
-        phi, missing = values[0], 0.0
-        phi[given.fixed] = given.potential
-    else:
-        missing = rows.missing(mine, *values)
-        phi = values[0] + missing * values[1]
-        phi -= phi.mean()
-    return PointPotential(phi, iterations, residual, -missing * VACUUM_PERMITTIVITY, rows.quality)
+    return comm.allreduce(values), (iterations, residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +179,7 @@ class _Rows:
         along = cKDTree(given.sites).indices  # leaf by leaf: places near each other have numbers near each other
         unknown = along[free[along]]
         first, last = share(comm, len(unknown))
-        self.sites = unknown[first:last]
+        self.sites, self.count = unknown[first:last], len(given.sites)
         targets = given.sites[self.sites]
         exact = [Neumann(given.normals[self.sites])] if np.isfinite(given.normals).any() else []
         found = stencils(
@@ -199,12 +212,13 @@ class _Rows:
         if self._replaced is not None:
             self.given[row] = self.of_one[row] = 0.0
 
-    def missing(self, comm: Communicator, of_given: np.ndarray, of_one: np.ndarray) -> float:
-        """Return the constant that all equations lack, from their solutions (m,). Collective; InputError on all ranks."""
+    def missing(self, comm: Communicator, of_given: np.ndarray, of_one: np.ndarray, added: float = 0.0) -> float:
+        """Return the constant that all equations lack, from their solutions (m,), the first one of those with `added` on the
+        right. Collective; InputError on all ranks."""
         lacks = 0.0
         if self._replaced is not None:
             f, laplacian = self._replaced
-            lacks = (f - (laplacian @ of_given)[0]) / ((laplacian @ of_one)[0] - 1)
+            lacks = added + (f + added - (laplacian @ of_given)[0]) / ((laplacian @ of_one)[0] - 1)
         lacks, size, count = comm.allreduce(np.array([lacks, np.abs(self._f).sum(), len(self._f)]))
         if abs(lacks) > MOST_IMBALANCE * size / count:
             raise InputError(

@@ -21,6 +21,7 @@ from .targets import Exact, Wanted, names
 from .weights import Weight
 
 RESIDUAL_BOUND = 1e-9  # of reproduction, above which a stencil is not used
+SPARE = 1.5  # times the entries that are known of, if reaches should grow; untouched, it takes no memory
 SUM_BOUND = 1e6  # of Σ|α λ| over the largest |τ|, the same
 UNDETERMINED, DEPENDENT, ONE_SIGN, NO_SIGN = 3, 4, 5, 6  # places in PATHS of stencils.py
 
@@ -37,8 +38,14 @@ class Solution:
     judgements: np.ndarray  # (3, n): pivot, residual, sum
 
 
-def merged(parts: Sequence[tuple[np.ndarray, Solution]], count: int) -> Solution:
-    """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones."""
+def merged(
+    parts: Sequence[tuple[np.ndarray, Solution]], count: int, room: Callable[[int], np.ndarray] | None = None
+) -> Solution:
+    """Return the solution of `count` targets from parts, of ascending targets each; later parts replace earlier ones.
+
+    room: gives the (entries, rows) to write weights to, where those of the first part may lie already if no later one of a
+    target is shorter.
+    """
     if len(parts) == 1:
         return parts[0][1]
     source, place = np.zeros(count, dtype=int), np.zeros(count, dtype=int)
@@ -53,13 +60,57 @@ def merged(parts: Sequence[tuple[np.ndarray, Solution]], count: int) -> Solution
         lengths[mine] = np.diff(part.start)[at]
         exact[mine], path[mine], judgements[:, mine] = part.exact_weights[at], part.path[at], part.judgements[:, at]
     start = np.concatenate([[0], lengths.cumsum()])
-    index, weights = np.empty(start[-1], np.int32), np.empty((start[-1], rows))
-    for first, last in pairwise(np.flatnonzero(np.diff(source, prepend=-1, append=-1))):  # of one part side by side
+    index, weights = np.empty(start[-1], np.int32), np.empty((start[-1], rows)) if room is None else room(start[-1])
+    runs = pairwise(np.flatnonzero(np.diff(source, prepend=-1, append=-1)))  # of one part side by side
+    for first, last in reversed(list(runs)):  # the last ones first, as those of the first part only move up
         of, at = parts[source[first]][1], place[first]
         taken = slice(of.start[at], of.start[at + last - first])
         index[start[first] : start[last]] = of.index[taken]
         weights[start[first] : start[last]] = of.weights[taken]
     return Solution(start, index, weights, exact, path, judgements)
+
+
+class Collected:
+    """Solutions of runs of targets, one run after the other, in arrays that are written once.
+
+    `room` is where the weights of the next run may be written; what is taken of it grows with what is written, as memory
+    that nobody writes to is not there yet.
+    """
+
+    def __init__(self, near: Neighbours, problem: Problem) -> None:
+        self.rows = max(s.stop for s, _ in problem.rows.values())
+        self._weights = np.empty((int(len(near.index) * problem.per_site * SPARE), self.rows))
+        self._filled = 0
+        self._parts: list[Solution] = []
+
+    def room(self, entries: int) -> np.ndarray:
+        """(entries, rows) of the weights, the next ones."""
+        needed = self._filled + entries
+        if needed > len(self._weights):
+            more = np.empty((int(needed * SPARE), self.rows))
+            more[: self._filled] = self._weights[: self._filled]
+            self._weights = more
+        return self._weights[self._filled : needed]
+
+    def add(self, found: Solution) -> None:
+        """Take a solution, whose weights are in the room already or not."""
+        if found.weights.base is not self._weights:
+            self.room(len(found.weights))[:] = found.weights
+        self._filled += len(found.weights)
+        self._parts.append(replace(found, weights=self._weights[:0]))
+
+    def all(self) -> Solution:
+        """Return the solution of all."""
+        parts = self._parts
+        lengths = np.concatenate([np.empty(0, np.int64), *(np.diff(part.start) for part in parts)])
+        return Solution(
+            np.concatenate([[0], lengths.cumsum()]),
+            np.concatenate([np.empty(0, np.int32), *(part.index for part in parts)]),
+            self._weights[: self._filled],
+            np.concatenate([part.exact_weights for part in parts]),
+            np.concatenate([part.path for part in parts]),
+            np.concatenate([part.judgements for part in parts], axis=1),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +135,7 @@ class Problem:
     aspect: tuple[float, float, float]
     portable: bool
 
-    def of(self, which: np.ndarray) -> Problem:
+    def of(self, which: np.ndarray | slice) -> Problem:
         """Return the problem of some of its targets."""
         return replace(
             self,
@@ -94,12 +145,15 @@ class Problem:
             present=self.present[which],
         )
 
-    def solve(self, near: Neighbours) -> Solution:
-        """Return the stencils, those that cannot be determined with weights that are NaN."""
+    def solve(self, near: Neighbours, room: np.ndarray | None = None) -> Solution:
+        """Return the stencils, those that cannot be determined with weights that are NaN.
+
+        Weights are written to `room`, (entries, rows), where they are solved for all at once.
+        """
         if self.per_site > 1 and not self.split:
             near = Neighbours(*_per_component(near, self.per_site), near.reach)
         if self.present.all():
-            found = self._solve(near, np.ones(len(self.exact), bool))
+            found = self._solve(near, np.ones(len(self.exact), bool), None if self.split else room)
         else:  # targets with the same exact rows together
             kinds, kind = np.unique(self.present, axis=0, return_inverse=True)
             groups = [np.flatnonzero(kind.ravel() == number) for number in range(len(kinds))]
@@ -107,13 +161,13 @@ class Problem:
             found = merged(parts, len(near))
         return self._expanded(found) if self.split else found
 
-    def _solve(self, near: Neighbours, has: np.ndarray) -> Solution:
+    def _solve(self, near: Neighbours, has: np.ndarray, room: np.ndarray | None = None) -> Solution:
         """Solve with some of the exact rows; weights of the others' data are zero."""
         count, rows = len(self.targets), self.wanted[0]
         out = Solution(
             near.start,
             near.index,
-            np.empty((len(near.index), rows)),
+            np.empty((len(near.index), rows)) if room is None else room,
             np.zeros((count, len(self.exact), rows)),
             np.empty(count, np.int8),
             np.empty((3, count)),
@@ -158,7 +212,9 @@ class Problem:
             weights[:, component, row] = found.weights[:, scalar]
         weights[np.isnan(found.weights).any(axis=1)] = np.nan
         start, index = _per_component(found, d)
-        return replace(found, start=start, index=index, weights=weights.reshape(-1, weights.shape[2]))
+        weights = weights.reshape(-1, weights.shape[2])
+        exact = np.empty((len(found.path), 0, weights.shape[1]))  # exact rows exist for scalar spaces alone
+        return replace(found, start=start, index=index, weights=weights, exact_weights=exact)
 
     def require_one_sign(self, found: Solution, near_reach: np.ndarray) -> None:
         """Replace weights by some of one sign off the centre; targets that have none are marked, and their weights NaN."""
@@ -329,7 +385,7 @@ def _per_component(near: Neighbours | Solution, components: int) -> tuple[np.nda
     return near.start * components, index.astype(np.int32)
 
 
-def _some(rows: Native, which: np.ndarray) -> Native:
+def _some(rows: Native, which: np.ndarray | slice) -> Native:
     count, terms, places, halves, coefficients = rows
     if len(places) == 1:
         return rows

@@ -13,13 +13,14 @@ from scipy.sparse import csr_array
 from ..errors import InputError, SolverError
 from .checks import finite, points
 from .neighbours import GROWTH, Neighbours
-from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, assembled, merged
+from .problem import DEPENDENT, NO_SIGN, UNDETERMINED, Collected, assembled, merged
 from .samples import Samples
 from .spaces import Space
 from .targets import Exact, Wanted
 from .weights import QUADRATIC, Weight
 
 GROWTHS = 5  # at most, of a reach
+WRITTEN_TOGETHER = 8 << 20  # bytes of weights that are solved for, and grown, at a time
 TOGETHER = 65_536  # targets whose shared weights are written out at a time
 PATHS = (
     "normal equations",
@@ -48,7 +49,7 @@ class Quality:
     @property
     def failed(self) -> np.ndarray:
         """Targets without usable weights."""
-        return np.flatnonzero(np.isin(self.path, [UNDETERMINED, DEPENDENT, NO_SIGN]))
+        return np.flatnonzero((self.path == UNDETERMINED) | (self.path == DEPENDENT) | (self.path == NO_SIGN))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,17 +196,22 @@ def stencils(
         raise InputError(
             f"weights of one sign are wanted of {problem.wanted[0]} numbers; ask for one of a scalar, without exact rows"
         )
-    parts = [(np.arange(len(places)), problem.solve(near))]
     growth = np.zeros(len(places), dtype=np.int8)
-    for times in range(1, GROWTHS + 1):
-        which, latest = parts[-1]
-        again = which[latest.path == UNDETERMINED]
-        larger = near.grown(again, GROWTH**times) if again.size else None
-        if larger is None:
-            break
-        parts.append((again, problem.of(again).solve(larger)))
-        growth[again] = times
-    solution = merged(parts, len(places))
+    collected = Collected(near, problem)
+    for run in near.runs(WRITTEN_TOGETHER // (8 * collected.rows)):
+        mine = problem.of(run)
+        room = collected.room(problem.per_site * int(near.start[run.stop] - near.start[run.start]))
+        parts = [(np.arange(run.stop - run.start), mine.solve(near.run(run), room))]
+        for times in range(1, GROWTHS + 1):
+            which, latest = parts[-1]
+            again = which[latest.path == UNDETERMINED]
+            larger = near.grown(run.start + again, GROWTH**times) if again.size else None
+            if larger is None:
+                break
+            parts.append((again, mine.of(again).solve(larger)))
+            growth[run][again] = times
+        collected.add(merged(parts, run.stop - run.start, collected.room))
+    solution = collected.all()
     if one_sign:
         problem.require_one_sign(solution, near.reach * GROWTH**growth)
     quality = Quality(np.diff(solution.start) // problem.per_site, solution.path, growth, *solution.judgements)

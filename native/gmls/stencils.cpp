@@ -80,10 +80,14 @@ void solve(Problem const& problem, Real residual_bound, Real sum_bound, bool por
                      [&](std::size_t a, std::size_t b) { return problem.neighbours(a) < problem.neighbours(b); });
     std::size_t at = 0;
     for (; at < order.size() && problem.neighbours(order[at]) == 0; ++at) to.path[order[at]] = Path::undetermined;
-    for (; at < order.size(); at += lanes_of_processor) {
+    auto const batch_at = [&](std::size_t begin) {
       Each<ProcessorLanes> of;  // lanes beyond the last target repeat it
-      for (std::size_t l = 0; l < of.size(); ++l) of[l] = order[std::min(at + l, order.size() - 1)];
-      batch.solve(of, to);
+      for (std::size_t l = 0; l < of.size(); ++l) of[l] = order[std::min(begin + l, order.size() - 1)];
+      return of;
+    };
+    for (; at < order.size(); at += lanes_of_processor) {
+      batch.prefetch(batch_at(at + lanes_of_processor), to);
+      batch.solve(batch_at(at), to);
     }
     for (std::size_t target : order) judge.repair(target, single);
   }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -150,3 +151,25 @@ def test_no_targets_are_legal():
     assert len(found) == 0
     assert found.apply(np.ones(50))["gradient"].shape == (0, 2)
     assert found.matrix("gradient").shape == (0, 50)
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_weights_are_the_same_bit_by_bit_in_runs_of_targets_of_any_length(monkeypatch, vector):
+    x = np.stack(np.meshgrid(*[np.arange(7.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    near = gmls.nearby(x, x, order=2, reach=1.05)
+    space, samples = (gmls.Vector(2), gmls.Vectors(x)) if vector else (gmls.Scalar(2), gmls.Points(x))
+
+    def found() -> gmls.Stencils:
+        return gmls.stencils(x, near, space=space, samples=samples, wanted=[gmls.VALUE, gmls.LAPLACIAN])
+
+    at_once = found()
+    assert at_once.quality.growth.max() > 1
+    for entries in (1, 100, 3000):
+        monkeypatch.setattr(
+            sys.modules["amrpic.gmls.stencils"], "WRITTEN_TOGETHER", 8 * at_once.solved.shape[1] * entries
+        )
+        in_runs = found()
+        for one, other in ((at_once, in_runs), (at_once.quality, in_runs.quality)):
+            for name, value in vars(one).items():
+                if isinstance(value, np.ndarray):
+                    assert np.array_equal(value, getattr(other, name)), (entries, name)

@@ -370,9 +370,9 @@ class ExternalFields:
         Means of E (V/m) and B (T) along flights position + velocity τ, τ from `start` to `stop` (s).
         """
 
-def lattice_green(spacing: Sequence[float], reach: Sequence[int]) -> NDArray[numpy.float64]:
+def lattice_green(spacing: Sequence[float], reach: Sequence[int], order: int = 2) -> NDArray[numpy.float64]:
     """
-    Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach.
+    Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach, by the operator of order 2 or 4.
     """
 
 def multipole_moments(
@@ -388,11 +388,16 @@ def kernel_table_bytes() -> int:
 
 class FreeSpace:
     def __init__(
-        self, hierarchy: Hierarchy, acceptance: float = 0.5, lattice_limit: float = 10.0, separation: float = 1.25
+        self,
+        hierarchy: Hierarchy,
+        acceptance: float | None = None,
+        lattice_limit: float | None = None,
+        separation: float | None = None,
+        order: int = 2,
     ) -> None: ...
     def walls(self, density: Field) -> list:
         """
-        Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + side; cells (n, 3); and values (n,), all of free space. Collective.
+        Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + side; cells (n, 3); and values (n,), all of free space; in order 4 (n, 2), of both ghosts. Collective.
         """
 
 class OpenWallPlans:

@@ -28,7 +28,6 @@ def check(scene: SceneParts) -> None:
         _balance,
         _stretch,
         _screening,
-        _order,
         _elements,
         _window,
         _names,
@@ -129,11 +128,6 @@ def _stretch(scene: SceneParts) -> None:
 def _screening(scene: SceneParts) -> None:
     if refused := scene.solver.screening_refusal(scene.domain.value):
         raise complaint(*refused, path="solver.screening", found=scene.solver.screening)
-
-
-def _order(scene: SceneParts) -> None:
-    if refused := scene.solver.order_refusal(scene.domain.value):
-        raise complaint(*refused, path="solver.order", found=scene.solver.order)
 
 
 def _elements(scene: SceneParts) -> None:

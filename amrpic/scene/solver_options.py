@@ -205,12 +205,6 @@ class SolverOptions(Section):
             )
         return None
 
-    def order_refusal(self, domain: Domain) -> tuple[str, str] | None:
-        """Return why a domain does not go with the order of accuracy, and what to do; None if it does."""
-        if self.order == 4 and any("open" in faces for faces in domain.boundary):
-            return "does not yet take open faces", "close all faces (dirichlet, neumann or periodic), or set order to 2"
-        return None
-
     def native_values(self) -> dict[str, Any]:
         """Return the options by their names in the native struct; those that it has its own default for are left out."""
         values = {name: getattr(self, name) for name in SolverOptions.model_fields}

@@ -53,7 +53,7 @@ class PoissonSolver:
     With `stretch` = s the equation is Σ s_d⁻² ∂²φ/∂x_d² = −ρ/ε₀, and E_d = −s_d⁻² ∂φ/∂x_d: (1, 1, γ) gives φ and E of charge
     that moves along z with the Lorentz factor γ, in the laboratory frame; solved as a Poisson equation in coordinates s_d x_d.
     With `order=4` the equation holds for means over cells, with an error of h⁴ where ρ is smooth: ρ that holds points is turned
-    into means, and φ holds means (`Field.holds`); E comes at points, or as means; open faces are refused.
+    into means, and φ holds means (`Field.holds`); E comes at points, or as means.
     With `screening` = κ it is −Δφ + κ²φ = ρ/ε₀, between faces none of which is open.
 
     A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
@@ -90,13 +90,11 @@ class PoissonSolver:
         chosen = self.options
         if refused := chosen.screening_refusal(hierarchy.domain):
             raise SolverError(f"screening is {chosen.screening:g}, which {refused[0]}; {refused[1]}")
-        if refused := chosen.order_refusal(hierarchy.domain):
-            raise SolverError(f"order is {chosen.order}, which {refused[0]}; {refused[1]}")
         of_bottom = chosen.bottom, chosen.bottom_preconditioner, chosen.stretch, chosen.screening
-        self._base = hierarchy.comm, hierarchy.domain, *of_bottom
+        self._base = hierarchy.comm, hierarchy.domain, chosen.order, *of_bottom
         if reuse is not None and reuse.base != self._base:
             raise SolverError(
-                "reuse comes from a solver of another domain, stretch, screening or bottom; make this one without it"
+                "reuse comes from a solver of another domain, order, stretch, screening or bottom; make this one without it"
             )
         self._walls: tuple[Function | None, Function | None] | None = (None, None)  # whose values the walls hold
         native = native_options(chosen)
@@ -251,7 +249,7 @@ class PoissonSolver:
 class BaseSetup:
     """What a solver hands on to the next one on its domain."""
 
-    base: tuple  # communicator, domain, bottom and its preconditioner, stretch, screening
+    base: tuple  # communicator, domain, order, bottom and its preconditioner, stretch, screening
     native: _native.Reusable
 
 

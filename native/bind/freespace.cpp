@@ -1,6 +1,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
@@ -39,16 +40,16 @@ struct OpenWalls {
   std::shared_ptr<WallPlan const> plan;
   std::vector<AtLevel> levels;
 
-  OpenWalls(std::shared_ptr<Hierarchy const> const& mesh, double acceptance, double lattice_limit, double separation)
-      : space(mesh->comm(), wall_mesh(*mesh).lattice, {acceptance, lattice_limit, Options{}.dropped, separation}),
-        plan(space.plan(wall_mesh(*mesh))) {
+  OpenWalls(std::shared_ptr<Hierarchy const> const& mesh, Options const& options)
+      : space(mesh->comm(), wall_mesh(*mesh).lattice, options), plan(space.plan(wall_mesh(*mesh, options.layers()))) {
     for (int l = 0; l < mesh->level_count(); ++l) {
       AtLevel& at = levels.emplace_back();
       for (auto const& face : find_walls(mesh->domain(), mesh->level(l)).faces) {
         if (face.kind != Boundary::open) continue;
         at.faces.push_back(2 * face.axis + face.side);
         at.cells.insert(at.cells.end(), face.cell.begin(), face.cell.end());
-        at.places.push_back(plan->place(at.faces.back(), l, face.cell));
+        for (int layer = 0; layer < options.layers(); ++layer)
+          at.places.push_back(plan->place(at.faces.back(), layer, l, face.cell));
       }
     }
   }
@@ -99,16 +100,19 @@ nb::dict to_dict(WallCounts const& counts) {
 void bind_freespace(nb::module_& m) {
   m.def(
       "lattice_green",
-      [](Point spacing, Cell reach) {
+      [](Point spacing, Cell reach, int order) {
         std::vector<double> values;
         {
           nb::gil_scoped_release release;
-          values = lattice_green_octant(spacing, reach);
+          values = lattice_green_octant(spacing, reach, {1, 1, 1}, order);
         }
         return bind::to_array(std::move(values),
                               {std::size_t(reach[2] + 1), std::size_t(reach[1] + 1), std::size_t(reach[0] + 1)});
       },
-      "spacing"_a, "reach"_a, "Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach.");
+      "spacing"_a, "reach"_a, "order"_a = 2,
+      "Potential (k, j, i) of a unit charge at the origin of the lattice, offsets 0 .. reach, by the operator of order "
+      "2 "
+      "or 4.");
 
   m.def(
       "multipole_moments",
@@ -139,9 +143,18 @@ void bind_freespace(nb::module_& m) {
         "Bytes of the tables of near fields that are alive in this process.");
 
   nb::class_<OpenWalls>(m, "FreeSpace")
-      .def(nb::init<std::shared_ptr<Hierarchy const>, double, double, double>(), "hierarchy"_a,
-           "acceptance"_a = Options{}.acceptance, "lattice_limit"_a = Options{}.lattice_limit,
-           "separation"_a = Options{}.separation, nb::call_guard<nb::gil_scoped_release>())
+      .def(
+          "__init__",
+          [](OpenWalls* self, std::shared_ptr<Hierarchy const> const& mesh, std::optional<double> acceptance,
+             std::optional<double> lattice_limit, std::optional<double> separation, int order) {
+            Options options = Options::of_order(order);
+            options.acceptance = acceptance.value_or(options.acceptance);
+            options.lattice_limit = lattice_limit.value_or(options.lattice_limit);
+            options.separation = separation.value_or(options.separation);
+            new (self) OpenWalls(mesh, options);
+          },
+          "hierarchy"_a, "acceptance"_a = nb::none(), "lattice_limit"_a = nb::none(), "separation"_a = nb::none(),
+          "order"_a = Options{}.operator_order, nb::call_guard<nb::gil_scoped_release>())
       .def(
           "walls",
           [](OpenWalls& self, Field const& density) {
@@ -154,17 +167,18 @@ void bind_freespace(nb::module_& m) {
             for (OpenWalls::AtLevel const& at : self.levels) {
               std::vector<double> of_level;
               for (std::size_t place : at.places) of_level.push_back(values[place]);
-              std::size_t const n = at.faces.size();
+              std::size_t const n = at.faces.size(), layers = of_level.size() / std::max<std::size_t>(n, 1);
               out.append(nb::make_tuple(bind::to_array(std::vector<int>(at.faces)),
                                         bind::to_array(std::vector<int>(at.cells), {n, 3}),
-                                        bind::to_array(std::move(of_level))));
+                                        layers == 2 ? bind::to_array(std::move(of_level), {n, layers})
+                                                    : bind::to_array(std::move(of_level))));
             }
             return out;
           },
           "density"_a,
           "Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis "
           "+ "
-          "side; cells (n, 3); and values (n,), all of free space. Collective.");
+          "side; cells (n, 3); and values (n,), all of free space; in order 4 (n, 2), of both ghosts. Collective.");
 
   nb::class_<WallGeometry>(m, "OpenWallPlans")
       .def(

@@ -14,6 +14,17 @@ struct Options {
   double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
   double dropped = 1e-7;      ///< fraction of all |q| that may be left out with the weakest boxes
   double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
+  double negligible = 2e-6;   ///< fraction of a box's potential that orders left out may add
+  int operator_order = 2;     ///< 4: potentials are means over cells, see `fourth_order.hpp`
+
+  /// What goes with an operator. In fourth order the lattice fades by the fourth power of the distance and is left out
+  /// from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
+  static Options of_order(int order) {
+    if (order == 4) return {0.35, 16, 1e-7, 1.75, 2e-7, 4};
+    return {};
+  }
+  /// Of ghosts behind a wall.
+  int layers() const { return operator_order == 4 ? 2 : 1; }
 };
 
 /// A factor of limits: places on a lattice often lie at a limit exactly, and rounding must not choose.

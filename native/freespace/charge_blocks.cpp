@@ -102,6 +102,16 @@ void prefetch(BlockPart const& part) {
   });
 }
 
+bool in_order_of_blocks(ChargeBox::Added const& a, ChargeBox::Added const& b) {
+  return block_of(0, a.cell) < block_of(0, b.cell);
+}
+
+bool contains(BlockPart const& part, Cell const& cell) {
+  bool out = true;
+  for (int d = 0; d < 3; ++d) out = out && cell[d] >= part.first[d] && cell[d] <= part.last[d];
+  return out;
+}
+
 /// Put the charges of a part into its block. Boxes do not overlap.
 void fill(BlockPart const& part, BlockCharges& block) {
   double const factor = part.box->factor;
@@ -110,6 +120,10 @@ void fill(BlockPart const& part, BlockCharges& block) {
     double* const to = block.data() + place;
     for (int i = 0; i < length; ++i) to[i] = factor * row[i];
   });
+  auto const [from, to] = std::equal_range(part.box->added.begin(), part.box->added.end(),
+                                           ChargeBox::Added{part.first, 0}, in_order_of_blocks);
+  for (auto added = from; added != to; ++added)
+    if (contains(part, added->cell)) block[place_in_block(added->cell)] += factor * added->value;
   for_each_covered(part, [&](Cell const& first, Cell const& last) {
     for (int k = first[2]; k <= last[2]; ++k)
       for (int j = first[1]; j <= last[1]; ++j)
@@ -156,6 +170,10 @@ Harmonics<double> moments_about_centre(BlockCharges const& charges, Leaf const& 
 }
 
 }  // namespace
+
+void sort_by_block(std::vector<ChargeBox::Added>& added) {
+  std::stable_sort(added.begin(), added.end(), in_order_of_blocks);
+}
 
 void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to) {
   BlockPart const part{block_of(box.level, first), &box, first, last};

@@ -20,12 +20,13 @@ std::vector<ChargeBox> charges_of(Field const& density, Hierarchy const& hierarc
   return out;
 }
 
-WallMesh wall_mesh(Hierarchy const& hierarchy) {
+WallMesh wall_mesh(Hierarchy const& hierarchy, int layers) {
   Domain const& domain = hierarchy.domain();
   WallMesh out{{domain.lower, hierarchy.level(0).spacing(), domain.cells}, {}, {}};
   for (int face = 0; face < 6; ++face)
     out.open[std::size_t(face)] = domain.boundary[face / 2][face % 2] == Boundary::open;
   for (int l = 0; l < hierarchy.level_count(); ++l) out.levels.push_back(hierarchy.share_level(l));
+  out.layers = layers;
   return out;
 }
 

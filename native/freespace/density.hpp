@@ -13,7 +13,7 @@ namespace amrpic::freespace {
 /// `hierarchy`, which has the boxes of the field's own, perhaps stretched. The charges refer to the field.
 std::vector<ChargeBox> charges_of(Field const& density, Hierarchy const& hierarchy, double factor);
 
-/// The mesh with its open faces.
-WallMesh wall_mesh(Hierarchy const& hierarchy);
+/// The mesh with its open faces, and so many layers of ghosts behind them.
+WallMesh wall_mesh(Hierarchy const& hierarchy, int layers = 1);
 
 }  // namespace amrpic::freespace

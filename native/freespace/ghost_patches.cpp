@@ -31,7 +31,9 @@ void add_interpolant(Weights const& u, Weights const& v, double const* values, d
   }
 }
 
-bool same_wall(GhostPatch const& a, GhostPatch const& b) { return a.face == b.face && a.level == b.level; }
+bool same_wall(GhostPatch const& a, GhostPatch const& b) {
+  return a.face == b.face && a.layer == b.layer && a.level == b.level;
+}
 
 bool same_place(GhostPatch const& a, GhostPatch const& b) { return same_wall(a, b) && a.first == b.first; }
 
@@ -62,7 +64,7 @@ void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point cons
     if (has_before || has_after) links.push_back({parent_of(patches[n], shape), n});
   }
   std::stable_sort(links.begin(), links.end(), [](Link const& a, Link const& b) {
-    auto const key = [](GhostPatch const& p) { return std::tie(p.face, p.level, p.first[1], p.first[0]); };
+    auto const key = [](GhostPatch const& p) { return std::tie(p.face, p.layer, p.level, p.first[1], p.first[0]); };
     return key(a.parent) < key(b.parent);
   });
   for (auto const& [parent, child] : links) {
@@ -74,18 +76,22 @@ void add_parents(std::vector<GhostPatch>& patches, std::size_t start, Point cons
 }  // namespace
 
 bool GhostBlock::operator==(GhostBlock const& o) const {
-  return face == o.face && level == o.level && place == o.place;
+  return face == o.face && layer == o.layer && level == o.level && place == o.place;
 }
 
 bool GhostBlock::operator<(GhostBlock const& o) const {
-  return std::tie(face, level, place[1], place[0]) < std::tie(o.face, o.level, o.place[1], o.place[0]);
+  return std::tie(face, layer, level, place[1], place[0]) < std::tie(o.face, o.layer, o.level, o.place[1], o.place[0]);
 }
 
 std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<GhostBlock> const& blocks) {
   std::vector<GhostPatch> out;
   for (GhostBlock const& b : blocks)
-    out.push_back(
-        {b.face, b.level, {b.place[0] * patch_points, b.place[1] * patch_points}, {patch_points, patch_points}, -1});
+    out.push_back({b.face,
+                   b.layer,
+                   b.level,
+                   {b.place[0] * patch_points, b.place[1] * patch_points},
+                   {patch_points, patch_points},
+                   -1});
   for (std::size_t start = 0; start < out.size();) {
     std::size_t const end = out.size();
     add_parents(out, start, lattice.shape());
@@ -97,7 +103,7 @@ std::vector<GhostPatch> patches_around(Lattice const& lattice, std::vector<Ghost
 PatchBox::PatchBox(Cell const& cells, Point const& shape, GhostPatch const& patch) {
   int const normal = patch.face / 2;
   auto const axes = plane_axes(normal);
-  double const ghost = std::ldexp(0.5 * shape[normal], -patch.level);
+  double const ghost = std::ldexp((0.5 + patch.layer) * shape[normal], -patch.level);
   centre[normal] = patch.face % 2 == 0 ? -ghost : cells[normal] * shape[normal] + ghost;
   half[normal] = 0;
   for (int t = 0; t < 2; ++t) {

@@ -24,7 +24,8 @@ constexpr std::array<int, 2> plane_axes(int normal) { return {normal == 0 ? 1 : 
 
 /// Ghosts 8 place .. 8 place + 7 of a level behind a wall; those outside the wall are computed in vain.
 struct GhostBlock {
-  int face;  ///< 2 * axis + side
+  int face;   ///< 2 * axis + side
+  int layer;  ///< 0: next to the wall
   int level;
   std::array<int, 2> place;
   bool operator==(GhostBlock const& o) const;
@@ -33,10 +34,12 @@ struct GhostBlock {
 
 /// Ghosts first .. first + extent - 1 of a level behind a wall.
 struct GhostPatch {
-  int face, level;
+  int face, layer, level;
   std::array<int, 2> first, extent;  ///< extents: 8, 16, 32, ...
   int parent;                        ///< or -1
 
+  /// Cell of the level along the normal, `cells` of which lie between the walls.
+  int behind(int cells) const { return face % 2 == 0 ? -1 - layer : cells + layer; }
   bool is_block() const { return extent[0] == patch_points && extent[1] == patch_points; }
 };
 

@@ -16,6 +16,8 @@ std::array<double, 4> cubic_weights(double s) {
           (s + 1) * s * (s - 1) / 6};
 }
 
+std::array<double, 4> cubic_curvatures(double s) { return {1 - s, 3 * s - 2, 1 - 3 * s, s}; }
+
 Nodes chebyshev_points(int extent) {
   Nodes out;
   for (int i = 0; i < node_count / 2; ++i) {

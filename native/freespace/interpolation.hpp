@@ -14,6 +14,9 @@ using Nodes = std::array<int, node_count>;
 /// Weights of the points -1, 0, 1, 2 for a place in [0, 1] between 0 and 1.
 std::array<double, 4> cubic_weights(double place);
 
+/// The second derivatives of these weights.
+std::array<double, 4> cubic_curvatures(double place);
+
 /// Eight of the numbers 0 .. extent - 1: all of them, or those next to Chebyshev's nodes; `extent` >= 8.
 Nodes chebyshev_points(int extent);
 

@@ -44,11 +44,12 @@ std::array<int, 3> axes_of_rows(Point const& shape) {
   return {longest, longest == 0 ? 1 : 0, longest == 2 ? 1 : 2};
 }
 
-KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half)
+KernelTable::KernelTable(Point const& shape, int operator_order, Cell const& reach, Cell const& stride,
+                         std::array<bool, 3> const& half)
     : reach_(reach), across_(axes_of_rows(shape)), half_(half) {
   Cell last = reach;
   for (int d = 0; d < 3; ++d) last[d] += half[d] ? 1 : 0;
-  auto octant = lattice_green_octant(shape, last, stride);
+  auto octant = lattice_green_octant(shape, last, stride, operator_order);
   std::array<std::ptrdiff_t, 3> size{last[0] + 1, last[1] + 1, last[2] + 1};
   for (int d = 0; d < 3; ++d)
     if (half[d]) average(octant, size, d);
@@ -64,7 +65,8 @@ KernelTable::KernelTable(Point const& shape, Cell const& reach, Cell const& stri
         *to++ = octant[std::size_t(step[u] * folded(u, i) + step[v] * j + step[w] * k)];
 }
 
-KernelTables::KernelTables(Point const& shape, Cell const& reach) : shape_(shape), reach_(reach) {
+KernelTables::KernelTables(Point const& shape, int operator_order, Cell const& reach)
+    : shape_(shape), operator_order_(operator_order), reach_(reach) {
   for (int d = 0; d < 3; ++d)
     while (cells_served(count_ - 1, d) < reach[d]) ++count_;
   tables_.resize(2 * std::size_t(count_));
@@ -87,7 +89,7 @@ Cell KernelTables::stride(int number) const {
 }
 
 KernelTable const& KernelTables::at(int number, bool finer) {
-  using Key = std::tuple<Point, Cell, Cell, std::array<bool, 3>>;
+  using Key = std::tuple<Point, int, Cell, Cell, std::array<bool, 3>>;
   static std::mutex guard_of_all;
   static std::map<Key, std::weak_ptr<KernelTable const>> all;
 
@@ -101,10 +103,10 @@ KernelTable const& KernelTables::at(int number, bool finer) {
   for (int d = 0; d < 3; ++d) reach[d] = (cells_served(number, d) + apart[d] - 1) / apart[d] + overhang;
   std::lock_guard<std::mutex> lock_all(guard_of_all);
   for (auto entry = all.begin(); entry != all.end();) entry = entry->second.expired() ? all.erase(entry) : ++entry;
-  auto& shared = all[{shape_, reach, apart, half}];
+  auto& shared = all[{shape_, operator_order_, reach, apart, half}];
   table = shared.lock();
   if (!table) {
-    auto made = std::make_unique<KernelTable const>(shape_, reach, apart, half);
+    auto made = std::make_unique<KernelTable const>(shape_, operator_order_, reach, apart, half);
     std::size_t const size = made->bytes();
     table = std::shared_ptr<KernelTable const>(made.release(), [size](KernelTable const* old) {
       bytes_alive -= size;

@@ -20,7 +20,8 @@ std::array<int, 3> axes_of_rows(Point const& shape);
 class KernelTable {
  public:
   /// `reach`: entries (i, j, k) have |i| <= reach, in strides.
-  KernelTable(Point const& shape, Cell const& reach, Cell const& stride, std::array<bool, 3> const& half);
+  KernelTable(Point const& shape, int operator_order, Cell const& reach, Cell const& stride,
+              std::array<bool, 3> const& half);
 
   /// Rows lie along the axis `across[0]`: the entries i, i + 1, ... begin at `row`(i) + `along`(across[1], j) +
   /// `along`(across[2], k). Along `half` axes they stand for the distances i - 1/2.
@@ -48,7 +49,7 @@ class KernelTable {
 class KernelTables {
  public:
   /// `reach`: of all tables together, in cells.
-  KernelTables(Point const& shape, Cell const& reach);
+  KernelTables(Point const& shape, int operator_order, Cell const& reach);
 
   int count() const { return count_; }
   /// The first table that serves charges up to `offset` cells away along an axis.
@@ -65,6 +66,7 @@ class KernelTables {
   int cells_served(int number, int axis) const;
 
   Point shape_;
+  int operator_order_;
   Cell reach_;
   int count_ = 1;
   std::mutex guard_;

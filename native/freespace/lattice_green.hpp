@@ -1,8 +1,9 @@
-// Lattice Green's function of the 7-point Laplacian: the potential that the discrete operator itself gives a unit
-// charge in one cell of an infinite lattice.
+// Lattice Green's functions of the Laplacians: the potential that a discrete operator itself gives a unit charge in one
+// cell of an infinite lattice.
 //
-// With -sum_d D_d^2 / h_d^2 G = delta, and e_n(t) = exp(-2t) I_n(2t) the heat kernel of one axis,
+// With -sum_d A_d / h_d^2 G = delta, and e_n(t) the heat kernel of one axis, that of exp(t A_d),
 //   G(i, j, k) = integral_0^infinity e_i(t / h_x^2) e_j(t / h_y^2) e_k(t / h_z^2) dt.
+// In second order A_d is the second difference, and e_n(t) = exp(-2t) I_n(2t).
 // Here G is divided by the cell volume, so that q G is the potential of a charge q; far away it is q / (4 pi r).
 #pragma once
 
@@ -17,10 +18,13 @@ namespace amrpic::freespace {
 /// exp(-x) I_n(x) for n = 0 .. last; x > 0.
 std::vector<double> scaled_bessel(double x, int last);
 
-/// G / volume at every `stride`-th point, 0 <= i, j, k <= reach, i fastest. Accurate to rounding; lengths of about one
-/// are expected.
+/// The heat kernel of the operator of fourth order along one axis, for n = 0 .. last; t > 0.
+std::vector<double> fourth_order_heat(double t, int last);
+
+/// G / volume at every `stride`-th point, 0 <= i, j, k <= reach, i fastest, of the operator of that order, 2 or 4.
+/// Accurate to rounding; lengths of about one are expected.
 std::vector<double> lattice_green_octant(std::array<double, 3> const& spacing, std::array<int, 3> const& reach,
-                                         std::array<int, 3> const& stride = {1, 1, 1});
+                                         std::array<int, 3> const& stride = {1, 1, 1}, int operator_order = 2);
 
 /// Charges as input of the first lattice correction: their sum and first moments, each charge times the square of its
 /// level's spacing over that of the base.
@@ -50,6 +54,21 @@ T lattice_correction(LatticeMoments const& moments, T const& x, T const& y, T co
   T const along = d[0] * x + d[1] * y + d[2] * z;
   T const u = inverse_r * inverse_r;
   return 0.125 * (u * u * u * inverse_r) * (slope - p * (moments.charge + 7.0 * along * u));
+}
+
+/// 4 pi times what the means of potentials over cells of one size add to those over cells of another, of charges at
+/// (x, y, z) from their centre. `moments`: each charge times a factor c, which stands for c sum_d h_d^2 d^2/dx_d^2 of
+/// its potential; that is zero in cubes.
+template <class T>
+T means_correction(LatticeMoments const& moments, T const& x, T const& y, T const& z, T const& inverse_r,
+                   std::array<double, 3> const& h2) {
+  auto const& d = moments.dipole;
+  double const sum = h2[0] + h2[1] + h2[2];
+  T const u = inverse_r * inverse_r;
+  T const along = 3.0 * u * (h2[0] * x * x + h2[1] * y * y + h2[2] * z * z);  // a charge gives (along - sum) / r^3
+  T const dipole = d[0] * x + d[1] * y + d[2] * z;
+  T const slope = 6.0 * (h2[0] * d[0] * x + h2[1] * d[1] * y + h2[2] * d[2] * z);
+  return u * inverse_r * (moments.charge * (along - sum) + u * (dipole * (5.0 * along - 3.0 * sum) - slope));
 }
 
 }  // namespace amrpic::freespace

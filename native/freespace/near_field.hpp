@@ -4,6 +4,10 @@
 // through the four points around it along each axis. That is the same as the cubic through the potentials at these
 // points, of which neighbouring ghosts share most. So one table serves ghosts of all levels. Between the points of a
 // table of wider spacing the ghosts of a patch are interpolated from eight of them.
+//
+// In fourth order potentials are means over cells, and so are those at the points of a lattice. A mean over a cell of
+// width r between points that are one apart, each standing for a mean over a width w, is the cubic through them and
+// (r^2 - w^2) / 24 of its second derivative, along each axis.
 #pragma once
 
 #include <algorithm>
@@ -27,12 +31,13 @@ struct InterpolationStencil {
   }
 };
 
-/// Around a place among the whole numbers.
-inline InterpolationStencil stencil_at(double place) {
+/// Around a place among the whole numbers. `curvature`: of how much of the second derivative is added.
+inline InterpolationStencil stencil_at(double place, double curvature) {
   double const floor = std::floor(place);
-  auto const weights = cubic_weights(place - floor);
+  auto const weights = cubic_weights(place - floor), curvatures = cubic_curvatures(place - floor);
   InterpolationStencil out;
-  for (int m = 0; m < 4; ++m) out.add(int(floor) - 1 + m, weights[m]);
+  for (int m = 0; m < 4; ++m)
+    out.add(int(floor) - 1 + m, curvature == 0 ? weights[m] : weights[m] + curvature * curvatures[m]);
   return out;
 }
 

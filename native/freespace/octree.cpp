@@ -75,6 +75,11 @@ Harmonics<double> join_moments(TreeNode const& parent, Member const* first, Memb
 
 }  // namespace
 
+LatticeMoments plain_moments(Harmonics<double> const& moments) {
+  auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
+  return {moments[0].re, {2 * second.re, 2 * second.im, first.re}};
+}
+
 Member leaf_member(LeafMoments const& part, int number, Point const& shape) {
   auto const& [leaf, moments] = part;
   double const scale = std::ldexp(1.0, -leaf.key.level);
@@ -84,9 +89,9 @@ Member leaf_member(LeafMoments const& part, int number, Point const& shape) {
   node.radius = std::hypot(node.half[0], node.half[1], node.half[2]);
   node.coarsest = scale;
   node.magnitude = leaf.magnitude;
-  auto const &first = moments[harmonic_index(1, 0)], &second = moments[harmonic_index(1, 1)];
-  node.lattice.charge = moments[0].re * scale * scale;
-  node.lattice.dipole = {2 * second.re * scale * scale, 2 * second.im * scale * scale, first.re * scale * scale};
+  auto const plain = plain_moments(moments);
+  node.lattice.charge = plain.charge * scale * scale;
+  for (int d = 0; d < 3; ++d) node.lattice.dipole[d] = plain.dipole[d] * scale * scale;
   node.level = leaf.key.level;
   node.first = leaf.corner();
   node.extent = leaf.extent;

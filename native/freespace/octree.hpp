@@ -41,6 +41,9 @@ struct Member {
   Harmonics<double> moments;
 };
 
+/// As `TreeNode::lattice`, with each charge times one.
+LatticeMoments plain_moments(Harmonics<double> const& moments);
+
 Member leaf_member(LeafMoments const& part, int number, Point const& shape);
 
 /// The node of a block, as it travels.

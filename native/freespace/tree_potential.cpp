@@ -5,7 +5,6 @@
 #include <map>
 #include <stdexcept>
 
-#include "freespace/lattice_green.hpp"
 #include "freespace/near_field.hpp"
 
 namespace amrpic::freespace {
@@ -16,7 +15,6 @@ constexpr double four_pi = 12.566370614359172954;
 constexpr double lattice_negligible = 64;  ///< cells from a charge where its lattice adds 6e-5 of its potential
 constexpr unsigned all_points = all_lanes;
 constexpr int lowest_order = 2;
-constexpr double order_tolerance = 2e-6;  ///< fraction of a box's potential that orders left out may add
 /// Up to where the charges of a node of level 0 are summed one by one, in units of the smallest spacing, from its
 /// centre.
 double near_distance(Point const& shape, Options const& options) {
@@ -115,10 +113,16 @@ void add_multipole(Point const& centre, Expansion const& expansion, Rows const& 
   });
 }
 
-void add_lattice(TreeNode const& node, Rows const& rows, Point const& h2, std::array<Lanes, patch_points>& sums) {
-  for_rows(node.centre, rows, [&](int row, Lanes const& x, Lanes const& y, Lanes const& z, Lanes const& inverse_r) {
-    sums[row] += lattice_correction(node.lattice, x, y, z, inverse_r, h2);
-  });
+void add_cells(OfCells const& cells, Point const& centre, Rows const& rows, Point const& h2,
+               std::array<Lanes, patch_points>& sums) {
+  if (cells.has_lattice)
+    for_rows(centre, rows, [&](int row, Lanes const& x, Lanes const& y, Lanes const& z, Lanes const& inverse_r) {
+      sums[row] += lattice_correction(cells.lattice, x, y, z, inverse_r, h2);
+    });
+  if (cells.has_means)
+    for_rows(centre, rows, [&](int row, Lanes const& x, Lanes const& y, Lanes const& z, Lanes const& inverse_r) {
+      sums[row] += means_correction(cells.means, x, y, z, inverse_r, h2);
+    });
 }
 
 void add_lanes(Lanes const& value, double* to) {
@@ -140,7 +144,7 @@ class TreePotential::NearPatch {
       cells_[t] = chebyshev_points(patch.extent[t]);
       for (int& cell : cells_[t]) cell += patch.first[t];
     }
-    behind_ = patch.face % 2 == 0 ? -1 : potential.lattice_.cells[normal_] << patch.level;
+    behind_ = patch.behind(potential.lattice_.cells[normal_] << patch.level);
   }
 
   /// Add the charges of a node at the points that `masks` has.
@@ -159,7 +163,7 @@ class TreePotential::NearPatch {
       if (!any) continue;
       bool const all = kernels_.stride(table) == Cell{1, 1, 1};
       NodeCharges const& there = all ? charges.of(number)
-                                     : charges.of({number, table, patch_.face, patch_.level},
+                                     : charges.of({number, table, patch_.face, patch_.layer, patch_.level},
                                                   points_apart(kernels_.stride(table), node.level));
       grid(node.level, table).add(there, kernels_.at(table, node.level > patch_.level), served, scale, values);
     }
@@ -207,10 +211,21 @@ class TreePotential::NearPatch {
   InterpolationStencil stencil(int axis, int cell, int level, PointsApart const& points) const {
     LatticePlace const place = place_in_level(cell, patch_.level, level);
     bool const half = level > patch_.level && points.stride[axis] == 1;  // the table is
-    return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)));
+    return stencil_at(points.place(axis, place.point + (half ? 0 : place.shift)),
+                      potential_.options_.operator_order == 4 ? between_means(level, half) / stride2(points, axis) : 0);
   }
 
-  /// Of the points along an axis of the plane.
+  /// What of the second derivative leads from means over cells of the charges' level, or over two of them, to those
+  /// over the ghosts.
+  double between_means(int level, bool half) const {
+    return (std::ldexp(1.0, 2 * (level - patch_.level)) - (half ? 4 : 1)) / 24;
+  }
+  static double stride2(PointsApart const& points, int axis) {
+    return double(points.stride[axis]) * points.stride[axis];
+  }
+
+  /// Of the points along an axis of the plane. Between points of a table of wider spacing, which are far away in its
+  /// short cells, means and values along these are the same.
   std::vector<InterpolationStencil> stencils(int t, int level, PointsApart const& points) const {
     int const axis = axes_[t];
     std::vector<InterpolationStencil> out;
@@ -254,7 +269,7 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       shape_(lattice.shape()),
       longest_spacing_(longest_spacing(shape_)),
       widest_(widest_blocks(shape_)),
-      kernels_(shape_, table_reach(lattice, finest, options)) {}
+      kernels_(shape_, options.operator_order, table_reach(lattice, finest, options)) {}
 
 double TreePotential::far_limit(TreeNode const& node) const {
   return freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
@@ -341,7 +356,7 @@ Interactions::Far TreePotential::multipole(Octree const& tree, int n, double dis
   double left_out = 0, power = std::pow(distance, -order);
   for (int l = order; l > lowest_order; --l, power *= distance) {
     left_out += degree_strength(tree.moments[n], l) * power;
-    if (left_out > order_tolerance * node.magnitude) break;
+    if (left_out > options_.negligible * node.magnitude) break;
     out.highest = l - 1;
   }
   double const negligible = lattice_negligible * longest_spacing_ * node.coarsest;
@@ -349,15 +364,28 @@ Interactions::Far TreePotential::multipole(Octree const& tree, int n, double dis
   return out;
 }
 
+/// In fourth order nothing of the lattice is left where multipoles serve, but means over cells of the charges' level
+/// are not those over ghosts of another one, unless cells are cubes.
+OfCells TreePotential::of_cells(Octree const& tree, int n, int level) const {
+  TreeNode const& node = tree.nodes[std::size_t(n)];
+  if (options_.operator_order == 2) return {node.lattice, {}, true, false};
+  OfCells out{{}, plain_moments(tree.moments[std::size_t(n)]), false, false};
+  double const of_ghost = std::ldexp(1.0, -2 * level);
+  out.means.charge = (of_ghost * out.means.charge - node.lattice.charge) / 24;
+  for (int d = 0; d < 3; ++d) out.means.dipole[d] = (of_ghost * out.means.dipole[d] - node.lattice.dipole[d]) / 24;
+  out.has_means = node.level != level && (shape_[0] != shape_[1] || shape_[1] != shape_[2]);
+  return out;
+}
+
 void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
-                            double* values) const {
+                            int level, double* values) const {
   Point const h2{shape_[0] * shape_[0], shape_[1] * shape_[1], shape_[2] * shape_[2]};
   Rows const rows(points);
   std::array<Lanes, patch_points> sums{};
   for (auto const& [n, highest, on_lattice] : nodes) {
     TreeNode const& node = tree.nodes[n];
     Expansion const& expansion = tree.expansions[n];
-    if (on_lattice) add_lattice(node, rows, h2, sums);
+    if (on_lattice) add_cells(of_cells(tree, n, level), node.centre, rows, h2, sums);
     switch (highest) {
       case 2:
         add_multipole<2>(node.centre, expansion, rows, sums);
@@ -379,7 +407,7 @@ void TreePotential::add_far(Octree const& tree, std::vector<Interactions::Far> c
 }
 
 /// The multipoles of nodes, or of parts of them, at the points that they are far from; the rest goes to `near`.
-void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points,
+void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
                               std::size_t patch, double* values, std::vector<NearRow>& near) const {
   struct Visit {
     int node;
@@ -403,8 +431,10 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         unsigned const far = active & bits_of(r2 > limit * limit);
         if (far) {
           Lanes const inverse_r = inverse_root(r2);
-          Lanes const value = multipole_potential<order>(tree.expansions[n], x, y, z, inverse_r) +
-                              lattice_correction(node.lattice, x, y, z, inverse_r, h2);
+          OfCells const cells = of_cells(tree, n, level);
+          Lanes value = multipole_potential<order>(tree.expansions[n], x, y, z, inverse_r) +
+                        lattice_correction(cells.lattice, x, y, z, inverse_r, h2);  // one expression: rounded as ever
+          if (cells.has_means) value += means_correction(cells.means, x, y, z, inverse_r, h2);
           sum += far == all_points ? value : select(mask_of(far), value, Lanes{});
         }
         unsigned const rest = active & ~far;
@@ -431,8 +461,8 @@ std::vector<double> TreePotential::at(Charges const& charges, std::vector<GhostP
     if (!is_own[p]) continue;
     PatchPoints const points(lattice_, patches[p]);
     double* const values = out.data() + p * patch_values;
-    add_far(tree, found[p].far, points, values);
-    add_mixed(tree, found[p].mixed, points, p, values, near);
+    add_far(tree, found[p].far, points, patches[p].level, values);
+    add_mixed(tree, found[p].mixed, points, patches[p].level, p, values, near);
   }
   std::vector<int> nodes;
   for (NearRow const& row : near) nodes.push_back(row.node);

@@ -8,6 +8,7 @@
 #include "freespace/acceptance.hpp"
 #include "freespace/ghost_patches.hpp"
 #include "freespace/kernel_table.hpp"
+#include "freespace/lattice_green.hpp"
 #include "freespace/leaf_charges.hpp"
 
 namespace amrpic::freespace {
@@ -27,10 +28,16 @@ struct Interactions {
   struct Far {
     int node;
     int highest;      ///< order that its multipoles need
-    bool on_lattice;  ///< whether the lattice counts at this distance
+    bool on_lattice;  ///< whether the lattice, or the size of its cells, counts at this distance
   };
   std::vector<Far> far;    ///< as multipoles at all points
   std::vector<int> mixed;  ///< too near to some of the points for that: charge by charge there
+};
+
+/// What cells add to the multipoles of a node at some points: as a lattice, and as means over them.
+struct OfCells {
+  LatticeMoments lattice, means;
+  bool has_lattice, has_means;
 };
 
 class TreePotential {
@@ -61,10 +68,11 @@ class TreePotential {
   std::optional<double> summed_width(TreeNode const& node) const;
   bool is_summed(TreeNode const& node, PatchBox const& patch_box) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;
-  void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points,
+  OfCells of_cells(Octree const& tree, int node, int level) const;
+  void add_far(Octree const& tree, std::vector<Interactions::Far> const& nodes, PatchPoints const& points, int level,
                double* values) const;
-  void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, std::size_t patch,
-                 double* values, std::vector<NearRow>& near) const;
+  void add_mixed(Octree const& tree, std::vector<int> const& nodes, PatchPoints const& points, int level,
+                 std::size_t patch, double* values, std::vector<NearRow>& near) const;
 
   Lattice lattice_;
   int finest_;

@@ -15,6 +15,7 @@ struct WallMesh {
   Lattice lattice;
   std::array<bool, 6> open;  ///< by face, 2 * axis + side
   std::vector<std::shared_ptr<Level const>> levels;
+  int layers = 1;  ///< of ghosts
 
   Level const& level(int l) const { return *levels[std::size_t(l)]; }
   int ranks() const { return levels.front()->ranks(); }
@@ -26,9 +27,10 @@ void for_each_ghost_block(WallMesh const& mesh, int level, Box const& box, F&& f
   for (int face = 0; face < 6; ++face) {
     if (!mesh.open[std::size_t(face)] || !mesh.level(level).is_at_wall(box, face / 2, face % 2)) continue;
     auto const [u, v] = plane_axes(face / 2);
-    for (int j = box.lower[v] / patch_points; j <= box.upper[v] / patch_points; ++j)
-      for (int i = box.lower[u] / patch_points; i <= box.upper[u] / patch_points; ++i)
-        f(GhostBlock{face, level, {i, j}});
+    for (int layer = 0; layer < mesh.layers; ++layer)
+      for (int j = box.lower[v] / patch_points; j <= box.upper[v] / patch_points; ++j)
+        for (int i = box.lower[u] / patch_points; i <= box.upper[u] / patch_points; ++i)
+          f(GhostBlock{face, layer, level, {i, j}});
   }
 }
 

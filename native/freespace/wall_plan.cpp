@@ -269,7 +269,8 @@ void WallPlan::plan_walls() {
   for (std::size_t n = 0; n < patches.size(); ++n) {
     if (!is_own[n] || !patches[n].is_block()) continue;
     GhostPatch const& patch = patches[n];
-    GhostBlock const block{patch.face, patch.level, {patch.first[0] / patch_points, patch.first[1] / patch_points}};
+    GhostBlock const block{
+        patch.face, patch.layer, patch.level, {patch.first[0] / patch_points, patch.first[1] / patch_points}};
     Level const& level = geometry_->mesh.level(block.level);
     std::set<int> readers;
     level.for_each_overlap(cells_before(geometry_->mesh, block),
@@ -302,9 +303,9 @@ void WallPlan::plan_walls() {
   }
 }
 
-std::size_t WallPlan::place(int face, int level, Index3 const& cell) const {
+std::size_t WallPlan::place(int face, int layer, int level, Index3 const& cell) const {
   auto const [u, v] = plane_axes(face / 2);
-  int const number = geometry_->patches.number({face, level, {cell[u] / patch_points, cell[v] / patch_points}});
+  int const number = geometry_->patches.number({face, layer, level, {cell[u] / patch_points, cell[v] / patch_points}});
   auto const block =
       std::size_t(std::lower_bound(wall_blocks.begin(), wall_blocks.end(), number) - wall_blocks.begin());
   return block * patch_values + std::size_t(cell[u] % patch_points + patch_points * (cell[v] % patch_points));

@@ -87,7 +87,7 @@ class WallPlan {
   void for_each_seen(std::function<bool(Block const&)> const& f) const;
 
   /// Place of a ghost's value among those of the blocks at this rank's walls.
-  std::size_t place(int face, int level, Index3 const& cell) const;
+  std::size_t place(int face, int layer, int level, Index3 const& cell) const;
 
  private:
   std::vector<Block> own_blocks(int grid) const;

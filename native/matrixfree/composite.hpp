@@ -105,6 +105,7 @@ class CompositeLaplacian {
     return means_->field.electric_field(potential, walls, covered, holds);
   }
   /// See FourthOrderField. Collective.
+  auto beside_coarse_faces(Field const& density) { return means_->field.beside_coarse_faces(density); }
   void to_means(Field const& points, Field& means) { means_->field.to_means(points, means); }
 
   // What this rank sends in a call of `residual`, besides the norm, and of `add`.

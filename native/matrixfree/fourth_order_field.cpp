@@ -84,6 +84,31 @@ void FourthOrderField::to_means(Field const& points, Field& means) {
   average_.average_down(means);
 }
 
+std::vector<std::vector<std::vector<FourthOrderField::AddedDensity>>> FourthOrderField::beside_coarse_faces(
+    Field const& density) {
+  // Charges -8, 5 and 3 at 1, -1/2 and -3/2 fine widths from the face have a dipole only, of -15; the coarse cell has
+  // the volume of eight fine ones, and four of these before its face.
+  constexpr Real of_coarse = -1.0 / 15, of_first = 5.0 / 60, of_second = 3.0 / 60;
+  std::vector<std::vector<std::vector<AddedDensity>>> out;
+  for (int l = 0; l < mesh_.levels(); ++l)
+    out.emplace_back(std::size_t(mesh_.level(l).last_local_box() - mesh_.level(l).first_local_box()));
+  ghosts_.visit(density, nullptr, Ends::faces, FullyCovered::visit, [&](int l, int b) {
+    Index3 const lower = mesh_.box(l, b).lower;
+    auto& added = out[std::size_t(l)][std::size_t(b)];
+    auto const add = [&](Index3 cell, Real value) {
+      for (int d = 0; d < 3; ++d) cell[d] += lower[d];
+      if (value != 0) added.push_back({cell, value});
+    };
+    ghosts_.for_each_coarse_face(l, b, [&](Index3 cell, Index3 const& inwards, Real on_face) {
+      add(cell, of_first * on_face);
+      for (int d = 0; d < 3; ++d) cell[d] += inwards[d];
+      add(cell, of_second * on_face);
+    });
+    ghosts_.for_each_refined_face(l, b, [&](Index3 const& cell, Real on_face) { add(cell, of_coarse * on_face); });
+  });
+  return out;
+}
+
 ElectricField FourthOrderField::electric_field(Field const& phi, std::vector<Walls> const& walls, CoveredField covered,
                                                Holds holds) {
   std::array<std::shared_ptr<Field>, 3> e;

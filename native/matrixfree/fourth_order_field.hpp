@@ -33,6 +33,19 @@ class FourthOrderField {
   /// cells where a level ends or a finer one begins: in a density that counts as one of fourth order. Collective.
   void to_means(Field const& points, Field& means);
 
+  /// Charge of a cell, counted from the lowest one of the domain, that wall potentials take beside its own.
+  struct AddedDensity {
+    Index3 cell;
+    Real density;
+  };
+  /// What makes point charges in the cells' centres act from afar as the density does, by [level][box of this rank].
+  ///
+  /// For a harmonic f the integral of rho f over cells of one size is the sum of their charges times f, and h^2/12 of
+  /// the integral of rho df/dn over the ends of these cells: nothing where rho ends before, but beside a coarse-fine
+  /// face (h_c^2 - h_f^2)/12 is left over. As much of a dipole is added, without a quadrupole about the face, on the
+  /// coarse cell and the first two fine ones. What covered cells hold is not read. Collective.
+  std::vector<std::vector<std::vector<AddedDensity>>> beside_coarse_faces(Field const& density);
+
   /// truncation = scale[level] * the truncation error of the Laplacian in uncovered cells, zero in covered ones,
   /// rounded to T, from sixth differences: -h^4/90 times the sixth derivatives. Nothing is known of cells where a level
   /// ends. Returns the largest magnitude, without the scale. Collective.

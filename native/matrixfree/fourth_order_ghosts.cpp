@@ -64,8 +64,12 @@ void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls,
     }
   }
   for (int f = 0; f < 6 && ends != Ends::nothing; ++f) {
+    if (ends == Ends::faces) {
+      if (plan_.face(l, b, f).blocks >= 0) fill_faces(l, b, f / 2, f % 2, phi);
+      continue;
+    }
     if (int const wall = mesh_.plan(l, b).faces[std::size_t(f)].wall; wall >= 0)
-      fill_wall(l, b, f / 2, f % 2, ends, phi.level(l).data() + mesh_.offset(l, b), walls->datum.data() + wall);
+      fill_wall(l, b, f / 2, f % 2, ends, phi.level(l).data() + mesh_.offset(l, b), *walls, wall);
     if (plan_.face(l, b, f).blocks >= 0) fill_interface(l, b, f / 2, f % 2, phi);
   }
 }
@@ -75,7 +79,7 @@ void FourthOrderGhosts::visit_zero(int l, int b, Walls const& walls) {
   for (int f = 0; f < 6; ++f) {
     for (auto& layer : ghosts_[std::size_t(f)]) std::fill(layer.begin(), layer.end(), 0.0);
     int const wall = mesh_.plan(l, b).faces[std::size_t(f)].wall, axis = f / 2, side = f % 2;
-    if (wall < 0) continue;
+    if (wall < 0 || fill_open_wall(l, b, axis, side, walls, wall)) continue;
     auto const [u, v] = tangential_axes(axis);
     Real const* datum = walls.datum.data() + wall;
     std::size_t out = 0;
@@ -102,7 +106,21 @@ int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int
   return std::min(extent + layers, fourth_order::wall_cells);
 }
 
-void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Real const* data) {
+/// Where the wall is open, ghosts are its data, whatever is inside. `first`: number of the box's first face there.
+bool FourthOrderGhosts::fill_open_wall(int l, int b, int axis, int side, Walls const& walls, int first) {
+  if (walls.faces[std::size_t(first)].kind != Boundary::open) return false;
+  auto const [u, v] = tangential_axes(axis);
+  std::ptrdiff_t const count = std::ptrdiff_t(mesh_.box(l, b).extent(u)) * mesh_.box(l, b).extent(v);
+  auto& ghosts = ghosts_[std::size_t(2 * axis + side)];
+  std::copy_n(walls.datum.data() + first, count, ghosts[0].data());
+  std::copy_n(walls.second.data() + first, count, ghosts[1].data());
+  return true;
+}
+
+void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Walls const& walls,
+                                  int first) {
+  if (fill_open_wall(l, b, axis, side, walls, first)) return;
+  Real const* const data = walls.datum.data() + first;
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
   std::size_t const face = std::size_t(2 * axis + side);
@@ -149,6 +167,36 @@ void FourthOrderGhosts::fit_row(int layer, FourthOrderPlan::OfCell const* blocks
   }
 }
 
+/// Two layers of coarse cells behind a face, into `coarse_`.
+void FourthOrderGhosts::read_coarse(int l, int b, int f, Field const& values) {
+  auto const& face = plan_.face(l, b, f);
+  for (std::size_t n = 0; n < layers; ++n)
+    for (int r = face.coarse[n].first; r < face.coarse[n].last; ++r)
+      plan_.level(l).rectangles[std::size_t(r)].copy(values.level(l - 1).data(), plan_.cells.values(),
+                                                     coarse_[n].data(), face.nu + 2 * FourthOrderPlan::margin);
+}
+
+/// Values on the faces of fine cells in front of coarser ones, linear between the two centres, of which the coarse one
+/// is twice as far away; their sums over the coarse faces are left for the coarser cells.
+void FourthOrderGhosts::fill_faces(int l, int b, int axis, int side, Field const& values) {
+  std::size_t const f = std::size_t(2 * axis + side);
+  Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[f].interface)];
+  constexpr int margin = FourthOrderPlan::margin;
+  read_coarse(l, b, int(f), values);
+  for (int row = 0; row < i.nv; ++row) std::fill_n(fluxes_.row(l, i, row), i.nu, 0.0);
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  Real const* const cells = values.level(l).data() + mesh_.offset(l, b);
+  std::ptrdiff_t const pitch = plan_.face(l, b, int(f)).nu + 2 * margin;
+  for_each_cell_behind(l, b, axis, side, [&](Index3 const& cell) {
+    int const x = cell[u] / 2, y = cell[v] / 2;
+    Real const coarse = coarse_[0][std::size_t(margin + x + (margin + y) * pitch)];
+    Real const on_face = (2 * value(own, cells, axis, cell) + coarse) / 3;
+    ghosts_[f][0][std::size_t(cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u))] = on_face;
+    fluxes_.row(l, i, y - i.v)[x - i.u] += on_face;
+  });
+}
+
 /// Ghosts in front of coarser cells, and what the four ghosts of each coarse face leave for the coarser cell behind it:
 /// the sum of the differences across them, inwards.
 void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field const& phi) {
@@ -156,10 +204,7 @@ void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field c
   Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[f].interface)];
   auto const& face = plan_.face(l, b, int(f));
   std::ptrdiff_t const coarse_pitch = face.nu + 2 * FourthOrderPlan::margin;
-  for (std::size_t n = 0; n < layers; ++n)
-    for (int r = face.coarse[n].first; r < face.coarse[n].last; ++r)
-      plan_.level(l).rectangles[std::size_t(r)].copy(phi.level(l - 1).data(), plan_.cells.values(), coarse_[n].data(),
-                                                     coarse_pitch);
+  read_coarse(l, b, int(f), phi);
 
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);

@@ -21,6 +21,7 @@ class FourthOrderGhosts {
   enum class Ends {
     ghosts,    ///< what walls and coarser cells make of it
     of_field,  ///< the same, with as many cells behind Dirichlet walls as behind others: for E, not for the operator
+    faces,     ///< beyond coarse-fine faces, in the first layer, the value on the face; nothing is done at walls
     nothing    ///< not a number
   };
 
@@ -60,13 +61,38 @@ class FourthOrderGhosts {
   template <class F>
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
     Box const& own = mesh_.box(l, b);
-    fluxes_.for_each_refined(l, b, k, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t place, Real flux) {
-      auto const at = in_line(own, phi, r.axis, cell);
-      int const outward = r.side == 0 ? -1 : 1;
-      f(place, r.axis,
-        fine_face_weight * (zero_ ? 0 : flux) -
-            fourth_order::difference(at(-outward), at(0), at(outward), at(2 * outward)));
-    });
+    fluxes_.for_each_refined(
+        l, b, k, zero_, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t place, Real flux) {
+          auto const at = in_line(own, phi, r.axis, cell);
+          int const outward = r.side == 0 ? -1 : 1;
+          f(place, r.axis,
+            fine_face_weight * flux - fourth_order::difference(at(-outward), at(0), at(outward), at(2 * outward)));
+        });
+  }
+
+  /// Call f(cell, inwards, value on the face) for each cell of a box in front of a coarser one, after Ends::faces;
+  /// `inwards` leads away from the face. And f(cell, mean value on the face) for each uncovered cell of a box and each
+  /// of its faces with a refined cell beyond.
+  template <class F>
+  void for_each_coarse_face(int l, int b, F&& f) const {
+    for (int face = 0; face < 6; ++face) {
+      if (mesh_.plan(l, b).faces[std::size_t(face)].interface < 0) continue;
+      int const axis = face / 2, side = face % 2;
+      Box const& own = mesh_.box(l, b);
+      for_each_cell_behind(l, b, axis, side, [&](Index3 cell) {
+        auto const [u, v] = tangential_axes(axis);
+        Real const value = ghosts(axis, side, 0)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
+        Index3 inwards{0, 0, 0};
+        inwards[axis] = side == 0 ? 1 : -1;
+        f(cell, inwards, value);
+      });
+    }
+  }
+  template <class F>
+  void for_each_refined_face(int l, int b, F&& f) const {
+    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k)
+      fluxes_.for_each_refined(
+          l, b, k, false, [&](RefinedSide const&, Index3 const& cell, std::ptrdiff_t, Real sum) { f(cell, sum / 4); });
   }
 
   /// The ghosts behind a wall of a level, of as many cells as lie between it and the next end of the level, up to those
@@ -83,11 +109,29 @@ class FourthOrderGhosts {
 
  private:
   void fill(int l, int b, Field const& phi, Walls const* walls, Ends ends);
-  void fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Real const* data);
+  void fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Walls const& walls, int first);
+  bool fill_open_wall(int l, int b, int axis, int side, Walls const& walls, int first);
   fourth_order::WallGhosts const& polynomial_at_wall(int l, int axis, int side, int cells) const {
     return wall_ghosts_[std::size_t(l)][std::size_t(2 * axis + side)][std::size_t(cells)];
   }
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
+  void fill_faces(int l, int b, int axis, int side, Field const& values);
+  void read_coarse(int l, int b, int f, Field const& values);
+  /// Call f(cell) for the cells of a box in front of coarser ones beyond a face.
+  template <class F>
+  void for_each_cell_behind(int l, int b, int axis, int side, F&& f) const {
+    Interface const& i =
+        mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(2 * axis + side)].interface)];
+    auto const [u, v] = tangential_axes(axis);
+    for (int y = 0; y < 2 * i.nv; ++y)
+      for (int x = 0; x < 2 * i.nu; ++x) {
+        if (mesh_.plan(l).fits[std::size_t(i.fits + x / 2 + y / 2 * i.nu)] == no_fit) continue;
+        Index3 cell{0, 0, 0};
+        cell[u] = 2 * i.u + x, cell[v] = 2 * i.v + y;
+        cell[axis] = side == 0 ? 0 : mesh_.box(l, b).extent(axis) - 1;
+        f(cell);
+      }
+  }
   void fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count, Real const* coarse,
                std::ptrdiff_t pitch);
 

@@ -18,7 +18,8 @@ struct Walls {
     Boundary kind;
   };
   std::vector<Face> faces;
-  std::vector<Real> datum;  ///< one per face
+  std::vector<Real> datum;   ///< one per face
+  std::vector<Real> second;  ///< behind open walls in fourth order, one per face: of the next ghost outwards, or none
 
   /// Where a face's datum is taken, in m.
   Real3 position(Domain const& domain, Level const& level, std::size_t face) const;

@@ -53,6 +53,11 @@ class Backend {
   /// E, -(1/s_d^2) d phi/dx_d (V/m); the potential must stay as it is.
   virtual ElectricField electric_field(std::shared_ptr<Field const> potential, CoveredField covered) = 0;
 
+  /// What wall potentials take beside the charge of cells, see FourthOrderField; nothing in second order.
+  virtual std::vector<std::vector<std::vector<FourthOrderField::AddedDensity>>> beside_coarse_faces(Field const&) {
+    return {};
+  }
+
   // In fourth order alone: E, points and means, see FourthOrderField.
   virtual ElectricField electric_field_as(Field const&, CoveredField, Holds) { throw SolverError(of_fourth_order); }
   virtual void to_means(Field const&, Field&) { throw SolverError(of_fourth_order); }

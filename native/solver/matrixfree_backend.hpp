@@ -35,6 +35,11 @@ class MatrixFreeBackend : public Backend {
   ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) override {
     return composite_.electric_field(potential, problem_.walls, covered, holds);
   }
+  std::vector<std::vector<std::vector<FourthOrderField::AddedDensity>>> beside_coarse_faces(
+      Field const& density) override {
+    if (problem_.options.order == 2) return {};
+    return composite_.beside_coarse_faces(density);
+  }
   void to_means(Field const& points, Field& means) override { composite_.to_means(points, means); }
 
   LevelOperators const& operators_with_gradient(int level) override;

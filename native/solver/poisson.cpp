@@ -43,22 +43,37 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
 }
 
 void PoissonSolver::plan_open_walls() {
-  freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_);
+  freespace::Options const of_order = freespace::Options::of_order(options_.order);
+  int const layers = of_order.layers();
+  freespace::WallMesh const mesh = freespace::wall_mesh(*hierarchy_, layers);
   if (!reusable_.free_space)
-    reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice);
+    reusable_.free_space = std::make_shared<freespace::FreeSpace>(hierarchy_->comm(), mesh.lattice, of_order);
   wall_plan_ = reusable_.free_space->plan(mesh);
-  for (int l = 0; l < hierarchy_->level_count(); ++l)
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    if (layers > 1) walls_[l].second.assign(walls_[l].faces.size(), 0.0);
     for (std::size_t i = 0; i < walls_[l].faces.size(); ++i) {
       auto const& face = walls_[l].faces[i];
-      if (face.kind == Boundary::open)
-        open_faces_.push_back({l, i, wall_plan_->place(2 * face.axis + face.side, l, face.cell)});
+      if (face.kind != Boundary::open) continue;
+      OpenFace& open = open_faces_.emplace_back(OpenFace{l, i, {}});
+      for (int n = 0; n < layers; ++n)
+        open.places[std::size_t(n)] = wall_plan_->place(2 * face.axis + face.side, n, l, face.cell);
     }
+  }
 }
 
 void PoissonSolver::set_open_walls(Field const& rho) {
-  auto const values =
-      reusable_.free_space->walls(*wall_plan_, freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity));
-  for (auto const& [level, face, place] : open_faces_) walls_[level].datum[face] = values[place];
+  auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity);
+  auto box = charges.begin();
+  for (auto const& level : backend_->beside_coarse_faces(rho))
+    for (auto const& of_box : level) {
+      for (auto const& [cell, density] : of_box) box->added.push_back({cell, density});
+      freespace::sort_by_block((box++)->added);
+    }
+  auto const values = reusable_.free_space->walls(*wall_plan_, charges);
+  for (auto const& [level, face, places] : open_faces_) {
+    walls_[level].datum[face] = values[places[0]];
+    if (options_.order == 4) walls_[level].second[face] = values[places[1]];
+  }
 }
 
 /// Where constants are in the null space, only a right-hand side without mean has a solution. Returns how large f may

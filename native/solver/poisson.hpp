@@ -7,6 +7,7 @@
 #include "mesh/field.hpp"
 #include "solver/backend.hpp"
 #include "solver/reusable.hpp"
+#include "stencil/fourth_order.hpp"
 
 namespace amrpic {
 
@@ -77,8 +78,9 @@ class PoissonSolver {
   std::vector<Walls> walls_;
   struct OpenFace {
     int level;
-    std::size_t face;   ///< of the level's walls
-    std::size_t place;  ///< of its ghost's potential among those of free space
+    std::size_t face;  ///< of the level's walls
+    std::array<std::size_t, fourth_order::ghost_layers>
+        places;  ///< of its ghosts' potentials among those of free space
   };
   std::vector<OpenFace> open_faces_;
   std::shared_ptr<freespace::WallPlan const> wall_plan_;  ///< where walls are open

@@ -125,7 +125,7 @@ struct WallGhosts {
 };
 
 /// Those of a kind of wall, of a polynomial through `cells` cells; the datum of a Neumann wall is the outward
-/// derivative.
+/// derivative. Behind open walls both means are data themselves.
 inline WallGhosts make_wall_ghosts(Boundary kind, Real spacing, int cells) {
   WallGhosts out;
   if (kind != Boundary::dirichlet && kind != Boundary::neumann) return out;

@@ -153,7 +153,9 @@ def test_the_base_set_up_lasts_while_refined_levels_change(comm):
         assert solver.native.bottom_setups == setups, first
         phi, report = solver.solve(charge(hierarchy))
         assert difference(phi, solved(hierarchy)[0]) < 1e-9
-    with pytest.raises(SolverError, match="reuse comes from a solver of another domain, stretch, screening or bottom"):
+    with pytest.raises(
+        SolverError, match="reuse comes from a solver of another domain, order, stretch, screening or bottom"
+    ):
         PoissonSolver(refined(comm, "periodic"), reuse=kept)
 
 

@@ -16,7 +16,7 @@ from ..errors import InputError
 from .checks import finite, points
 from .spaces import Scalar
 
-SEARCHED_TOGETHER = 512  # targets, whose neighbours are Python's lists for a while
+SEARCHED_TOGETHER = 256  # targets, whose neighbours are Python's lists for a while
 LEAF = 40  # sites of the leaves of a search tree, for which stencils are found fastest
 GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do not determine
 EQUAL = 1 + 1e-9  # distances that rounding alone tells apart

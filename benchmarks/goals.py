@@ -125,7 +125,13 @@ def stencils(found: Found) -> Iterator[Goal]:
         mine, lattice, theirs = (stencil_record(order, kind) for kind in ("jittered", "lattice", "dgels"))
         what = f"least squares of order {order}"
         yield Goal(f"{what}, targets/s over LAPACK's dgels", found.ratio(theirs, mine), 5, 8, "×", at_least=True)
+        peer = stencil_record(order, "pycompadre")
+        yield Goal(f"{what}, targets/s over pycompadre", found.ratio(peer, mine), 20, 40, "×", at_least=True)
+        apart = found.fact(peer, "largest difference of weights")
+        yield Goal(f"{what}, weights beside pycompadre's", apart, 1e-10)
         yield Goal(f"{what}, lattice over jittered", found.ratio(mine, lattice), 0.5, 0.8, "×", at_least=True)
+        memory = max(found.fact(one, "MiB beyond what is returned") for one in (mine, lattice))
+        yield Goal(f"{what}, memory beyond what is returned", memory, 16, 2, " MiB")
     yield Goal(
         "least squares of order 2, a leaf of a mesh",
         1e6 * found.seconds("least squares, order 2, leaves"),

@@ -1,9 +1,10 @@
 """Time stencils of moving least squares beside LAPACK's dgels, one call per target. A worker of bench.py.
 
 Value, gradient and Laplacian at all points of a jittered 22³ lattice (±0.25 h), and of the lattice itself, reach 1.4 times the
-distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not. Then the
-same at order 2 for all cells of a refined mesh, from the cells within 2.1 of their widths; the look-up included. And fields
-carried to another base, per new cell, and sampled along a line, per point.
+distance of the n-th point, weight (1 - r)²; thread time, tests and repairs included, the search for neighbours not; and the
+memory that it takes beyond what it returns. Where pycompadre is installed, its time and the largest difference of its weights.
+Then the same at order 2 for all cells of a refined mesh, from the cells within 2.1 of their widths; the look-up included. And
+fields carried to another base, per new cell, and sampled along a line, per point. Ends with the goals and whether they are met.
 """
 
 from __future__ import annotations
@@ -11,13 +12,17 @@ from __future__ import annotations
 import argparse
 import ctypes
 import ctypes.util
+import importlib.util
+import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from measuring import Record, write
+from measuring import ENVIRONMENT, Record, reset_peak, resident, write
 from mpi4py import MPI
 
 import amrpic
@@ -28,6 +33,7 @@ POINTS = 22  # per axis
 ORDERS = (2, 3, 4)
 WANTED = (gmls.VALUE, gmls.GRADIENT, gmls.LAPLACIAN)
 LAPACK_TARGETS = 400
+COMPARED_EACH = 97  # targets, of which one's weights are compared with pycompadre's
 LEAVES = "least squares, order 2, leaves"
 SAMPLES = "least squares, order 3, field at points"
 
@@ -56,8 +62,14 @@ def ours(order: int, kind: str, runs: int) -> Record:
     def solve() -> gmls.Stencils:
         return gmls.stencils(x, near, space=gmls.Scalar(order), samples=gmls.Points(x), wanted=WANTED)
 
-    quality = solve().quality
+    before = resident("VmRSS")
+    reset_peak()
+    found = solve()
+    quality = found.quality
+    arrays = [*vars(found).values(), *vars(quality).values()]
+    returned = sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
     facts = {
+        "MiB beyond what is returned": (resident("VmHWM") - before - returned) / 2**20,
         "sites per target": float(quality.neighbours.mean()),
         "targets whose reach grew": int((quality.growth > 0).sum()),
     }
@@ -135,6 +147,33 @@ def lapack(order: int, runs: int) -> Record:
     return Record(record_name(order, "dgels"), seconds)
 
 
+def compadre(order: int, runs: int) -> Record:
+    """Return the record of pycompadre's pivoted QR, with the largest difference of its weights to ours over the largest of
+    each quantity and target; without times where it is not installed. In a process of its own, as its Kokkos is another one."""
+    name = record_name(order, "pycompadre")
+    if importlib.util.find_spec("pycompadre") is None:
+        return Record(name, [])
+    x = cloud(0.25)
+    near = gmls.nearby(x, x, order=order, reach=1.4)
+    targets = np.arange(0, len(x), COMPARED_EACH)
+    with tempfile.TemporaryDirectory() as folder:
+        given, written = Path(folder) / "given.npz", Path(folder) / "found.npz"
+        np.savez(
+            given, x=x, start=near.start, index=near.index, reach=near.reach, order=order, runs=runs, targets=targets
+        )
+        worker = [sys.executable, str(Path(__file__).parent / "compadre_peer.py"), str(given), str(written)]
+        subprocess.run(worker, check=True, env={**os.environ, **ENVIRONMENT}, stderr=subprocess.DEVNULL)
+        found = np.load(written)
+        seconds, theirs = found["seconds"] / len(x), found["weights"]
+    mine = gmls.stencils(x, near, space=gmls.Scalar(order), samples=gmls.Points(x), wanted=WANTED)
+    largest, at = 0.0, 0
+    for target in targets:
+        own = mine.weights[mine.start[target] : mine.start[target + 1]]
+        apart = np.abs(own - theirs[at : at + len(own)]).max(axis=0) / np.abs(own).max(axis=0)
+        largest, at = max(largest, float(apart.max())), at + len(own)
+    return Record(name, list(seconds), facts={"largest difference of weights": largest})
+
+
 def record_name(order: int, kind: str) -> str:
     return f"least squares, order {order}, {kind}"
 
@@ -142,16 +181,23 @@ def record_name(order: int, kind: str) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=5, help="runs of each")
-    parser.add_argument("--output", type=Path, required=True, help="the JSON to write")
+    parser.add_argument("--output", type=Path, help="the JSON to write")
     given = parser.parse_args()
     records = []
     for order in ORDERS:
         records += [ours(order, "jittered", given.runs), ours(order, "lattice", given.runs), lapack(order, given.runs)]
+        records += [compadre(order, given.runs)]
     records += [leaves(given.runs, 96), *between_meshes(given.runs, 32)]
     records = [record for record in records if record.seconds]
     for record in records:
         print(f"{record.name}: {1e6 * record.median:.3g} µs per target", flush=True)
-    write(given.output, records)
+    if importlib.util.find_spec("pycompadre") is None:
+        print("pycompadre is not installed: it is left out")
+    from goals import Found, printed, stencils, table  # which imports this module
+
+    print(printed(table(list(stencils(Found(records))))))
+    if given.output is not None:
+        write(given.output, records)
     return 0
 
 

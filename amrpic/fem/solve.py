@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from .. import _native
 from ..errors import InputError, SolverError
 from ..parallel import together
-from .operators import Operator
+from .operators import Operator, Poisson
 from .points import checked_vector, held_of, mask_of, shaped
 
 MOST_ITERATIONS = 2**31 - 1
@@ -51,8 +51,9 @@ def solve(
     "p-multigrid" goes from the elements' degree to degree 1 at the same points, and from there to half the elements along each
     axis, and so on; with coarse = "aggregation" by MueLu's smoothed aggregates.
 
-    Raises on all ranks InputError for arrays of other shapes or with values that are not finite and options that do not exist,
-    and SolverError for free nodes whose elements have no points, and for numbers whose squares double precision cannot hold.
+    Raises on all ranks InputError for arrays of other shapes or with values that are not finite, options that do not exist, and
+    Poisson's equation without a fixed node whose right-hand side does not add up to zero; and SolverError for free nodes whose
+    elements have no points, and for numbers whose squares double precision cannot hold.
     """
     mesh, components = operator.mesh, operator.components
     right, _ = checked_vector(mesh, f, "the right-hand side", components)
@@ -66,6 +67,8 @@ def solve(
         _require_limits(tolerance, most_iterations)
         _require_finite(right[~mask], "the right-hand side of a free node")
         _require_finite(held[mask], "the value of a fixed node")
+    if isinstance(operator, Poisson):
+        _require_balance(operator, right, mask, tolerance)
     start = time.perf_counter()
     try:
         u, residuals, curved_down = operator.native.solve(
@@ -105,6 +108,22 @@ def _require_finite(values: np.ndarray, what: str) -> None:
         raise InputError(
             f"{what} is {values[np.argmin(good)]}, as {int((~good).sum())} are not finite on a rank; give numbers"
         )
+
+
+def _require_balance(operator: Poisson, right: np.ndarray, mask: np.ndarray, tolerance: float) -> None:
+    """InputError on all ranks for a component of which no node is fixed, and what constants see of the right-hand side, its
+    sum over √nodes, is more than the residual may be: no u has a residual without it."""
+    components, comm = operator.components, operator.mesh.comm
+    f, held = right.reshape(-1, components), mask.reshape(-1, components)
+    counts = np.stack([held.sum(axis=0), f.sum(axis=0), (f**2).sum(axis=0), np.full(components, len(f))])
+    fixed, total, squares, nodes = comm.allreduce(counts)
+    if not (alone := (fixed == 0) & (np.abs(total) > tolerance * np.sqrt(squares.sum() * nodes))).any():
+        return
+    at = int(np.argmax(alone))
+    raise InputError(
+        f"no node is fixed{f' in component {at}' if components > 1 else ''}, and the right-hand side adds up to "
+        f"{total[at]:.2e} there, not zero, so that Poisson's equation has no solution; fix a node, or balance f"
+    )
 
 
 def _number(preconditioner: Preconditioner, coarse: Coarse) -> int:

@@ -16,7 +16,7 @@ from ..errors import InputError
 from .checks import finite, points
 from .spaces import Scalar
 
-SEARCHED_TOGETHER = 4096  # targets, whose neighbours are Python's lists for a while
+SEARCHED_TOGETHER = 256  # targets, whose neighbours are Python's lists for a while
 LEAF = 40  # sites of the leaves of a search tree, for which stencils are found fastest
 GROWTH = 1.15  # how much longer the reach of a target becomes that its sites do not determine
 EQUAL = 1 + 1e-9  # distances that rounding alone tells apart
@@ -58,12 +58,12 @@ class Neighbours:
         """Return neighbours of some of the targets within a longer reach; none if they were given and cannot grow."""
         return None if self.search is None else self.search(which, self.reach[which] * factor)
 
-    def runs(self, entries: int) -> Iterator[slice]:
-        """Runs of targets with about so many neighbours each; one run, of none, for no targets."""
+    def runs(self, targets: int, entries: int) -> Iterator[slice]:
+        """Runs of so many targets at most, and of so many neighbours if it is not one; one run, of none, for no targets."""
         first = 0
         while first < len(self) or first == 0:
             last = int(np.searchsorted(self.start, self.start[first] + entries, side="right")) - 1
-            last = min(max(last, first + 1), len(self))
+            last = min(max(last, first + 1), first + targets, len(self))
             yield slice(first, last)
             first = max(last, 1)
 

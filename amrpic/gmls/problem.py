@@ -73,44 +73,44 @@ def merged(
 class Collected:
     """Solutions of runs of targets, one run after the other, in arrays that are written once.
 
-    `room` is where the weights of the next run may be written; what is taken of it grows with what is written, as memory
-    that nobody writes to is not there yet.
+    `room` is where the weights of the next run may be written; memory that nobody writes to is not there yet.
     """
 
     def __init__(self, near: Neighbours, problem: Problem) -> None:
-        self.rows = max(s.stop for s, _ in problem.rows.values())
-        self._weights = np.empty((int(len(near.index) * problem.per_site * SPARE), self.rows))
-        self._filled = 0
-        self._parts: list[Solution] = []
+        count, self.rows = len(near), max(s.stop for s, _ in problem.rows.values())
+        entries = int(len(near.index) * problem.per_site * SPARE)
+        self._index, self._weights = np.empty(entries, np.int32), np.empty((entries, self.rows))
+        self._start = np.zeros(count + 1, np.int64)
+        self._exact = np.empty((count, len(problem.exact), self.rows))
+        self._path, self._judgements = np.empty(count, np.int8), np.empty((3, count))
+        self._targets = 0
 
     def room(self, entries: int) -> np.ndarray:
         """(entries, rows) of the weights, the next ones."""
-        needed = self._filled + entries
-        if needed > len(self._weights):
-            more = np.empty((int(needed * SPARE), self.rows))
-            more[: self._filled] = self._weights[: self._filled]
-            self._weights = more
-        return self._weights[self._filled : needed]
+        filled = int(self._start[self._targets])
+        needed = filled + entries
+        if needed > len(self._index):
+            old = self._index, self._weights
+            self._index, self._weights = (np.empty((int(needed * SPARE), *a.shape[1:]), a.dtype) for a in old)
+            self._index[:filled], self._weights[:filled] = old[0][:filled], old[1][:filled]
+        return self._weights[filled:needed]
 
     def add(self, found: Solution) -> None:
-        """Take a solution, whose weights are in the room already or not."""
+        """Take the solution of the next targets, whose weights are in the room already or not."""
+        room = self.room(len(found.index))
         if found.weights.base is not self._weights:
-            self.room(len(found.weights))[:] = found.weights
-        self._filled += len(found.weights)
-        self._parts.append(replace(found, weights=self._weights[:0]))
+            room[:] = found.weights
+        filled = int(self._start[self._targets])
+        self._index[filled : filled + len(found.index)] = found.index
+        run = slice(self._targets, self._targets + len(found.path))
+        self._start[run.start + 1 : run.stop + 1] = filled + found.start[1:]
+        self._exact[run], self._path[run], self._judgements[:, run] = found.exact_weights, found.path, found.judgements
+        self._targets = run.stop
 
     def all(self) -> Solution:
         """Return the solution of all."""
-        parts = self._parts
-        lengths = np.concatenate([np.empty(0, np.int64), *(np.diff(part.start) for part in parts)])
-        return Solution(
-            np.concatenate([[0], lengths.cumsum()]),
-            np.concatenate([np.empty(0, np.int32), *(part.index for part in parts)]),
-            self._weights[: self._filled],
-            np.concatenate([part.exact_weights for part in parts]),
-            np.concatenate([part.path for part in parts]),
-            np.concatenate([part.judgements for part in parts], axis=1),
-        )
+        index, weights = (a[: int(self._start[-1])] for a in (self._index, self._weights))
+        return Solution(self._start, index, weights, self._exact, self._path, self._judgements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class Problem:
         )
 
     def solve(self, near: Neighbours, room: np.ndarray | None = None) -> Solution:
-        """Return the stencils, those that cannot be determined with weights that are NaN.
+        """Return the stencils; the weights of those that cannot be determined hold anything.
 
         Weights are written to `room`, (entries, rows), where they are solved for all at once.
         """
@@ -210,11 +210,10 @@ class Problem:
         weights = np.zeros((len(found.index), d, 1 + max(row for row, _, _ in self.split)))
         for row, component, scalar in self.split:
             weights[:, component, row] = found.weights[:, scalar]
-        weights[np.isnan(found.weights).any(axis=1)] = np.nan
         start, index = _per_component(found, d)
-        weights = weights.reshape(-1, weights.shape[2])
-        exact = np.empty((len(found.path), 0, weights.shape[1]))  # exact rows exist for scalar spaces alone
-        return replace(found, start=start, index=index, weights=weights, exact_weights=exact)
+        by_sample = weights.reshape(-1, weights.shape[2])
+        exact = np.empty((len(found.path), 0, weights.shape[2]))  # exact rows exist for scalar spaces alone
+        return replace(found, start=start, index=index, weights=by_sample, exact_weights=exact)
 
     def require_one_sign(self, found: Solution, near_reach: np.ndarray) -> None:
         """Replace weights by some of one sign off the centre; targets that have none are marked, and their weights NaN."""

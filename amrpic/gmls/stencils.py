@@ -20,7 +20,8 @@ from .targets import Exact, Wanted
 from .weights import QUADRATIC, Weight
 
 GROWTHS = 5  # at most, of a reach
-WRITTEN_TOGETHER = 8 << 20  # bytes of weights that are solved for, and grown, at a time
+SOLVED_TOGETHER = 4096  # targets at most, whose reaches grow together
+WRITTEN_TOGETHER = 8 << 20  # bytes of their weights at most
 TOGETHER = 65_536  # targets whose shared weights are written out at a time
 PATHS = (
     "normal equations",
@@ -198,7 +199,7 @@ def stencils(
         )
     growth = np.zeros(len(places), dtype=np.int8)
     collected = Collected(near, problem)
-    for run in near.runs(WRITTEN_TOGETHER // (8 * collected.rows)):
+    for run in near.runs(SOLVED_TOGETHER, WRITTEN_TOGETHER // (8 * collected.rows)):
         mine = problem.of(run)
         room = collected.room(problem.per_site * int(near.start[run.stop] - near.start[run.start]))
         parts = [(np.arange(run.stop - run.start), mine.solve(near.run(run), room))]
@@ -218,6 +219,9 @@ def stencils(
     bad = quality.failed
     if bad.size and failed == "raise":
         raise SolverError(f"target {bad[0]} at {places[bad[0]]}: {problem.cause(solution, int(bad[0]))}")
+    for target in bad:
+        solution.weights[solution.start[target] : solution.start[target + 1]] = np.nan
+    solution.exact_weights[bad] = np.nan
     return Stencils(
         solution.start,
         solution.index,

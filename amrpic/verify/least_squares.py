@@ -73,7 +73,7 @@ def f(x: np.ndarray) -> np.ndarray:
     return np.sin(3 * x[:, 0] + 0.3) * np.exp(x[:, 1]) * np.cos(2 * x[:, 2])
 
 
-def _orders(order: int) -> list[float | Goal]:
+def _orders(order: int) -> list[str | float | Goal]:
     t = np.random.default_rng(order).uniform(0.3, 0.7, (400, 3))
     exact = {"value": f(t), "gradient": slope_of_f(t), "laplacian": -12 * f(t)}
     errors = []
@@ -83,7 +83,7 @@ def _orders(order: int) -> list[float | Goal]:
         found = gmls.stencils(t, near, space=gmls.Scalar(order), samples=gmls.Points(x), wanted=WANTED).apply(f(x))
         errors.append([_rms(found[name] - exact[name]) for name in exact])
     value, gradient, laplacian = (-np.polyfit(np.log(SIZES), np.log(each), 1)[0] for each in zip(*errors, strict=True))
-    second = Goal(laplacian, order - 1.2, least=True) if order > 1 else np.nan
+    second = Goal(laplacian, order - 1.2, least=True) if order > 1 else "–"
     return [order, Goal(value, order + 0.8, least=True), Goal(gradient, order - 0.2, least=True), second, errors[-1][0]]
 
 

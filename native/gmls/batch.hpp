@@ -30,7 +30,7 @@ constexpr Real far_from_dependent = 1e-3;
 constexpr int first_cache = 24 << 10;  ///< bytes, of which something is left for other things
 
 /// Change of a weight by refinement, over the sum of all, that is not worth its time.
-constexpr Real small_change = 1e-13;
+constexpr Real small_change = 2e-13;
 
 /// Call f(first, number of columns as a constant) for columns in groups of `most`, and once for the rest: as many sums
 /// as registers hold, so that none waits for another.

@@ -49,9 +49,9 @@ struct Stencils {
   Real* sum;           ///< of |α λ| over the largest |τ|; of values at points: of |α|
 };
 
-/// The stencils of all targets; those that the samples do not determine within `residual_bound` and `sum_bound` have
-/// weights that are no numbers. Either with all lanes of the processor or, slower, target by target on Kokkos' host
-/// execution space; both agree to rounding.
+/// The stencils of all targets; the path of those that the samples do not determine within `residual_bound` and
+/// `sum_bound` says so, and their weights are not to be used. Either with all lanes of the processor or, slower, target
+/// by target on Kokkos' host execution space; both agree to rounding.
 void solve(Problem const& problem, Real residual_bound, Real sum_bound, bool portable, Stencils const& to);
 
 /// Of one target: weights are root_weight * z, where Qᵀ z = τ.

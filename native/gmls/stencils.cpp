@@ -23,14 +23,14 @@ class Judge {
   bool is_good(std::size_t target) const {
     return to_.residual[target] <= residual_bound_ && to_.sum[target] <= sum_bound_;
   }
-  /// Try anew what did not determine its result, and leave no weights that cannot be used.
+  /// Try anew what did not determine its result, and say so where that fails too.
   void repair(std::size_t target, Batch<Real>& single) const {
-    if (to_.path[target] == Path::dependent) return drop(target, Path::dependent);
+    if (to_.path[target] == Path::dependent) return;
     if (problem_.neighbours(target) > 0) {
       Path const path = to_.path[target];
       if (path != Path::undetermined && is_good(target)) return;
       if (path == Path::less_rank && to_.residual[target] > far_from_reproduced)
-        return drop(target, Path::undetermined);
+        return void(to_.path[target] = Path::undetermined);
       single.solve_by_factors({target}, to_);
       if (is_good(target)) return;
     } else {
@@ -38,18 +38,10 @@ class Judge {
       to_.residual[target] = 1;
       to_.sum[target] = 0;
     }
-    drop(target, Path::undetermined);
+    to_.path[target] = Path::undetermined;
   }
 
  private:
-  void drop(std::size_t target, Path path) const {
-    auto const nan = std::numeric_limits<Real>::quiet_NaN();
-    int const wanted = problem_.wanted.rows, exact = problem_.exact.rows;
-    std::fill(to_.weight + problem_.start[target] * wanted, to_.weight + problem_.start[target + 1] * wanted, nan);
-    std::fill_n(to_.exact_weight + target * std::size_t(exact * wanted), exact * wanted, nan);
-    to_.path[target] = path;
-  }
-
   Problem const& problem_;
   Real residual_bound_, sum_bound_;
   Stencils const& to_;

@@ -8,7 +8,7 @@ from mpi4py import MPI
 from scipy.sparse import csr_array
 
 from amrpic import fem
-from amrpic.errors import SolverError
+from amrpic.errors import InputError, SolverError
 from amrpic.verify.dense_elements import matrix, on_all_nodes, rows_at, smooth_vector
 from amrpic.verify.operators import ragged
 
@@ -80,11 +80,22 @@ def test_a_solve_that_is_cut_short_says_so():
     assert not report.converged and report.iterations == 3 and report.reason == "it took the most iterations"
 
 
-def test_an_operator_that_is_not_positive_is_reported():
-    """Poisson without fixed nodes: along constants there is no curvature, and the right-hand side has a part there."""
-    mesh, points, f = problem(MPI.COMM_SELF, degree=1)
-    _, report = fem.solve(fem.Poisson(points), np.ones(len(f)), preconditioner="none")
-    assert not report.converged
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("components", [1, 3])
+def test_poisson_without_fixed_nodes_needs_a_balanced_right_hand_side(comm, components):
+    """Along constants there is no curvature; what the right-hand side has there stays."""
+    _, points, f = problem(comm, 2, components)
+    f = f.reshape(-1, components)
+    total = comm.allreduce(np.array([*f.sum(axis=0), len(f)]))
+    f = (f - total[:-1] / total[-1]).reshape(-1 if components == 1 else (-1, components))
+    poisson = fem.Poisson(points, components=components)
+    u, report = fem.solve(poisson, f, tolerance=1e-9, preconditioner="jacobi")
+    assert report.converged
+    wrong = comm.allreduce(float(((poisson @ u - f) ** 2).sum())) / comm.allreduce(float((f**2).sum()))
+    assert wrong < 1e-16
+    more = f + 1e-3 * np.abs(f).max() * (1.0 if components == 1 else np.array([0, 1, 0]))
+    with pytest.raises(InputError, match=r"no node is fixed( in component 1)?, and the right-hand side adds up to"):
+        fem.solve(poisson, more, tolerance=1e-9)
 
 
 MOST = {1: 10, 2: 8, 3: 11, 4: 15}  # iterations to 1e-8

@@ -268,7 +268,7 @@ and coarse-fine faces.
 ## The design
 
 One formula, two executions. The weights of the stencils are written once (`native/stencil`); they are executed as Tpetra's
-sparse matrices (`backend="crs"`), which run wherever Trilinos does and feed its algebra, and without matrices
+sparse matrices (`backend="crs"`), which run on whatever Trilinos was built for and feed its algebra, and without matrices
 (`backend="matrix-free"`). A sparse row takes 12 bytes for each of its entries, so one CRS apply costs as much as five to
 fifteen plain ones, and no smoothing on matrices comes near the roof. What makes the matrix-free path fast, in the order of
 what it brings:

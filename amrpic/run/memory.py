@@ -211,8 +211,8 @@ def _of_covered(scene: Scene, cells: Sequence[int], covered: Sequence[int]) -> i
 
 
 def _smoother(scene: Scene) -> int:
-    """Bytes per cell of the smoother: colours, or what Ifpack2 holds, a matrix and vectors and index lists of its own."""
-    return 4 if scene.solver.smoother == "red-black" else ROW + NEIGHBOURS * ENTRY + 6 * NUMBER
+    """Bytes per cell of the smoother: colours, or what Ifpack2 holds, vectors of its own."""
+    return 4 if scene.solver.smoother == "red-black" else 6 * NUMBER
 
 
 def _fields(scene: Scene, boxes: Sequence[Array]) -> int:

@@ -295,7 +295,7 @@ class Operator:
     hierarchy: Hierarchy
     shape: tuple[int, int]
     entries: tuple[np.ndarray, np.ndarray, np.ndarray]  # this rank's rows: row starts, global columns, values
-    source: tuple[_native.LevelOperators, str, _native.LevelOperators, int] | None = None
+    source: tuple[_native.LevelOperators, str, int] | None = None
     first_column: int = 0  # of this rank's cells of the column level, where there is no source
 
     def to_scipy(self) -> sparse.csr_array | None:
@@ -310,16 +310,13 @@ class Operator:
         return sparse.csr_array((values, columns, start), shape=self.shape)
 
     def multiply(self, values: np.ndarray) -> np.ndarray:
-        """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective.
-
-        For looking and testing: the matrix is made anew for each call.
-        """
+        """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective."""
         if self.source is None:
             start, columns, own = self.entries
             local = sparse.csr_array((own, columns - self.first_column, start), shape=(len(start) - 1, len(values)))
             return local @ values
-        operators, name, other, axis = self.source
-        return operators.multiply_by_tpetra(name, other, axis, self.hierarchy.comm.py2f(), np.ascontiguousarray(values))
+        operators, name, axis = self.source
+        return operators.multiply(name, axis, np.ascontiguousarray(values))
 
 
 @dataclass(frozen=True)
@@ -399,4 +396,4 @@ class LevelOperators:
             return Operator(self.hierarchy, (self._native.rows, 0), empty)
         shape = self._native.rows, columns.rows
         entries = self._native.rows_of(name, columns, axis)
-        return Operator(self.hierarchy, shape, entries, (self._native, name, columns, axis))
+        return Operator(self.hierarchy, shape, entries, (self._native, name, axis))

@@ -5,9 +5,7 @@
 #include <iterator>
 #include <new>
 
-#ifdef __linux__
-#include <sys/mman.h>
-#endif
+#include "base/huge_pages.hpp"
 
 namespace amrpic {
 
@@ -28,11 +26,7 @@ constexpr std::size_t small_page = 4096, large_page = std::size_t(1) << 21;
   std::size_t const page = large ? large_page : small_page;
   void* block = std::aligned_alloc(page, (bytes + page - 1) / page * page);
   if (!block) throw std::bad_alloc();
-#ifdef __linux__
-  // Fewer faults and fewer misses in the page tables; the system may ignore it. Passes over arrays larger than the
-  // caches take a fifth less.
-  if (large) madvise(block, bytes, MADV_HUGEPAGE);
-#endif
+  advise_huge_pages(block, bytes);
   return block;
 }
 

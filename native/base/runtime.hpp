@@ -3,6 +3,8 @@
 
 #include <functional>
 #include <list>
+#include <memory>
+#include <optional>
 #include <string>
 
 namespace amrpic {
@@ -26,6 +28,25 @@ class AtFinalize {
 
  private:
   std::list<std::function<void()>>::iterator place_;
+};
+
+/// Shared Trilinos or Kokkos objects, which go with their last owner, or before Kokkos does.
+template <class Objects>
+class UntilFinalize {
+ public:
+  UntilFinalize() = default;  ///< of nothing
+  explicit UntilFinalize(Objects objects) : kept_(std::make_shared<Kept>(std::move(objects))) {}
+  explicit operator bool() const { return kept_ && kept_->objects; }
+  Objects const& operator*() const { return *kept_->objects; }
+  Objects const* operator->() const { return &*kept_->objects; }
+
+ private:
+  struct Kept {
+    explicit Kept(Objects&& given) : objects(std::move(given)) {}
+    std::optional<Objects> objects;
+    AtFinalize release{[this] { objects.reset(); }};
+  };
+  std::shared_ptr<Kept> kept_;
 };
 
 /// "13.2": version of the Trilinos this was compiled with.

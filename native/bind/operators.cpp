@@ -7,7 +7,6 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
-#include "operators/tpetra.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -15,7 +14,7 @@ using namespace nb::literals;
 
 namespace {
 
-Crs const& find(LevelOperators const& o, std::string const& name, int axis) {
+SparseMatrix const& find(LevelOperators const& o, std::string const& name, int axis) {
   if (name == "no_fine") return o.no_fine;
   if (name == "composite") return o.composite();
   if (name == "coarse_boundary") return o.coarse_boundary;
@@ -30,27 +29,24 @@ Crs const& find(LevelOperators const& o, std::string const& name, int axis) {
 
 /// This rank's rows of an operator, columns in global numbers: (row starts, columns, values).
 nb::tuple rows_of(LevelOperators const& o, std::string const& name, LevelOperators const& columns, int axis) {
-  Crs const& crs = find(o, name, axis);
-  auto const halo = columns.halo.numbers();
-  GlobalIndex const first = columns.level->first_local_cell();
-  LocalIndex const owned = columns.rows();
-  std::vector<std::int64_t> start(crs.row_start.begin(), crs.row_start.end()), column;
-  column.reserve(crs.entries());
-  for (LocalIndex c : crs.column) column.push_back(c < owned ? first + c : halo[std::size_t(c - owned)]);
+  HostRows rows = host_rows(*find(o, name, axis).matrix());
+  auto const numbers = columns.cells->numbers();
+  std::vector<std::int64_t> start(rows.row_start.begin(), rows.row_start.end()), column;
+  column.reserve(rows.column.size());
+  for (LocalIndex c : rows.column) column.push_back(numbers[std::size_t(c)]);
   return nb::make_tuple(bind::to_array(std::move(start)), bind::to_array(std::move(column)),
-                        bind::to_array(std::vector<Real>(crs.value.begin(), crs.value.end())));
+                        bind::to_array(std::move(rows.value)));
 }
 
-/// Operator times this rank's values, by a Tpetra matrix made for the purpose.
-nb::ndarray<nb::numpy, Real> multiply_by_tpetra(LevelOperators const& o, std::string const& name,
-                                                LevelOperators const& columns, int axis, int comm, bind::Reals values) {
+/// Operator times this rank's values.
+nb::ndarray<nb::numpy, Real> multiply(LevelOperators const& o, std::string const& name, int axis, bind::Reals values) {
   std::vector<Real> in(values.data(), values.data() + values.size()), out(std::size_t(o.rows()));
   {
     nb::gil_scoped_release release;
-    auto const matrix = tpetra_matrix(Communicator(MPI_Comm_f2c(comm)), find(o, name, axis), o, columns);
-    TpetraTypes::MultiVector x(matrix->getDomainMap(), 1), y(matrix->getRangeMap(), 1);
+    auto const& matrix = *find(o, name, axis).matrix();
+    TpetraTypes::MultiVector x(matrix.getDomainMap(), 1), y(matrix.getRangeMap(), 1);
     copy_in(in, x);
-    matrix->apply(x, y);
+    matrix.apply(x, y);
     copy_out(y, out);
   }
   return bind::to_array(std::move(out));
@@ -62,7 +58,7 @@ void bind_operators(nb::module_& m) {
   using O = LevelOperators;
   nb::class_<O>(m, "LevelOperators")
       .def("rows_of", &rows_of, "name"_a, "columns"_a, "axis"_a = 0)
-      .def("multiply_by_tpetra", &multiply_by_tpetra, "name"_a, "columns"_a, "axis"_a, "comm"_a, "values"_a)
+      .def("multiply", &multiply, "name"_a, "axis"_a, "values"_a)
       .def("uncovered",
            [](O const& o) { return bind::to_array(std::vector<std::int8_t>(o.uncovered.begin(), o.uncovered.end())); })
       .def_prop_ro("first_row", [](O const& o) { return o.level->first_local_cell(); })

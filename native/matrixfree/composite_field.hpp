@@ -2,7 +2,6 @@
 
 #include "matrixfree/composite_ghosts.hpp"
 #include "mesh/electric_field.hpp"
-#include "operators/operators.hpp"
 
 namespace amrpic {
 

@@ -11,6 +11,12 @@
 
 namespace amrpic {
 
+/// What E holds in covered cells.
+enum class CoveredField {
+  mean,       ///< of the children, as in all fields
+  difference  ///< of phi, whose covered cells hold the means: what clouds as wide as these cells feel
+};
+
 /// Write a row of cells, their components along x, y, z side by side, past the cache where that can be done:
 /// `stream_end` must follow before others read.
 void write_cells(std::array<Real const*, 3> const& from, int count, Real* out);

@@ -59,17 +59,33 @@ class Magnitude {
 
   /// Take in values of cells of equal volume.
   void add(Real const* values, std::ptrdiff_t n, Real volume) {
-    if (norm_ == Norm::max) return largest_.add(values, n);
-    Real const sum = sum_of(values, n, 1);
+    auto const largest = [&] {
+      Largest<Real> of_all;
+      of_all.add(values, n);
+      return of_all.value();
+    };
+    add_by(
+        largest, [&](Real factor) { return sum_of(values, n, factor); }, volume);
+  }
+
+  /// The same for values that lie elsewhere: `largest()` is their largest magnitude, as `Largest` has it, and
+  /// `sum(factor)` the sum of the magnitudes of factor times each, or of their squares where `sums_squares`.
+  template <class LargestOf, class SumOf>
+  void add_by(LargestOf&& largest_of, SumOf&& sum_of_scaled, Real volume) {
+    if (norm_ == Norm::max) {
+      Real const value = largest_of();
+      return largest_.add(&value, 1);
+    }
+    Real const sum = sum_of_scaled(Real(1));
     if (sum > least_sum && sum < greatest_sum) {
       sums_[ordinary] += volume * sum;
       return;
     }
-    Largest<Real> largest;
-    largest.add(values, n);
-    int const range = largest.value() < least ? small : largest.value() > greatest ? large : ordinary;
-    sums_[range] += volume * sum_of(values, n, scale[range]);
+    Real const largest = largest_of();
+    int const range = largest < least ? small : largest > greatest ? large : ordinary;
+    sums_[range] += volume * sum_of_scaled(scale[range]);
   }
+  bool sums_squares() const { return norm_ == Norm::l2; }
 
   /// The norm over all ranks; nan if a value is not finite. Collective.
   Real over(Communicator const& comm) const {

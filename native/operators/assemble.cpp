@@ -1,242 +1,196 @@
 #include <algorithm>
 #include <optional>
 
-#include "operators/forms.hpp"
 #include "operators/halos.hpp"
 #include "operators/intergrid_rows.hpp"
-#include "operators/multigrid_levels.hpp"
+#include "operators/near_levels.hpp"
 #include "operators/open_walls.hpp"
 #include "operators/operators.hpp"
-#include "operators/regular_rows.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// Writes the rows of prolongation whose parents all exist.
-class RegularProlongation {
- public:
-  RegularProlongation(Index3 const& ratio, Prolongation kind) : ratio_(ratio) {
-    for (int d = 0; d < 3; ++d) linear_[d] = kind == Prolongation::trilinear && ratio[d] == 2;
-    for (int corner = 0; corner < 8; ++corner) {
-      Real weight = 1;
-      for (int d = 0; d < 3; ++d)
-        weight *= linear_[d] ? ((corner >> d) & 1 ? prolongation::far : prolongation::near) : (corner >> d) & 1 ? 0 : 1;
-      if (weight != 0) weights_.push_back(weight), corners_.push_back(corner);
+/// The form of prolongation to a cell whose parents all exist.
+Form regular_prolongation(Index3 const& cell, Index3 const& ratio, Prolongation kind) {
+  Trilinear at{{0, 0, 0}};
+  for (int d = 0; d < 3; ++d)
+    if (kind == Prolongation::trilinear && ratio[d] == 2) {
+      at.near[d] = prolongation::near, at.far[d] = prolongation::far;
+      at.step[d] = cell[d] % 2 == 0 ? -1 : 1;
     }
-  }
-  std::size_t terms() const { return weights_.size(); }
-
-  /// `places` of the coarser level's cells hold all that the rows read.
-  void operator()(ArrayOnBox<LocalIndex> const& places, Index3 const& first, LocalIndex rows, LocalIndex* column,
-                  Real* value) const {
-    Index3 parent, step;
-    for (int d = 0; d < 3; ++d) {
-      parent[d] = floor_divide(first[d], ratio_[d]);
-      step[d] = linear_[d] ? 2 * (first[d] - 2 * parent[d]) - 1 : 0;
-    }
-    repeat(weights_.data(), terms(), rows, value);
-    LocalIndex const odd = first[0] - ratio_[0] * parent[0];
-    for (std::size_t t = 0; t < terms(); ++t) {
-      Index3 cell = parent;
-      for (int d : {1, 2})
-        if ((corners_[t] >> d) & 1) cell[d] += step[d];
-      LocalIndex const* source = &places(cell);
-      LocalIndex* out = column + t;
-      if (ratio_[0] == 1)
-        for (LocalIndex n = 0; n < rows; ++n, out += terms()) *out = source[n];
-      else if (corners_[t] & 1)  // the neighbour on the cell's side
-        for (LocalIndex n = 0, i = odd; n < rows; ++n, ++i, out += terms()) *out = source[i / 2 + 2 * (i & 1) - 1];
-      else
-        for (LocalIndex n = 0, i = odd; n < rows; ++n, ++i, out += terms()) *out = source[i / 2];
-    }
-  }
-
- private:
-  Index3 ratio_;
-  std::array<bool, 3> linear_;
-  std::vector<int> corners_;  ///< bit d: the neighbour along axis d instead of the parent
-  std::vector<Real> weights_;
-};
-
-/// Writes rows of means over children; `places` of the finer level's cells hold them.
-void write_means(Index3 const& ratio, ArrayOnBox<LocalIndex> const& places, Index3 const& first, LocalIndex rows,
-                 LocalIndex* column, Real* value) {
-  int const terms = ratio[0] * ratio[1] * ratio[2];
-  std::fill_n(value, std::ptrdiff_t(rows) * terms, mean_weight(ratio));
-  for (int k = 0, t = 0; k < ratio[2]; ++k)
-    for (int j = 0; j < ratio[1]; ++j, t += ratio[0]) {
-      LocalIndex const* child = &places({first[0] * ratio[0], first[1] * ratio[1] + j, first[2] * ratio[2] + k});
-      LocalIndex* out = column + t;
-      for (LocalIndex n = 0; n < rows; ++n, out += terms, child += ratio[0]) std::copy_n(child, ratio[0], out);
-    }
+  Form out;
+  at.for_each([&](Index3 const& source, Real weight) { out.append(from_anchor(source, {0, 0, 0}), weight); });
+  return out;
 }
 
-/// Builders of one level's operators: `count` runs the formulas for single rows and measures the others, `fill` writes
-/// these.
+/// The form of means over children that all exist.
+Form regular_mean(Index3 const& ratio) {
+  Form out;
+  for_each_cell(Box{{0, 0, 0}, {0, 0, 0}}.refine(ratio), [&](Index3 const& child) {
+    out.append(from_anchor(child, {0, 0, 0}), mean_weight(ratio));
+  });
+  return out;
+}
+
+/// Names the form of each row of one level's operators, box by box; kernels then fill these.
 class LevelAssembly {
  public:
-  LevelAssembly(MultigridLevels const& multigrid, std::size_t l, Prolongation kind)
+  /// `coarse`, `fine`: null where there is no such level.
+  LevelAssembly(MultigridLevels const& multigrid, std::size_t l, Prolongation kind, LevelCells const& own,
+                LevelCells const* coarse, LevelCells const* fine)
       : multigrid_(multigrid),
         l_(l),
         kind_(kind),
-        level_(*multigrid.levels[l]),
+        level_(own.level()),
         faces_(multigrid.faces[l]),
         equation_(multigrid.equation(l)),
         near_(level_, multigrid.walls[l]),
         open_walls_(multigrid),
         seam_width_(seam_widths(level_.periodic(), multigrid.upper[l])),
-        prolong_(multigrid.ratio[l], kind),
-        no_fine_(rows()),
-        uncovered_(std::size_t(rows()), 1) {
+        levels_{&own, coarse, fine, multigrid.ratio[l], fine ? multigrid.ratio[l + 1] : Index3{1, 1, 1}, {}, {}, {}},
+        coarser_(coarse ? &coarse->level() : nullptr),
+        finer_(fine ? &fine->level() : nullptr),
+        no_fine_(own.rows()),
+        composite_(own.rows()),
+        fine_boundary_(own.rows()),
+        restriction_(own.rows()),
+        coarse_boundary_(own.rows()),
+        prolongation_(own.rows()),
+        uncovered_(std::size_t(own.rows()), 1) {
     if (!faces_) faces_ = std::make_shared<LevelFaces const>(faces_of_boxes(level_, nullptr));
-    if (l > 0) {
-      coarser_ = multigrid.levels[l - 1].get();
-      coarse_boundary_.emplace(rows());
-      prolongation_.emplace(rows());
-    }
-    if (l + 1 < multigrid.levels.size()) {
-      finer_ = multigrid.levels[l + 1].get();
-      composite_.emplace(rows());
-      fine_boundary_.emplace(rows());
-      restriction_.emplace(rows());
-    }
+    regular_laplacian_ = own_forms_.number(regular_laplacian(equation_, near_));
+    if (finer_) regular_mean_ = fine_forms_.number(regular_mean(levels_.ratio_above));
+    if (coarser_)
+      for_each_cell(Box{{0, 0, 0}, {1, 1, 1}}, [&](Index3 const& c) {
+        Form const form = regular_prolongation(c, levels_.ratio_below, kind_);
+        regular_prolongation_[std::size_t(c[0] + 2 * c[1] + 4 * c[2])] = coarse_forms_.number(form);
+      });
   }
 
-  void count() {
+  /// Local.
+  void name_rows() {
     for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
-      count_laplacians(b);
-      if (coarser_) count_prolongation(b);
+      StencilCells const n = stencil_cells_of((*faces_)[std::size_t(b - level_.first_local_box())], level_,
+                                              multigrid_.beside(l_), seam_width_);
+      Box const parents = coarser_ ? parents_read(level_.box(b), levels_.ratio_below, kind_) : Box{};
+      auto const children = levels_.add(level_.box(b), n, parents);
+      name_laplacians(b, n, children);
+      levels_.add_own(n);
+      if (coarser_) name_prolongation(b);
     }
   }
 
-  void fill(Halo const& own, Halo const* coarse, Halo const* fine) {
-    no_fine_.start_filling(own);
-    if (coarser_) {
-      coarse_boundary_->start_filling(*coarse);
-      prolongation_->start_filling(*coarse);
-    }
-    if (finer_) {
-      composite_->start_filling(own);
-      fine_boundary_->start_filling(*fine);
-      restriction_->start_filling(*fine);
-    }
-    for (int b = level_.first_local_box(); b < level_.last_local_box(); ++b) {
-      fill_laplacians(b, own);
-      if (coarser_) fill_prolongation(b, *coarse);
-      if (finer_) fill_restriction(b, *fine);
-    }
-  }
-
-  void move_into(LevelOperators& out) {
-    out.level = multigrid_.levels[l_];
+  /// Collective.
+  void fill(LevelOperators& out) {
     out.walls = multigrid_.walls[l_];
     for (int d = 0; d < 3; ++d) out.last_width[d] = multigrid_.upper[l_][d].width;
-    out.no_fine = no_fine_.take();
+    out.no_fine = levels_.to_own(own_forms_, no_fine_);
     if (coarser_) {
-      out.coarse_boundary = coarse_boundary_->take();
-      out.prolongation = prolongation_->take();
+      out.coarse_boundary = levels_.to_coarser(coarse_forms_, coarse_boundary_);
+      out.prolongation = levels_.to_coarser(coarse_forms_, prolongation_);
     }
     if (finer_) {
-      out.own_composite = composite_->take();
-      out.fine_boundary = fine_boundary_->take();
-      out.restriction = restriction_->take();
+      out.own_composite = levels_.to_own(own_forms_, composite_);
+      out.fine_boundary = levels_.to_finer(fine_forms_, fine_boundary_);
+      out.restriction = levels_.to_finer(fine_forms_, restriction_);
     }
     out.uncovered = std::move(uncovered_);
+    out.mask = UntilFinalize(on_device(out.uncovered));
     out.has_gaps = !gaps_.empty();
   }
 
  private:
-  LocalIndex rows() const { return level_.local_cells(); }
+  /// A form of a shape, and the numbers of its parts.
+  struct Numbered {
+    SplitForm form;
+    LocalIndex own, coarse, fine;
+  };
+
   /// A multigrid level is covered whole by the next one.
   bool is_fully_covered() const { return finer_ && !multigrid_.refines(l_ + 1); }
 
-  void count_laplacians(int b) {
-    StencilCells const n = stencil_cells_of((*faces_)[std::size_t(b - level_.first_local_box())], level_,
-                                            multigrid_.beside(l_), seam_width_);
+  void name_laplacians(int b, StencilCells const& n, ArrayOnBox<LocalIndex> const& children) {
     auto const kinds = row_kinds(n, Execution::without_finer);
     auto const composite =
         is_fully_covered() ? RowKinds(level_.box(b), RowKind::covered) : row_kinds(n, Execution::composite);
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
-      if (kind == RowKind::regular) return no_fine_.put_run(run, RegularRows::laplacian_terms);
+      if (kind == RowKind::regular) return no_fine_.set(run, regular_laplacian_);
       for_each_in_run(first, run,
-                      [&](Index3 const& cell, LocalIndex row) { count_special(n, cell, row, composite(cell)); });
+                      [&](Index3 const& cell, LocalIndex row) { name_special(n, cell, row, composite(cell)); });
     });
-    if (finer_) count_composite(b, n, composite);
+    if (finer_) name_composite(b, n, composite, children);
   }
 
-  Form const& laplacian(StencilCells const& n, Index3 const& cell, Execution execution) {
+  Numbered const& laplacian(StencilCells const& n, Index3 const& cell, Execution execution) {
     CellShape const shape = cell_shape(n, cell, execution, gaps_);
     return laplacians_(shape, [&] {
-      return laplacian_form(equation_, near_.own(),
-                            [&](int axis, int side) { return near_.across(shape[axis][side], axis, side); });
+      SplitForm form(laplacian_form(equation_, near_.own(),
+                                    [&](int axis, int side) { return near_.across(shape[axis][side], axis, side); }));
+      LocalIndex const own = own_forms_.number(form.own), coarse = coarse_forms_.number(form.coarse),
+                       fine = fine_forms_.number(form.fine);
+      return Numbered{std::move(form), own, coarse, fine};
     });
   }
 
   /// A row that a missing neighbour makes special, and with it that of the composite where it is the same.
-  void count_special(StencilCells const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
-    terms_.set(laplacian(n, cell, Execution::without_finer), n, cell);
-    if (finer_ && composite == RowKind::special) composite_->put(row, terms_.own_row);
-    if (composite == RowKind::covered) add_open_walls(n, cell);
-    no_fine_.put(row, terms_.own_row);
-    if (coarser_) coarse_boundary_->put(row, terms_.coarse_row);
+  void name_special(StencilCells const& n, Index3 const& cell, LocalIndex row, RowKind composite) {
+    Numbered const& form = laplacian(n, cell, Execution::without_finer);
+    if (finer_ && composite == RowKind::special) composite_.set(row, form.own);
+    no_fine_.set(row,
+                 composite == RowKind::covered ? own_forms_.number(with_open_walls(form.form.own, n, cell)) : form.own);
+    coarse_boundary_.set(row, form.coarse);
   }
 
   /// The composite's rows, except the special ones, and restriction.
-  void count_composite(int b, StencilCells const& n, RowKinds const& kinds) {
+  void name_composite(int b, StencilCells const& n, RowKinds const& kinds, ArrayOnBox<LocalIndex> const& children) {
     for_each_run(kinds, level_.local_offset(b), [&](RowKind kind, Index3 const& first, RowRun const& run) {
-      if (kind == RowKind::regular) composite_->put_run(run, RegularRows::laplacian_terms);
+      if (kind == RowKind::regular) composite_.set(run, regular_laplacian_);
       if (kind == RowKind::covered) {
-        count_restriction(first, run);
+        name_restriction(first, run, children);
         std::fill_n(uncovered_.begin() + run.row, run.count, 0);
       }
       if (kind != RowKind::beside) return;
       for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-        terms_.set(laplacian(n, cell, Execution::composite), n, cell);
-        composite_->put(row, terms_.own_row);
-        fine_boundary_->put(row, terms_.fine_row);
+        Numbered const& form = laplacian(n, cell, Execution::composite);
+        composite_.set(row, form.own);
+        fine_boundary_.set(row, form.fine);
       });
     });
   }
 
-  /// Means over children; single rows where some are missing or weigh otherwise, at the upper ends of the finer level.
-  void count_restriction(Index3 const& first, RowRun const& run) {
-    Index3 const ratio = multigrid_.ratio[l_ + 1];
+  /// Means over children; some are missing or weigh otherwise at the upper ends of the finer level.
+  void name_restriction(Index3 const& first, RowRun const& run, ArrayOnBox<LocalIndex> const& children) {
+    Index3 const ratio = levels_.ratio_above;
     auto const weight = last_children_of(multigrid_, l_ + 1);
     auto special = [&](int d, int parent) {
       int const last = finer_->domain().upper[d];
       bool const otherwise = weight[d].last != 1 || weight[d].before != 1 || last % ratio[d] != ratio[d] - 1;
       return otherwise && parent == last / ratio[d];
     };
-    auto put = [&](Index3 const& cell, LocalIndex row) {
-      row_.clear();
-      restrict_mean(cell, ratio, *finer_, weight, [&](GlobalIndex c, Real w) { row_.append(c, w); });
-      restriction_->put(row, row_);
-    };
-    RowRun regular = run;
+    LocalIndex regular = run.count;
     if (special(1, first[1]) || special(2, first[2]))
-      regular.count = 0;
+      regular = 0;
     else if (special(0, first[0] + run.count - 1))
-      --regular.count;
-    if (regular.count > 0) restriction_->put_run(regular, std::size_t(ratio[0] * ratio[1] * ratio[2]));
-    for (LocalIndex n = regular.count; n < run.count; ++n) put({first[0] + int(n), first[1], first[2]}, run.row + n);
-  }
-
-  void fill_laplacians(int b, Halo const& halo) {
-    Box const& box = level_.box(b);
-    auto const places = halo.places(level_, box.grow(1));
-    RegularRows const regular(level_.spacing(), equation_.shift, places);
-    auto write = [&](auto const&... where) { regular.laplacian(where...); };
-    no_fine_.fill_runs(box, level_.local_offset(b), write);
-    if (finer_) composite_->fill_runs(box, level_.local_offset(b), write);
+      --regular;
+    restriction_.set(RowRun{run.row, regular}, regular_mean_);
+    for (LocalIndex n = regular; n < run.count; ++n) {
+      Index3 const cell{first[0] + int(n), first[1], first[2]};
+      Index3 const anchor = Box{cell, cell}.refine(ratio).lower;
+      Form form;
+      restrict_mean(cell, ratio, *finer_, children, weight,
+                    [&](Index3 const& child, Real w) { form.append(from_anchor(child, anchor), w); });
+      restriction_.set(run.row + n, fine_forms_.number(form));
+    }
   }
 
   /// Covered cells hold corrections of finer ones alone.
-  void add_open_walls(StencilCells const& n, Index3 const& cell) {
+  Form with_open_walls(Form form, StencilCells const& n, Index3 const& cell) {
     for (int axis = 0; axis < 3; ++axis)
       for (int side = 0; side < 2; ++side)
         if (n.faces(cell)(axis, side) == Beyond::wall && multigrid_.boundary[axis][side] == Boundary::open)
-          terms_.own_row.add(n.own(cell), equation_.weight[axis] * open_walls_.first(l_, cell, axis, side));
+          form.add(near_.own().terms()[0].column, equation_.weight[axis] * open_walls_.first(l_, cell, axis, side));
+    return form;
   }
 
   /// Prolongation reads ghost cells of the parents in cells at walls, along axes that it interpolates; where half a
@@ -262,41 +216,28 @@ class LevelAssembly {
     return kinds;
   }
 
-  void count_prolongation(int b) {
-    Box const& box = level_.box(b);
-    Index3 const ratio = multigrid_.ratio[l_];
+  void name_prolongation(int b) {
+    Index3 const ratio = levels_.ratio_below;
     Real3 const coarse_seam = seam_widths(coarser_->periodic(), multigrid_.upper[l_ - 1]);
-    std::optional<ArrayOnBox<GlobalIndex>> coarse;
-    for_each_run(prolongation_kinds(box), level_.local_offset(b),
+    auto special = [&](Index3 const& cell) {
+      Index3 const parent = Box{cell, cell}.coarsen(ratio).lower;
+      Form form;
+      prolong(
+          cell, ratio, kind_, *coarser_, coarse_seam,
+          [&](Index3 const& at, int axis, int side) {
+            return prolonged_end(multigrid_, open_walls_, l_ - 1, at, axis, side);
+          },
+          [&](Index3 const& source, Real w) { form.append(from_anchor(source, parent), w); });
+      return coarse_forms_.number(form);
+    };
+    for_each_run(prolongation_kinds(level_.box(b)), level_.local_offset(b),
                  [&](RowKind kind, Index3 const& first, RowRun const& run) {
-                   if (kind == RowKind::regular) return prolongation_->put_run(run, prolong_.terms());
-                   if (!coarse) coarse = cell_numbers(*coarser_, parents_read(box, ratio, kind_));
-                   for_each_in_run(first, run, [&](Index3 const& cell, LocalIndex row) {
-                     row_.clear();
-                     prolong(
-                         cell, ratio, kind_, *coarser_, *coarse, coarse_seam,
-                         [&](Index3 const& parent, int axis, int side) {
-                           return prolonged_end(multigrid_, open_walls_, l_ - 1, parent, axis, side);
-                         },
-                         [&](GlobalIndex c, Real w) { row_.append(c, w); });
-                     prolongation_->put(row, row_);
+                   std::size_t const line = std::size_t(2 * (first[1] & 1) + 4 * (first[2] & 1));
+                   for_each_in_run(first, run, [&](Index3 const& c, LocalIndex row) {
+                     bool const regular = kind == RowKind::regular;
+                     prolongation_.set(row, regular ? regular_prolongation_[line + std::size_t(c[0] & 1)] : special(c));
                    });
                  });
-  }
-
-  void fill_prolongation(int b, Halo const& halo) {
-    Box const& box = level_.box(b);
-    auto const places = halo.places(*coarser_, parents_read(box, multigrid_.ratio[l_], kind_));
-    prolongation_->fill_runs(box, level_.local_offset(b), [&](auto const&... where) { prolong_(places, where...); });
-  }
-
-  void fill_restriction(int b, Halo const& halo) {
-    Index3 const ratio = multigrid_.ratio[l_ + 1];
-    Box const &box = level_.box(b), children = box.refine(ratio);
-    if (!finer_->intersects(children)) return;
-    auto const places = halo.places(*finer_, children);
-    restriction_->fill_runs(box, level_.local_offset(b),
-                            [&](auto const&... where) { write_means(ratio, places, where...); });
   }
 
   MultigridLevels const& multigrid_;
@@ -307,16 +248,15 @@ class LevelAssembly {
   Equation equation_;
   FormsNear near_;
   GapFits gaps_;
-  ByShape<Form> laplacians_;
-  Level const* coarser_ = nullptr;
-  Level const* finer_ = nullptr;
-  Terms terms_;
-  Row row_;
+  ByShape<Numbered> laplacians_;
   OpenWalls open_walls_;
   Real3 seam_width_;
-  RegularProlongation prolong_;
-  CrsBuilder no_fine_;
-  std::optional<CrsBuilder> composite_, fine_boundary_, restriction_, coarse_boundary_, prolongation_;
+  NearLevels levels_;
+  Level const *coarser_, *finer_;
+  FormTable own_forms_, coarse_forms_, fine_forms_;
+  LocalIndex regular_laplacian_ = no_form, regular_mean_ = no_form;
+  std::array<LocalIndex, 8> regular_prolongation_{};  ///< by the parities of the cell
+  RowForms no_fine_, composite_, fine_boundary_, restriction_, coarse_boundary_, prolongation_;
   std::vector<char> uncovered_;
 };
 
@@ -352,7 +292,7 @@ void drop_outdated(Communicator const& comm, MultigridLevels const& multigrid, A
   std::vector<int> other(2 * count);  // halos, then fits
   for (std::size_t l = 0; l < count; ++l) {
     bool const is_new = l >= former.operators.size();
-    other[l] = is_new || !former.operators[l]->halo.has_cells_of(halos[l]);
+    other[l] = is_new || !former.operators[l]->cells->halo().has_cells_of(halos[l]);
     other[count + l] = !is_new && former.operators[l]->has_gaps && !same_level(multigrid, former.multigrid, l + 2);
   }
   comm.largest_each(other);
@@ -362,23 +302,6 @@ void drop_outdated(Communicator const& comm, MultigridLevels const& multigrid, A
 }
 
 }  // namespace
-
-MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
-  MultigridLevels multigrid;
-  multigrid.shift = shift;
-  multigrid.boundary = hierarchy.domain().boundary;
-  for (int l = 0; l < hierarchy.level_count(); ++l) {
-    multigrid.levels.push_back(hierarchy.share_level(l));
-    multigrid.faces.push_back(hierarchy.share_faces(l));
-    multigrid.ratio.push_back(refinement_ratio);
-    multigrid.upper.emplace_back();
-    Real3 const h = hierarchy.level(l).spacing();
-    WallGhosts& walls = multigrid.walls.emplace_back();
-    for (int d = 0; d < 3; ++d)
-      for (int side = 0; side < 2; ++side) walls[d][side] = wall_ghost(multigrid.boundary[d][side], h[d]);
-  }
-  return multigrid;
-}
 
 Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, Prolongation prolongation,
                    Assembled former) {
@@ -390,21 +313,22 @@ Assembled assemble(Communicator const& comm, MultigridLevels const& multigrid, P
   drop_outdated(comm, multigrid, former, halos, out);
   former = {};
 
-  std::vector<std::unique_ptr<LevelAssembly>> assemblies(count);
+  std::vector<bool> is_new(count);
   for (std::size_t l = 0; l < count; ++l) {
     if (out[l]) continue;
     ++result.made;
-    assemblies[l] = std::make_unique<LevelAssembly>(multigrid, l, prolongation);
-    assemblies[l]->count();
+    is_new[l] = true;
     out[l] = std::make_shared<LevelOperators>();
-    out[l]->halo = halos[l];
-    out[l]->stencil_halo = Halo(comm, halos[l], relaxation_reads(multigrid, l));
+    out[l]->level = multigrid.levels[l];
+    out[l]->cells = std::make_shared<LevelCells const>(comm, multigrid.levels[l], std::move(halos[l]),
+                                                       relaxation_reads(multigrid, l));
   }
   for (std::size_t l = 0; l < count; ++l) {
-    if (!assemblies[l]) continue;
-    assemblies[l]->fill(out[l]->halo, l > 0 ? &out[l - 1]->halo : nullptr, l + 1 < count ? &out[l + 1]->halo : nullptr);
-    assemblies[l]->move_into(*out[l]);
-    assemblies[l].reset();
+    if (!is_new[l]) continue;
+    LevelAssembly assembly(multigrid, l, prolongation, *out[l]->cells, l > 0 ? out[l - 1]->cells.get() : nullptr,
+                           l + 1 < count ? out[l + 1]->cells.get() : nullptr);
+    assembly.name_rows();
+    assembly.fill(*out[l]);
   }
   return result;
 }

@@ -2,57 +2,14 @@
 #pragma once
 
 #include <array>
-#include <cstdint>
-#include <stdexcept>
 
 #include "operators/cell_shape.hpp"
-#include "operators/row.hpp"
+#include "operators/form.hpp"
 #include "stencil/interface.hpp"
 #include "stencil/laplacian.hpp"
 #include "stencil/odd_extents.hpp"
 
 namespace amrpic {
-
-/// A cell near that of a row, on its level or on the next coarser or finer one, by its offset there: from the row's
-/// cell, its parent or its first child.
-struct Unknown {
-  enum class On : std::int8_t { coarser, own, finer } level;
-  std::array<std::int8_t, 3> offset;
-  bool operator==(Unknown const& other) const { return level == other.level && offset == other.offset; }
-};
-
-using Form = LinearForm<Unknown>;
-
-/// A form as rows of three operators, by the level of the columns.
-struct Terms {
-  Row own_row, coarse_row, fine_row;
-
-  /// The row of a cell that has the form.
-  void set(Form const& form, StencilCells const& n, Index3 const& cell) {
-    own_row.clear(), coarse_row.clear(), fine_row.clear();
-    Index3 const parent = parent_of(cell), child = first_child_of(cell);
-    bool const images_meet = has_images_in_reach(*n.level);
-    for (auto const& [unknown, weight] : form.terms()) {
-      auto append = [&, w = weight, o = unknown.offset](Row& row, ArrayOnBox<GlobalIndex> const& numbers,
-                                                        Index3 const& from) {
-        GlobalIndex const number = numbers({from[0] + o[0], from[1] + o[1], from[2] + o[2]});
-        if (number == no_cell) throw std::logic_error("a stencil reached for a cell that does not exist");
-        images_meet ? row.add(number, w) : row.append(number, w);
-      };
-      if (unknown.level == Unknown::On::own) append(own_row, n.own_numbers(), cell);
-      if (unknown.level == Unknown::On::coarser) append(coarse_row, n.coarse, parent);
-      if (unknown.level == Unknown::On::finer) append(fine_row, n.fine, child);
-    }
-  }
-
- private:
-  /// Whether a fit in a narrow gap may name several images of a cell around a periodic axis.
-  static bool has_images_in_reach(Level const& level) {
-    bool out = false;
-    for (int d = 0; d < 3; ++d) out = out || (level.periodic()[d] && level.domain().extent(d) < 10);
-    return out;
-  }
-};
 
 /// Values near a cell of a level, as forms.
 class FormsNear {
@@ -102,14 +59,17 @@ class FormsNear {
     return out;
   }
 
-  /// Images of a cell around periodic axes are one unknown: the first one from two cells below on, as far as the
-  /// numbers in `StencilCells` reach.
+  /// Images of a cell around periodic axes are one unknown: the first one from two cells below on, but of those beyond
+  /// four cells, which no fit in a narrow gap reaches, the one before.
   Unknown unknown(Unknown::On level, Index3 offset) const {
     Unknown out{level, {}};
     for (int d = 0; d < 3; ++d) {
       int const cells = level_->domain().extent(d);
       int const period = level == Unknown::On::finer ? 2 * cells : level == Unknown::On::own ? cells : cells / 2;
-      if (level_->periodic()[d]) offset[d] -= period * floor_divide(offset[d] + 2, period);
+      if (level_->periodic()[d]) {
+        offset[d] -= period * floor_divide(offset[d] + 2, period);
+        if (offset[d] > 4) offset[d] -= period;
+      }
       out.offset[std::size_t(d)] = std::int8_t(offset[d]);
     }
     return out;
@@ -130,10 +90,9 @@ class FormsNear {
       for (auto const& term : face.gap->terms) {
         Real const weight = term.weight[upper_v][upper_u];
         if (weight == 0) continue;
-        Unknown cell{term.fine ? behind.fine : behind.coarse, term.offset};
-        Index3 const& from = term.fine ? behind.first_child : behind.middle;
-        for (std::size_t d = 0; d < 3; ++d) cell.offset[d] = std::int8_t(cell.offset[d] + from[d]);
-        out.append(cell, weight);
+        Index3 cell = term.fine ? behind.first_child : behind.middle;
+        for (std::size_t d = 0; d < 3; ++d) cell[d] += term.offset[d];
+        out.add(unknown(term.fine ? behind.fine : behind.coarse, cell), weight);  // images may meet
       }
       return out;
     }
@@ -156,6 +115,11 @@ inline Form laplacian_form(Equation const& equation, Form const& here, Across&& 
   Form out(here.terms()[0].column, 0);
   return out +=
          laplacian(equation, here, across(0, 0), across(0, 1), across(1, 0), across(1, 1), across(2, 0), across(2, 1));
+}
+
+/// L phi in a cell whose neighbours are of its level.
+inline Form regular_laplacian(Equation const& equation, FormsNear const& near) {
+  return laplacian_form(equation, near.own(), [&](int axis, int side) { return near.across({}, axis, side); });
 }
 
 }  // namespace amrpic

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "mesh/array_on_box.hpp"
+#include "mesh/halo.hpp"
 #include "stencil/odd_extents.hpp"
 
 namespace amrpic {
@@ -34,13 +34,13 @@ struct Trilinear {
   }
 };
 
-/// A fine cell's value from the coarser level, as emit(coarse cell number, weight): its parent's, or trilinear between
+/// A fine cell's value from the coarser level, as emit(coarse cell, weight): its parent's, or trilinear between
 /// the parent and the neighbour on the cell's side along each refined axis. A cell behind a wall, neighbour
 /// or parent, is `wall(cell before it, axis, side)` times that before it. `seam_width`: of the coarser level's last
 /// cells along periodic axes.
 template <class Wall, class Emit>
-void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Level const& coarser,
-             ArrayOnBox<GlobalIndex> const& number, Real3 const& seam_width, Wall&& wall, Emit&& emit) {
+void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Level const& coarser, Real3 const& seam_width,
+             Wall&& wall, Emit&& emit) {
   Trilinear at{Box{cell, cell}.coarsen(ratio).lower};
   for (int d = 0; d < 3; ++d) {
     if (ratio[d] == 1) continue;
@@ -56,23 +56,21 @@ void prolong(Index3 const& cell, Index3 const& ratio, Prolongation kind, Level c
     else
       at.interpolate(cell, d, coarser, seam_width[d]);
   }
-  at.for_each([&](Index3 const& source, Real weight) { emit(number(source), weight); });
+  at.for_each(emit);
 }
 
-/// A cell's value as the mean of its children, those that exist: emit(fine cell number, weight). `last`: what the finer
-/// level's last cells weigh.
+/// A cell's value as the mean of its children, those that exist: emit(fine cell, weight). `places`: of the finer
+/// level's cells. `last`: what that level's last cells weigh.
 template <class Emit>
-void restrict_mean(Index3 const& cell, Index3 const& ratio, Level const& fine, std::array<LastChildren, 3> const& last,
-                   Emit&& emit) {
-  Box const children = Box{cell, cell}.refine(ratio);
-  auto const number = cell_numbers(fine, children);
+void restrict_mean(Index3 const& cell, Index3 const& ratio, Level const& fine, ArrayOnBox<LocalIndex> const& places,
+                   std::array<LastChildren, 3> const& last, Emit&& emit) {
   Index3 const end = fine.domain().upper;
-  for_each_cell(children, [&](Index3 const& child) {
-    if (!fine.domain().contains(child) || number(child) == no_cell) return;
+  for_each_cell(Box{cell, cell}.refine(ratio), [&](Index3 const& child) {
+    if (!fine.domain().contains(child) || places(child) == no_place) return;
     Real weight = mean_weight(ratio);
     for (int d = 0; d < 3; ++d)
       weight *= child[d] == end[d] ? last[d].last : child[d] + 1 == end[d] ? last[d].before : 1;
-    emit(number(child), weight);
+    emit(child, weight);
   });
 }
 

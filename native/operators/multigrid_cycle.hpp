@@ -2,7 +2,7 @@
 
 #include <functional>
 
-#include "operators/operators.hpp"
+#include "operators/multigrid_levels.hpp"
 
 namespace amrpic {
 

@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "mesh/box_set.hpp"
+#include "operators/open_walls.hpp"
 
 namespace amrpic {
 
@@ -138,6 +139,23 @@ void put_below(MultigridLevels& multigrid, Domain const& domain, Index3 const& r
 }
 
 }  // namespace
+
+MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
+  MultigridLevels multigrid;
+  multigrid.shift = shift;
+  multigrid.boundary = hierarchy.domain().boundary;
+  for (int l = 0; l < hierarchy.level_count(); ++l) {
+    multigrid.levels.push_back(hierarchy.share_level(l));
+    multigrid.faces.push_back(hierarchy.share_faces(l));
+    multigrid.ratio.push_back(refinement_ratio);
+    multigrid.upper.emplace_back();
+    Real3 const h = hierarchy.level(l).spacing();
+    WallGhosts& walls = multigrid.walls.emplace_back();
+    for (int d = 0; d < 3; ++d)
+      for (int side = 0; side < 2; ++side) walls[d][side] = wall_ghost(multigrid.boundary[d][side], h[d]);
+  }
+  return multigrid;
+}
 
 DistributedBoxes halved(Level const& finer, Index3 const& ratio, Box const& domain) {
   DistributedBoxes out;

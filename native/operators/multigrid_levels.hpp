@@ -1,9 +1,49 @@
 #pragma once
 
-#include "operators/open_walls.hpp"
-#include "operators/operators.hpp"
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "mesh/hierarchy.hpp"
+#include "operators/stencil_cells.hpp"
+#include "stencil/boundary.hpp"
+#include "stencil/equation.hpp"
+#include "stencil/intergrid.hpp"
+#include "stencil/odd_extents.hpp"
 
 namespace amrpic {
+
+class OpenWalls;
+
+/// Levels for which operators are made, coarse to fine: up to and including the base each covers the domain; then come
+/// the refinement levels.
+struct MultigridLevels {
+  std::vector<std::shared_ptr<Level const>> levels;
+  std::vector<std::shared_ptr<LevelFaces const>> faces;  ///< [l], of the base and finer levels; null on coarser ones
+  std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
+  std::vector<WallGhosts> walls;
+  std::vector<std::array<UpperEnd, 3>> upper;  ///< [l][axis]
+  std::array<std::array<Boundary, 2>, 3> boundary;
+  std::size_t base = 0;  ///< the base level's place
+  Real shift = 0;        ///< kappa^2 of the screened equation, in 1/m^2
+
+  Equation equation(std::size_t l) const { return equation_on(levels[l]->spacing(), shift); }
+
+  bool refines(std::size_t l) const { return l > base && l < levels.size(); }
+  /// The levels that l refines and that refine it.
+  LevelsBeside beside(std::size_t l) const {
+    auto const finer = [&](std::size_t f) { return refines(f) ? levels[f].get() : nullptr; };
+    return {refines(l) ? levels[l - 1].get() : nullptr, finer(l + 1), finer(l + 2)};
+  }
+  /// Whether the next coarser level may be of like size: a coarser one than a refinement level, or than a level with
+  /// half its cells along one axis alone. An F-cycle over such levels costs more than it saves.
+  bool halves_at_most(std::size_t l) const {
+    return refines(l) || (l > 0 && ratio[l][0] * ratio[l][1] * ratio[l][2] == 2);
+  }
+};
+
+/// The base and the refinement levels; `coarsen_below` adds coarser ones.
+MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift);
 
 /// How multigrid levels are distributed over ranks.
 struct CoarseBoxes {

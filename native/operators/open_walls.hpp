@@ -1,6 +1,6 @@
 #pragma once
 
-#include "operators/operators.hpp"
+#include "operators/multigrid_levels.hpp"
 
 namespace amrpic {
 

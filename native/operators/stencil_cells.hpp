@@ -42,8 +42,8 @@ struct StencilCells {
     }
     return *around_gaps_;
   }
-  /// The numbers of the level's cells as far as any row so far reads them.
-  ArrayOnBox<GlobalIndex> const& own_numbers() const { return around_gaps_ ? around_gaps_->own : own; }
+  /// Where the cells of the level lie that rows read so far.
+  Box const& own_box() const { return around_gaps_ ? around_gaps_->own.box() : own.box(); }
 
   mutable std::shared_ptr<CellsAroundGaps const> around_gaps_ = nullptr;
 };

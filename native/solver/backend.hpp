@@ -8,13 +8,14 @@
 #include "matrixfree/fourth_order_field.hpp"
 #include "mesh/electric_field.hpp"
 #include "mesh/field.hpp"
-#include "operators/operators.hpp"
 #include "operators/walls.hpp"
 #include "solver/options.hpp"
 #include "solver/stopwatch.hpp"
 #include "stencil/background.hpp"
 
 namespace amrpic {
+
+struct LevelOperators;
 
 /// An integral over all uncovered cells, and that of the magnitudes of its terms, before they cancel.
 struct Integral {

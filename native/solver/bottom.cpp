@@ -15,7 +15,6 @@
 #include "base/communicator.hpp"
 #include "base/error.hpp"
 #include "base/runtime.hpp"
-#include "operators/tpetra.hpp"
 
 namespace amrpic {
 
@@ -39,13 +38,11 @@ std::vector<LocalIndex> order_of_domain(Level const& level) {
 }
 
 /// The whole matrix of a level in the order of the domain, the same on all ranks; the diagonal comes first in each row.
-Crs gather(Communicator const& comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
-  Crs const& local = operators.no_fine;
-  GlobalIndex const first = operators.level->first_local_cell();
-  auto const halo = operators.halo.numbers();
+HostRows gather(Communicator const& comm, LevelOperators const& operators, std::vector<LocalIndex> const& place) {
+  HostRows const local = host_rows(*operators.no_fine.matrix());
+  auto const numbers = operators.cells->numbers();
   std::vector<LocalIndex> columns, lengths;
-  for (LocalIndex c : local.column)
-    columns.push_back(LocalIndex(c < local.rows() ? first + c : halo[std::size_t(c - local.rows())]));
+  for (LocalIndex c : local.column) columns.push_back(LocalIndex(numbers[std::size_t(c)]));
   for (LocalIndex r = 0; r < local.rows(); ++r)
     lengths.push_back(LocalIndex(local.row_start[r + 1] - local.row_start[r]));
   auto const column = comm.gather(columns).values;
@@ -53,7 +50,7 @@ Crs gather(Communicator const& comm, LevelOperators const& operators, std::vecto
   auto const length = comm.gather(lengths).values;
 
   std::vector<std::size_t> start(place.size());  // of each row of the domain's order, in the gathered arrays
-  Crs whole;
+  HostRows whole;
   whole.row_start.resize(place.size() + 1, 0);
   std::size_t at = 0;
   for (std::size_t cell = 0; cell < place.size(); ++cell) {
@@ -88,7 +85,7 @@ std::vector<Real> volumes_of(LevelOperators const& operators) {
 /// first diagonal entry, which is negative as all are: positive definite, of order one in any units. A singular one
 /// gets its first diagonal entry doubled: for a right-hand side without net charge this picks the solution that
 /// vanishes there.
-Real normalise(Crs& matrix, std::vector<Real> const& volume, bool singular) {
+Real normalise(HostRows& matrix, std::vector<Real> const& volume, bool singular) {
   for (LocalIndex row = 0; row < matrix.rows(); ++row)
     for (std::size_t k = matrix.row_start[row]; k < matrix.row_start[row + 1]; ++k)
       matrix.value[k] *= volume[std::size_t(row)];
@@ -98,7 +95,7 @@ Real normalise(Crs& matrix, std::vector<Real> const& volume, bool singular) {
   return scale;
 }
 
-bool symmetric(Crs const& matrix) {
+bool symmetric(HostRows const& matrix) {
   auto const entry = [&](LocalIndex row, LocalIndex column) {
     Real sum = 0;
     for (std::size_t k = matrix.row_start[row]; k < matrix.row_start[row + 1]; ++k)
@@ -112,7 +109,7 @@ bool symmetric(Crs const& matrix) {
 }
 
 /// The refusal of a matrix that the chosen method cannot solve; all ranks give the same one.
-void require_fit(Crs const& matrix, SolverOptions const& options) {
+void require_fit(HostRows const& matrix, SolverOptions const& options) {
   std::string const cells = std::to_string(matrix.rows());
   if (options.bottom == BottomKind::cg && !symmetric(matrix))
     throw SolverError(
@@ -143,11 +140,11 @@ struct Bottom::GatheredProblem {
     x = Teuchos::null, b = Teuchos::null, matrix = Teuchos::null;
   }};
 
-  GatheredProblem(Crs const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
+  GatheredProblem(HostRows const& whole, Real scale, Index3 const& cells, SolverOptions const& options)
       : rows(whole.rows()), scale(scale) {
     auto const self = Teuchos::rcp(new Teuchos::MpiComm<int>(MPI_COMM_SELF));
     auto const map = Teuchos::rcp(new TpetraTypes::Map(Tpetra::global_size_t(rows), 0, self));
-    matrix = tpetra_matrix(whole, map, map, map, map);
+    matrix = tpetra_matrix(whole, map, map);
     x = Teuchos::rcp(new MultiVector(map, 1));
     b = Teuchos::rcp(new MultiVector(map, 1));
     if (options.bottom == BottomKind::direct) {
@@ -207,15 +204,13 @@ struct Bottom::GatheredProblem {
     }
   }
 
-  bool has(Crs const& other) const {
-    auto const mine = matrix->getLocalMatrixHost();
-    return std::equal(other.row_start.begin(), other.row_start.end(), mine.graph.row_map.data()) &&
-           std::equal(other.column.begin(), other.column.end(), mine.graph.entries.data()) &&
-           std::equal(other.value.begin(), other.value.end(), mine.values.data());
+  bool has(HostRows const& other) const {
+    HostRows const mine = host_rows(*matrix);
+    return other.row_start == mine.row_start && other.column == mine.column && other.value == mine.value;
   }
 
-  void solve(std::vector<Real> const& right_hand_side, std::vector<Real>& solution) {
-    copy_in(right_hand_side, *b);
+  /// x for b.
+  void solve() {
     x->putScalar(0);
     if (!factors.is_null()) {
       factors->solve();
@@ -227,9 +222,53 @@ struct Bottom::GatheredProblem {
       } catch (Belos::BelosError const&) {  // such as CG's, when it hits on the exact solution and finds nothing left
       }
     }
-    copy_out(*x, solution);
   }
 };
+
+namespace {
+
+using Space = TpetraTypes::Space;
+
+/// Put gathered values times the volumes of their cells in the order of the domain; returns the largest magnitude.
+Real put_in_order(DeviceArray<LocalIndex> const& place, DeviceArray<Real> const& volume,
+                  DeviceArray<Real> const& gathered, DeviceArray<Real> const& f) {
+  Real largest = 0;
+  Kokkos::parallel_reduce(
+      "order of the domain", Kokkos::RangePolicy<Space>(0, LocalIndex(place.extent(0))),
+      KOKKOS_LAMBDA(LocalIndex cell, Real & most) {
+        LocalIndex const row = place(cell);
+        f(row) = volume(row) * gathered(cell);
+        Real const size = f(row) < 0 ? -f(row) : f(row);
+        if (size > most) most = size;
+      },
+      Kokkos::Max<Real>(largest));
+  return largest;
+}
+
+Real mean_of(DeviceArray<Real> const& values) {
+  Real sum = 0;
+  Kokkos::parallel_reduce(
+      "mean", Kokkos::RangePolicy<Space>(0, LocalIndex(values.extent(0))),
+      KOKKOS_LAMBDA(LocalIndex n, Real & part) { part += values(n); }, sum);
+  return sum / Real(values.extent(0));
+}
+
+/// values = (values - less) / over.
+void shift_and_divide(DeviceArray<Real> const& values, Real less, Real over) {
+  Kokkos::parallel_for(
+      "shift and divide", Kokkos::RangePolicy<Space>(0, LocalIndex(values.extent(0))),
+      KOKKOS_LAMBDA(LocalIndex n) { values(n) = (values(n) - less) / over; });
+}
+
+/// own = factor (whole - less), for the cells from number `first` on.
+void take_own(DeviceArray<LocalIndex> const& place, LocalIndex first, DeviceArray<Real> const& whole, Real less,
+              Real factor, DeviceArray<Real> const& own) {
+  Kokkos::parallel_for(
+      "own cells", Kokkos::RangePolicy<Space>(0, LocalIndex(own.extent(0))),
+      KOKKOS_LAMBDA(LocalIndex row) { own(row) = (whole(place(first + row)) - less) * factor; });
+}
+
+}  // namespace
 
 Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool singular, SolverOptions const& options)
     : comm_(comm),
@@ -246,11 +285,10 @@ Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool s
     counts_.push_back(int(operators.level->first_cell(r + 1) - operators.level->first_cell(r)));
   }
   place_ = order_of_domain(*operators.level);
-  gathered_.resize(std::size_t(total_));
-  whole_right_hand_side_.resize(std::size_t(total_));
-  whole_correction_.resize(std::size_t(total_));
-  Crs whole = gather(comm, operators, place_);
+  HostRows whole = gather(comm, operators, place_);
   volume_ = volumes_of(operators);
+  on_device_ = UntilFinalize<OnDevice>(
+      {on_device(place_), on_device(volume_), DeviceArray<Real>("gathered", std::size_t(total_))});
   Real const scale = normalise(whole, volume_, singular);
   require_fit(whole, options);
   Box const& domain = operators.level->domain();
@@ -264,36 +302,34 @@ bool Bottom::serves(LevelOperators const& operators) const {
   for (int r = 0; r < int(counts_.size()); ++r)
     if (operators.level->first_cell(r) != starts_[r]) return false;
   if (operators.level->cells() != total_ || order_of_domain(*operators.level) != place_) return false;
-  Crs whole = gather(comm_, operators, place_);
+  HostRows whole = gather(comm_, operators, place_);
   Real const scale = normalise(whole, volumes_of(operators), singular_);
   return scale == problem_->scale && problem_->has(whole);
 }
 
-void Bottom::solve(std::vector<Real> const& right_hand_side, std::vector<Real>& correction) {
-  comm_.gather_into(right_hand_side.data(), counts_, starts_, gathered_.data());
-  auto& f = whole_right_hand_side_;
-  for (std::size_t cell = 0; cell < place_.size(); ++cell) {
-    std::size_t const row = std::size_t(place_[cell]);
-    f[row] = volume_[row] * gathered_[cell];
+/// MPI takes host memory, which the device's is where both are one.
+void Bottom::gather_right_hand_side(LevelVector const& right_hand_side) const {
+  auto const all = Kokkos::create_mirror_view(on_device_->gathered);
+  auto const own = right_hand_side.own().getLocalViewHost(Tpetra::Access::ReadOnly);
+  comm_.gather_into(own.data(), counts_, starts_, all.data());
+  Kokkos::deep_copy(on_device_->gathered, all);
+}
+
+void Bottom::solve(LevelVector const& right_hand_side, LevelVector& correction) {
+  gather_right_hand_side(right_hand_side);
+  auto const& [place, volume, gathered] = *on_device_;
+  Real size = 0;
+  {
+    auto const f = column_of(*problem_->b);
+    size = put_in_order(place, volume, gathered, f);
+    if (size == 0) return correction.set_zero();
+    shift_and_divide(f, 0, size);  // of order one, so that no library threshold meets the units
+    if (singular_) shift_and_divide(f, mean_of(f), 1);
   }
-  Real const size =
-      std::abs(*std::max_element(f.begin(), f.end(), [](Real a, Real b) { return std::abs(a) < std::abs(b); }));
-  if (size == 0) {
-    std::fill(correction.begin(), correction.end(), 0.0);
-    return;
-  }
-  // of order one, so that no library threshold meets the units
-  for (Real& v : f) v /= size;
-  if (singular_) {
-    Real const mean = std::accumulate(f.begin(), f.end(), 0.0) / Real(total_);
-    for (Real& v : f) v -= mean;
-  }
-  problem_->solve(f, whole_correction_);
-  Real const mean =
-      singular_ ? std::accumulate(whole_correction_.begin(), whole_correction_.end(), 0.0) / Real(total_) : 0.0;
-  for (LocalIndex row = 0; row < rows_; ++row)
-    correction[row] =
-        (whole_correction_[std::size_t(place_[std::size_t(first_ + row)])] - mean) * size * problem_->scale;
+  problem_->solve();
+  auto const x = column_of(*problem_->x);
+  take_own(place, LocalIndex(first_), x, singular_ ? mean_of(x) : 0.0, size * problem_->scale,
+           column_of(correction.own()));
 }
 
 }  // namespace amrpic

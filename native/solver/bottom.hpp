@@ -21,7 +21,7 @@ class Bottom {
   ~Bottom();
 
   /// Solve no_fine correction = right_hand_side for this rank's cells. Collective.
-  void solve(std::vector<Real> const& right_hand_side, std::vector<Real>& correction);
+  void solve(LevelVector const& right_hand_side, LevelVector& correction);
 
   /// Whether this is what would be set up for another level, which has the same cells: one whose matrix, owners
   /// included, is equal. Collective.
@@ -29,14 +29,19 @@ class Bottom {
 
  private:
   struct GatheredProblem;
+  struct OnDevice {
+    DeviceArray<LocalIndex> place;
+    DeviceArray<Real> volume, gathered;
+  };
+  void gather_right_hand_side(LevelVector const& right_hand_side) const;
   Communicator comm_;
   bool singular_;
   LocalIndex rows_;  ///< of this rank
   GlobalIndex first_, total_;
-  std::vector<int> counts_, starts_;  ///< rows per rank
-  std::vector<LocalIndex> place_;     ///< in the order of the domain, of each cell
-  std::vector<Real> volume_;          ///< of each cell in the order of the domain, over that of ordinary ones
-  std::vector<Real> gathered_, whole_right_hand_side_, whole_correction_;
+  std::vector<int> counts_, starts_;   ///< rows per rank
+  std::vector<LocalIndex> place_;      ///< in the order of the domain, of each cell
+  std::vector<Real> volume_;           ///< of each cell in the order of the domain, over that of ordinary ones
+  UntilFinalize<OnDevice> on_device_;  ///< copies of these, and room for a gathered right-hand side
   std::unique_ptr<GatheredProblem> problem_;
 };
 

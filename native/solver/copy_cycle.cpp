@@ -1,7 +1,5 @@
 #include "solver/copy_cycle.hpp"
 
-#include "base/for_rows.hpp"
-
 namespace amrpic {
 
 namespace {
@@ -18,13 +16,13 @@ class WithCopies : public Smoother {
   WithCopies(Communicator const& comm, LevelOperators const& operators, std::vector<LevelCopy> const& copies,
              SolverOptions const& options, Sweeps const& on_copies)
       : beside_(make_smoother(
-            comm, operators, true,
+            operators, true,
             with_sweeps(options, {beside_local_cycle(options.pre_sweeps), beside_local_cycle(options.post_sweeps)}))),
-        last_(make_smoother(comm, operators, true, with_sweeps(options, {0, on_copies.after}))),
+        last_(make_smoother(operators, true, with_sweeps(options, {0, on_copies.after}))),
         copies_(comm, operators, copies.data(), copies.size(), with_sweeps(options, on_copies)) {}
 
-  void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override { beside_->smooth_from_zero(f, x); }
-  void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) override {
+  void smooth_from_zero(LevelVector const& f, LevelVector& x) override { beside_->smooth_from_zero(f, x); }
+  void smooth(Side side, LevelVector const& f, LevelVector& x) override {
     beside_->smooth(side, f, x);
     copies_.correct(f, x);
     last_->smooth(Side::after, f, x);
@@ -41,39 +39,37 @@ class WithCopies : public Smoother {
 CopyCycle::CopyCycle(Communicator const& comm, LevelOperators const& above, LevelCopy const* copies, std::size_t count,
                      SolverOptions const& options)
     : above_(above),
-      copy_(copy_operators(comm, *above.level, *copies, shift_of(options))),
-      smoother_(make_smoother(comm, copy_.level, true, options)),
-      residual_(std::size_t(above.rows()) + std::size_t(copy_.above.size())),
-      f_(std::size_t(copy_.level.rows())),
-      x_(f_.size() + std::size_t(copy_.level.halo.size())),
-      values_(f_.size() + std::size_t(copy_.own.size())) {
-  if (count > 1) next_ = std::make_unique<CopyCycle>(comm, copy_.level, copies + 1, count - 1, options);
+      copy_(copy_operators(comm, above.level, *copies, shift_of(options))),
+      smoother_(make_smoother(*copy_.level, true, options)),
+      residual_(copy_.above),
+      f_(copy_.level->cells),
+      x_(copy_.level->cells) {
+  if (count > 1) next_ = std::make_unique<CopyCycle>(comm, *copy_.level, copies + 1, count - 1, options);
 }
 
-void CopyCycle::correct(std::vector<Real> const& f, std::vector<Real>& x) {
-  above_.stencil_halo.update(x.data());
-  for_rows(above_.rows(), [&](LocalIndex row) { residual_[row] = f[row] - above_.no_fine.dot(row, x.data()); });
-  copy_.above.update(residual_.data());
-  multiply(copy_.restriction, residual_.data(), f_.data());
+void CopyCycle::correct(LevelVector const& f, LevelVector& x) {
+  x.update_swept_halo();
+  above_.no_fine.subtract(f, x, residual_);
+  residual_.update_halo();
+  copy_.restriction.multiply(residual_, f_);
   smoother_->smooth_from_zero(f_, x_);
   if (next_) {
     next_->correct(f_, x_);
     smoother_->smooth(Side::after, f_, x_);
   }
-  std::copy_n(x_.begin(), f_.size(), values_.begin());
-  copy_.own.update(values_.data());
-  add_multiply(1.0, copy_.prolongation, values_.data(), x.data());
+  x_.update_halo();
+  copy_.prolongation.add(1, x_, x);
 }
 
 std::vector<LevelOperators const*> CopyCycle::levels() const {
   auto out = next_ ? next_->levels() : std::vector<LevelOperators const*>{};
-  out.push_back(&copy_.level);
+  out.push_back(copy_.level.get());
   return out;
 }
 
 std::unique_ptr<Smoother> make_refined_smoother(Communicator const& comm, LevelOperators const& operators,
                                                 std::vector<LevelCopy> const& copies, SolverOptions const& options) {
-  if (copies.empty()) return make_smoother(comm, operators, true, options);
+  if (copies.empty()) return make_smoother(operators, true, options);
   return std::make_unique<WithCopies>(comm, operators, copies, options,
                                       sweeps_of_copies({options.pre_sweeps, options.post_sweeps}));
 }

@@ -18,7 +18,7 @@ class CopyCycle {
             SolverOptions const& options);
 
   /// Add to x what is found for f - no_fine x. Collective.
-  void correct(std::vector<Real> const& f, std::vector<Real>& x);
+  void correct(LevelVector const& f, LevelVector& x);
 
   /// Operators of the copies, coarsest first.
   std::vector<LevelOperators const*> levels() const;
@@ -28,7 +28,7 @@ class CopyCycle {
   CopyOperators copy_;
   std::unique_ptr<Smoother> smoother_;
   std::unique_ptr<CopyCycle> next_;
-  std::vector<Real> residual_, f_, x_, values_;
+  LevelVector residual_, f_, x_;
 };
 
 /// The smoother of a refinement level: the one that the options name, and a cycle over the level's copies where it has

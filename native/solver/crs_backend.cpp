@@ -2,14 +2,79 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <utility>
 
-#include "base/for_rows.hpp"
-#include "operators/multigrid_levels.hpp"
 #include "solver/behind_gaps.hpp"
 
 namespace amrpic {
+
+namespace {
+
+using Space = TpetraTypes::Space;
+using Rows = Kokkos::RangePolicy<Space>;
+
+Rows rows_of(DeviceArray<char> const& mask) { return Rows(0, LocalIndex(mask.extent(0))); }
+
+/// The largest magnitude where the mask is set, as `Largest` finds it.
+Real largest_of(DeviceArray<char> const& mask, DeviceArray<Real const> const& x) {
+  std::int64_t bits = 0;
+  Kokkos::parallel_reduce(
+      "largest", rows_of(mask),
+      KOKKOS_LAMBDA(LocalIndex row, std::int64_t & most) {
+        std::int64_t of_row;
+        std::memcpy(&of_row, &x(row), sizeof of_row);
+        of_row &= std::numeric_limits<std::int64_t>::max();
+        if (mask(row) && of_row > most) most = of_row;
+      },
+      Kokkos::Max<std::int64_t>(bits));
+  Real out;
+  std::memcpy(&out, &bits, sizeof out);
+  return out;
+}
+
+/// The sum of the magnitudes of factor times each value where the mask is set, or of their squares.
+Real sum_of(DeviceArray<char> const& mask, DeviceArray<Real const> const& x, Real factor, bool squares) {
+  Real out = 0;
+  Kokkos::parallel_reduce(
+      "sum", rows_of(mask),
+      KOKKOS_LAMBDA(LocalIndex row, Real & sum) {
+        Real const v = factor * x(row);
+        if (mask(row)) sum += squares ? v * v : v < 0 ? -v : v;
+      },
+      out);
+  return out;
+}
+
+/// Of values that are zero in covered cells, over own cells.
+Real product(LevelVector const& x, LevelVector const& y) {
+  auto const a = x.values(), b = y.values();
+  Real out = 0;
+  Kokkos::parallel_reduce(
+      "product", Rows(0, x.cells().rows()), KOKKOS_LAMBDA(LocalIndex row, Real & sum) { sum += a(row) * b(row); }, out);
+  return out;
+}
+
+/// out = diagonal of A times x.
+void multiply_by_diagonal(TpetraTypes::LocalMatrix const& a, DeviceArray<Real const> const& x,
+                          DeviceArray<Real> const& out) {
+  Kokkos::parallel_for(
+      "diagonal", Rows(0, a.numRows()),
+      KOKKOS_LAMBDA(LocalIndex row) { out(row) = a.values(a.graph.row_map(row)) * x(row); });
+}
+
+/// out += factor x / diagonal of A in some rows. The diagonal comes first in each row.
+void add_over_diagonal(DeviceArray<std::size_t> const& rows, TpetraTypes::LocalMatrix const& a, Real factor,
+                       DeviceArray<Real const> const& x, DeviceArray<Real> const& out) {
+  Kokkos::parallel_for(
+      "over diagonal", Rows(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
+        std::size_t const row = rows(n);
+        out(row) += factor * x(row) / a.values(a.graph.row_map(row));
+      });
+}
+
+}  // namespace
 
 CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
     : problem_(problem),
@@ -22,8 +87,8 @@ CrsBackend::CrsBackend(Problem const& problem, Reusable& reusable)
       multigrid_(hierarchy_->comm(), multigrid_levels_, operators_, bottom(reusable), hierarchy_->max_grid_size(),
                  options_),
       krylov_(make_krylov(options_.krylov, equations())) {
-  for (int l = 0; l < hierarchy_->level_count(); ++l) right_hand_side_.emplace_back(std::size_t(operators(l).rows()));
   phi_ = zero();
+  right_hand_side_ = zero();
 }
 
 /// The operators; those that can be are taken over.
@@ -47,24 +112,22 @@ std::shared_ptr<Bottom> CrsBackend::bottom(Reusable& reusable) {
   return reusable.bottom;
 }
 
-/// Zeros on all levels, with room for the halo.
 CompositeVector CrsBackend::zero() const {
   CompositeVector out;
-  for (int l = 0; l < hierarchy_->level_count(); ++l)
-    out.emplace_back(std::size_t(operators(l).rows()) + std::size_t(operators(l).halo.size()));
+  for (int l = 0; l < hierarchy_->level_count(); ++l) out.emplace_back(operators(l).cells);
   return out;
 }
 
-/// A norm over uncovered cells of the whole hierarchy of value(level, row); nan if one is not finite.
-template <class Value>
-Real CrsBackend::norm(Norm norm, Value&& value) const {
+/// A norm over uncovered cells of the whole hierarchy of vector_of(level); nan if a value is not finite.
+Real CrsBackend::norm(Norm norm, std::function<LevelVector const&(int)> const& vector_of) const {
   Magnitude magnitude(norm);
-  std::vector<Real> values;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    values.clear();
-    for_each_uncovered(l, [&](LocalIndex row) { values.push_back(value(l, row)); });
-    Real const volume = problem_.given->level(l).cell_volume();  // as it is, for the absolute tolerance
-    magnitude.add(values.data(), std::ptrdiff_t(values.size()), volume);
+    auto const& mask = *operators(l).mask;
+    LevelVector const& vector = vector_of(l);
+    auto const values = vector.values();
+    magnitude.add_by([&] { return largest_of(mask, values); },
+                     [&](Real factor) { return sum_of(mask, values, factor, magnitude.sums_squares()); },
+                     problem_.given->level(l).cell_volume());  // as it is, for the absolute tolerance
   }
   return magnitude.over(hierarchy_->comm());
 }
@@ -72,20 +135,18 @@ Real CrsBackend::norm(Norm norm, Value&& value) const {
 Integral CrsBackend::integrate_right_hand_side() {
   std::array<Real, 2> sums{};
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    LevelOperators const& o = operators(l);
     auto const& rho = rho_->level(l);
-    std::vector<Real> sizes(rho.size());
-    for_rows(operators(l).rows(), [&](LocalIndex row) {
-      sizes[row] = Background::inverse_permittivity * std::abs(rho[row]) + std::abs(background_.mean);
-    });
-    Walls const& walls = problem_.walls[l];
-    std::vector<Real> of_walls(rho.size());
-    subtract_from_laplacian(walls, operators(l).walls,
-                            multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)), of_walls);
+    std::vector<Real> f(rho.size()), of_walls(rho.size());
+    copy_out(right_hand_side_[std::size_t(l)].own(), f);
+    subtract_from_laplacian(problem_.walls[l], o.walls, equation(l), of_walls);
     Real net = 0, size = 0;
-    for_each_uncovered(l, [&](LocalIndex row) {
-      net += right_hand_side_[l][row];
-      size += sizes[row] + std::abs(of_walls[row]);
-    });
+    for (LocalIndex row = 0; row < o.rows(); ++row) {
+      if (!o.uncovered[row]) continue;
+      net += f[row];
+      size +=
+          Background::inverse_permittivity * std::abs(rho[row]) + std::abs(background_.mean) + std::abs(of_walls[row]);
+    }
     sums[0] += hierarchy_->level(l).cell_volume() * net;
     sums[1] += hierarchy_->level(l).cell_volume() * size;
   }
@@ -101,128 +162,128 @@ void CrsBackend::set_right_hand_side(Field const& rho) {
 void CrsBackend::take_away(Background const& background) {
   background_ = background;
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    auto& f = right_hand_side_[l];
+    LevelOperators const& o = operators(l);
     auto const& density = rho_->level(l);
-    for_rows(operators(l).rows(), [&](LocalIndex row) { f[row] = background.right_hand_side(density[row]); });
-    subtract_from_laplacian(problem_.walls[l], operators(l).walls,
-                            multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)), f);
+    std::vector<Real> f(density.size());
+    std::transform(density.begin(), density.end(), f.begin(), [&](Real v) { return background.right_hand_side(v); });
+    subtract_from_laplacian(problem_.walls[l], o.walls, equation(l), f);
+    for (LocalIndex row = 0; row < o.rows(); ++row)
+      if (!o.uncovered[row]) f[row] = 0;
+    copy_in(f, right_hand_side_[std::size_t(l)].own());
   }
 }
 
 /// From here on the vectors are of the order of one, whose squares a Krylov method may sum up.
 Real CrsBackend::largest_right_hand_side() {
-  Real const largest = norm(Norm::max, [&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
+  Real const largest = norm(
+      Norm::max, [&](int l) -> auto const& { return right_hand_side_[std::size_t(l)]; });
   unit_ = std::isnormal(largest) ? std::ldexp(1.0, std::ilogb(largest)) : 1;
-  for (auto& level : right_hand_side_)
-    for (Real& f : level) f /= unit_;
+  for (LevelVector& level : right_hand_side_) level.own().scale(1 / unit_);
   return largest;
 }
 
 Real CrsBackend::right_hand_side_norm() {
-  return unit_ * norm(options_.norm, [&](int l, LocalIndex row) { return right_hand_side_[l][row]; });
+  return unit_ * norm(
+                     options_.norm, [&](int l) -> auto const& { return right_hand_side_[std::size_t(l)]; });
 }
 
 Real CrsBackend::largest_phi_term() {
-  return unit_ * norm(options_.norm, [&](int l, LocalIndex row) {
-           Real const diagonal = operators(l).no_fine.value[operators(l).no_fine.row_start[row]];
-           return diagonal * phi_[l][row];
-         });
+  CompositeVector terms = zero();
+  for (int l = 0; l < hierarchy_->level_count(); ++l)
+    multiply_by_diagonal(operators(l).no_fine.matrix()->getLocalMatrixDevice(),
+                         std::as_const(phi_[std::size_t(l)]).values(), terms[std::size_t(l)].values());
+  return unit_ * norm(
+                     options_.norm, [&](int l) -> auto const& { return terms[std::size_t(l)]; });
 }
 
 void CrsBackend::start(Field& phi, bool /*is_zero*/) {
   result_ = &phi;
-  for (int l = 0; l < hierarchy_->level_count(); ++l)
-    std::transform(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin(), [&](Real v) { return v / unit_; });
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    auto& own = phi_[std::size_t(l)].own();
+    copy_in(phi.level(l), own);
+    own.scale(1 / unit_);
+  }
   krylov_ = make_krylov(options_.krylov, equations());
   if (krylov_) find_cells_behind_gaps();
 }
 
 void CrsBackend::finish() {
   average_down(phi_);
-  for (int l = 0; l < hierarchy_->level_count(); ++l)
-    std::transform(phi_[l].begin(), phi_[l].begin() + operators(l).rows(), result_->level(l).begin(),
-                   [&](Real v) { return unit_ * v; });
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    auto& own = phi_[std::size_t(l)].own();
+    own.scale(unit_);
+    copy_out(own, result_->level(l));
+  }
 }
 
 /// Covered cells become the mean of their children, and the halo follows: the second cell behind a wall or a
 /// coarse-fine face may be a covered one.
 void CrsBackend::average_down(CompositeVector& x) const {
   for (int l = hierarchy_->level_count() - 1; l >= 0; --l) {
-    if (hierarchy_->has_finer(l)) {
-      Crs const& restriction = operators(l).restriction;
-      restriction.for_each_row([&](LocalIndex row) {
-        if (!operators(l).uncovered[row]) x[l][row] = restriction.dot(row, x[l + 1].data());
-      });
-    }
-    operators(l).halo.update(x[l].data());
+    LevelVector& level = x[std::size_t(l)];
+    if (hierarchy_->has_finer(l)) operators(l).restriction.set_rows(x[std::size_t(l) + 1], level);
+    level.update_halo();
   }
 }
 
-/// f - A x in the uncovered cells of a level, zero in the others; x is averaged down.
-template <class F>
-void CrsBackend::subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const {
+/// Add scale A x to values of a level, in its uncovered cells; x is averaged down.
+void CrsBackend::multiply(CompositeVector const& x, int l, Real scale, LevelVector& out) const {
   LevelOperators const& o = operators(l);
-  Real const* const own = x[l].data();
-  for_rows(o.rows(),
-           [&, own](LocalIndex row) { out[row] = o.uncovered[row] ? f(row) - o.composite().dot(row, own) : 0.0; });
-  if (l > 0) add_multiply(-1.0, o.coarse_boundary, x[l - 1].data(), out.data());
-  if (hierarchy_->has_finer(l)) add_multiply(-1.0, o.fine_boundary, x[l + 1].data(), out.data());
+  std::size_t const level = std::size_t(l);
+  o.composite().add(scale, x[level], out);
+  if (l > 0) o.coarse_boundary.add(scale, x[level - 1], out);
+  if (hierarchy_->has_finer(l)) o.fine_boundary.add(scale, x[level + 1], out);
 }
 
-/// Composite residual of the uncovered cells, into the right-hand sides of the cycle.
+/// Composite residual of the uncovered cells, into the right-hand sides of the cycle; zero in covered ones.
 void CrsBackend::compute_residual() {
   average_down(phi_);
-  for (int l = 0; l < hierarchy_->level_count(); ++l)
-    subtract(
-        l, [&](LocalIndex row) { return right_hand_side_[l][row]; }, phi_, cycle_level(l).right_hand_side());
+  for (int l = 0; l < hierarchy_->level_count(); ++l) {
+    LevelVector& out = cycle_level(l).right_hand_side();
+    out.assign(right_hand_side_[std::size_t(l)]);
+    multiply(phi_, l, -1, out);
+  }
 }
 
 Real CrsBackend::residual() {
   stopwatch_.time("residual", [&] { compute_residual(); });
-  return unit_ * norm(options_.norm, [&](int l, LocalIndex row) { return cycle_level(l).right_hand_side()[row]; });
+  return unit_ * norm(
+                     options_.norm, [&](int l) -> auto const& { return cycle_level(l).right_hand_side(); });
 }
 
 CompositeEquations CrsBackend::equations() {
-  auto multiply = [this](CompositeVector& x, CompositeVector& out) {
+  auto multiply_all = [this](CompositeVector& x, CompositeVector& out) {
     average_down(x);
     for (int l = 0; l < hierarchy_->level_count(); ++l) {
-      subtract(
-          l, [](LocalIndex) { return 0.0; }, x, out[l]);
-      for (Real& v : out[l]) v = -v;
+      out[std::size_t(l)].set_zero();
+      multiply(x, l, 1, out[std::size_t(l)]);
     }
   };
   auto dot = [this](CompositeVector const& x, CompositeVector const& y) {
     Real sum = 0;
-    for (int l = 0; l < hierarchy_->level_count(); ++l)
-      for_each_uncovered(l, [&](LocalIndex row) { sum += x[l][row] * y[l][row]; });
-    sum = hierarchy_->comm().sum(sum);
-    return sum;
+    for (std::size_t l = 0; l < x.size(); ++l) sum += product(x[l], y[l]);
+    return hierarchy_->comm().sum(sum);
   };
-  return {[this] { return zero(); }, multiply, dot};
+  return {[this] { return zero(); }, multiply_all, dot};
 }
 
 /// One cycle for the residual, and what it gives added to phi.
 void CrsBackend::improve() {
   std::size_t const levels = phi_.size();
-  CompositeVector values(levels), residual;
-  if (krylov_) {
-    for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).right_hand_side();
-    CompositeVector const& direction = krylov_->direction(values);
-    if (!behind_gaps_.empty()) residual = direction;
-    for (std::size_t l = 0; l < levels; ++l)
-      std::copy_n(direction[l].begin(), operators(int(l)).rows(), cycle_level(int(l)).right_hand_side().begin());
+  if (!krylov_) {
+    multigrid_.cycle(stopwatch_);
+    for (std::size_t l = 0; l < levels; ++l) phi_[l].own().update(1, cycle_level(int(l)).correction().own(), 1);
+    return;
   }
+  CompositeVector values = zero();
+  for (std::size_t l = 0; l < levels; ++l) values[l].assign(cycle_level(int(l)).right_hand_side());
+  CompositeVector const& direction = krylov_->direction(values);
+  for (std::size_t l = 0; l < levels; ++l) cycle_level(int(l)).right_hand_side().assign(direction[l]);
   multigrid_.cycle(stopwatch_);
-  if (krylov_) {
-    for (std::size_t l = 0; l < levels; ++l) values[l] = cycle_level(int(l)).correction();
-    relax_behind_gaps(residual, values);
-    values = krylov_->step(values);
-  }
-  for (std::size_t l = 0; l < levels; ++l) {
-    auto& phi = phi_[l];
-    auto const& correction = krylov_ ? values[l] : cycle_level(int(l)).correction();
-    for_rows(operators(int(l)).rows(), [&](LocalIndex row) { phi[row] += correction[row]; });
-  }
+  for (std::size_t l = 0; l < levels; ++l) values[l].assign(cycle_level(int(l)).correction());
+  relax_behind_gaps(direction, values);
+  CompositeVector const& step = krylov_->step(values);
+  for (std::size_t l = 0; l < levels; ++l) phi_[l].own().update(1, step[l].own(), 1);
 }
 
 void CrsBackend::accelerate() {
@@ -234,26 +295,26 @@ void CrsBackend::accelerate() {
 /// When they are first needed. Collective.
 void CrsBackend::find_cells_behind_gaps() {
   if (std::exchange(knows_gaps_, true)) return;
-  behind_gaps_ = places_behind_gaps(*hierarchy_, [&](int l, int box, Index3 const& cell) {
+  auto const rows = places_behind_gaps(*hierarchy_, [&](int l, int box, Index3 const& cell) {
     Level const& level = hierarchy_->level(l);
     return level.local_offset(box) + LocalIndex(level.box(box).offset(cell));
   });
+  for (auto const& of_level : rows) behind_gaps_.emplace_back(on_device(of_level));
 }
 
 /// Jacobi steps that become part of a cycle's correction for a residual, see `steps_behind_gaps`.
 void CrsBackend::relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const {
   if (behind_gaps_.empty()) return;
-  std::vector<Real> left;
+  CompositeVector left = zero();
   for (Real factor : steps_behind_gaps) {
     average_down(correction);
-    CompositeVector const before = correction;
-    for (std::size_t l = 0; l < before.size(); ++l) {
-      left.resize(residual[l].size());
-      subtract(
-          int(l), [&](LocalIndex row) { return residual[l][std::size_t(row)]; }, before, left);
-      Crs const& a = operators(int(l)).no_fine;
-      for (std::size_t row : behind_gaps_[l]) correction[l][row] += factor * left[row] / a.value[a.row_start[row]];
+    for (std::size_t l = 0; l < left.size(); ++l) {
+      left[l].assign(residual[l]);
+      multiply(correction, int(l), -1, left[l]);
     }
+    for (std::size_t l = 0; l < left.size(); ++l)
+      add_over_diagonal(*behind_gaps_[l], operators(int(l)).no_fine.matrix()->getLocalMatrixDevice(), factor,
+                        std::as_const(left[l]).values(), correction[l].values());
   }
 }
 
@@ -277,17 +338,22 @@ ElectricField CrsBackend::electric_field(std::shared_ptr<Field const> potential,
   int const levels = hierarchy_->level_count();
   operators_with_gradient(0);
   for (int l = 0; l < levels; ++l) {
-    std::copy(phi.level(l).begin(), phi.level(l).end(), phi_[l].begin());
-    operators(l).halo.update(phi_[l].data());
+    copy_in(phi.level(l), phi_[std::size_t(l)].own());
+    phi_[std::size_t(l)].update_halo();
   }
-  for (int axis = 0; axis < 3; ++axis) {
-    for (int l = 0; l < levels; ++l) {
-      LevelOperators const& o = operators(l);
-      auto& e = components[axis]->level(l);
-      multiply(o.gradient[axis].own, phi_[l].data(), e.data());
-      if (l > 0) add_multiply(1.0, o.gradient[axis].coarse, phi_[l - 1].data(), e.data());
-      if (l + 1 < levels) add_multiply(1.0, o.gradient[axis].fine, phi_[l + 1].data(), e.data());
-      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, true, e.data());
+  for (int l = 0; l < levels; ++l) {
+    LevelOperators const& o = operators(l);
+    std::size_t const level = std::size_t(l);
+    LevelVector e(o.cells);
+    for (int axis = 0; axis < 3; ++axis) {
+      GradientAxis const& gradient = o.gradient[std::size_t(axis)];
+      gradient.own.multiply(phi_[level], e);
+      if (l > 0) gradient.coarse.add(1, phi_[level - 1], e);
+      if (l + 1 < levels) gradient.fine.add(1, phi_[level + 1], e);
+      auto& component = components[std::size_t(axis)]->level(l);
+      copy_out(e.own(), component);
+      add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, true,
+                   component.data());
     }
   }
   transfer_.average_down({components.begin(), components.end()});
@@ -304,16 +370,19 @@ void CrsBackend::difference_covered(std::array<Field*, 3> const& components) {
     for (int l = 0; hierarchy_->has_finer(l); ++l)
       covered_gradient_.push_back(
           assemble_covered_gradient(multigrid_levels_, multigrid_levels_.base + std::size_t(l), operators(l)));
-  for (int l = 0; hierarchy_->has_finer(l); ++l)
+  for (int l = 0; hierarchy_->has_finer(l); ++l) {
+    LevelOperators const& o = operators(l);
+    LevelVector differences(o.cells);
+    std::vector<Real> found(std::size_t(o.rows()));
     for (int axis = 0; axis < 3; ++axis) {
-      LevelOperators const& o = operators(l);
-      auto& e = components[axis]->level(l);
-      Crs const& gradient = covered_gradient_[l][axis];
-      gradient.for_each_row([&](LocalIndex row) {
-        if (!o.uncovered[row]) e[row] = gradient.dot(row, phi_[l].data());
-      });
+      auto& e = components[std::size_t(axis)]->level(l);
+      covered_gradient_[std::size_t(l)][std::size_t(axis)].multiply(phi_[std::size_t(l)], differences);
+      copy_out(differences.own(), found);
+      for (LocalIndex row = 0; row < o.rows(); ++row)
+        if (!o.uncovered[row]) e[row] = found[row];
       add_to_field(problem_.walls[l], o.walls, hierarchy_->level(l).spacing(), axis, o.uncovered, false, e.data());
     }
+  }
 }
 
 std::size_t CrsBackend::bytes() const {
@@ -321,7 +390,7 @@ std::size_t CrsBackend::bytes() const {
   for (MultigridLevel const& level : multigrid_.levels())
     for (auto const* o : level.all_operators()) sum += o->bytes();
   for (auto const& axes : covered_gradient_)
-    for (Crs const& axis : axes) sum += axis.bytes();
+    for (SparseMatrix const& axis : axes) sum += axis.bytes();
   return sum;
 }
 

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <functional>
+
 #include "mesh/transfer.hpp"
 #include "solver/backend.hpp"
 #include "solver/krylov.hpp"
@@ -43,28 +45,18 @@ class CrsBackend : public Backend {
 
  private:
   MultigridLevel& cycle_level(int l) { return multigrid_.level(multigrid_levels_.base + std::size_t(l)); }
-  /// Call f(row) for each cell of a level that no finer level covers.
-  template <class F>
-  void for_each_uncovered(int l, F&& f) const {
-    LevelOperators const& o = operators(l);
-    for (LocalIndex row = 0; row < o.rows(); ++row)
-      if (o.uncovered[row]) f(row);
-  }
-  template <class Value>
-  Real norm(Norm norm, Value&& value) const;
-  void fill_right_hand_side();
+  Equation equation(int l) const { return multigrid_levels_.equation(multigrid_levels_.base + std::size_t(l)); }
+  Real norm(Norm norm, std::function<LevelVector const&(int)> const& vector_of) const;
   MultigridOperators assembled(Reusable& reusable);
   std::shared_ptr<Bottom> bottom(Reusable& reusable);
   CompositeVector zero() const;
   void average_down(CompositeVector& x) const;
-  template <class F>
-  void subtract(int l, F&& f, CompositeVector const& x, std::vector<Real>& out) const;
+  void multiply(CompositeVector const& x, int l, Real scale, LevelVector& out) const;
   void compute_residual();
   CompositeEquations equations();
   void find_cells_behind_gaps();
   void relax_behind_gaps(CompositeVector const& residual, CompositeVector& correction) const;
   void set_truncation();
-  Real largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&));
   void difference_covered(std::array<Field*, 3> const& components);
 
   Problem problem_;
@@ -78,16 +70,17 @@ class CrsBackend : public Backend {
   Multigrid multigrid_;
   std::unique_ptr<Krylov> krylov_;  ///< null if nothing is to be accelerated
   /// Rows of each level; empty until cycles are accelerated, and where no rank has any.
-  std::vector<std::vector<std::size_t>> behind_gaps_;
+  std::vector<UntilFinalize<DeviceArray<std::size_t>>> behind_gaps_;
   bool knows_gaps_ = false;
-  CompositeVector phi_;              ///< own cells and halo
-  CompositeVector right_hand_side_;  ///< f = -rho / eps0 - background minus what walls add
+  CompositeVector phi_;
+  CompositeVector right_hand_side_;  ///< f = -rho / eps0 - background minus what walls add; 0 in covered cells
   Field const* rho_ = nullptr;
   Background background_;
   Real unit_ = 1;  ///< what 1 stands for in all vectors of a solve, V and V/m^2; a power of two, so exact
   Field* result_ = nullptr;
   bool has_gradient_ = false;
-  std::vector<std::array<Crs, 3>> covered_gradient_;  ///< of each level below the finest; empty until first used
+  std::vector<std::array<SparseMatrix, 3>>
+      covered_gradient_;  ///< of each level below the finest; empty until first used
   std::int64_t assemblies_ = 1;
 };
 

@@ -1,8 +1,8 @@
 // The error that the mesh itself makes, estimated from what a coarser mesh would make of the same potential.
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
-#include "base/for_rows.hpp"
 #include "solver/crs_backend.hpp"
 #include "stencil/laplacian.hpp"
 
@@ -27,20 +27,32 @@ std::vector<char> rows_at_ends(Domain const& domain, Level const& level, Level c
   return out;
 }
 
-}  // namespace
+using Rows = Kokkos::RangePolicy<TpetraTypes::Space>;
 
-Real CrsBackend::largest_uncovered(std::vector<Real> const& (*values)(MultigridLevel&)) {
-  Real result = 0;
-  for (int l = 0; l < hierarchy_->level_count(); ++l) {
-    auto const& v = values(cycle_level(l));
-    for_each_uncovered(l, [&](LocalIndex row) { result = std::max(result, std::abs(v[row])); });
-  }
-  return hierarchy_->comm().largest(result);
+/// What the wide Laplacian and the mean of f say of the truncation, in cells at no end whose children are all
+/// uncovered: those of which the mean of `uncovered` is one.
+void estimate(DeviceArray<char> const& at_end, DeviceArray<Real const> const& uncovered,
+              DeviceArray<Real const> const& wide_laplacian, DeviceArray<Real const> const& mean_f,
+              DeviceArray<Real> const& error) {
+  Kokkos::parallel_for(
+      "truncation", Rows(0, LocalIndex(at_end.extent(0))), KOKKOS_LAMBDA(LocalIndex row) {
+        bool const usable = uncovered(row) > 1 - 1e-9 && !at_end(row);
+        error(row) = usable ? truncation_error(wide_laplacian(row), mean_f(row)) : 0.0;
+      });
 }
 
+void clear_covered(DeviceArray<char> const& mask, DeviceArray<Real> const& values) {
+  Kokkos::parallel_for(
+      "clear covered", Rows(0, LocalIndex(mask.extent(0))), KOKKOS_LAMBDA(LocalIndex row) {
+        if (!mask(row)) values(row) = 0;
+      });
+}
+
+}  // namespace
+
 Real CrsBackend::largest_correction() {
-  return unit_ *
-         largest_uncovered([](MultigridLevel& level) -> std::vector<Real> const& { return level.correction(); });
+  return unit_ * norm(
+                     Norm::max, [&](int l) -> auto const& { return cycle_level(l).correction(); });
 }
 
 /// The truncation error of the composite Laplacian, into the right-hand sides of the cycle: for each cell what the
@@ -49,36 +61,32 @@ Real CrsBackend::largest_correction() {
 void CrsBackend::set_truncation() {
   for (int l = 0; l < hierarchy_->level_count(); ++l) {
     LevelOperators const& fine = operators(l);
-    auto& truncation = cycle_level(l).right_hand_side();
-    std::fill(truncation.begin(), truncation.end(), 0.0);
+    LevelVector& truncation = cycle_level(l).right_hand_side();
+    truncation.set_zero();
     std::size_t const place = multigrid_levels_.base + std::size_t(l);
     if (place == 0) continue;
     LevelOperators const& coarse = *operators_[place - 1];
-    std::size_t const here = std::size_t(fine.rows() + fine.halo.size());
-    std::size_t const there = std::size_t(coarse.rows() + coarse.halo.size());
-
-    std::vector<Real> f(here), uncovered(here), phi(there), error(there);
-    std::copy_n(right_hand_side_[l].begin(), fine.rows(), f.begin());
-    std::copy_n(fine.uncovered.begin(), fine.rows(), uncovered.begin());
-    fine.halo.update(f.data());
-    fine.halo.update(uncovered.data());
+    LevelVector f(fine.cells), uncovered(fine.cells), phi(coarse.cells), error(coarse.cells);
+    f.assign(right_hand_side_[std::size_t(l)]);
+    f.update_halo();
+    copy_in(fine.uncovered, uncovered.own());
+    uncovered.update_halo();
     if (l > 0)
-      phi = phi_[l - 1];
+      phi.assign(phi_[std::size_t(l) - 1]);
     else
-      multiply(coarse.restriction, phi_[0].data(), phi.data());
-    coarse.halo.update(phi.data());
+      coarse.restriction.multiply(phi_[0], phi);
+    phi.update_halo();
 
+    LevelVector wide(coarse.cells), mean_f(coarse.cells), share(coarse.cells);
+    coarse.no_fine.multiply(phi, wide);
+    coarse.restriction.multiply(f, mean_f);
+    coarse.restriction.multiply(uncovered, share);
     auto const at_end = rows_at_ends(hierarchy_->domain(), *coarse.level, *fine.level, multigrid_levels_.ratio[place]);
-    coarse.restriction.for_each_row([&](LocalIndex row) {
-      bool const usable = coarse.restriction.dot(row, uncovered.data()) > 1 - 1e-9;  // no child is covered
-      if (usable && !at_end[row])
-        error[row] = truncation_error(coarse.no_fine.dot(row, phi.data()), coarse.restriction.dot(row, f.data()));
-    });
-    coarse.halo.update(error.data());
-    add_multiply(1.0, fine.prolongation, error.data(), truncation.data());
-    for_rows(fine.rows(), [&](LocalIndex row) {
-      if (!fine.uncovered[row]) truncation[row] = 0;
-    });
+    estimate(on_device(at_end), std::as_const(share).values(), std::as_const(wide).values(),
+             std::as_const(mean_f).values(), error.values());
+    error.update_halo();
+    fine.prolongation.multiply(error, truncation);
+    clear_covered(*fine.mask, truncation.values());
   }
 }
 
@@ -87,14 +95,12 @@ void CrsBackend::set_truncation() {
 /// over a cell, this is the error of the means of phi, which at cell centres is another one, by h^2/24 times f. Finds
 /// and leaves the residual in the right-hand sides of the cycle.
 Real CrsBackend::discretisation_error() {
-  auto const right_hand_side = [](MultigridLevel& level) -> std::vector<Real> const& {
-    return level.right_hand_side();
-  };
+  auto const right_hand_side = [&](int l) -> auto const& { return cycle_level(l).right_hand_side(); };
   if (operators_.size() == 1) return 0;  // nothing is coarser than the base, nothing finer
-  Real const residual = largest_uncovered(right_hand_side);
+  Real const residual = norm(Norm::max, right_hand_side);
   set_truncation();
   Real error = 0;
-  if (residual < 0.1 * largest_uncovered(right_hand_side)) {
+  if (residual < 0.1 * norm(Norm::max, right_hand_side)) {
     multigrid_.cycle(stopwatch_);
     error = largest_correction();
   }

@@ -3,29 +3,32 @@
 #include <cmath>
 #include <deque>
 
-#include "base/for_rows.hpp"
-
 namespace amrpic {
 
 namespace {
 
 /// y = scale y + a x.
 void combine(Real scale, CompositeVector& y, Real a, CompositeVector const& x) {
-  for (std::size_t l = 0; l < y.size(); ++l) {
-    Real* const to = y[l].data();
-    Real const* const from = x[l].data();
-    for_rows(LocalIndex(std::min(x[l].size(), y[l].size())),
-             [=](LocalIndex row) { to[row] = scale * to[row] + a * from[row]; });
-  }
+  for (std::size_t l = 0; l < y.size(); ++l) y[l].own().update(a, x[l].own(), scale);
+}
+void scale(CompositeVector& y, Real factor) {
+  for (LevelVector& level : y) level.own().scale(factor);
+}
+void assign(CompositeVector& to, CompositeVector const& from) {
+  for (std::size_t l = 0; l < to.size(); ++l) to[l].assign(from[l]);
 }
 
 /// Flexible GMRES in the form of generalised conjugate residuals: the same approximations in exact arithmetic, with the
 /// residual at hand in every norm after each cycle. Of many directions the oldest are dropped.
 class FlexibleGmres : public Krylov {
  public:
-  explicit FlexibleGmres(CompositeEquations equations) : equations_(std::move(equations)), step_(equations_.zero()) {}
+  explicit FlexibleGmres(CompositeEquations equations)
+      : equations_(std::move(equations)), residual_(equations_.zero()), step_(equations_.zero()) {}
 
-  CompositeVector const& direction(CompositeVector const& residual) override { return residual_ = residual; }
+  CompositeVector const& direction(CompositeVector const& residual) override {
+    assign(residual_, residual);
+    return residual_;
+  }
 
   CompositeVector const& step(CompositeVector const& correction) override {
     if (kept_.size() == most_directions) {
@@ -35,7 +38,7 @@ class FlexibleGmres : public Krylov {
       kept_.push_back({equations_.zero(), equations_.zero()});
     }
     Direction& now = kept_.back();
-    combine(0, now.change, 1, correction);
+    assign(now.change, correction);
     equations_.multiply(now.change, now.image);
     for (std::size_t k = 0; k + 1 < kept_.size(); ++k) {
       Real const common = equations_.dot(now.image, kept_[k].image);
@@ -45,11 +48,11 @@ class FlexibleGmres : public Krylov {
     Real const size = std::sqrt(equations_.dot(now.image, now.image));
     if (!(size > 0)) {  // nothing new: the correction is zero, or lies in the space of the others
       kept_.pop_back();
-      combine(0, step_, 0, step_);
+      scale(step_, 0);
       return step_;
     }
-    combine(1 / size, now.change, 0, now.change);
-    combine(1 / size, now.image, 0, now.image);
+    scale(now.change, 1 / size);
+    scale(now.image, 1 / size);
     combine(0, step_, equations_.dot(residual_, now.image), now.change);
     return step_;
   }
@@ -69,20 +72,23 @@ class BiCgStab : public Krylov {
  public:
   explicit BiCgStab(CompositeEquations equations)
       : equations_(std::move(equations)),
+        residual_(equations_.zero()),
+        shadow_(equations_.zero()),
         search_(equations_.zero()),
         image_(equations_.zero()),
         half_image_(equations_.zero()),
         step_(equations_.zero()) {}
 
   CompositeVector const& direction(CompositeVector const& residual) override {
-    residual_ = residual;
+    assign(residual_, residual);
     if (half_) return residual_;
-    Real next = shadow_.empty() ? 0 : equations_.dot(shadow_, residual_);
+    Real next = started_ ? equations_.dot(shadow_, residual_) : 0;
     Real const size = equations_.dot(residual_, residual_);
-    if (std::abs(next) < 1e-12 * size || shadow_.empty()) {  // begin, or begin again where the iteration breaks down
-      shadow_ = residual_;
+    if (std::abs(next) < 1e-12 * size || !started_) {  // begin, or begin again where the iteration breaks down
+      assign(shadow_, residual_);
+      started_ = true;
       next = size;
-      combine(0, search_, 1, residual_);
+      assign(search_, residual_);
     } else {
       Real const beta = next / product_ * alpha_ / omega_;
       combine(beta, search_, -beta * omega_, image_);
@@ -93,16 +99,16 @@ class BiCgStab : public Krylov {
   }
 
   CompositeVector const& step(CompositeVector const& correction) override {
-    combine(0, step_, 1, correction);
+    assign(step_, correction);
     CompositeVector& image = half_ ? half_image_ : image_;
     equations_.multiply(step_, image);
     if (half_) {
       omega_ = quotient(equations_.dot(image, residual_), equations_.dot(image, image));
-      combine(omega_, step_, 0, step_);
-      if (omega_ == 0) shadow_.clear();
+      scale(step_, omega_);
+      if (omega_ == 0) started_ = false;
     } else {
       alpha_ = quotient(product_, equations_.dot(shadow_, image));
-      combine(alpha_, step_, 0, step_);
+      scale(step_, alpha_);
     }
     half_ = !half_;
     return step_;
@@ -112,6 +118,7 @@ class BiCgStab : public Krylov {
   static Real quotient(Real a, Real b) { return b == 0 ? 0 : a / b; }
 
   CompositeEquations equations_;
+  bool started_ = false;
   bool half_ = false;  ///< the next cycle is the second one of an iteration
   Real product_ = 1, alpha_ = 1, omega_ = 1;
   CompositeVector residual_, shadow_, search_, image_, half_image_, step_;

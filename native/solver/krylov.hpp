@@ -4,12 +4,13 @@
 #include <memory>
 #include <vector>
 
+#include "operators/level_cells.hpp"
 #include "solver/options.hpp"
 
 namespace amrpic {
 
-/// Values of all levels, own cells first on each.
-using CompositeVector = std::vector<std::vector<Real>>;
+/// Values of all levels.
+using CompositeVector = std::vector<LevelVector>;
 
 /// What an acceleration needs of the equations r = f - A x over all uncovered cells.
 struct CompositeEquations {

@@ -4,6 +4,7 @@
 
 #include "matrixfree/composite.hpp"
 #include "matrixfree/cycle.hpp"
+#include "operators/operators.hpp"
 #include "solver/backend.hpp"
 #include "solver/minimal_residual.hpp"
 

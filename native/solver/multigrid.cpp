@@ -1,17 +1,15 @@
 #include "solver/multigrid.hpp"
 
-#include "base/for_rows.hpp"
 #include "solver/copy_cycle.hpp"
 
 namespace amrpic {
 
 MultigridLevel::MultigridLevel(LevelOperators const& operators, std::unique_ptr<Smoother> smoother)
-    : operators_(operators), smoother_(std::move(smoother)) {
-  std::size_t const own = std::size_t(operators.rows()), all = own + std::size_t(operators.halo.size());
-  right_hand_side_.resize(own);
-  correction_.resize(all);
-  residual_.resize(all);
-}
+    : operators_(operators),
+      smoother_(std::move(smoother)),
+      right_hand_side_(operators.cells),
+      correction_(operators.cells),
+      residual_(operators.cells) {}
 
 std::vector<LevelOperators const*> MultigridLevel::all_operators() const {
   auto out = smoother_ ? smoother_->own_levels() : std::vector<LevelOperators const*>{};
@@ -20,38 +18,28 @@ std::vector<LevelOperators const*> MultigridLevel::all_operators() const {
 }
 
 void MultigridLevel::restrict_right_hand_side(MultigridLevel& coarser) {
-  std::copy(right_hand_side_.begin(), right_hand_side_.end(), residual_.begin());
-  operators_.halo.update(residual_.data());
-  Crs const& restriction = coarser.operators_.restriction;
-  restriction.for_each_row(
-      [&](LocalIndex row) { coarser.right_hand_side_[row] = restriction.dot(row, residual_.data()); });
+  residual_.assign(right_hand_side_);
+  residual_.update_halo();
+  coarser.operators_.restriction.set_rows(residual_, coarser.right_hand_side_);
 }
 
 void MultigridLevel::pre_smooth_and_restrict(Guess guess, MultigridLevel& coarser) {
   if (guess == Guess::zero) {
     smoother_->smooth_from_zero(right_hand_side_, correction_);
   } else {
-    std::fill(correction_.begin(), correction_.end(), 0.0);
-    add_multiply(1.0, operators_.prolongation, coarser.correction_.data(), correction_.data());
+    operators_.prolongation.multiply(coarser.correction_, correction_);
     smoother_->smooth(Side::before, right_hand_side_, correction_);
   }
-  operators_.halo.update(correction_.data());
-  for_rows(operators_.rows(), [&](LocalIndex row) {
-    residual_[row] = right_hand_side_[row] - operators_.no_fine.dot(row, correction_.data());
-  });
-  operators_.halo.update(residual_.data());
-
-  auto& coarse = coarser.right_hand_side_;
-  LevelOperators const& c = coarser.operators_;
-  c.restriction.for_each_row([&](LocalIndex row) {
-    if (!c.uncovered[row]) coarse[row] = c.restriction.dot(row, residual_.data());
-  });
-  add_multiply(-1.0, c.fine_boundary, correction_.data(), coarse.data());
+  correction_.update_halo();
+  operators_.no_fine.subtract(right_hand_side_, correction_, residual_);
+  residual_.update_halo();
+  coarser.operators_.restriction.set_rows(residual_, coarser.right_hand_side_);
+  coarser.operators_.fine_boundary.add(-1, correction_, coarser.right_hand_side_);
 }
 
 void MultigridLevel::prolong_and_post_smooth(MultigridLevel const& coarser) {
-  add_multiply(1.0, operators_.prolongation, coarser.correction_.data(), correction_.data());
-  add_multiply(-1.0, operators_.coarse_boundary, coarser.correction_.data(), right_hand_side_.data());
+  operators_.prolongation.add(1, coarser.correction_, correction_);
+  operators_.coarse_boundary.add(-1, coarser.correction_, right_hand_side_);
   smoother_->smooth(Side::after, right_hand_side_, correction_);
 }
 
@@ -66,7 +54,7 @@ Multigrid::Multigrid(Communicator const& comm, MultigridLevels const& multigrid,
       auto const copies = semicoarse_copies(o.level, o.walls, multigrid.boundary, max_grid_size);
       smoother = make_refined_smoother(comm, o, copies, options);
     }
-    if (l > 0 && !smoother) smoother = make_smoother(comm, o, multigrid.halves_at_most(l), options);
+    if (l > 0 && !smoother) smoother = make_smoother(o, multigrid.halves_at_most(l), options);
     levels_.emplace_back(o, std::move(smoother));
   }
 }

@@ -31,19 +31,18 @@ class MultigridLevel {
   void prolong_and_post_smooth(MultigridLevel const& coarser);
 
   /// Bring the correction's copies of other ranks' cells up to date. Collective.
-  void update_copies() { operators_.halo.update(correction_.data()); }
+  void update_copies() { correction_.update_halo(); }
 
   LevelOperators const& operators() const { return operators_; }
   /// Operators of this level and of those that its smoother has for itself.
   std::vector<LevelOperators const*> all_operators() const;
-  std::vector<Real>& right_hand_side() { return right_hand_side_; }  ///< own cells
-  std::vector<Real>& correction() { return correction_; }            ///< own cells and halo
-  std::vector<Real> const& correction() const { return correction_; }
+  LevelVector& right_hand_side() { return right_hand_side_; }
+  LevelVector& correction() { return correction_; }
 
  private:
   LevelOperators const& operators_;
   std::unique_ptr<Smoother> smoother_;
-  std::vector<Real> right_hand_side_, correction_, residual_;
+  LevelVector right_hand_side_, correction_, residual_;
 };
 
 /// The cycle over refinement levels and multigrid levels (see run_cycle) for corrections in residual form.

@@ -3,6 +3,7 @@
 #include <BelosTypes.hpp>
 #include <Teuchos_Array.hpp>
 #include <Teuchos_ParameterList.hpp>
+#include <limits>
 
 namespace amrpic {
 
@@ -20,6 +21,7 @@ ParameterList ifpack2_parameters(SolverOptions const& options, int sweeps, bool 
     list.set("chebyshev: boost factor", 1.0);
     list.set("chebyshev: ratio eigenvalue", 2.0 / oscillating);
     list.set("chebyshev: zero starting solution", from_zero);
+    list.set("chebyshev: min diagonal value", std::numeric_limits<Real>::min());  // entries may be small in their units
     return list;
   }
   list.set("relaxation: type", options.smoother == SmootherKind::jacobi         ? "Jacobi"

@@ -4,10 +4,7 @@
 #include <algorithm>
 #include <array>
 
-#include "base/for_rows.hpp"
-#include "base/runtime.hpp"
 #include "operators/semicoarse.hpp"
-#include "operators/tpetra.hpp"
 
 namespace amrpic {
 
@@ -34,6 +31,22 @@ std::vector<std::vector<LocalIndex>> colours(Level const& level) {
   return out;
 }
 
+/// Relax some rows, of which none couples with another: x += relaxation (f - A x) / diagonal. The diagonal comes first
+/// in each row.
+void relax(DeviceArray<LocalIndex> const& rows, TpetraTypes::LocalMatrix const& a, Real relaxation,
+           DeviceArray<Real const> const& f, DeviceArray<Real> const& x) {
+  auto const start = a.graph.row_map;
+  auto const column = a.graph.entries;
+  auto const value = a.values;
+  Kokkos::parallel_for(
+      "relax", Kokkos::RangePolicy<TpetraTypes::Space>(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
+        LocalIndex const row = rows(n);
+        Real product = 0;
+        for (auto k = start(row); k < start(row + 1); ++k) product += value(k) * x(column(k));
+        x(row) += relaxation * (f(row) - product) / value(start(row));
+      });
+}
+
 /// Over-relaxed Gauss-Seidel, one colour after the other: rows of a colour do not couple with each other.
 class RedBlack : public Smoother {
  public:
@@ -41,46 +54,43 @@ class RedBlack : public Smoother {
       : operators_(operators),
         pre_sweeps_(options.pre_sweeps),
         post_sweeps_(options.post_sweeps),
-        relaxation_(relaxation_on(*operators.level, shift_of(options), v_cycle, options.relaxation)),
-        colour_(colours(*operators.level)) {}
+        relaxation_(relaxation_on(*operators.level, shift_of(options), v_cycle, options.relaxation)) {
+    std::vector<DeviceArray<LocalIndex>> of_colour;
+    for (auto const& rows : colours(*operators.level)) of_colour.push_back(on_device(rows));
+    colour_ = UntilFinalize(std::move(of_colour));
+  }
 
-  void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {
-    std::fill(x.begin(), x.end(), 0.0);
+  void smooth_from_zero(LevelVector const& f, LevelVector& x) override {
+    x.set_zero();
     if (pre_sweeps_ == 0) return;
-    relax(colour_[0], f, x);  // there is nothing to read yet
-    for (std::size_t c = 1; c < colour_.size(); ++c) {
-      operators_.stencil_halo.update(x.data());
-      relax(colour_[c], f, x);
+    auto const& colours = *colour_;
+    relax_colour(colours[0], f, x);  // there is nothing to read yet
+    for (std::size_t c = 1; c < colours.size(); ++c) {
+      x.update_swept_halo();
+      relax_colour(colours[c], f, x);
     }
     sweep(pre_sweeps_ - 1, f, x);
   }
-  void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) override {
+  void smooth(Side side, LevelVector const& f, LevelVector& x) override {
     sweep(side == Side::before ? pre_sweeps_ : post_sweeps_, f, x);
   }
 
  private:
-  void sweep(int sweeps, std::vector<Real> const& f, std::vector<Real>& x) {
+  void sweep(int sweeps, LevelVector const& f, LevelVector& x) {
     for (int s = 0; s < sweeps; ++s)
-      for (auto const& rows : colour_) {
-        operators_.stencil_halo.update(x.data());
-        relax(rows, f, x);
+      for (auto const& rows : *colour_) {
+        x.update_swept_halo();
+        relax_colour(rows, f, x);
       }
   }
-  void relax(std::vector<LocalIndex> const& rows, std::vector<Real> const& right, std::vector<Real>& values) {
-    Crs const& a = operators_.no_fine;
-    Real* const x = values.data();
-    Real const* const f = right.data();
-    for_rows(LocalIndex(rows.size()), [&, x, f](LocalIndex k) {
-      LocalIndex const row = rows[std::size_t(k)];
-      Real const diagonal = a.value[a.row_start[row]];
-      x[row] += relaxation_ * (f[row] - a.dot(row, x)) / diagonal;
-    });
+  void relax_colour(DeviceArray<LocalIndex> const& rows, LevelVector const& f, LevelVector& x) {
+    relax(rows, operators_.no_fine.matrix()->getLocalMatrixDevice(), relaxation_, f.values(), x.values());
   }
 
   LevelOperators const& operators_;
   int pre_sweeps_, post_sweeps_;
   Real relaxation_;
-  std::vector<std::vector<LocalIndex>> colour_;
+  UntilFinalize<std::vector<DeviceArray<LocalIndex>>> colour_;
 };
 
 /// Smallest eigenvalue, over the diagonal, of an error that oscillates along an axis which the next coarser level has
@@ -95,69 +105,52 @@ Real oscillating(Real3 const& spacing) {
   return least / sum;
 }
 
-/// A smoother of Ifpack2, on a copy of the matrix; over several ranks each relaxes its own rows at a time.
+/// A smoother of Ifpack2; over several ranks each relaxes its own rows at a time.
 class LibrarySmoother : public Smoother {
  public:
-  LibrarySmoother(Communicator const& comm, LevelOperators const& operators, SolverOptions const& options) {
-    Real3 const& h = operators.level->spacing();
-    scale_ = 0;
-    for (Real spacing : h) scale_ -= 2 / spacing / spacing;
-    scale_ = 1 / scale_;
-    Crs scaled = operators.no_fine;
-    for (Real& v : scaled.value) v *= scale_;
-    matrix_ = tpetra_matrix(comm, scaled, operators, operators);
-    x_ = Teuchos::rcp(new MultiVector(matrix_->getDomainMap(), 1));
-    f_ = Teuchos::rcp(new MultiVector(matrix_->getRangeMap(), 1));
-    if (options.post_sweeps > 0) after_ = made(options, options.post_sweeps, false, oscillating(h));
-    if (options.pre_sweeps > 0) {
-      from_zero_ = made(options, options.pre_sweeps, true, oscillating(h));
-      bool const same = options.pre_sweeps == options.post_sweeps;
-      before_ = same ? after_ : made(options, options.pre_sweeps, false, oscillating(h));
-    }
+  LibrarySmoother(LevelOperators const& operators, SolverOptions const& options) {
+    auto const made = [&](int sweeps, bool from_zero) -> Method {
+      if (sweeps == 0) return {};
+      auto out =
+          Ifpack2::Factory::create<TpetraTypes::RowMatrix>(ifpack2_name(options.smoother), operators.no_fine.matrix());
+      out->setParameters(ifpack2_parameters(options, sweeps, from_zero, oscillating(operators.level->spacing())));
+      out->initialize();
+      out->compute();
+      return out;
+    };
+    Methods methods;
+    methods.after = made(options.post_sweeps, false);
+    methods.from_zero = made(options.pre_sweeps, true);
+    methods.before = options.pre_sweeps == options.post_sweeps ? methods.after : made(options.pre_sweeps, false);
+    methods_ = UntilFinalize(std::move(methods));
   }
 
-  void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) override {
-    std::fill(x.begin(), x.end(), 0.0);
-    apply(from_zero_, f, x);
+  void smooth_from_zero(LevelVector const& f, LevelVector& x) override {
+    x.set_zero();
+    apply(methods_->from_zero, f, x);
   }
-  void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) override {
-    apply(side == Side::before ? before_ : after_, f, x);
+  void smooth(Side side, LevelVector const& f, LevelVector& x) override {
+    apply(side == Side::before ? methods_->before : methods_->after, f, x);
   }
 
  private:
-  using MultiVector = TpetraTypes::MultiVector;
-  using Preconditioner = Ifpack2::Preconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>;
+  using Method = Teuchos::RCP<Ifpack2::Preconditioner<Real, LocalIndex, TpetraTypes::Global, TpetraTypes::Node>>;
+  struct Methods {
+    Method from_zero, before, after;  ///< null for no sweeps
+  };
 
-  Teuchos::RCP<Preconditioner> made(SolverOptions const& options, int sweeps, bool from_zero, Real oscillating) {
-    auto out = Ifpack2::Factory::create<TpetraTypes::RowMatrix>(ifpack2_name(options.smoother), matrix_);
-    out->setParameters(ifpack2_parameters(options, sweeps, from_zero, oscillating));
-    out->initialize();
-    out->compute();
-    return out;
-  }
-  void apply(Teuchos::RCP<Preconditioner> const& method, std::vector<Real> const& f, std::vector<Real>& x) {
-    if (method.is_null()) return;  // no sweeps
-    copy_in(f, *f_);
-    f_->scale(scale_);
-    copy_in(x, *x_);
-    method->apply(*f_, *x_);
-    copy_out(*x_, x);
+  static void apply(Method const& method, LevelVector const& f, LevelVector& x) {
+    if (!method.is_null()) method->apply(f.own(), x.own());
   }
 
-  Real scale_;  ///< one over the diagonal of a plain row, so that no threshold of the library meets the units
-  Teuchos::RCP<TpetraTypes::Matrix> matrix_;
-  Teuchos::RCP<MultiVector> x_, f_;
-  Teuchos::RCP<Preconditioner> from_zero_, before_, after_;
-  AtFinalize release_{
-      [this] { from_zero_ = before_ = after_ = Teuchos::null, x_ = f_ = Teuchos::null, matrix_ = Teuchos::null; }};
+  UntilFinalize<Methods> methods_;
 };
 
 }  // namespace
 
-std::unique_ptr<Smoother> make_smoother(Communicator const& comm, LevelOperators const& operators, bool v_cycle,
-                                        SolverOptions const& options) {
+std::unique_ptr<Smoother> make_smoother(LevelOperators const& operators, bool v_cycle, SolverOptions const& options) {
   if (options.smoother == SmootherKind::red_black) return std::make_unique<RedBlack>(operators, v_cycle, options);
-  return std::make_unique<LibrarySmoother>(comm, operators, options);
+  return std::make_unique<LibrarySmoother>(operators, options);
 }
 
 }  // namespace amrpic

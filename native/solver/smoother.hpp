@@ -3,7 +3,6 @@
 #include <memory>
 #include <vector>
 
-#include "base/communicator.hpp"
 #include "operators/operators.hpp"
 #include "solver/options.hpp"
 
@@ -11,17 +10,17 @@ namespace amrpic {
 
 enum class Side { before, after };  ///< of the coarse correction
 
-/// Damps those errors of a level that the next coarser one cannot resolve, in no_fine x = f. Vectors x hold own cells
-/// and halo; only own cells of the result are valid.
+/// Damps those errors of a level that the next coarser one cannot resolve, in no_fine x = f. Only own cells of the
+/// result are valid.
 class Smoother {
  public:
   virtual ~Smoother() = default;
 
   /// x from zero, by the sweeps before the coarse correction. Collective.
-  virtual void smooth_from_zero(std::vector<Real> const& f, std::vector<Real>& x) = 0;
+  virtual void smooth_from_zero(LevelVector const& f, LevelVector& x) = 0;
 
   /// x from its present values, by the sweeps before or after the coarse correction. Collective.
-  virtual void smooth(Side side, std::vector<Real> const& f, std::vector<Real>& x) = 0;
+  virtual void smooth(Side side, LevelVector const& f, LevelVector& x) = 0;
 
   /// Operators of levels that it has for itself.
   virtual std::vector<LevelOperators const*> own_levels() const { return {}; }
@@ -29,7 +28,6 @@ class Smoother {
 
 /// The smoother that the options name, for a level whose operators outlive it; `v_cycle`: whether it is
 /// part of a V-cycle, see relaxation_on. Collective.
-std::unique_ptr<Smoother> make_smoother(Communicator const& comm, LevelOperators const& operators, bool v_cycle,
-                                        SolverOptions const& options);
+std::unique_ptr<Smoother> make_smoother(LevelOperators const& operators, bool v_cycle, SolverOptions const& options);
 
 }  // namespace amrpic

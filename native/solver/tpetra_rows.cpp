@@ -29,7 +29,7 @@ Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(SharedRows const& rows, Map cons
   auto const numbers = columns_of(rows, own);
   Map const columns =
       Teuchos::rcp(new TpetraTypes::Map(unknown, Teuchos::ArrayView<Global const>(numbers), 0, own->getComm()));
-  Crs local;
+  HostRows local;
   local.row_start.assign(rows.row_start.begin(), rows.row_start.end());
   std::vector<std::pair<LocalIndex, Real>> row;
   for (LocalIndex r = 0; r < rows.rows(); ++r) {
@@ -39,7 +39,7 @@ Teuchos::RCP<TpetraTypes::Matrix> tpetra_matrix(SharedRows const& rows, Map cons
     std::sort(row.begin(), row.end());  // Tpetra presumes it: in another order the solve fails, without a word
     for (auto const& [column, value] : row) local.column.push_back(column), local.value.push_back(value);
   }
-  return tpetra_matrix(local, own, columns, own, own);
+  return tpetra_matrix(local, own, columns);
 }
 
 }  // namespace amrpic

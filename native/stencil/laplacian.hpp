@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Kokkos_Macros.hpp>
 #include <array>
 
 #include "base/fused.hpp"
@@ -38,7 +39,7 @@ inline Real laplacian(Equation const& l, Real c, Real xm, Real xp, Real ym, Real
 /// The truncation error that a stencil of half the width makes: one of twice the width errs four times as much, so that
 /// what it finds of phi less the mean of f, which the narrow one meets, is three times the error.
 template <class Value>
-inline Value truncation_error(Value const& wide_laplacian, Value const& mean_f) {
+KOKKOS_INLINE_FUNCTION Value truncation_error(Value const& wide_laplacian, Value const& mean_f) {
   return (wide_laplacian - mean_f) / 3;
 }
 

@@ -1,14 +1,12 @@
 #pragma once
 
-#include "operators/row.hpp"
 #include "operators/stencil_cells.hpp"
-#include "stencil/equation.hpp"
 
 namespace amrpic {
 
 /// What the row of a cell is made of.
 enum class RowKind : char {
-  regular,  ///< six neighbours of the same level: columns follow from places, weights are the same for all
+  regular,  ///< six neighbours of the same level: the same form for all
   special,  ///< the general formula, because a neighbour is missing or twice the same
   beside,   ///< the general formula, because a finer level covers a neighbour
   covered   ///< a finer level covers the cell
@@ -18,6 +16,11 @@ using RowKinds = ArrayOnBox<RowKind>;
 
 /// Kinds of the rows of a box.
 RowKinds row_kinds(StencilCells const& cells, Execution execution);
+
+/// Rows of cells next to each other along x.
+struct RowRun {
+  LocalIndex row, count;
+};
 
 /// Call `f(kind, first cell, run of rows)` for the longest runs of equal kind along x.
 template <class F>
@@ -40,26 +43,5 @@ template <class F>
 void for_each_in_run(Index3 cell, RowRun const& run, F&& f) {
   for (LocalIndex n = 0; n < run.count; ++n, ++cell[0]) f(cell, run.row + n);
 }
-
-/// Writes regular rows of a box; `places` of its level's cells have one layer of ghost cells.
-class RegularRows {
- public:
-  static constexpr std::size_t laplacian_terms = 7, gradient_terms = 2;
-
-  /// `shift`: of the Equation.
-  RegularRows(Real3 const& spacing, Real shift, ArrayOnBox<LocalIndex> const& places);
-
-  /// The Laplacian: the diagonal, then the neighbours.
-  void laplacian(Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
-
-  /// E along an axis.
-  void gradient(int axis, Index3 const& first, LocalIndex rows, LocalIndex* column, Real* value) const;
-
- private:
-  ArrayOnBox<LocalIndex> const& places_;
-  std::array<std::ptrdiff_t, 3> stride_;
-  std::array<Real, laplacian_terms> laplacian_;
-  std::array<std::array<Real, gradient_terms>, 3> gradient_;
-};
 
 }  // namespace amrpic

@@ -182,11 +182,28 @@ def own_headers(source: Path) -> set[Path]:
     return found
 
 
+def listed(name: str) -> list[str]:
+    """The values of a list in CMakeLists.txt."""
+    found = re.search(rf"set\({name}\s+([^)]*)\)", (ROOT / "CMakeLists.txt").read_text())
+    assert found
+    return found[1].split()
+
+
 def common_sources() -> list[str]:
     """The sources that CMake compiles once for all instruction sets."""
-    listed = re.search(r"set\(COMMON_SOURCES\s+([^)]*)\)", (ROOT / "CMakeLists.txt").read_text())
-    assert listed
-    return listed[1].split()
+    return listed("COMMON_SOURCES")
+
+
+TRILINOS = re.compile(r"#include <(Kokkos_Core|Tpetra|Teuchos|MueLu|Belos|Ifpack2|Amesos2|Trilinos)")
+
+
+def test_a_build_without_trilinos_leaves_out_just_what_includes_it():
+    def includes_it(source: Path) -> bool:
+        guarded = ROOT / "native/base/for_rows.hpp"
+        return any(TRILINOS.search(path.read_text()) for path in {source, *own_headers(source)} - {guarded})
+
+    sources = [path for path in native_files() if path.suffix == ".cpp"]
+    assert {str(path.relative_to(ROOT)) for path in sources if includes_it(path)} == set(listed("OF_TRILINOS"))
 
 
 @pytest.mark.parametrize("source", common_sources())

@@ -110,8 +110,11 @@ def hdf5_works_beside_trilinos() -> str:
 
 
 def trilinos_and_backend() -> str:
-    """Return the version of Trilinos and the Kokkos backend; raise if it is older than what was tried."""
+    """Return the version of Trilinos and the Kokkos backend, or what is missing without them; raise if it is older than
+    what was tried."""
     version = _native.trilinos_version()
+    if not version:
+        return 'none: of the backends there is "matrix-free" alone, and no equations on scattered points'
     if tuple(int(part) for part in version.split(".")[:2]) < OLDEST_TRILINOS:
         raise AmrpicError(f"Trilinos {version} is older than 13.2")
     return f"{version} on Kokkos' backend {_native.kokkos_backend()}"

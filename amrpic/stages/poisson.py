@@ -333,9 +333,11 @@ class LevelOperators:
 
     def __init__(self, solver: PoissonSolver, level: int) -> None:
         self.hierarchy, self.level = solver.hierarchy, level
-        self._native = solver.native.operators(level)
-        self._coarse = solver.native.operators(level - 1) if level > 0 else None
-        self._fine = solver.native.operators(level + 1) if level + 1 < self.hierarchy.levels else None
+        if not _native.trilinos_version():
+            raise SolverError("operators as matrices need Trilinos, and amrpic was built without it")
+        self._native = _native.operators_of(solver.native, level)
+        self._coarse = _native.operators_of(solver.native, level - 1) if level > 0 else None
+        self._fine = _native.operators_of(solver.native, level + 1) if level + 1 < self.hierarchy.levels else None
 
     @property
     def no_fine(self) -> Operator:

@@ -57,12 +57,4 @@ std::string trilinos_version() { return TRILINOS_VERSION_STRING; }
 
 std::string kokkos_backend() { return Tpetra::Map<>::node_type::execution_space::name(); }
 
-std::string mpi_library() {
-  char text[MPI_MAX_LIBRARY_VERSION_STRING];
-  int length = 0;
-  MPI_Get_library_version(text, &length);
-  const std::string all(text, length);
-  return all.substr(0, all.find('\n'));
-}
-
 }  // namespace amrpic

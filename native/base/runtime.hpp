@@ -49,7 +49,7 @@ class UntilFinalize {
   std::shared_ptr<Kept> kept_;
 };
 
-/// "13.2": version of the Trilinos this was compiled with.
+/// "13.2": version of the Trilinos this was compiled with; empty if it was without one, as below.
 std::string trilinos_version();
 
 /// "Serial", "OpenMP", "Cuda": the Kokkos execution space of Tpetra's default node.

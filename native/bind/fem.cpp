@@ -12,6 +12,7 @@
 #include "fem/operators.hpp"
 #include "solver/node_equations.hpp"
 #include "solver/node_multigrid.hpp"
+#include "solver/node_rows.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -7,6 +7,7 @@
 
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
+#include "solver/poisson.hpp"
 
 namespace nb = nanobind;
 using namespace amrpic;
@@ -65,4 +66,8 @@ void bind_operators(nb::module_& m) {
       .def_prop_ro("rows", [](O const& o) { return o.level->cells(); })
       .def_prop_ro("local_rows", &O::rows)
       .def_prop_ro("bytes", &O::bytes);
+  m.def(
+      "operators_of",
+      [](PoissonSolver& solver, int level) -> O const& { return solver.operators_with_gradient(level); }, "solver"_a,
+      "level"_a, nb::rv_policy::reference, nb::keep_alive<0, 1>(), "The operators of a level.");
 }

@@ -137,7 +137,6 @@ void bind_solver(nb::module_& m) {
             return nb::ndarray<nb::numpy, Real>(datum.data(), {datum.size()}, self);
           },
           "level"_a)
-      .def("operators", &PoissonSolver::operators_with_gradient, "level"_a, nb::rv_policy::reference_internal)
       .def_prop_ro("reusable", &PoissonSolver::reusable, nb::rv_policy::copy)
       .def_prop_ro("bottom_setups", [](PoissonSolver const& s) { return s.backend().bottom_setups(); })
       .def_prop_ro("levels_assembled", [](PoissonSolver const& s) { return s.backend().levels_assembled(); })

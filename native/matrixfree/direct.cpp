@@ -1,8 +1,10 @@
 #include "matrixfree/direct.hpp"
 
-#include <Teuchos_LAPACK.hpp>
 #include <cmath>
 #include <stdexcept>
+
+extern "C" void dsyev_(char const* vectors, char const* triangle, int const* n, double* matrix, int const* leading,
+                       double* eigenvalues, double* work, int const* size_of_work, int* info);
 
 namespace amrpic::matrixfree {
 
@@ -40,9 +42,9 @@ FastDiagonalisation::Axis FastDiagonalisation::axis(int n, Real weight, std::arr
   Axis out;
   out.eigenvalue.resize(size);
   std::vector<Real> work(8 * size + 64);
+  int const work_size = int(work.size());
   int info = 0;
-  Teuchos::LAPACK<int, Real>().SYEV('V', 'U', n, matrix.data(), n, out.eigenvalue.data(), work.data(), int(work.size()),
-                                    &info);
+  dsyev_("V", "U", &n, matrix.data(), &n, out.eigenvalue.data(), work.data(), &work_size, &info);
   if (info != 0) throw std::runtime_error("the eigenvalues of the coarsest level could not be found");
   out.to.resize(size * size), out.from.resize(size * size);
   for (std::size_t i = 0; i < size; ++i)

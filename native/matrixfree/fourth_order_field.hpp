@@ -3,7 +3,7 @@
 #include "matrixfree/composite_average.hpp"
 #include "matrixfree/fourth_order_ghosts.hpp"
 #include "mesh/electric_field.hpp"
-#include "operators/operators.hpp"
+#include "operators/walls.hpp"
 
 namespace amrpic {
 

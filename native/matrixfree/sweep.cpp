@@ -82,8 +82,7 @@ void Sweep::relax_from_zero(std::size_t block, int k, int colour, RowChoice cons
                             Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
-  if (kernels_ == Kernels::portable)
-    return portable::relax_from_zero({b, s, stencil_, k, rows}, colour, r.data(), e.data());
+  if (is_portable()) return portable::relax_from_zero({b, s, stencil_, k, rows}, colour, r.data(), e.data());
   int const plane = k - b.box.lower[2];
   int const ny = b.box.extent(1);
   RowStencil const* const at = &s.rows[std::size_t(ny * plane)];
@@ -100,8 +99,7 @@ void Sweep::relax_from_zero(std::size_t block, int k, int colour, RowChoice cons
 
 void Sweep::relax(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (kernels_ == Kernels::portable)
-    return portable::relax({b, stencil_.block(block), stencil_, k, rows}, colour, r.data(), e.data());
+  if (is_portable()) return portable::relax({b, stencil_.block(block), stencil_, k, rows}, colour, r.data(), e.data());
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
     for_each_row(block, k, rows, e.data(), [&](CorrectionRow const& row, int j, RowStencil const& s) {
       int const odd = parity(b, j, k, colour);
@@ -143,7 +141,7 @@ void Sweep::restrict_row(CellBlock const& b, int j, int k, float const* fine, Pa
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
                               float weight, Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (kernels_ == Kernels::portable)
+  if (is_portable())
     return portable::restrict_residual({b, stencil_.block(block), stencil_, k, {}}, r.data(), e.data(), parents, weight,
                                        coarse.data());
   float* const left = line_of(parents);
@@ -160,7 +158,7 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
 void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                      Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (kernels_ == Kernels::portable)
+  if (is_portable())
     return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k, {}}, r.data(), parents, weight,
                                               coarse.data());
   with_kind(b.lanes, true, [&](auto n, auto) {
@@ -179,7 +177,7 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
 void Sweep::prolong(std::size_t block, int k, RowChoice const& rows, Parents const& parents, Vector const& coarse,
                     bool set, Vector const& r, Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (kernels_ == Kernels::portable)
+  if (is_portable())
     return portable::prolong({b, stencil_.block(block), stencil_, k, rows}, parents, coarse.data(), set, e.data());
   int const plane = k - b.box.lower[2], nx = b.box.extent(0), z = parents.toward(2, plane);
   // a fine row lies between its parents' row and the next one on its own side

@@ -2,6 +2,7 @@
 
 #include <functional>
 
+#include "base/kokkos.hpp"
 #include "matrixfree/ghosts.hpp"
 
 namespace amrpic::matrixfree {
@@ -91,6 +92,8 @@ class Sweep {
 
   Layout const& layout_;
   Stencil const& stencil_;
+  bool is_portable() const { return with_trilinos && kernels_ == Kernels::portable; }
+
   Kernels kernels_;
   mutable std::array<Vector, 5> buffer_;  ///< rows beside a row, and a residual or a correction
 };

@@ -14,6 +14,8 @@ namespace {
 
 /// The problem, if its cells find place. Collective.
 Problem const& checked(Problem const& problem) {
+  if (!with_trilinos && problem.options.kernels == matrixfree::Kernels::portable)
+    throw SolverError("kernels = \"portable\" needs Kokkos, and amrpic was built without it; set it to \"tuned\"");
   matrixfree::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
   return problem;
 }
@@ -255,12 +257,8 @@ std::size_t MatrixFreeBackend::bytes() const {
 }
 
 LevelOperators const& MatrixFreeBackend::operators_with_gradient(int level) {
-  if (shown_.operators.empty()) {
-    shown_ = assemble(problem_.hierarchy->comm(), refinement_levels(*problem_.hierarchy, shift_of(problem_.options)),
-                      problem_.options.prolongation);
-    assemble_gradient(shown_.multigrid, shown_.operators);
-  }
-  return *shown_.operators[std::size_t(level)];
+  if (!shown_) shown_ = assemble_to_show(problem_);
+  return operators_of(*shown_, level);
 }
 
 }  // namespace amrpic

@@ -4,8 +4,8 @@
 
 #include "matrixfree/composite.hpp"
 #include "matrixfree/cycle.hpp"
-#include "operators/operators.hpp"
 #include "solver/backend.hpp"
+#include "solver/compressed_rows.hpp"
 #include "solver/minimal_residual.hpp"
 
 namespace amrpic {
@@ -45,7 +45,7 @@ class MatrixFreeBackend : public Backend {
 
   LevelOperators const& operators_with_gradient(int level) override;
 
-  std::int64_t assemblies() const override { return shown_.operators.empty() ? 0 : 1; }
+  std::int64_t assemblies() const override { return shown_ ? 1 : 0; }
   std::size_t bytes() const override;
 
  private:
@@ -76,7 +76,7 @@ class MatrixFreeBackend : public Backend {
   Real latest_residual_ = 0;    ///< its norm, V/m^2
   Real latest_correction_ = 0;  ///< the largest on this rank, V
   bool phi_is_zero_ = false;
-  Assembled shown_;  ///< empty until first used
+  std::shared_ptr<Assembled const> shown_;  ///< null until first used
 };
 
 }  // namespace amrpic

@@ -8,9 +8,6 @@
 
 namespace amrpic {
 
-/// Rows of nodes as compressed ones; fixed unknowns have ones on the diagonal. Local.
-SharedRows compressed(fem::NodeBlocks const& blocks);
-
 /// A symmetric V-cycle for rows of degree 1 by MueLu's smoothed aggregates.
 class NodeAggregates {
  public:

@@ -9,7 +9,7 @@
 #include "base/error.hpp"
 #include "freespace/density.hpp"
 #include "operators/semicoarse.hpp"
-#include "solver/crs_backend.hpp"
+#include "solver/compressed_rows.hpp"
 #include "solver/matrixfree_backend.hpp"
 #include "solver/net_charge.hpp"
 
@@ -36,7 +36,7 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
     walls_.push_back(find_walls(hierarchy_->domain(), hierarchy_->level(l)));
   Problem const problem{given_, hierarchy_, options_, walls_};
   if (options_.backend == BackendKind::crs)
-    backend_ = std::make_unique<CrsBackend>(problem, reusable_);
+    backend_ = make_crs_backend(problem, reusable_);
   else
     backend_ = std::make_unique<MatrixFreeBackend>(problem);
   if (hierarchy_->domain().has(Boundary::open)) plan_open_walls();

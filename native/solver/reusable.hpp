@@ -3,10 +3,11 @@
 #include <memory>
 
 #include "freespace/free_space.hpp"
-#include "operators/operators.hpp"
-#include "solver/bottom.hpp"
 
 namespace amrpic {
+
+struct Assembled;
+class Bottom;
 
 /// What a solver can hand on to that of another hierarchy on the same domain: the tables of free space, and from the
 /// backend of compressed rows the operators of levels that stay with their neighbours, and the bottom, if its matrix is

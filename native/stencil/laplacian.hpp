@@ -1,9 +1,9 @@
 #pragma once
 
-#include <Kokkos_Macros.hpp>
 #include <array>
 
 #include "base/fused.hpp"
+#include "base/kokkos.hpp"
 #include "stencil/boundary.hpp"
 #include "stencil/equation.hpp"
 

@@ -61,6 +61,11 @@ def test_h5py_writes_and_reads_beside_the_hdf5_that_trilinos_brings(comm, tmp_pa
         assert np.array_equal(file["values"], np.arange(10))
 
 
+def test_a_build_without_trilinos_passes_and_says_what_it_lacks(monkeypatch):
+    monkeypatch.setattr(doctor._native, "trilinos_version", lambda: "")
+    assert doctor.trilinos_and_backend().startswith('none: of the backends there is "matrix-free" alone')
+
+
 def fake_mpiexec(folder: Path, text: str) -> str:
     """A PATH whose first mpiexec is this script."""
     script = folder / "mpiexec"

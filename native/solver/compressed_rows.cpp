@@ -1,0 +1,23 @@
+#include "solver/compressed_rows.hpp"
+
+#include "solver/crs_backend.hpp"
+
+namespace amrpic {
+
+std::unique_ptr<Backend> make_crs_backend(Problem const& problem, Reusable& reusable) {
+  return std::make_unique<CrsBackend>(problem, reusable);
+}
+
+std::shared_ptr<Assembled const> assemble_to_show(Problem const& problem) {
+  auto const out = std::make_shared<Assembled>(
+      assemble(problem.hierarchy->comm(), refinement_levels(*problem.hierarchy, shift_of(problem.options)),
+               problem.options.prolongation));
+  assemble_gradient(out->multigrid, out->operators);
+  return out;
+}
+
+LevelOperators const& operators_of(Assembled const& assembled, int level) {
+  return *assembled.operators[std::size_t(level)];
+}
+
+}  // namespace amrpic

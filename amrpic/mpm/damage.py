@@ -18,6 +18,9 @@ from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
 LINEAR_TOLERANCE = 1e-12
+WEAK = (
+    1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +55,15 @@ def damage_field(
     """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
 
     2 (1 - k)(1 - d) H = G/ℓ (d - ℓ² Δd), which is linear in d: integrals are over initial volumes, gradients in the mesh as it
-    is. Nodes that are `fixed` have `values`; those whose elements hold no material that breaks have none. SolverError on all
-    ranks if the solve does not end.
+    is. Nodes that are `fixed` have `values`; those whose elements hold no points have none. In materials that do
+    not break a thousandth of the largest G/ℓ continues the field; few points of the others would not determine it. SolverError
+    on all ranks if the solve does not end.
     """
     surface, length = solid.surface_and_length()
+    breaks = surface > 0
+    own = [(m.damage.toughness / m.damage.length, m.damage.length) for m in solid.materials if m.damage]
+    strongest, longest = np.max(own, axis=0) if own else (0.0, 0.0)
+    surface, length = np.where(breaks, surface, WEAK * strongest), np.where(breaks, length, longest)
     left = np.array([2 * (1 - m.damage.residual) if m.damage else 0.0 for m in solid.materials])[solid.material]
     source = np.ascontiguousarray(left * driving)
     points = solid.points
@@ -63,7 +71,7 @@ def damage_field(
     mask = np.zeros(len(solid.mesh.node_indices), dtype=bool) if fixed is None else np.asarray(fixed)
     empty = operator.diagonal() <= 0
     held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
-    right = points.integrate(source * (surface > 0) / solid.j)
+    right = points.integrate(source / solid.j)
     d, report = solve(
         operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=LINEAR_TOLERANCE
     )

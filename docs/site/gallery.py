@@ -80,6 +80,9 @@ SCENES = {
         plot("--quantity", "x-px", "--kind", "phase-space"),
         "phase space after 60 periods of the focusing",
     ),
+    "column": Shown(
+        "A column under its own weight", plot("--quantity", "pressure", "--axis", "y"), "the pressure in it"
+    ),
 }
 SCRIPTS = {
     "gmls_cloud": Shown(

@@ -62,6 +62,7 @@ def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, Damag
             values=values,
             load=body_force(there, plan.densities, scene.gravity, loads.end),
             tolerance=scene.solver.tolerance,
+            damage_tolerance=scene.solver.damage_tolerance,
             most_turns=scene.solver.turns,
             most_iterations=scene.solver.iterations,
             coarse=scene.solver.coarse,

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import ArrayLike
 
 from .. import _native
@@ -20,7 +19,6 @@ from .solid import Solid
 
 LINEAR_TOLERANCE = 1e-12
 FIRST_WITHIN, WITHIN = 1e-2, 0.1  # tolerances of equilibrium in the first turn, and over what the last one left
-DEPTH = 6  # turns that a mixture takes in
 WEAK = (
     1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
 )
@@ -58,8 +56,8 @@ def damage_field(
     """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
 
     2 (1 - k)(1 - d) H = G/ℓ (d - ℓ² Δd), which is linear in d: integrals are over initial volumes, gradients in the mesh as it
-    is. Nodes that are `fixed` have `values`; those whose elements hold no points have none. In materials that do
-    not break a thousandth of the largest G/ℓ continues the field; few points of the others would not determine it. SolverError
+    is. Nodes that are `fixed` have `values`; those whose elements hold no material that breaks have none. In other
+    materials beside such a thousandth of the largest G/ℓ continues the field, which few points would not determine. SolverError
     on all ranks if the solve does not end.
     """
     surface, length = solid.surface_and_length()
@@ -69,10 +67,11 @@ def damage_field(
     surface, length = np.where(breaks, surface, WEAK * strongest), np.where(breaks, length, longest)
     left = np.array([2 * (1 - m.damage.residual) if m.damage else 0.0 for m in solid.materials])[solid.material]
     source = np.ascontiguousarray(left * driving)
-    points = solid.points
-    operator = _DamageOperator(points, _native.mpm_damage(points.native, solid.initial_volume, source, surface, length))
+    points, volume = solid.points, solid.initial_volume
+    operator = _DamageOperator(points, _native.mpm_damage(points.native, volume, source, surface, length))
+    of_breaking = _DamageOperator(points, _native.mpm_damage(points.native, volume, source, surface * breaks, length))
     mask = np.zeros(len(solid.mesh.node_indices), dtype=bool) if fixed is None else np.asarray(fixed)
-    empty = operator.diagonal() <= 0
+    empty = of_breaking.diagonal() <= 0
     held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
     right = points.integrate(source / solid.j)
     d, report = solve(
@@ -97,20 +96,19 @@ def settle(
 
     Displacement and damage are found in turns, each with the other as it is, until the forces that the displacement leaves with
     the damage that it leads to are within `damage_tolerance`, by default `tolerance`, of the size of all; then the displacement
-    is found once more, to `tolerance`. Before that it is found no better than of use. Damage goes on from Anderson's mixture of
-    the latest turns. `conditions` and the rest are those of `equilibrium`. The driving energy of points grows from what the
-    solid had before, whatever turns pass through. What was reached is returned, converged or not.
+    is found once more, to `tolerance`. Before that it is found no better than of use. `conditions` and the rest are those of
+    `equilibrium`. The driving energy of points grows from what the solid had before, whatever turns pass through. What was
+    reached is returned, converged or not.
     """
     u, enough = start, damage_tolerance or tolerance
     if not any(m.damage for m in solid.materials):
         u, report = equilibrium(solid, fixed=fixed, tolerance=tolerance, start=u, **conditions)
         nodes, last = np.zeros(len(solid.mesh.node_indices)), report.residuals[-1] / (report.size or 1)
         return Settled(u, nodes, solid), DamageReport(report.converged, 1, [last], [report])
-    comm = solid.mesh.comm
-    nodes = damage_field(solid, solid.driving)
-    now, mixture = solid, Mixture(comm)
+    now, breaks = solid, solid.surface_and_length()[0] > 0
     residuals: list[float] = []
     reports: list[EquilibriumReport] = []
+    nodes = np.zeros(len(solid.mesh.node_indices))
     for _ in range(most_turns):
         within = max(tolerance, min(FIRST_WITHIN, WITHIN * residuals[-1])) if residuals else FIRST_WITHIN
         u, report = equilibrium(now, fixed=fixed, tolerance=within, start=u, **conditions)
@@ -119,14 +117,11 @@ def settle(
             residuals.append(report.residuals[-1] / (report.size or 1))
             break
         driving = np.maximum(solid.driving, now.states(u).driving)
-        found = damage_field(solid, driving)
-        led_to = _with(solid, found, driving)
-        residuals.append(_apart(led_to, u, fixed, conditions.get("load")) / (report.size or 1))
+        nodes = damage_field(solid, driving)
+        now = solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
+        residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
         if residuals[-1] <= enough:
-            nodes, now = found, led_to
             break
-        nodes = mixture.next(nodes, found)
-        now = _with(solid, nodes, driving)
     assert isinstance(u, np.ndarray)
     converged = reports[-1].converged and residuals[-1] <= enough
     if converged and residuals[-1] > tolerance:
@@ -135,31 +130,6 @@ def settle(
         now = now.with_damage(now.damage, np.maximum(solid.driving, now.states(u).driving))
         converged = report.converged
     return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports)
-
-
-def _with(solid: Solid, nodes: np.ndarray, driving: np.ndarray) -> Solid:
-    """The solid with the damage of nodes at its points. Collective."""
-    return solid.with_damage(np.clip(solid.points.values(nodes), 0, 1), driving)
-
-
-class Mixture:
-    """Anderson's acceleration of x = g(x): mixes the latest few x and g(x) so that g(x) - x would vanish if g were linear."""
-
-    def __init__(self, comm: MPI.Comm, depth: int = DEPTH) -> None:
-        self._comm, self._depth = comm, depth
-        self._tried: list[np.ndarray] = []
-        self._gaps: list[np.ndarray] = []
-
-    def next(self, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the x to go on from, given g(x); this rank's parts of vectors. Collective."""
-        self._tried, self._gaps = [*self._tried, x][-self._depth :], [*self._gaps, g - x][-self._depth :]
-        if len(self._gaps) == 1:
-            return g
-        of_x, of_gap = np.diff(self._tried, axis=0), np.diff(self._gaps, axis=0)
-        sums = self._comm.allreduce(np.column_stack([of_gap @ of_gap.T, of_gap @ self._gaps[-1]]))
-        gram, right = sums[:, :-1], sums[:, -1]
-        share = np.linalg.lstsq(gram, right, rcond=1e-10)[0]
-        return np.asarray(g - share @ (of_x + of_gap))
 
 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:

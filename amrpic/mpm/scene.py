@@ -98,8 +98,8 @@ class SolveSection(Section):
         default=1e-3,
         gt=0,
         lt=0.1,
-        description="Turns between displacement and damage end where one more would change forces by less, over the size of all "
-        "forces; then forces are brought to balance with the damage as it is, to `tolerance`.",
+        description="Turns between displacement and damage end where one more would change forces by less, over the size of "
+        "all forces; then forces are brought to balance with the damage as it is, to `tolerance`.",
     )
     iterations: int = Field(default=30, ge=1, description="Newton iterations of a solve, at most.")
     turns: int = Field(default=60, ge=1, description="Turns between displacement and damage in a step, at most.")

@@ -80,6 +80,9 @@ SCENES = {
         plot("--quantity", "x-px", "--kind", "phase-space"),
         "phase space after 60 periods of the focusing",
     ),
+    "press": Shown("A press", plot("--quantity", "damage", "--axis", "y"), "damage of grains and binder"),
+    "sinker": Shown("A ball that sinks", plot("--quantity", "pressure", "--axis", "y"), "the pressure around it"),
+    "crack": Shown("A crack", plot("--quantity", "damage", "--axis", "y"), "damage, from the notch through the bar"),
     "column": Shown(
         "A column under its own weight", plot("--quantity", "pressure", "--axis", "y"), "the pressure in it"
     ),

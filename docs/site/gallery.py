@@ -80,7 +80,7 @@ SCENES = {
         plot("--quantity", "x-px", "--kind", "phase-space"),
         "phase space after 60 periods of the focusing",
     ),
-    "press": Shown("A press", plot("--quantity", "damage", "--axis", "y"), "damage of grains and binder"),
+    "press": Shown("A press", plot("--quantity", "material", "--axis", "y"), "grains, binder and voids after it"),
     "sinker": Shown("A ball that sinks", plot("--quantity", "pressure", "--axis", "y"), "the pressure around it"),
     "crack": Shown("A crack", plot("--quantity", "damage", "--axis", "y"), "damage, from the notch through the bar"),
     "column": Shown(

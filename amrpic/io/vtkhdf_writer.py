@@ -25,6 +25,7 @@ from .provenance import Provenance
 from .writer_ranks import BY_SIZE, Attempts, Interleaved, Rows, Writers
 
 VTKHDF_VERSION = (2, 2)
+SERIES = "fields.vtkhdf.series"
 
 Fields = Mapping[str, Field | VectorField]
 
@@ -65,7 +66,7 @@ def list_time(comm: MPI.Comm, directory: Path, step: int, time: float, kind: str
 
     It is JSON: the files in the order of their times. Dumps that are no longer there leave it.
     """
-    path, dump = Path(directory) / f"{kind}.vtkhdf.series", path_of(directory, step, kind)
+    path, dump = Path(directory) / SERIES.replace("fields", kind), path_of(directory, step, kind)
     attempts = Attempts(f"cannot write {path}", "free some space or choose another output folder")
 
     def write_list() -> None:

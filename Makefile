@@ -147,6 +147,7 @@ stub: build/_native.pyi  ## write amrpic/_native.pyi anew
 
 docs: .venv/.built .venv/.docs  ## the documentation as a site, into build/site; docs/scene.md, the reference of scenes, anew
 	@$(BIN)/amrpic schema --markdown --output docs/scene.md
+	@$(BIN)/amrpic schema --method mpm --markdown --output docs/mpm_scene.md
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q -f .mkdocs.yml && echo build/site/index.html
 
 gallery: .venv/.built  ## run every example, draw it, and write docs/gallery.md anew
@@ -210,6 +211,7 @@ lint: build/_native.pyi  ## ruff, mypy, clang-format and the two dependency grap
 	$(BIN)/clang-format --dry-run -Werror $(wildcard native/*/*.cpp native/*/*.hpp)
 	cmp build/_native.pyi amrpic/_native.pyi || { echo 'the stub is old: make stub'; exit 1; }
 	$(BIN)/amrpic schema --markdown | cmp - docs/scene.md || { echo 'the reference of scenes is old: make docs'; exit 1; }
+	$(BIN)/amrpic schema --method mpm --markdown | cmp - docs/mpm_scene.md || { echo 'that of material points is old: make docs'; exit 1; }
 	$(BIN)/python -m pytest -q tests/test_architecture.py
 
 format: .venv/.packages  ## let ruff and clang-format rewrite the sources

@@ -672,6 +672,11 @@ class Migration:
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
     ) -> bool: ...
+    def carry(self, columns: NDArray[numpy.float64], out: NDArray[numpy.float64]) -> None:
+        """
+        After `finish`: further columns, (columns, n), of the same particles. Collective.
+        """
+
     @property
     def starts(self) -> NDArray[numpy.int64]: ...
     def remote(self, hierarchy: Hierarchy) -> RemoteBricks: ...

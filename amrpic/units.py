@@ -66,6 +66,10 @@ UNITS: dict[str, dict[str, float]] = {
     "wave number": {"1/m": 1.0, "1/cm": 1e2, "1/mm": 1e3},
     "frequency": {"Hz": 1.0, "kHz": 1e3, "MHz": 1e6, "GHz": 1e9},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180},
+    "pressure": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "density": {"kg/m^3": 1.0, "g/cm^3": 1e3},
+    "energy per area": {"J/m^2": 1.0, "mJ/m^2": 1e-3, "kJ/m^2": 1e3},
+    "acceleration": {"m/s^2": 1.0},
     "duration": {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0},
 }
 

@@ -8,9 +8,11 @@ from typing import NoReturn
 
 from mpi4py import MPI
 
-from ..errors import InputError
+from ..errors import InputError, SceneError
 from ..parallel import from_rank_0, together
-from ..scene.scene import Scene, read_text
+from ..scene.any_scene import AnyScene, read_data, read_text
+from ..scene.scene import Scene
+from .methods import scene_from
 
 Commands = argparse._SubParsersAction
 
@@ -68,7 +70,7 @@ def scene_arguments(command: argparse.ArgumentParser, what: str = "a scene file 
     )
 
 
-def scene_on_all_ranks(comm: MPI.Comm, chosen: argparse.Namespace) -> Scene:
+def scene_on_all_ranks(comm: MPI.Comm, chosen: argparse.Namespace) -> AnyScene:
     """Return the same on all ranks; rank 0 alone reads the file. Collective; SceneError on all ranks."""
     text = from_rank_0(comm, lambda: read_text(chosen.scene), InputError)
     with together(comm, InputError):
@@ -76,11 +78,21 @@ def scene_on_all_ranks(comm: MPI.Comm, chosen: argparse.Namespace) -> Scene:
     return scene
 
 
-def scene_of(chosen: argparse.Namespace, text: str | None = None) -> Scene:
+def scene_of(chosen: argparse.Namespace, text: str | None = None) -> AnyScene:
     """Return the scene that the arguments name, with its overrides and output folder; `text`: of its file, read before."""
-    scene = Scene.from_toml(chosen.scene, chosen.set, text)
+    scene = scene_from(read_data(chosen.scene, chosen.set, text), chosen.scene)
     if getattr(chosen, "output", None) is None:
         return scene
     if not chosen.output:
         raise InputError("--output is empty; name a folder, or leave it out for runs/<name of the scene>")
     return scene.model_copy(update={"output": scene.output.model_copy(update={"directory": chosen.output})})
+
+
+def pic_scene_of(chosen: argparse.Namespace) -> Scene:
+    """Return the scene that the arguments name if it is particle-in-cell. Raises SceneError."""
+    scene = scene_of(chosen)
+    if not isinstance(scene, Scene):
+        raise SceneError(
+            f"{chosen.scene} is of material points, which this command does not know; use run, check or preview"
+        )
+    return scene

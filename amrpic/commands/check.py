@@ -14,9 +14,9 @@ from ..errors import InputError
 from ..failure import BAD_INPUT
 from ..io import integrity
 from ..parallel import from_rank_0
-from ..run.limits import check_scene
 from ..scene.complaints import RefusedScene
 from .arguments import Commands, command, count, scene_arguments, scene_of
+from .methods import check_scene
 
 
 def add(commands: Commands) -> None:

@@ -9,10 +9,11 @@ from typing import Any
 from mpi4py import MPI
 
 from ..errors import InputError, OutputError
+from ..io.field_reader import open_dump
 from ..parallel import together
 from ..scene.units import to_metres
-from ..view.draw import plot as plot_fields
-from ..view.views import OVERVIEW, View, with_options
+from ..view.draw import draw
+from ..view.views import View, of_points, overview_of, with_options
 from .arguments import Commands, command
 
 
@@ -62,15 +63,24 @@ def _plot(chosen: argparse.Namespace) -> int:
     folder = None if chosen.output is None else Path(chosen.output)
     with together(MPI.COMM_WORLD, OutputError):
         if MPI.COMM_WORLD.rank == 0:
-            draw = {"phase-space": _draw_particles, "losses": _draw_losses}.get(chosen.kind, _draw_fields)
-            print(*draw(chosen, folder), sep="\n")
+            drawn = {"phase-space": _draw_particles, "losses": _draw_losses}.get(chosen.kind, _draw_fields)
+            print(*drawn(chosen, folder), sep="\n")
     return 0
 
 
 def _draw_fields(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
-    views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
-    views = views or [view for view in OVERVIEW if chosen.kind in (None, view.kind)]
-    return plot_fields(Path(chosen.path), folder, with_options(views, **_given(chosen)))
+    with open_dump(Path(chosen.path)) as dump:
+        views = [View(name, chosen.kind or "slice") for name in chosen.quantity or ()]
+        views = views or [view for view in overview_of(dump) if chosen.kind in (None, view.kind)]
+        if not views:
+            raise InputError(f"there is no {chosen.kind} by default of {dump.path}; name a --quantity")
+        folder = folder or dump.path.parent
+        drawn = draw(dump, folder, with_options(views, **_given(chosen)))
+        if of_points(dump) and Path(chosen.path).is_dir() and not chosen.quantity:
+            from ..mpm.pictures import draw_forces  # no other run imports it
+
+            drawn += draw_forces(Path(chosen.path), folder)
+    return drawn
 
 
 def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:

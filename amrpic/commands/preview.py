@@ -49,6 +49,7 @@ from ..units import quantity
 from ..view.draw import draw
 from ..view.views import View
 from .arguments import Commands, command, count, scene_arguments, scene_on_all_ranks, seconds
+from .methods import preview_points
 from .preview_warnings import warnings_of
 from .text_table import columns
 
@@ -297,7 +298,10 @@ def add(commands: Commands) -> None:
 def _preview(chosen: argparse.Namespace) -> int:
     comm = MPI.COMM_WORLD
     scene = scene_on_all_ranks(comm, chosen)
-    text = preview(comm, scene, chosen.ranks or comm.size, chosen.seconds)
+    if isinstance(scene, Scene):
+        text = preview(comm, scene, chosen.ranks or comm.size, chosen.seconds)
+    else:
+        text = preview_points(comm, scene)
     if comm.rank == 0:
         print(text)
     return 0

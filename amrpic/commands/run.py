@@ -12,11 +12,11 @@ from ..io.checkpoint_reader import candidates
 from ..parallel import together
 from ..run.folder import prepare
 from ..run.log import RunLog
-from ..run.simulation import Simulation
 from ..run.status import start_failed
-from ..scene.scene import Scene
+from ..scene.any_scene import AnyScene
 from ..scene.units import to_seconds
 from .arguments import Commands, command, scene_arguments, scene_on_all_ranks
+from .methods import Run, simulation_of
 
 STOPPED = 75  # "try again later": stopped by a signal or the clock after a checkpoint, to be resubmitted
 
@@ -50,13 +50,13 @@ def _run(chosen: argparse.Namespace) -> int:
     return 0 if simulation.run(walltime).stopped is None else STOPPED
 
 
-def _begin(comm: MPI.Comm, scene: Scene, restart: str | None) -> Simulation:
+def _begin(comm: MPI.Comm, scene: AnyScene, restart: str | None) -> Run:
     """Return the run at its start or at a checkpoint, with "auto" the newest one that is whole; rank 0 warns of others."""
     if restart is not None and restart != "auto":
-        return Simulation.restart(comm, restart, scene)
+        return simulation_of(comm, scene, restart)
     for path in candidates(comm, scene.directory) if restart else ():
         try:
-            return Simulation.restart(comm, path, scene)
+            return simulation_of(comm, scene, path)
         except UnreadableCheckpoint as error:
             RunLog(comm, scene.schedule.last_step).warn(str(error))
-    return Simulation(comm, scene)
+    return simulation_of(comm, scene)

@@ -14,7 +14,7 @@ from ..scaling.measure import CLOCKS
 from ..scaling.measured import Measured, by_kind, medians
 from ..scaling.show import page, stage_table, table, write
 from ..scaling.study import KINDS, LAUNCHER, Study
-from .arguments import Commands, command, count, scene_arguments, scene_of
+from .arguments import Commands, command, count, pic_scene_of, scene_arguments, scene_of
 from .text_table import columns
 
 CYCLES = 2.0
@@ -136,7 +136,7 @@ def _predict(chosen: argparse.Namespace, found: Sequence[Measured]) -> tuple[str
     from ..scaling.predict import LEAST, predicted
 
     machine, strong = Machine.read(chosen.predict), [one for one in found if one.kind == "strong"]
-    rows, worst = predicted(scene_of(chosen), strong, machine, _progress())
+    rows, worst = predicted(pic_scene_of(chosen), strong, machine, _progress())
     print(f"\nmodelled on {machine.name}", *columns(rows), f"largest error {worst:.0%}", sep="\n")
     said = (
         f"## Modelled on {machine.name}\n\nConstants: {machine.source}. Mesh and cycles are those of the runs; stages begin "
@@ -162,7 +162,7 @@ def _plan(chosen: argparse.Namespace, folder: Path) -> int:
     targets = None if chosen.targets is None else Targets.read(chosen.targets)
     machines = [Machine.read(name) for name in chosen.machine or ["aries"]]
     say = _progress()
-    planner = Planner(scene_of(chosen), say)
+    planner = Planner(pic_scene_of(chosen), say)
     plans = list(planner.plans(chosen.plan))
     text, paths = write_plans(planner, plans, machines, chosen.cycles, folder, chosen.page, targets, _said(chosen))
     say("")

@@ -9,17 +9,24 @@ from pathlib import Path
 from ..errors import OutputError
 from ..scene.schema import scene_reference, scene_schema
 from .arguments import Commands, command
+from .methods import MPM, scene_of_method
 
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
     schema = command(commands, "schema", _schema, "print what a scene may hold, as a JSON schema for editors")
     schema.add_argument("--markdown", action="store_true", help="as a reference for people, in Markdown")
+    schema.add_argument("--method", choices=(MPM,), help="of scenes of this method; default particle-in-cell")
     schema.add_argument("--output", metavar="FILE", help="write it into a file")
 
 
 def _schema(chosen: argparse.Namespace) -> int:
-    text = scene_reference() if chosen.markdown else json.dumps(scene_schema(), indent=2, ensure_ascii=False) + "\n"
+    scene, title = scene_of_method(chosen.method)
+    text = (
+        scene_reference(scene, title)
+        if chosen.markdown
+        else json.dumps(scene_schema(scene), indent=2, ensure_ascii=False) + "\n"
+    )
     if chosen.output is None:
         print(text, end="")
         return 0

@@ -26,7 +26,8 @@ class Points:
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
     exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `gauss`:
-    they are so many of Gauss's points along each axis of all elements, x fastest, and have his weights.
+    they are so many of Gauss's points along each axis of all elements, x fastest, and have his weights. `weight`: those that
+    they have instead.
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class Points:
         number: np.ndarray,
         weights: Weights = "moments",
         gauss: int = 0,
+        weight: np.ndarray | None = None,
     ) -> None:
         self.mesh = mesh
         self.element = np.ascontiguousarray(element, dtype=np.int32)
@@ -47,6 +49,8 @@ class Points:
         self.weight, self.exact_to = self.volume, np.full(len(mesh.elements), -1, dtype=np.int32)
         if gauss:
             self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1, dtype=np.int32)
+        elif weight is not None:
+            self.weight = np.ascontiguousarray(weight, dtype=np.float64)
         elif weights == "moments":
             first = np.searchsorted(self.element, np.arange(len(mesh.elements) + 1))
             self.weight, self.exact_to = _native.fem_fit_moments(

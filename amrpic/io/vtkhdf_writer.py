@@ -30,9 +30,9 @@ SERIES = "fields.vtkhdf.series"
 Fields = Mapping[str, Field | VectorField]
 
 
-def path_of(directory: Path, step: int) -> Path:
-    """Return where the field dump of a step lies in a run's directory."""
-    return Path(directory) / f"fields_{step:08d}.vtkhdf"
+def path_of(directory: Path, step: int, kind: str = "fields") -> Path:
+    """Return where the field dump of a step, or one of another kind, lies in a run's directory."""
+    return Path(directory) / f"{kind}_{step:08d}.vtkhdf"
 
 
 def write(
@@ -61,12 +61,12 @@ def write(
     shared_file.write(hierarchy.comm, path, arrays, describe, attempts, writers)
 
 
-def list_time(comm: MPI.Comm, directory: Path, step: int, time: float) -> None:
+def list_time(comm: MPI.Comm, directory: Path, step: int, time: float, kind: str = "fields") -> None:
     """Note the time, s, of a step's dump in the list that ParaView opens as one animation. Collective; OutputError.
 
     It is JSON: the files in the order of their times. Dumps that are no longer there leave it.
     """
-    path, dump = Path(directory) / SERIES, path_of(directory, step)
+    path, dump = Path(directory) / SERIES.replace("fields", kind), path_of(directory, step, kind)
     attempts = Attempts(f"cannot write {path}", "free some space or choose another output folder")
 
     def write_list() -> None:

@@ -4,7 +4,10 @@ from .carry import carried
 from .damage import DamageReport, Settled, damage_field, settle
 from .equilibrium import EquilibriumReport, equilibrium
 from .loads import LoadStep, in_steps
+from .material_points import MaterialPoints
 from .materials import Damage, Material, NeoHookean, Ogden
+from .scene import Scene
+from .simulation import Simulation
 from .solid import Response, Solid, States, Tangent
 
 __all__ = [
@@ -13,10 +16,13 @@ __all__ = [
     "EquilibriumReport",
     "LoadStep",
     "Material",
+    "MaterialPoints",
     "NeoHookean",
     "Ogden",
     "Response",
+    "Scene",
     "Settled",
+    "Simulation",
     "Solid",
     "States",
     "Tangent",

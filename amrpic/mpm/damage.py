@@ -18,6 +18,10 @@ from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
 LINEAR_TOLERANCE = 1e-12
+FIRST_WITHIN, WITHIN = 1e-2, 0.1  # tolerances of equilibrium in the first turn, and over what the last one left
+WEAK = (
+    1e-3  # of the largest G/ℓ: what materials that do not break have of it, so that damage goes on smoothly into them
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,18 +56,24 @@ def damage_field(
     """Return the damage of nodes (nodes,) for the largest driving energy of points, (n,) in J/m³. Collective.
 
     2 (1 - k)(1 - d) H = G/ℓ (d - ℓ² Δd), which is linear in d: integrals are over initial volumes, gradients in the mesh as it
-    is. Nodes that are `fixed` have `values`; those whose elements hold no material that breaks have none. SolverError on all
-    ranks if the solve does not end.
+    is. Nodes that are `fixed` have `values`; those whose elements hold no material that breaks have none. In other
+    materials beside such a thousandth of the largest G/ℓ continues the field, which few points would not determine. SolverError
+    on all ranks if the solve does not end.
     """
     surface, length = solid.surface_and_length()
+    breaks = surface > 0
+    own = [(m.damage.toughness / m.damage.length, m.damage.length) for m in solid.materials if m.damage]
+    strongest, longest = np.max(own, axis=0) if own else (0.0, 0.0)
+    surface, length = np.where(breaks, surface, WEAK * strongest), np.where(breaks, length, longest)
     left = np.array([2 * (1 - m.damage.residual) if m.damage else 0.0 for m in solid.materials])[solid.material]
     source = np.ascontiguousarray(left * driving)
-    points = solid.points
-    operator = _DamageOperator(points, _native.mpm_damage(points.native, solid.initial_volume, source, surface, length))
+    points, volume = solid.points, solid.initial_volume
+    operator = _DamageOperator(points, _native.mpm_damage(points.native, volume, source, surface, length))
+    of_breaking = _DamageOperator(points, _native.mpm_damage(points.native, volume, source, surface * breaks, length))
     mask = np.zeros(len(solid.mesh.node_indices), dtype=bool) if fixed is None else np.asarray(fixed)
-    empty = operator.diagonal() <= 0
+    empty = of_breaking.diagonal() <= 0
     held = np.where(mask, np.broadcast_to(values, mask.shape), 0.0)
-    right = points.integrate(source * (surface > 0) / solid.j)
+    right = points.integrate(source / solid.j)
     d, report = solve(
         operator, right, fixed=mask | empty, values=held, preconditioner="jacobi", tolerance=LINEAR_TOLERANCE
     )
@@ -77,35 +87,49 @@ def settle(
     *,
     fixed: ArrayLike,
     tolerance: float = 1e-8,
+    damage_tolerance: float | None = None,
     most_turns: int = 100,
     start: ArrayLike | None = None,
     **conditions: Any,
 ) -> tuple[Settled, DamageReport]:
     """Return the equilibrium of a solid that may break, and how it was found. Collective.
 
-    Displacement and damage are found in turns, each with the other as it is, until the displacement is in equilibrium with the
-    damage that it leads to, to `tolerance`. `conditions` and the rest are those of `equilibrium`. The driving energy of points
-    grows from what the solid had before, whatever turns pass through. What was reached is returned, converged or not.
+    Displacement and damage are found in turns, each with the other as it is, until the forces that the displacement leaves with
+    the damage that it leads to are within `damage_tolerance`, by default `tolerance`, of the size of all; then the displacement
+    is found once more, to `tolerance`. Before that it is found no better than of use. `conditions` and the rest are those of
+    `equilibrium`. The driving energy of points grows from what the solid had before, whatever turns pass through. What was
+    reached is returned, converged or not.
     """
-    u, breaks = start, any(m.damage for m in solid.materials)
-    now, nodes = solid, np.zeros(len(solid.mesh.node_indices))
+    u, enough = start, damage_tolerance or tolerance
+    if not any(m.damage for m in solid.materials):
+        u, report = equilibrium(solid, fixed=fixed, tolerance=tolerance, start=u, **conditions)
+        nodes, last = np.zeros(len(solid.mesh.node_indices)), report.residuals[-1] / (report.size or 1)
+        return Settled(u, nodes, solid), DamageReport(report.converged, 1, [last], [report])
+    now, breaks = solid, solid.surface_and_length()[0] > 0
     residuals: list[float] = []
     reports: list[EquilibriumReport] = []
+    nodes = np.zeros(len(solid.mesh.node_indices))
     for _ in range(most_turns):
-        u, report = equilibrium(now, fixed=fixed, tolerance=tolerance, start=u, **conditions)
+        within = max(tolerance, min(FIRST_WITHIN, WITHIN * residuals[-1])) if residuals else FIRST_WITHIN
+        u, report = equilibrium(now, fixed=fixed, tolerance=within, start=u, **conditions)
         reports.append(report)
-        if not report.converged or not breaks:
+        if not report.converged:
             residuals.append(report.residuals[-1] / (report.size or 1))
             break
         driving = np.maximum(solid.driving, now.states(u).driving)
         nodes = damage_field(solid, driving)
-        now = solid.with_damage(np.clip(solid.points.values(nodes), 0, 1), driving)
+        now = solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
         residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
-        if residuals[-1] <= tolerance:
+        if residuals[-1] <= enough:
             break
     assert isinstance(u, np.ndarray)
-    converged = reports[-1].converged and residuals[-1] <= tolerance
-    return Settled(u, nodes, now), DamageReport(converged, len(reports), residuals, reports)
+    converged = reports[-1].converged and residuals[-1] <= enough
+    if converged and residuals[-1] > tolerance:
+        u, report = equilibrium(now, fixed=fixed, tolerance=tolerance, start=u, **conditions)
+        reports.append(report)
+        now = now.with_damage(now.damage, np.maximum(solid.driving, now.states(u).driving))
+        converged = report.converged
+    return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports)
 
 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:

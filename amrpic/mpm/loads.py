@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from ..errors import InputError, SolverError
@@ -22,6 +22,43 @@ class LoadStep:
     iterations: int
 
 
+@dataclass(frozen=True)
+class Loads:
+    """How far a load has come on, and how large its next step is: 1/`steps` of it, less after steps that failed."""
+
+    steps: int
+    smallest: float = 1e-3
+    easy: int = 4
+    begin: float = 0.0
+    length: float | None = None
+    refused: tuple[tuple[float, float], ...] = ()  # since the last step that was taken
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or not 0 < self.smallest < 1:
+            raise InputError(
+                f"steps are {self.steps} and the smallest is {self.smallest}; give at least one, and a part of the load"
+            )
+
+    @property
+    def end(self) -> float:
+        """Where the next step ends."""
+        rest, length = 1 - self.begin, self.length or 1 / self.steps
+        return 1.0 if rest < length * (1 + 1e-9) else self.begin + length
+
+    def taken(self, iterations: int) -> Loads:
+        """Return what follows the step; after one of few iterations the next is half as long again, up to the first."""
+        length = (self.length or 1 / self.steps) * (GROWTH if iterations <= self.easy else 1)
+        return replace(self, begin=self.end, length=min(1 / self.steps, length), refused=())
+
+    def cut(self) -> Loads:
+        """Return what follows if the step fails: half of it. SolverError if that is too small."""
+        refused, length = (*self.refused, (self.begin, self.end)), (self.end - self.begin) / 2
+        if length < self.smallest:
+            history = ", ".join(f"{begin:.4g} to {end:.4g}" for begin, end in refused)
+            raise SolverError(f"no equilibrium beyond {self.begin:.4g} of the load; steps that failed: {history}")
+        return replace(self, length=length, refused=refused)
+
+
 def in_steps(
     state: State,
     advance: Callable[[State, float, float], tuple[State | None, int]],
@@ -36,20 +73,12 @@ def in_steps(
     Steps are 1/`steps` of the load; one without a state is halved, and after one of at most `easy` iterations the next is half
     as long again, up to the first length. InputError for no number of steps; SolverError where a step below `smallest` fails.
     """
-    if steps < 1 or not 0 < smallest < 1:
-        raise InputError(f"steps are {steps} and the smallest is {smallest}; give at least one, and a part of the load")
-    begin, length, taken = 0.0, 1.0 / steps, []
-    while begin < 1:
-        rest = 1 - begin
-        end = 1.0 if rest < length * (1 + 1e-9) else begin + length
-        found, iterations = advance(state, begin, end)
-        taken.append(LoadStep(begin, end, found is not None, iterations))
-        if found is not None:
-            state, begin = found, end
-            length = min(1.0 / steps, length * (GROWTH if iterations <= easy else 1))
-            continue
-        length = (end - begin) / 2
-        if length < smallest:
-            history = ", ".join(f"{s.begin:.4g} to {s.end:.4g}" for s in taken if not s.taken)
-            raise SolverError(f"no equilibrium beyond {begin:.4g} of the load; steps that failed: {history}")
-    return state, taken
+    loads, tried = Loads(steps, smallest, easy), []
+    while loads.begin < 1:
+        found, iterations = advance(state, loads.begin, loads.end)
+        tried.append(LoadStep(loads.begin, loads.end, found is not None, iterations))
+        if found is None:
+            loads = loads.cut()
+        else:
+            state, loads = found, loads.taken(iterations)
+    return state, tried

@@ -143,12 +143,15 @@ class Solid:
         stress, energy, driving = self.native.states(whole.reshape(-1))
         return States(whole, np.linalg.det(whole), stress.reshape(-1, 3, 3), energy, driving)
 
-    def dissipated(self, damage_at_nodes: ArrayLike) -> float:
-        """Return G/(2ℓ) ∫ d² + ℓ² |∇d|² over initial volumes, in J: what breaking took. Collective."""
+    def dissipation(self, damage_at_nodes: ArrayLike) -> np.ndarray:
+        """Return G/(2ℓ) (d² + ℓ² |∇d|²) of each point, (n,) in J per initial m³: what breaking took. Collective."""
         d, slope = self.points.values(damage_at_nodes), self.points.slopes(damage_at_nodes)
         surface, length = self.surface_and_length()
-        density = surface / 2 * (d**2 + length**2 * (slope**2).sum(axis=1))
-        return global_sum(self.mesh.comm, float((self.initial_volume * density).sum()))
+        return np.asarray(surface / 2 * (d**2 + length**2 * (slope**2).sum(axis=1)))
+
+    def dissipated(self, damage_at_nodes: ArrayLike) -> float:
+        """Return the integral of `dissipation` over initial volumes, J. Collective."""
+        return global_sum(self.mesh.comm, float(self.initial_volume @ self.dissipation(damage_at_nodes)))
 
     def surface_and_length(self) -> tuple[np.ndarray, np.ndarray]:
         """Return G/ℓ in J/m³ and ℓ in m of each point, zeros where its material does not break. Local."""

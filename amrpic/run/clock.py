@@ -19,6 +19,9 @@ WORKS = {  # what progress reports of stages
     "gather": "reading the field at particles",
     "push": "moving particles",
     "output": "writing files",
+    "sample": "making points",
+    "weigh": "weighing points",
+    "equilibrium": "looking for equilibrium",
 }
 
 

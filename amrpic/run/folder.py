@@ -14,17 +14,17 @@ from mpi4py import MPI
 
 from ..errors import OutputError
 from ..parallel import together
-from ..scene.scene import Scene
+from ..scene.any_scene import AnyScene
 
 LOCK = ".lock"
 STOP = "STOP"  # a file of this name ends the run after a checkpoint
 WRITTEN = re.compile(  # what a run writes
-    r"(checkpoint|fields|particles)_\d{8,}.*|(series|residuals|beam|slices|losses|own_.+)\.(csv|json)|(losses|screen_.+)\.h5|"
-    r"fields\.vtkhdf\.series|status\.json|report\.html|openpmd|STOP"
+    r"(checkpoint|fields|particles|points)_\d{8,}.*|(series|residuals|beam|slices|losses|own_.+)\.(csv|json)|(losses|screen_.+)\.h5|"
+    r"(fields|points)\.vtkhdf\.series|status\.json|report\.html|openpmd|STOP"
 )
 
 
-def prepare(comm: MPI.Comm, scene: Scene) -> None:
+def prepare(comm: MPI.Comm, scene: AnyScene) -> None:
     """Make the folder that a scene writes into. Collective; OutputError on all ranks if that is not possible."""
     directory = scene.directory
     problem = None

@@ -7,7 +7,7 @@ import logging
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import timedelta
 from types import TracebackType
 from typing import Literal, TextIO
@@ -18,6 +18,7 @@ from ..failure import discard
 from ..progress import progress
 
 Log = Literal["print", "logging", "silent"]
+StepLine = Callable[[Mapping[str, float], int, float], str]  # of a row, the last step, seconds left
 LOGGER = logging.getLogger("amrpic.run")
 MEMORY_OF_PACE = 0.2  # weight of the newest step in the smoothed seconds per step
 
@@ -26,7 +27,7 @@ class RunLog:
     """Speaks on rank 0 and is silent on all others. A context manager, in which Python's warnings come here as well.
 
     Plain lines in any case: under MPI every rank believes that it writes to a terminal. If they are printed, steps go to `out`
-    and warnings to `err`, which are standard output and standard error by default.
+    and warnings to `err`, which are standard output and standard error by default. `line` makes the line of a step.
     """
 
     def __init__(
@@ -36,7 +37,9 @@ class RunLog:
         out: TextIO | None = None,
         err: TextIO | None = None,
         how: Log = "print",
+        line: StepLine | None = None,
     ) -> None:
+        self._line = line or step_line
         self._speaks = comm.rank == 0 and how != "silent"
         self._logs = how == "logging"
         self._last_step = last_step
@@ -68,7 +71,7 @@ class RunLog:
         self.pace += weight * (seconds - self.pace)
         self._lines += 1
         left = max(self._last_step - int(row["step"]), 0) * self.pace
-        self._say(step_line(row, self._last_step, left))
+        self._say(self._line(row, self._last_step, left))
 
     def note(self, text: str) -> None:
         """Print a line that belongs to no step."""

@@ -27,6 +27,7 @@ from ..particles.energy_bins import Frames
 from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..particles.species import SpeciesTable
+from ..scene.any_scene import AnyScene
 from ..scene.differences import differences
 from ..scene.domain import DomainSection
 from ..scene.motion import Leapfrog
@@ -56,12 +57,12 @@ RECORDED = ("time", "direction", "cause")  # beside them, of particles in a reco
 FOLLOWED = ("seed", "domain", "background", "refinement", "particles", "solver", "motion", "apertures", "screens")
 
 
-def about(scene: Scene) -> Provenance:
+def about(scene: AnyScene) -> Provenance:
     """Return what every output says about the run."""
     return Provenance(scene.to_dict(), version("amrpic"), scene.seed)
 
 
-def writers_of(scene: Scene) -> Writers:
+def writers_of(scene: AnyScene) -> Writers:
     """Return how many ranks write a file of a run."""
     return Writers(scene.output.writers, scene.output.part_bytes)
 
@@ -107,6 +108,10 @@ def load(
     """
     manifest = read_manifest(comm, path)
     header = manifest.header
+    if "method" in header.about.scene:
+        raise InputError(
+            f"checkpoint {path} holds material points; go on from it by a scene of theirs, or start afresh"
+        )
     by_auto = (
         header.extra.get("compensation_by_auto", False) if scene is None else scene.particles.compensation == "auto"
     )

@@ -14,12 +14,12 @@ from importlib.metadata import version
 from mpi4py import MPI
 
 from ..io.run_status import FILE, RunStatus, known, now, stamp
-from ..scene.scene import Scene
+from ..scene.any_scene import AnyScene
 
 EVERY = 1.0  # s between two versions of the file
 
 
-def start_failed(comm: MPI.Comm, scene: Scene, why: str) -> None:
+def start_failed(comm: MPI.Comm, scene: AnyScene, why: str) -> None:
     """Say in the folder of a run that it failed before its first step, unless an earlier one left its status there. Local."""
     status = Status(comm, scene, 0, begin=False)
     if not (scene.directory / FILE).exists():
@@ -32,7 +32,7 @@ class Status:
     A file that cannot be written is left out: no run fails because of it.
     """
 
-    def __init__(self, comm: MPI.Comm, scene: Scene, step: int, begin: bool = True) -> None:
+    def __init__(self, comm: MPI.Comm, scene: AnyScene, step: int, begin: bool = True) -> None:
         self._folder = scene.directory if comm.rank == 0 and scene.output.write else None
         self._latest = -EVERY
         self._status = RunStatus(
@@ -60,12 +60,12 @@ class Status:
             dt=known(dt),
             seconds_per_step=known(pace),
             estimated_end=stamp(datetime.now(UTC) + left),
-            particles=int(row["particles"]),
-            lost_particles=int(row["lost_particles"]),
+            particles=int(row.get("particles", row.get("points", 0))),
+            lost_particles=int(row.get("lost_particles", 0)),
             levels=len(cells),
             cells=sum(cells),
-            cycles=int(row["cycles"]),
-            residual=known(row["residual"]),
+            cycles=int(row.get("cycles", row.get("cg_iterations", 0))),
+            residual=known(row.get("residual", 0.0)),
             memory=int(row["memory"]),
             written=dict(written),
         )

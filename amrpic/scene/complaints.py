@@ -80,8 +80,15 @@ def _keys(place: tuple[str | int, ...], schema: dict[str, Any]) -> Iterator[str]
             node = {"$ref": next(filter(None, members))}
             continue
         yield str(part)
-        below = (one.get("items") if isinstance(part, int) else one.get("properties", {}).get(part) for one in here)
+        below = (one.get("items") if isinstance(part, int) else _member(one, part) for one in here)
         node = next(filter(None, below), {})
+
+
+def _member(node: dict[str, Any], key: str) -> dict[str, Any]:
+    """The part of a schema for a key of a table; keys may be any names."""
+    others = node.get("additionalProperties")
+    found: dict[str, Any] = node.get("properties", {}).get(key) or (others if isinstance(others, dict) else {})
+    return found
 
 
 def _resolved(node: dict[str, Any], schema: dict[str, Any]) -> Iterator[dict[str, Any]]:

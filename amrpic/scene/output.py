@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from pydantic import Field
@@ -11,18 +12,13 @@ from .section import Section
 PART_BYTES = 2**30
 
 
-class Output(Section):
-    """What a run writes."""
+class Files(Section):
+    """What a run of any method writes."""
 
     directory: str | None = Field(
         default=None, min_length=1, description="Where to write; runs/<name of the scene> if not given."
     )
-    write: list[Literal["checkpoint", "fields", "particles", "series", "losses", "pictures", "report"]] = Field(
-        default=["checkpoint", "fields", "series", "losses", "pictures"],
-        description="The kinds of output wanted; particles are openPMD files, which a restart does without; losses are the "
-        "records of lost particles and of screens, as openPMD, and a map of losses along z: written where there are any; "
-        "report is a page for a browser with all that is known of the run, made at its end.",
-    )
+    write: Sequence[str] = Field(default=[], description="The kinds of output wanted.")
     checkpoint_every: int = Field(
         default=10, ge=0, description="Steps between checkpoints; 0 writes the last one only."
     )
@@ -45,6 +41,17 @@ class Output(Section):
         default=PART_BYTES,
         ge=1,
         description="Bytes of a file from which on one more rank writes, if `writers` is not given.",
+    )
+
+
+class Output(Files):
+    """What a run writes."""
+
+    write: list[Literal["checkpoint", "fields", "particles", "series", "losses", "pictures", "report"]] = Field(
+        default=["checkpoint", "fields", "series", "losses", "pictures"],
+        description="The kinds of output wanted; particles are openPMD files, which a restart does without; losses are the "
+        "records of lost particles and of screens, as openPMD, and a map of losses along z: written where there are any; "
+        "report is a page for a browser with all that is known of the run, made at its end.",
     )
     fields_every: int = Field(default=0, ge=0, description="Steps between field files; 0 writes the last one only.")
     particles_every: int = Field(

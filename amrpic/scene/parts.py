@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from .any_scene import AnyScene
 from .bunch_files import ArrayBunch, OpenPMDBunch
 from .bunch_shapes import GaussianBunch, HaloBunch, HollowBunch, KVBunch, ParabolicBunch, SphereBunch, WaterbagBunch
 from .bunches import DescribedBunch, LatticeBunch
@@ -19,16 +21,19 @@ from .output import Output
 from .particles import ParticlesSection
 from .refinement import Refinement
 from .schedule import Schedule
-from .section import Section
 from .solver_options import SolverSection
 from .thermal_bunch import ThermalBunch
 
+OF_POINTS = ("faces", "points", "structure", "materials", "gravity", "floor_stiffness")  # keys of amrpic.mpm.Scene
 
-class SceneParts(Section):
+
+class SceneParts(AnyScene):
     """What a scene is made of; `fits_together.check` says whether the parts go together."""
 
-    name: str = Field(default="scene", min_length=1, description="Name of the scene and of its output folder.")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="Of all random numbers; the same seed gives the same run.")
+    foreign: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        (*OF_POINTS, "method"), 'it is for material points: begin the file with method = "mpm", or leave it out'
+    )
+
     background: Literal["none", "neutralizing"] = Field(
         default="none", description="neutralizing: a uniform density that cancels the net charge, for periodic scenes."
     )

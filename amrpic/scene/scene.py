@@ -4,34 +4,19 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import ValidationError, model_validator
+from pydantic import model_validator
 
 from .. import html
-from ..errors import SceneError
-from . import toml
-from .complaints import refusal
 from .fits_together import check
 from .motion import Leapfrog, NoMotion
 from .obstacles import out_of_reach
 from .parts import SceneParts
 from .section import Section
 from .thermal_bunch import ThermalBunch
-
-
-def read_text(path: str | os.PathLike[str]) -> str:
-    """Return the text of a scene file. Raises SceneError in one sentence."""
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except OSError as reason:
-        raise SceneError(f"scene file {path} cannot be read ({reason.strerror}); check the path") from None
-    except UnicodeDecodeError as reason:
-        raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
 
 
 class Scene(SceneParts):
@@ -42,40 +27,13 @@ class Scene(SceneParts):
         check(self)
         return self
 
-    @classmethod
-    def from_toml(cls, path: str | os.PathLike[str], overrides: Iterable[str] = (), text: str | None = None) -> Self:
-        """Return the scene of a TOML file, with `key.path=value` overrides.
-
-        `text` is what the file holds, where `read_text` read it before: on rank 0 alone, for all. Raises SceneError in one
-        sentence; paths in the file are relative to it.
-        """
-        path = Path(path)
-        try:
-            data = tomllib.loads(read_text(path) if text is None else text)
-        except tomllib.TOMLDecodeError as reason:
-            raise SceneError(f"scene file {path} is not TOML: {reason}; correct that line") from None
-        except RecursionError:
-            raise SceneError(f"scene file {path} has tables or arrays in too many others; make it flatter") from None
-        toml.override(data, overrides)
-        data.setdefault("name", path.stem)
-        _anchor_files(data, path.parent)
-        return cls.from_dict(data, source=str(path))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], source: str = "scene") -> Self:
-        """Return the scene of nested mappings and lists, as TOML and JSON hold. Raises SceneError in one sentence."""
-        try:
-            return cls.model_validate(data)
-        except ValidationError as refused:
-            raise refusal(refused, source, cls) from None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the resolved scene, all defaults filled in, as plain values; `from_dict` gives the scene back."""
-        return self.model_dump(mode="json", exclude_none=True)
-
-    def to_toml(self) -> str:
-        """Return the resolved scene as the text of a TOML file."""
-        return toml.dumps(self.to_dict())
+    @staticmethod
+    def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
+        for key in ("bunches", "elements"):
+            members = data.get(key)
+            for member in members if isinstance(members, list) else []:
+                if isinstance(member, dict) and isinstance(member.get("file"), str):
+                    member["file"] = str(folder / member["file"])
 
     def with_interface(self, interface: str) -> Self:
         """Return the scene with `particles.interface` as given."""
@@ -84,11 +42,6 @@ class Scene(SceneParts):
     def with_compensation(self, compensation: str) -> Self:
         """Return the scene with `particles.compensation` as given."""
         return self.model_copy(update={"particles": self.particles.model_copy(update={"compensation": compensation})})
-
-    @property
-    def directory(self) -> Path:
-        """Where the run writes."""
-        return Path(self.output.directory) if self.output.directory is not None else Path("runs") / self.name
 
     def particle_count(self) -> int:
         """Macroparticles of the whole scene at its start."""
@@ -144,11 +97,3 @@ def _brief(value: Any) -> str:
     given = value.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
     text = ", ".join(f"{key} = {json.dumps(one, ensure_ascii=False)}" for key, one in given.items())
     return f"{kind}: {text}" if kind else text
-
-
-def _anchor_files(data: Mapping[str, Any], folder: Path) -> None:
-    for key in ("bunches", "elements"):
-        members = data.get(key)
-        for member in members if isinstance(members, list) else []:
-            if isinstance(member, dict) and isinstance(member.get("file"), str):
-                member["file"] = str(folder / member["file"])

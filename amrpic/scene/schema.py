@@ -7,6 +7,7 @@ from typing import Any
 
 from ..units import UNITS
 from . import toml
+from .any_scene import AnyScene
 from .scene import Scene
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -20,12 +21,12 @@ LIMITS = {
 Json = dict[str, Any]
 
 
-def scene_schema() -> Json:
-    """Return the JSON schema (draft 2020-12) of a scene file.
+def scene_schema(scene: type[AnyScene] = Scene) -> Json:
+    """Return the JSON schema (draft 2020-12) of a scene file, of particle-in-cell if not said otherwise.
 
     It knows keys, types, units, choices and limits; how values must fit together, the scene itself checks.
     """
-    schema = Scene.model_json_schema()
+    schema = scene.model_json_schema()
     for part in list(_parts(schema)):
         _tidy(part)
         _name_the_choice(part, schema["$defs"])
@@ -89,7 +90,7 @@ TYPES = {
     "object": "table",
 }
 
-INTRODUCTION = """# Scene reference
+INTRODUCTION = """# {}
 
 Generated from the scene's models by `make docs`; `amrpic schema --markdown` prints it too. A scene is a TOML file.
 Keys in bold must be given. A quantity is a number in SI units, or a string with one of these units:
@@ -99,11 +100,11 @@ Keys in bold must be given. A quantity is a number in SI units, or a string with
 """
 
 
-def scene_reference() -> str:
+def scene_reference(scene: type[AnyScene] = Scene, title: str = "Scene reference") -> str:
     """Return what a scene may hold as Markdown."""
-    schema = scene_schema()
+    schema = scene_schema(scene)
     units = "".join(f"| {kind} | {', '.join(table)} |\n" for kind, table in UNITS.items())
-    lines = [INTRODUCTION + units, "## The scene\n", *_Reference(schema["$defs"]).lines(schema)]
+    lines = [INTRODUCTION.format(title) + units, "## The scene\n", *_Reference(schema["$defs"]).lines(schema)]
     return "\n".join(lines).rstrip() + "\n"
 
 

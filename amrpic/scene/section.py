@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError, model_validator
 from pydantic_core import CoreSchema
@@ -49,6 +49,8 @@ class _Sentences(ModelMetaclass):
 class Section(BaseModel, metaclass=_Sentences):
     """A part of the scene: frozen, and strict about its keys. Raises SceneError for a value that it cannot have."""
 
+    foreign: ClassVar[Mapping[str, str]] = {}  # keys that belong elsewhere, and what to do about them
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, arbitrary_types_allowed=True)
 
     @classmethod
@@ -61,9 +63,8 @@ class Section(BaseModel, metaclass=_Sentences):
         if isinstance(data, Mapping):
             for key in data:
                 if key not in cls.model_fields:
-                    raise complaint(
-                        "is an unknown key", close_match(str(key), cls.model_fields), path=str(key), found=data[key]
-                    )
+                    remedy = cls.foreign.get(key) or close_match(str(key), cls.model_fields)
+                    raise complaint("is an unknown key", remedy, path=str(key), found=data[key])
         return data
 
     def replace(self, **changes: Any) -> Self:

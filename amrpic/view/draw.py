@@ -10,27 +10,27 @@ from ..errors import OutputError
 from ..io.field_reader import Dump, open_dump
 from ..mesh.raster import spread_of
 from ..parallel import together
-from .views import OVERVIEW, View, numbers, require
+from .views import OVERVIEW, View, density_of, numbers, overview_of, require
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def plot(path: Path, directory: Path | None = None, views: Sequence[View] = OVERVIEW) -> list[Path]:
+def plot(path: Path, directory: Path | None = None, views: Sequence[View] = ()) -> list[Path]:
     """Draw a dump, or the latest one in the folder of a run, and return the pictures' paths. Serial: for one rank.
 
-    Pictures go beside the dump unless `directory` is given. Raises InputError for what is no dump or not in it, OutputError
-    if a picture cannot be written.
+    Pictures go beside the dump unless `directory` is given; an overview if no views are. Raises InputError for what is no
+    dump or not in it, OutputError if a picture cannot be written.
     """
     with open_dump(path) as dump:
-        return draw(dump, dump.path.parent if directory is None else Path(directory), views)
+        return draw(dump, dump.path.parent if directory is None else Path(directory), views or overview_of(dump))
 
 
 def figures(dump: Dump, views: Sequence[View] = OVERVIEW) -> Iterator[tuple[str, Figure]]:
     """Yield the pictures of a dump by the names of their views. Serial. Raises InputError for what is not in the dump."""
     from .plot import figure
 
-    spread = spread_of(dump)
+    spread = spread_of(dump, density_of(dump))
     for view in views:
         require(dump, view)
         yield view.name, figure(dump, spread, view, numbers(dump, spread, view))
@@ -49,7 +49,7 @@ def drawn(dump: Dump, folder: Path, views: Sequence[View] = OVERVIEW) -> Iterato
     """Draw a dump as `draw` does, and yield the path of each picture when it is there. Collective."""
     for view in views:
         require(dump, view)
-    spread = spread_of(dump)
+    spread = spread_of(dump, density_of(dump))
     for view in views:
         shown = numbers(dump, spread, view)
         path = folder / f"{dump.path.stem}_{view.name}.png"

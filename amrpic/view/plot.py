@@ -19,7 +19,7 @@ from ..mesh.domain import AXES
 from ..mesh.pictures import DPI, draw_curve, plane
 from ..mesh.raster import Line, Raster, Spread, line_through
 from ..units import prefix_of, quantity
-from .views import View
+from .views import View, of_points
 
 Array = NDArray[Any]
 
@@ -72,7 +72,8 @@ def _plane(dump: Dump, raster: Raster, symbol: str, unit: str, view: View, title
 
 
 def _when(dump: Dump) -> str:
-    return f"step {dump.step}, t = {quantity(dump.time, 's')}"
+    when = f"{100 * dump.time:.4g} % of the load" if of_points(dump) else f"t = {quantity(dump.time, 's')}"
+    return f"step {dump.step}, {when}"
 
 
 def profiles(dump: Dump, line: Line, shown: Mapping[str, Array], level: int | None = None) -> Figure:

@@ -54,6 +54,23 @@ OPTIONS = {  # of each kind of picture
 }
 OVERVIEW = (View("phi"), View("|E|"), View("rho", "projection"), View("phi E rho", "line"))
 
+OF_POINTS = (View("material", axis=1), View("damage", axis=1), View("pressure", axis=1), View("mises", axis=1))
+
+
+def of_points(dump: Dump) -> bool:
+    """Return whether a dump has means over elements of material points, and no charge."""
+    return "filled" in dump.units
+
+
+def overview_of(dump: Dump) -> tuple[View, ...]:
+    """Return the views that show a dump if no others are asked for."""
+    return OF_POINTS if of_points(dump) else OVERVIEW
+
+
+def density_of(dump: Dump) -> str:
+    """Return the name of the density in a dump, through the middle of which views go."""
+    return "filled" if of_points(dump) else "rho"
+
 
 def with_options(views: Sequence[View], **options: Any) -> list[View]:
     """Return the views with those of the options that apply to them. Raises InputError for one that applies to none."""

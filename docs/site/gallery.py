@@ -80,6 +80,12 @@ SCENES = {
         plot("--quantity", "x-px", "--kind", "phase-space"),
         "phase space after 60 periods of the focusing",
     ),
+    "press": Shown("A press", plot("--quantity", "material", "--axis", "y"), "grains, binder and voids after it"),
+    "sinker": Shown("A ball that sinks", plot("--quantity", "pressure", "--axis", "y"), "the pressure around it"),
+    "crack": Shown("A crack", plot("--quantity", "damage", "--axis", "y"), "damage, from the notch through the bar"),
+    "column": Shown(
+        "A column under its own weight", plot("--quantity", "pressure", "--axis", "y"), "the pressure in it"
+    ),
 }
 SCRIPTS = {
     "gmls_cloud": Shown(

@@ -37,7 +37,7 @@ LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* refer
   Level const& level = hierarchy.level(0);
   Index3 cell;
   for (std::size_t d = 0; d < 3; ++d) {
-    Real const at = (place[d] - domain.lower[d]) / level.spacing()[d];
+    Real const at = (place[d] - domain.lower[d]) * (1 / domain.spacing(d));  // rounded as where points migrate
     if (!(place[d] >= domain.lower[d] && place[d] <= domain.upper[d])) return -1;
     cell[d] = std::min(int(std::floor(at)), domain.cells[d] - 1);
     reference[d] = 2 * (at - cell[d]) - 1;

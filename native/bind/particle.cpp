@@ -162,6 +162,20 @@ void bind_particle(nb::module_& m) {
             return self.finish(view(position, momentum, weight, id));
           },
           "position"_a, "momentum"_a, "weight"_a, "id"_a)
+      .def(
+          "carry",
+          [](Migration const& self, nb::ndarray<Real const, nb::ndim<2>, nb::c_contig, nb::device::cpu> from,
+             nb::ndarray<Real, nb::ndim<2>, nb::c_contig, nb::device::cpu> to) {
+            nb::gil_scoped_release release;
+            std::vector<Real const*> old;
+            std::vector<Real*> fresh;
+            for (std::size_t c = 0; c < from.shape(0); ++c) {
+              old.push_back(from.data() + c * from.shape(1));
+              fresh.push_back(to.data() + c * to.shape(1));
+            }
+            self.carry(old, fresh);
+          },
+          "columns"_a, "out"_a, "After `finish`: further columns, (columns, n), of the same particles. Collective.")
       .def_prop_ro(
           "starts", [](Migration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
       .def(

@@ -26,7 +26,7 @@ class Classifier {
     out_.leavers.resize(std::size_t(mesh.hierarchy().comm().ranks()));
     out_.per_brick.assign(std::size_t(mesh.bricks()), 0);
     neighbours_.fill(-1);
-    if (servers.ranks() > 1) parts_.assign(std::size_t(mesh.bricks()), not_found);
+    if (!alone()) parts_.assign(std::size_t(mesh.bricks()), not_found);
   }
 
   Destinations classify() &&;
@@ -59,11 +59,20 @@ class Classifier {
   }
   /// Which of its particles this rank serves.
   Part part(LocalBrick const& at) const {
-    if (servers_.ranks() == 1) return Part::all;
+    if (alone()) return Part::all;
     signed char& found = parts_[std::size_t(number(at))];
-    if (found == not_found) found = static_cast<signed char>(servers_.part(place(home(at))));
+    if (found == not_found) found = static_cast<signed char>(part_of(home(at)));
     return Part(found);
   }
+  Part part_of(Home const& home) const {
+    if (servers_.are_owners()) return out_.bricks.is_own(home) ? Part::all : Part::none;
+    return servers_.part(place(home));
+  }
+  int server_of(Home const& home, LocalIndex n) const {
+    if (servers_.are_owners()) return mesh_.hierarchy().level(home.level).owner(home.box);
+    return servers_.server(place(home) + BrickCurve::hash(particles_.id[n]));
+  }
+  bool alone() const { return mesh_.hierarchy().comm().ranks() == 1; }
   std::int64_t place(Home const& home) const {
     Box const& box = mesh_.hierarchy().level(home.level).box(home.box);
     return servers_.curve().place(home.level, Bricks(box)[home.brick].lower);
@@ -205,7 +214,7 @@ Classifier::LocalBrick Classifier::find(Real3 const& x) {
 /// A brick among those of this rank, if it serves any of its particles.
 Classifier::LocalBrick Classifier::local(Home const& home) {
   if (out_.bricks.is_own(home)) return {mesh_.slot(home.level, home.box), home.brick};
-  Part const of_brick = servers_.part(place(home));
+  Part const of_brick = part_of(home);
   if (of_brick == Part::none) return {};
   int const slot = own_slots() + out_.bricks.number(home) - mesh_.bricks();
   if (slot == own_slots() + int(remote_.size())) {
@@ -237,7 +246,7 @@ void Classifier::look_up(LocalIndex n) {
     return;
   }
   latest_ = mesh_.locator().find(x, latest_);
-  int const server = servers_.ranks() == 1 ? 0 : servers_.server(place(latest_) + BrickCurve::hash(particles_.id[n]));
+  int const server = alone() ? 0 : server_of(latest_, n);
   if (server != mesh_.hierarchy().comm().rank()) {
     out_.leavers[std::size_t(server)].push_back({n, latest_});
     return;

@@ -143,4 +143,21 @@ bool copy(ParticleMesh const& mesh, ParticleView const& particles, Destinations 
   return finite;
 }
 
+void copy_columns(std::vector<Real const*> const& from, std::vector<Real*> const& to, std::int64_t count,
+                  Destinations const& destinations, Places const& places, std::vector<Real> const& arrived) {
+  std::size_t const width = from.size();
+  for (std::size_t c = 0; c < width; ++c) {
+    bool const far = are_far(count, to[c]);
+    for (std::size_t run = 0; run < destinations.runs.size(); ++run) {
+      auto const& [brick, first, last, stayed] = destinations.runs[run];
+      copy_chosen(from[c], first, last, count, destinations.stays.data() + first / lane_count, to[c] + places.runs[run],
+                  far, false);
+    }
+    for (auto const* moves : {&places.movers, &places.wrapped})
+      for (auto const& [old, place] : *moves) to[c][place] = from[c][old];
+    for (std::size_t n = 0; n < places.arrivals.size(); ++n) to[c][places.arrivals[n]] = arrived[n * width + c];
+  }
+  stream_end();
+}
+
 }  // namespace amrpic

@@ -30,4 +30,13 @@ bool Migration::finish(ParticleView const& out) {
   return destinations_.finite && stayed && std::all_of(leaving_.all.begin(), leaving_.all.end(), left);
 }
 
+void Migration::carry(std::vector<Real const*> const& from, std::vector<Real*> const& to) const {
+  std::vector<Real> left, arrived;
+  for (auto const& to_rank : destinations_.leavers)
+    for (auto const& [n, home] : to_rank)
+      for (Real const* column : from) left.push_back(column[n]);
+  exchange_rows(mesh_.hierarchy().comm(), from.size(), leaving_, left, arrivals_, arrived);
+  copy_columns(from, to, particles_.count, destinations_, places_, arrived);
+}
+
 }  // namespace amrpic

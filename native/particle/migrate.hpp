@@ -32,6 +32,10 @@ class Migration {
   bool finish(ParticleView const& out);
 
   // after that:
+  /// Write further columns of eight bytes of this rank's particles into `to`, in the same order. Collective; once for
+  /// each set of columns, of which all ranks have as many.
+  void carry(std::vector<Real const*> const& from, std::vector<Real*> const& to) const;
+
   std::vector<std::int64_t> const& starts() const { return places_.slots; }  ///< of each slot, and of one more
   std::vector<Home> const& remote() const { return places_.remote; }         ///< bricks of the last slots
 

@@ -29,17 +29,33 @@ PackedParticles announce(Communicator const& comm, PackedParticles const& leavin
   return PackedParticles(coming);
 }
 
-void exchange(Communicator const& comm, PackedParticles const& leaving, PackedParticles& arrivals) {
-  arrivals.all.resize(std::size_t(arrivals.count()));
+namespace {
+
+/// Rows of `width` values for each particle.
+template <class T>
+void exchange_all(Communicator const& comm, std::size_t width, PackedParticles const& leaving,
+                  std::vector<T> const& left, PackedParticles const& arrivals, std::vector<T>& arrived) {
+  arrived.resize(width * std::size_t(arrivals.count()));
   Messages messages;
   for (int r = 0; r < comm.ranks(); ++r) {
     std::size_t const rank = std::size_t(r);
-    if (std::int64_t const n = arrivals.count(rank); n > 0)
-      messages.receive(comm, arrivals.all.data() + arrivals.starts[rank], std::size_t(n), r);
-    if (std::int64_t const n = leaving.count(rank); n > 0)
-      messages.send(comm, leaving.all.data() + leaving.starts[rank], std::size_t(n), r);
+    if (std::size_t const n = width * std::size_t(arrivals.count(rank)); n > 0)
+      messages.receive(comm, arrived.data() + width * std::size_t(arrivals.starts[rank]), n, r);
+    if (std::size_t const n = width * std::size_t(leaving.count(rank)); n > 0)
+      messages.send(comm, left.data() + width * std::size_t(leaving.starts[rank]), n, r);
   }
   messages.wait_for_all();
+}
+
+}  // namespace
+
+void exchange(Communicator const& comm, PackedParticles const& leaving, PackedParticles& arrivals) {
+  exchange_all(comm, 1, leaving, leaving.all, arrivals, arrivals.all);
+}
+
+void exchange_rows(Communicator const& comm, std::size_t width, PackedParticles const& leaving,
+                   std::vector<Real> const& left, PackedParticles const& arrivals, std::vector<Real>& arrived) {
+  exchange_all(comm, width, leaving, left, arrivals, arrived);
 }
 
 }  // namespace amrpic

@@ -41,4 +41,8 @@ PackedParticles announce(Communicator const& comm, PackedParticles const& leavin
 /// Send those that leave, and receive those announced. One message per pair of ranks that has any. Collective.
 void exchange(Communicator const& comm, PackedParticles const& leaving, PackedParticles& arrivals);
 
+/// Send rows of so many further numbers of those that leave, and receive those of the ones that arrive. Collective.
+void exchange_rows(Communicator const& comm, std::size_t width, PackedParticles const& leaving,
+                   std::vector<Real> const& left, PackedParticles const& arrivals, std::vector<Real>& arrived);
+
 }  // namespace amrpic

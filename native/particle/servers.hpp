@@ -65,9 +65,12 @@ class BrickCurve {
 /// ranks may share a brick.
 class Servers {
  public:
-  /// `first` has ranks + 1 values, ascending from 0 to `BrickCurve::end`.
+  /// `first` has ranks + 1 values, ascending from 0 to `BrickCurve::end`; without any, particles are with the rank that
+  /// owns the cells of their brick.
   Servers(Domain const& domain, std::vector<std::int64_t> first, int rank)
       : curve_(domain), first_(std::move(first)), rank_(rank) {}
+
+  bool are_owners() const { return first_.empty(); }
 
   BrickCurve const& curve() const { return curve_; }
   int ranks() const { return int(first_.size()) - 1; }

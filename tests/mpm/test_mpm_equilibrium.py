@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from skfem.helpers import ddot, det, grad, identity, inv, mul, trace, transpose
 
 from amrpic import fem, mpm
-from amrpic.errors import InputError
+from amrpic.errors import InputError, ParticleError
 from amrpic.verify.press import between_walls, confined, exact_stress, iterations, upper_face
 
 YOUNG = 300e6
@@ -248,5 +248,5 @@ def test_conditions_that_do_not_fit_are_refused(comm):
 def test_points_that_leave_the_next_mesh_are_named(comm):
     mesh = fem.Mesh(comm, 0, 1, 4, degree=1, max_grid_size=2)
     solid = mpm.Solid(fem.uniform(mesh, 2), PLAIN)
-    with pytest.raises(InputError, match=r"point \d+ has left the mesh to .* m"):
+    with pytest.raises(ParticleError, match=r"point \d+ at .* m with det F = 1 lies outside the mesh"):
         mpm.carried(solid, np.zeros((len(mesh.nodes), 3)), fem.Mesh(comm, 0, (1, 1, 0.5), 4))

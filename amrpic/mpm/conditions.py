@@ -1,0 +1,48 @@
+"""What a step asks of nodes: where faces hold them, and the forces of gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..fem import Mesh
+from ..mesh.domain import AXES
+from .material_points import Placed
+from .scene import Scene
+
+
+def nodes_of(mesh: Mesh, axis: int, side: int) -> np.ndarray:
+    """Return which of this rank's nodes lie on a face, (nodes,). Local."""
+    at = mesh.node_indices[:, axis]
+    return at == (mesh.node_counts[axis] - 1 if side else 0)
+
+
+def held_by(scene: Scene, mesh: Mesh, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return what faces fix of nodes while the load goes from one part to another: a mask, and displacements in m. Local.
+
+    Both (nodes, 3); the mesh is that of the begin.
+    """
+    before, after = scene.extent(begin), scene.extent(end)
+    fixed = np.zeros((len(mesh.node_indices), 3), dtype=bool)
+    values = np.zeros(fixed.shape)
+    for name, pair in scene.faces.items():
+        axis = AXES.index(name)
+        for side, face in enumerate(pair):
+            on = nodes_of(mesh, axis, side)
+            if face.kind == "clamped":
+                fixed[on] = True
+            elif face.kind == "slip":
+                fixed[on, axis] = True
+                values[on, axis] = after[side][axis] - before[side][axis]
+    return fixed, values
+
+
+def body_force(there: Placed, densities: Sequence[float], gravity: Sequence[float], load: float) -> np.ndarray:
+    """Return the forces of gravity on nodes at a part of the load, (nodes, 3) in N: of points' masses. Collective."""
+    points, whole = there.points, there.solid.points
+    density = np.array(densities)[points.material]
+    force = np.zeros((len(whole), 3))
+    mass_per_weight = density * points.initial_volume / whole.weight[there.body]
+    force[there.body] = mass_per_weight[:, None] * np.array(gravity) * load
+    return whole.integrate(force)

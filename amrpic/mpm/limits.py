@@ -1,0 +1,46 @@
+"""What a run of material points needs and what the machine has, compared before anything is allocated."""
+
+from __future__ import annotations
+
+import math
+
+from mpi4py import MPI
+
+from ..errors import SceneError
+from ..parallel import from_rank_0
+from ..run.limits import available_memory, machine_memory
+from .scene import Scene
+
+POINT_COLUMNS = 18  # of eight bytes, that a point has; twice while it migrates
+KERNEL_COLUMNS = 2 * 18  # of the point kernels and of the tangent, which is made anew while the last one is there
+MOST_STATES = 60  # of stresses, gradients and the like, while a step is measured
+NODE_COLUMNS = 3 * 16  # vectors of Newton, conjugate gradients and the cycle, three components each
+ROWS_OF_BLOCKS = 27 * 9 * 1.2  # of degree 1 and the levels below it
+
+
+def memory(scene: Scene) -> dict[str, float]:
+    """Return about how many bytes a run takes at its fullest, all ranks together, by what takes them."""
+    degree, cells = scene.domain.degree, scene.domain.cells
+    nodes, corners = (math.prod(n * p + 1 for n in cells) for p in (degree, 1))
+    return {
+        "points": 8.0 * scene.point_count() * (2 * POINT_COLUMNS + KERNEL_COLUMNS + MOST_STATES),
+        "vectors of nodes": 8.0 * nodes * NODE_COLUMNS,
+        "multigrid": 8.0 * corners * ROWS_OF_BLOCKS,
+    }
+
+
+def check_scene(scene: Scene, available: float | None = None) -> None:
+    """Raise SceneError if a scene's files are missing or wrong, or the machine has not enough memory. Local."""
+    scene.structure.check()
+    need, free = sum(memory(scene).values()), available_memory() if available is None else available
+    if need > free:
+        raise SceneError(
+            f"{scene.name}: {scene.point_count()} points take about {need / 2**30:.3g} GiB of memory, and "
+            f"{free / 2**30:.3g} GiB are free; use fewer elements or points, or more machines"
+        )
+
+
+def require_room(comm: MPI.Comm, scene: Scene) -> None:
+    """Do the same for all ranks. Collective; SceneError on all ranks."""
+    free = machine_memory(comm)
+    from_rank_0(comm, lambda: check_scene(scene, free), SceneError)

@@ -1,0 +1,199 @@
+"""Points that carry a solid: what they have, their way to the ranks of their elements, and their place in a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+
+from .. import _native
+from ..errors import InputError, ParticleError
+from ..fem import Mesh, Points, gauss
+from ..fem.points import Weights
+from ..parallel import raise_together
+from ..particles.arrays import empty_columns
+from .materials import Material, NeoHookean
+from .solid import Solid
+
+AT_FACE = 1e-9  # parts of a mesh's size: so far outside points may be, by rounding and the solver's tolerance
+FULL = 0.05  # an element is full if the volumes of its points differ by no more from its own
+OWNERS = np.zeros(0, dtype=np.int64)  # in place of servers: points go to the ranks of their elements
+NONE = np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class MaterialPoints:
+    """This rank's points, one entry or row each: all that a step hands to the next."""
+
+    position: np.ndarray  # (n, 3) m
+    id: np.ndarray  # (n,) int64, the number of the point at the start
+    material: np.ndarray  # (n,) int64, an index of the scene's materials
+    deformation: np.ndarray  # (n, 3, 3) F, since the start
+    initial_volume: np.ndarray  # (n,) m³
+    damage: np.ndarray  # (n,) from 0 to 1
+    driving: np.ndarray  # (n,) J/m³, the largest driving energy that the point has seen
+
+    def __len__(self) -> int:
+        return len(self.id)
+
+    @property
+    def j(self) -> np.ndarray:
+        """det F, (n,)."""
+        return np.linalg.det(self.deformation)
+
+    @property
+    def volume(self) -> np.ndarray:
+        """Present volumes, (n,) in m³."""
+        return self.j * self.initial_volume
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the arrays by their names, as checkpoints hold them."""
+        return {name: getattr(self, name) for name in type(self).__dataclass_fields__}
+
+    def take(self, order: np.ndarray) -> Self:
+        """Return some of the points, by a mask or by their places in the order wanted."""
+        return replace(self, **{name: column[order] for name, column in self.columns().items()})
+
+
+def require_inside(points: MaterialPoints, mesh: Mesh, load: float) -> MaterialPoints:
+    """Return the points with those on its faces, to rounding, in the mesh. Collective.
+
+    ParticleError on all ranks for one that is farther outside, or whose det F is not positive.
+    """
+    lower, upper = np.array(mesh.domain.lower), np.array(mesh.domain.upper)
+    place = np.clip(points.position, lower, upper)
+    out = ~(np.abs(points.position - place).max(axis=1, initial=0.0) <= AT_FACE * float((upper - lower).max()))
+    bad = np.flatnonzero(out | ~(points.j > 0))
+    what = None
+    if len(bad):
+        n = bad[0]
+        why = "lies outside the mesh" if out[n] else "is turned inside out"
+        at = ", ".join(f"{x:.6g}" for x in points.position[n])
+        what = (
+            f"point {points.id[n]} at ({at}) m with det F = {points.j[n]:.4g} {why} at {load:.4g} of the load, as "
+            f"{len(bad)} do on a rank; take smaller steps, or enlarge the domain"
+        )
+    raise_together(mesh.comm, what, ParticleError)
+    return replace(points, position=place)
+
+
+def migrate(points: MaterialPoints, mesh: Mesh) -> tuple[MaterialPoints, int]:
+    """Return the points of this rank's elements, by element and id, and how many came from other ranks. Collective."""
+    position, first = empty_columns(len(points)), empty_columns(len(points))
+    position[...], first[...] = points.position, points.deformation[:, 0]
+    plan = _native.Migration(
+        mesh.hierarchy.particle_mesh,
+        OWNERS,
+        position,
+        first,
+        np.ascontiguousarray(points.initial_volume),
+        points.id,
+        NONE,
+    )
+    count = plan.arriving
+    rest = np.stack(
+        [*points.deformation[:, 1:].reshape(-1, 6).T, points.damage, points.driving, points.material.view(np.float64)]
+    )
+    place, row, volume, number = (
+        empty_columns(count),
+        empty_columns(count),
+        np.empty(count),
+        np.empty(count, dtype=np.int64),
+    )
+    finite = plan.finish(place, row, volume, number)
+    raise_together(mesh.comm, None if finite and not len(plan.lost) else "points are not in the mesh", ParticleError)
+    carried = np.empty((len(rest), count))
+    plan.carry(np.ascontiguousarray(rest), carried)
+    deformation = np.concatenate([row, carried[:6].T], axis=1).reshape(-1, 3, 3)
+    there = MaterialPoints(
+        np.ascontiguousarray(place), number, carried[8].view(np.int64), deformation, volume, carried[6], carried[7]
+    )
+    element, _ = mesh.native.locate(there.position)
+    came = int(count - np.isin(number, points.id).sum())
+    return there.take(np.lexsort((number, element))), came
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Points in a mesh that has no displacement: the solid that they are, with what fills elements where they are too few."""
+
+    points: MaterialPoints
+    solid: Solid
+    body: np.ndarray | slice  # which of the solid's points these are; the others are of the floor stiffness
+    weighed: Points  # the points alone
+    floor: Solid | None = None  # the others alone, if there are any
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh."""
+        return self.solid.mesh
+
+
+def enough(degree: int) -> int:
+    """Return the least number of points by which an element's stiffness has its full rank: each gives six stresses."""
+    return -(-(3 * (degree + 1) ** 3 - 6) // 6)
+
+
+def placed(
+    points: MaterialPoints, mesh: Mesh, materials: list[Material], weights: Weights, floor_stiffness: float = 0.0
+) -> Placed:
+    """Return points that are sorted by element and id as a solid in a mesh. Collective.
+
+    Elements that they do not fill, or in which they are too few, get Gauss's points of a weak solid without Poisson's effect;
+    InputError on all ranks for such elements if there is no floor stiffness.
+    """
+    element, reference = mesh.native.locate(points.position)
+    weighed = Points(mesh, element, reference, points.volume, points.id, weights)
+    held = np.bincount(element, minlength=len(mesh.elements))
+    volume = np.bincount(element, points.volume, len(mesh.elements))
+    poor = held < enough(mesh.degree)
+    if floor_stiffness == 0:
+        _require_enough(mesh, held, poor)
+    carried = (points.material, points.deformation, points.damage, points.driving)
+    thin = np.flatnonzero(poor | (np.abs(volume - mesh.element_volume) > FULL * mesh.element_volume))
+    some = int(mesh.comm.allreduce(len(thin) if floor_stiffness > 0 else 0))
+    if some == 0:
+        material, deformation, damage, driving = carried
+        solid = Solid(weighed, materials, material, deformation=deformation, damage=damage, driving=driving)
+        return Placed(points, solid, slice(None), weighed)
+    rule, weak = gauss(mesh), NeoHookean(floor_stiffness, 0.0)
+    of_floor = np.isin(rule.element, thin)
+    more, none = int(of_floor.sum()), np.full(of_floor.sum(), -1)
+    order = np.argsort(np.concatenate([element, rule.element[of_floor]]), kind="stable")
+
+    def joined(own: np.ndarray, floor: np.ndarray) -> np.ndarray:
+        return np.concatenate([own, floor])[order]
+
+    every = Points(
+        mesh,
+        joined(element, rule.element[of_floor]),
+        joined(reference, rule.reference[of_floor]),
+        joined(points.volume, rule.volume[of_floor]),
+        joined(points.id, none),
+        weight=joined(weighed.weight, rule.weight[of_floor]),
+    )
+    solid = Solid(
+        every,
+        [*materials, weak],
+        joined(points.material, np.full(more, len(materials))),
+        deformation=joined(points.deformation, np.broadcast_to(np.eye(3), (more, 3, 3))),
+        damage=joined(points.damage, np.zeros(more)),
+        driving=joined(points.driving, np.zeros(more)),
+    )
+    own = (rule.element[of_floor], rule.reference[of_floor], rule.volume[of_floor], none)
+    floor = Solid(Points(mesh, *own, weight=rule.weight[of_floor]), weak)
+    return Placed(points, solid, np.argsort(order)[: len(points)], weighed, floor)
+
+
+def _require_enough(mesh: Mesh, held: np.ndarray, poor: np.ndarray) -> None:
+    """Raise InputError on all ranks if elements have too few points. Collective."""
+    first = int(np.argmax(poor)) if poor.any() else 0
+    raise_together(
+        mesh.comm,
+        f"element {mesh.elements[first].tolist()} has {held[first]} points, as {int(poor.sum())} on a rank have fewer than the "
+        f"{enough(mesh.degree)} that degree {mesh.degree} needs; set floor_stiffness, or fill it with a soft material"
+        if poor.any()
+        else None,
+        InputError,
+    )

@@ -1,0 +1,143 @@
+"""What the series of a run of material points has in a row: forces and work of faces, energies, extremes, effort."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from mpi4py import MPI
+
+from ..mesh.domain import AXES
+from ..units import Quantity
+from .conditions import body_force, held_by, nodes_of
+from .damage import DamageReport, Settled
+from .faces import SIDES
+from .loads import Loads
+from .material_points import Placed
+from .scene import Scene
+from .solid import Solid
+from .state import Plan, State
+
+STAGES = ("sample", "migrate", "weigh", "equilibrium", "output")
+FACES = tuple(f"{axis}_{side}" for axis in AXES for side in SIDES)
+
+
+def quantities(scene: Scene) -> Sequence[Quantity]:
+    """Return the columns of the series."""
+    joule = [
+        *(f"work_{face}" for face in FACES),
+        "work_gravity",
+        "work",
+        "stored",
+        *(f"stored_{name}" for name in scene.materials),
+        "dissipated",
+        *(f"dissipated_{name}" for name in scene.materials),
+        "gap",  # work less what is stored and dissipated
+    ]
+    return (
+        Quantity("step", counts=True),
+        Quantity("load"),
+        *(Quantity(f"travel_{axis}", "m") for axis in AXES),  # how much shorter the mesh is than at the start
+        *(Quantity(f"force_{face}", "N") for face in FACES),  # along the axis, of the face on the body
+        Quantity("floor_share"),  # of the forces of faces, by the floor stiffness
+        *(Quantity(name, "J") for name in joule),
+        *(Quantity(name) for name in ("j_min", "j_max", "damage_max")),
+        *(Quantity(name, counts=True) for name in ("points", "changed_rank", "cuts")),
+        *(
+            Quantity(name, counts=True)
+            for name in ("turns", "newton_iterations", "newton_most", "cg_iterations", "cg_most")
+        ),
+        Quantity("residual"),
+        *(
+            Quantity(name, counts=True) for name in degrees(scene)
+        ),  # elements whose weights are exact to so high a degree
+        *(Quantity(f"seconds_{stage}", "s") for stage in STAGES),
+        Quantity("seconds", "s"),
+        Quantity("memory", "B"),
+    )
+
+
+def degrees(scene: Scene) -> list[str]:
+    """Return the names of columns that count elements by the exactness of their weights."""
+    highest = 2 * max(scene.domain.degree, scene.points.per_axis if scene.points.layout == "gauss" else 0) - 1
+    return ["weights_are_volumes", *(f"weights_exact_to_{m}" for m in range(highest + 1))]
+
+
+def at_rest(there: Placed, plan: Plan) -> dict[str, float]:
+    """Return what points by themselves say. Collective."""
+    points, comm = there.points, plan.comm
+    j = points.j
+    least, most = (
+        comm.allreduce(float(j.min(initial=np.inf)), MPI.MIN),
+        comm.allreduce(float(j.max(initial=0)), MPI.MAX),
+    )
+    exact = there.weighed.exactness()
+    return {
+        "points": comm.allreduce(len(points)),
+        "j_min": least,
+        "j_max": most,
+        "damage_max": comm.allreduce(float(points.damage.max(initial=0)), MPI.MAX),
+        **{name: exact.get(number - 1, 0) for number, name in enumerate(degrees(plan.scene))},
+    }
+
+
+def measure(
+    state: State, loads: Loads, settled: Settled, report: DamageReport, plan: Plan
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the row of a step that led from a state to equilibrium, and work since the start. Collective.
+
+    Work is by the mean of forces before and after the step; forces before it are those of the points on the present mesh.
+    """
+    scene, there, u = plan.scene, state.placed, settled.displacement
+    mesh, solid = there.mesh, settled.solid
+    _, values = held_by(scene, mesh, loads.begin, loads.end)
+    loaded = [body_force(there, plan.densities, scene.gravity, load) for load in (loads.begin, loads.end)]
+    held = [there.solid.respond(0 * u).force - loaded[0], solid.respond(u).force - loaded[1]]
+    mean = (held[0] + held[1]) / 2
+    of_floor = there.floor.respond(u).force if there.floor is not None else np.zeros_like(u)
+    faces = {name: (AXES.index(name[0]), nodes_of(mesh, AXES.index(name[0]), SIDES.index(name[2:]))) for name in FACES}
+    sums = [held[1][on, axis].sum() for axis, on in faces.values()]
+    sums += [np.abs(held[1][on, axis]).sum() for axis, on in faces.values()]
+    sums += [np.abs(of_floor[on, axis]).sum() for axis, on in faces.values()]
+    sums += [(mean[on, axis] * values[on, axis]).sum() for axis, on in faces.values()]
+    sums += [((loaded[0] + loaded[1]) / 2 * u).sum()]
+    materials = len(scene.materials)
+    sums += list(_per_material(solid, solid.states(u).energy, materials))
+    sums += list(_per_material(solid, solid.dissipation(settled.damage), materials))
+    total = plan.comm.allreduce(np.array(sums, dtype=np.float64))
+    force, sizes, floors, work, (by_gravity, *energies) = total[:6], total[6:12], total[12:18], total[18:24], total[24:]
+    stored, dissipated = energies[:materials], energies[materials:]
+    done = {f"work_{face}": float(value) for face, value in zip(FACES, work, strict=True)} | {
+        "work_gravity": float(by_gravity)
+    }
+    totals = {name: state.totals.get(name, 0.0) + value for name, value in done.items()}
+    newton = [one.iterations for one in report.equilibria]
+    cg = [count for one in report.equilibria for count in one.gradients]
+    all_work = sum(totals.values())
+    before, after = scene.extent(0.0), scene.extent(loads.end)
+    shorter = (before[1] - before[0]) - (after[1] - after[0])
+    row = {
+        "load": loads.end,
+        **{f"travel_{axis}": float(shorter[d]) for d, axis in enumerate(AXES)},
+        **{f"force_{face}": float(value) for face, value in zip(FACES, force, strict=True)},
+        "floor_share": float(floors.sum() / (sizes.sum() or 1)),
+        **totals,
+        "work": all_work,
+        "stored": float(sum(stored)),
+        **{f"stored_{name}": float(one) for name, one in zip(scene.materials, stored, strict=True)},
+        "dissipated": float(sum(dissipated)),
+        **{f"dissipated_{name}": float(one) for name, one in zip(scene.materials, dissipated, strict=True)},
+        "gap": all_work - float(sum(stored)) - float(sum(dissipated)),
+        "turns": report.turns,
+        "newton_iterations": sum(newton),
+        "newton_most": max(newton),
+        "cg_iterations": sum(cg),
+        "cg_most": max(cg, default=0),
+        "residual": report.residuals[-1],
+    }
+    return row, totals
+
+
+def _per_material(solid: Solid, density: np.ndarray, count: int) -> np.ndarray:
+    """The integrals of an energy density over the points of each material; the floor is none. Local."""
+    return np.bincount(solid.material, solid.initial_volume * density, minlength=count)[:count]

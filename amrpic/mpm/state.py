@@ -1,0 +1,41 @@
+"""What a run of material points hands from step to step, and what its steps take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mpi4py import MPI
+
+from ..parallel import own
+from ..run.clock import Clock
+from .loads import Loads
+from .material_points import Placed
+from .materials import Material
+from .scene import Scene
+
+
+class Plan:
+    """What steps need that does not change with them. Collective to make."""
+
+    def __init__(self, comm: MPI.Comm, scene: Scene) -> None:
+        self.comm, self.scene = own(comm), scene
+        self.materials: list[Material] = [section.value for section in scene.materials.values()]
+        self.densities = [section.density for section in scene.materials.values()]
+        self.clock = Clock()
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Points in a mesh without displacement, after some load steps."""
+
+    step: int
+    loads: Loads  # how far the load is, and what follows
+    placed: Placed
+    totals: Mapping[str, float] = field(default_factory=dict)  # work per face and of gravity since the start, J
+    measured: Mapping[str, float] = field(default_factory=dict)  # what the series says of the step that led here
+
+    @property
+    def load(self) -> float:
+        """The part of the load that is on."""
+        return self.loads.begin

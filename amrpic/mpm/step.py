@@ -1,0 +1,70 @@
+"""One load step of material points as a composition of its stages, and the state before the first one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .carry import moved
+from .conditions import body_force, held_by
+from .damage import DamageReport, Settled, settle
+from .loads import Loads
+from .material_points import MaterialPoints, Placed, migrate, placed, require_inside
+from .measure import at_rest, measure
+from .sample import mesh_of, sample
+from .state import Plan, State
+
+
+def begin(plan: Plan) -> State:
+    """Return the state before the first step. Collective."""
+    mesh, scene = mesh_of(plan.comm, plan.scene), plan.scene
+    with plan.clock("sample"):
+        points = sample(scene, mesh)
+    schedule = scene.schedule
+    loads = Loads(schedule.steps, schedule.smallest, schedule.easy)
+    there, _ = put(points, plan, 0.0)
+    return replace(State(0, loads, there), measured=at_rest(there, plan))
+
+
+def advance(state: State, plan: Plan) -> State:
+    """Return the state one load step later; a step without equilibrium is halved. Collective.
+
+    Raises on all ranks SolverError if even the smallest step has none, ParticleError for points that left the mesh.
+    """
+    loads, cuts = state.loads, 0
+    while (found := _equilibrium(state, loads, plan)) is None:
+        loads, cuts = loads.cut(), cuts + 1
+    settled, report = found
+    measured, totals = measure(state, loads, settled, report, plan)
+    there, came = put(moved(settled.solid, settled.displacement, state.placed.body), plan, loads.end)
+    measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
+    after = loads.taken(max(one.iterations for one in report.equilibria))
+    return State(state.step + 1, after, there, totals, measured)
+
+
+def put(points: MaterialPoints, plan: Plan, load: float) -> tuple[Placed, int]:
+    """Return points in the mesh at a part of the load, and how many of this rank came from others. Collective."""
+    scene = plan.scene
+    with plan.clock("migrate"):
+        mesh = mesh_of(plan.comm, scene, load)
+        there, came = migrate(require_inside(points, mesh, load), mesh)
+    with plan.clock("weigh"):
+        return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness), came
+
+
+def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport] | None:
+    """Return where forces balance at the end of a step, None if that was not found. Collective."""
+    scene, there = plan.scene, state.placed
+    fixed, values = held_by(scene, there.mesh, loads.begin, loads.end)
+    with plan.clock("equilibrium"):
+        settled, report = settle(
+            there.solid,
+            fixed=fixed,
+            values=values,
+            load=body_force(there, plan.densities, scene.gravity, loads.end),
+            tolerance=scene.solver.tolerance,
+            damage_tolerance=scene.solver.damage_tolerance,
+            most_turns=scene.solver.turns,
+            most_iterations=scene.solver.iterations,
+            coarse=scene.solver.coarse,
+        )
+    return (settled, report) if report.converged else None

@@ -1,0 +1,200 @@
+"""Runs of material points: closed forms, restart, files, on one rank and on two."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from amrpic import mpm
+from amrpic.errors import InputError, ParticleError
+from amrpic.fem import Mesh
+from amrpic.io import time_series
+from amrpic.mpm.material_points import migrate, require_inside
+from amrpic.mpm.means import element_means
+from amrpic.mpm.sample import mesh_of, sample
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+RUBBER = {"law": "neo-hookean", "young": "300 MPa", "poisson": 0.25, "density": 1000}
+INSIDE = 1 - 1e-12  # what lies on an upper wall is moved to the next number below it
+WALLS = {"x": "slip", "y": "slip", "z": ["slip", {"press": 0.4}]}
+
+
+def scene(tmp_path, **changes):
+    return mpm.Scene.from_dict(
+        {
+            "name": "pressed",
+            "domain": {"lower": 0, "upper": 1, "cells": [2, 2, 4], "degree": 1},
+            "faces": WALLS,
+            "materials": {"rubber": RUBBER},
+            "schedule": {"steps": 10},
+            "output": {"directory": str(tmp_path / "run"), "write": ["series", "checkpoint"], "checkpoint_every": 1},
+            **changes,
+        }
+    )
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("law", ["neo-hookean", "ogden"])
+def test_confined_compression_has_the_stress_in_closed_form(comm, tmp_path, law):
+    plain = mpm.NeoHookean(300e6, 0.25)
+    ogden = {"law": "ogden", "terms": [{"mu": plain.mu, "alpha": 2}], "lame": plain.lame}
+    run = mpm.Simulation(comm, scene(tmp_path, materials={"rubber": RUBBER if law == "neo-hookean" else ogden}))
+    *_, state = run
+    stress = state.placed.solid.states(np.zeros((len(state.placed.mesh.nodes), 3))).cauchy
+    for axis, exact in ((2, -230.165e6), (0, -102.165e6)):
+        ends = [np.abs(stress[:, axis, axis] - exact).max(initial=0)]
+        assert comm.allreduce(max(ends), MPI.MAX) < 500
+    s = 0.6
+    axial = plain.mu * (s - 1 / s) + plain.lame * np.log(s) / s
+    assert np.abs(stress[:, 2, 2] / axial - 1).max(initial=0) < 1e-8
+    row = state.measured
+    assert row["force_z_upper"] == pytest.approx(axial, rel=1e-8)
+    assert abs(row["force_z_upper"] + row["force_z_lower"]) < 1e-8 * abs(axial)
+    assert row["travel_z"] == pytest.approx(0.4)
+    energy = plain.mu / 2 * (s**2 - 1) - plain.mu * np.log(s) + plain.lame / 2 * np.log(s) ** 2
+    assert row["stored"] == pytest.approx(energy, rel=1e-8)
+    assert row["work"] == pytest.approx(energy, rel=0.01) and row["work"] == row["work_z_upper"] + row["work_gravity"]
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_column_compacts_under_its_own_weight(comm):
+    """Far below the top the stress along z is the weight above, in the first configuration: to 5 % at 64 elements."""
+    column = mpm.Scene.from_toml(EXAMPLES / "column.toml")
+    run = mpm.Simulation(comm, column)
+    points = run.state.placed.points
+    height = comm.allreduce(dict(zip(points.id.tolist(), points.position[:, 2].tolist(), strict=True)), MERGED)
+    *_, state = run
+    points = state.placed.points
+    exact = -2000 * 9.81 * (16 - np.array([height[i] for i in points.id]))
+    rest = np.zeros((len(state.placed.mesh.nodes), 3))
+    found = state.placed.solid.states(rest).cauchy[state.placed.body][:, 2, 2]
+    sums = np.array([points.volume @ (found - exact) ** 2, points.volume @ exact**2])
+    apart, size = comm.allreduce(sums)
+    assert np.sqrt(apart / size) < 0.05
+    assert state.measured["force_z_lower"] == pytest.approx(2000 * 9.81 * 4, rel=1e-7)
+    assert 0 < state.measured["floor_share"] < 1e-4
+    assert state.measured["work_gravity"] == pytest.approx(state.measured["stored"], rel=0.01)
+
+
+def _merged(one, other, _):
+    return {**one, **other}
+
+
+MERGED = MPI.Op.Create(_merged, commute=True)
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3))
+def test_points_are_bitwise_the_same_after_a_hundred_random_moves(comm):
+    """Columns, masses and their first moments, by id, are those of one rank, and each point is with its element's rank."""
+    moves, count = 100, 700
+    draw = np.random.default_rng(3)
+    columns = {
+        "position": draw.uniform(size=(count, 3)),
+        "id": np.arange(count),
+        "material": draw.integers(0, 3, count),
+        "deformation": np.eye(3) + 0.1 * draw.uniform(size=(count, 3, 3)),
+        "initial_volume": draw.uniform(0.5, 1, count),
+        "damage": draw.uniform(size=count),
+        "driving": draw.uniform(size=count),
+    }
+    mesh = Mesh(comm, 0, 1, (6, 5, 7), degree=2, max_grid_size=4)
+    mine = slice(comm.rank, None, comm.size)
+    points, came = migrate(mpm.MaterialPoints(**{name: one[mine] for name, one in columns.items()}), mesh)
+    changed = 0
+    for _ in range(moves):
+        step = draw.uniform(-0.2, 0.2, size=(count, 3))
+        columns["position"] = np.clip(columns["position"] + step, 0, INSIDE)
+        moved = {**points.columns(), "position": np.clip(points.position + step[points.id], 0, INSIDE)}
+        points, came = migrate(mpm.MaterialPoints(**moved), mesh)
+        changed += came
+        element, _ = mesh.native.locate(points.position)
+        assert (element >= 0).all()
+        assert (np.diff(element) >= 0).all() and (np.diff(points.id)[np.diff(element) == 0] > 0).all()
+    assert comm.allreduce(len(points)) == count
+    assert comm.allreduce(changed) > (0 if comm.size > 1 else -1)
+    for name, column in points.columns().items():
+        np.testing.assert_array_equal(column, columns[name][points.id], err_msg=name)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
+    whole = mpm.Simulation(comm, scene(tmp_path, structure=GRAINS, materials=TWO, schedule={"steps": 4}))
+    ids = whole.state.placed.points.id
+    for _ in range(2):
+        whole.advance()
+    whole.checkpoint(tmp_path / "checkpoint_00000002")
+    again = mpm.Simulation.restart(comm, tmp_path / "checkpoint_00000002")
+    for run in (whole, again):
+        for _ in range(2):
+            run.advance()
+    assert len(ids) > 0
+    for name, column in whole.state.placed.points.columns().items():
+        np.testing.assert_array_equal(column, again.state.placed.points.columns()[name], err_msg=name)
+    assert whole.state.measured == again.state.measured and whole.state.load == again.state.load == 1
+
+
+BRITTLE = {**RUBBER, "damage": {"toughness": "200 kJ/m^2", "length": "1 m"}}
+TWO = {"grain": {**BRITTLE, "young": "2 GPa"}, "binder": BRITTLE}
+GRAINS = {"kind": "voronoi", "grains": 5, "grain": "grain", "binder": "binder", "seed": 2}
+
+
+def test_files_of_a_run_say_what_its_points_have(tmp_path):
+    import h5py
+
+    write = ["series", "points", "fields", "pictures", "checkpoint"]
+    small = scene(
+        tmp_path,
+        structure=GRAINS,
+        materials=TWO,
+        schedule={"steps": 2},
+        output={"directory": str(tmp_path / "run"), "write": write, "points_every": 1},
+    )
+    run = mpm.Simulation(MPI.COMM_SELF, small)
+    run.run(log="silent")
+    points = run.state.placed.points
+    with h5py.File(tmp_path / "run" / "points_00000002.vtkhdf") as h5:
+        root = h5["VTKHDF"]
+        assert root.attrs["Type"] == b"PolyData" and root["NumberOfPoints"][:] == len(points)
+        np.testing.assert_array_equal(root["Points"][:], points.position)
+        np.testing.assert_array_equal(root["PointData/F"][:], points.deformation.reshape(-1, 9))
+        np.testing.assert_array_equal(root["PointData/id"][:], points.id)
+        assert 0 < root["PointData/damage"][:].max() < 1
+    means = element_means(run.state, small)
+    volume = run.state.placed.mesh.element_volume
+    assert means["filled"].sum() * volume == pytest.approx(points.volume.sum())
+    share = (means["share_grain"] * means["filled"]).sum() * volume
+    assert share == pytest.approx(points.volume[points.material == 0].sum())
+    rows = time_series.read(tmp_path / "run" / "series.csv")
+    assert rows["step"].tolist() == [0, 1, 2] and rows["load"].tolist() == [0, 0.5, 1]
+    assert rows["stored"][-1] == pytest.approx(rows["stored_grain"][-1] + rows["stored_binder"][-1])
+    assert rows["dissipated"][-1] > 0
+    assert rows["stored"][-1] + rows["dissipated"][-1] <= 1.02 * rows["work"][-1]
+    assert len(list((tmp_path / "run").glob("*.png"))) == 5
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_points_outside_or_inside_out_are_named(comm, tmp_path):
+    given = scene(tmp_path)
+    points = sample(given, mesh_of(comm, given))
+    lower = mesh_of(comm, given, 1.0)
+    with pytest.raises(
+        ParticleError, match=r"point \d+ at \(.*\) m with det F = 1 lies outside the mesh at 0.5 of the load"
+    ):
+        require_inside(points, lower, 0.5)
+    flat = mpm.MaterialPoints(**{**points.columns(), "deformation": -points.deformation})
+    with pytest.raises(ParticleError, match="is turned inside out"):
+        require_inside(flat, mesh_of(comm, given), 0.5)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_elements_with_too_few_points_need_a_floor(comm, tmp_path):
+    few = scene(tmp_path, domain={"lower": 0, "upper": 1, "cells": 4, "degree": 2}, points={"per_axis": 2})
+    with pytest.raises(
+        InputError, match=r"has 8 points, .* fewer than the 13 that degree 2 needs; set floor_stiffness"
+    ):
+        mpm.Simulation(comm, few)
+    run = mpm.Simulation(comm, few.replace(floor_stiffness=1e5))
+    assert run.advance().measured["floor_share"] > 0

@@ -27,10 +27,10 @@ import pytest
 from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
 from amrpic.io.checkpoint_writer import Snapshot
 from amrpic.io.run_status import RunStatus
-from mpi_batch import ENVIRONMENT
+from mpi_batch import ENVIRONMENT, PATIENCE
 
 LAST = 12
-TIMEOUT = 120.0
+TIMEOUT = 120.0 * PATIENCE
 SCENE = """
 [domain]
 lower = "-20 mm"

@@ -89,7 +89,7 @@ def _draw_particles(chosen: argparse.Namespace, folder: Path | None) -> list[Pat
     given = _given(chosen)
     group = given.pop("group", "all")
     for name in given:
-        raise InputError(f"{name} says nothing to phase space; leave it out, or choose another kind of picture")
+        raise InputError(f"{name} has no effect on phase space; leave it out, or choose another kind of picture")
     return plot(Path(chosen.path), folder, chosen.quantity or OVERVIEW, group)
 
 
@@ -97,7 +97,7 @@ def _draw_losses(chosen: argparse.Namespace, folder: Path | None) -> list[Path]:
     from ..view.loss_map import OVERVIEW, plot
 
     for name in _given(chosen):
-        raise InputError(f"{name} says nothing to a map of losses; leave it out, or choose another kind of picture")
+        raise InputError(f"{name} has no effect on a map of losses; leave it out, or choose another kind of picture")
     return plot(Path(chosen.path), folder, chosen.quantity or OVERVIEW)
 
 

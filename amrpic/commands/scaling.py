@@ -65,8 +65,8 @@ def add(commands: Commands) -> None:
     scaling.add_argument(
         "--apart",
         action="store_true",
-        help="let the stages of a step begin together on all ranks, so that what ranks wait for each other stands apart; as "
-        "--predict does",
+        help="let all ranks begin each stage of a step together, so that the time they wait for each other is shown by itself; "
+        "--predict does so too",
     )
     scaling.add_argument(
         "--predict", metavar="NAME", help="show the model with the constants of a machine beside what was measured"
@@ -81,7 +81,7 @@ def add(commands: Commands) -> None:
         help="constants of the model of --plan: aries, slingshot, two_cores or a TOML file; several if repeated; default aries",
     )
     scaling.add_argument(
-        "--targets", type=Path, metavar="FILE", help="what the plans are to reach, as TOML: shown beside what they find"
+        "--targets", type=Path, metavar="FILE", help="a TOML file with goals for the plans, shown beside their results"
     )
     scaling.add_argument(
         "--page",

@@ -140,10 +140,10 @@ def add(commands: Commands) -> None:
     )
     added.add_argument(
         "--every",
-        type=seconds("time between two looks", 0.1),
+        type=seconds("time between two updates", 0.1),
         default=1.0,
         metavar="SECONDS",
-        help="between two looks; default 1",
+        help="time between two updates; default 1",
     )
 
 

@@ -287,7 +287,9 @@ class Field(FieldViews):
         request = Request(order, what, KAPPA[self.holds] if kappa is None else kappa)
         if order == 1 and what == "value":
             if kappa is not None:
-                raise InputError("kappa says nothing to trilinear values; leave it out, or choose an order from 2 to 4")
+                raise InputError(
+                    "kappa has no effect on trilinear values; leave it out, or choose an order from 2 to 4"
+                )
             return self.native.sample(at)
         return fitted_values(self._composite, "field", at, request)
 

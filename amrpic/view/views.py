@@ -112,7 +112,7 @@ def _profile(dump: Dump, name: str, line: Line, level: int | None) -> Array:
 
 
 def _not_an_option(name: str, view: View) -> InputError:
-    return InputError(f"{name} says nothing to a {view.kind}; leave it out, or choose another kind of picture")
+    return InputError(f"{name} has no effect on a {view.kind}; leave it out, or choose another kind of picture")
 
 
 def _require_level(dump: Dump, level: int | None) -> None:

@@ -103,7 +103,7 @@ def test_the_latest_rows_are_read_from_the_end(comm, tmp_path, count, monkeypatc
     [
         (["nowhere"], "nowhere is no folder; give that of a run"),
         (["."], "status.json cannot be read: No such file or directory; name the folder of a run"),
-        ([".", "--every", "0"], "0 s is no time between two looks; give 0.1 to 3600"),
+        ([".", "--every", "0"], "0 s is no time between two updates; give 0.1 to 3600"),
         ([".", "--every", "soon"], "invalid"),
     ],
 )

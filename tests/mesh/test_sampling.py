@@ -165,7 +165,7 @@ def test_vectors_are_sampled_component_by_component():
         ({"what": "curl"}, "'curl' cannot be sampled; use \"value\" or \"gradient\""),
         ({"order": 3, "kappa": np.nan}, "kappa is nan; give a number, such as 1/24 for means over cells"),
         ({"order": 3, "kappa": "mean"}, "kappa is 'mean'; give a number"),
-        ({"kappa": 1 / 24}, "kappa says nothing to trilinear values; leave it out"),
+        ({"kappa": 1 / 24}, "kappa has no effect on trilinear values; leave it out"),
     ],
 )  # fmt: skip
 def test_bad_input_is_refused_in_a_sentence(comm, arguments, message):

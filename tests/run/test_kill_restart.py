@@ -6,13 +6,17 @@ An ordinary run of the tests kills three times for each motion, the long form (`
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import math
 import os
+import pty
 import random
 import shutil
 import signal
 import subprocess
 import sys
+import termios
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,10 +27,10 @@ import pytest
 from amrpic.io import checkpoint_reader, checkpoint_writer, time_series
 from amrpic.io.checkpoint_writer import Snapshot
 from amrpic.io.run_status import RunStatus
-from mpi_batch import ENVIRONMENT
+from mpi_batch import ENVIRONMENT, PATIENCE
 
 LAST = 12
-TIMEOUT = 120.0
+TIMEOUT = 120.0 * PATIENCE
 SCENE = """
 [domain]
 lower = "-20 mm"
@@ -322,6 +326,64 @@ def test_stopped_in_every_way_and_resumed_each_time_it_ends_bit_by_bit_as_undist
     assert_same(folder, tmp_path / "undisturbed", STEPS)
 
 
+ROOT = Path(__file__).parents[2]
+
+
+def test_ctrl_c_at_make_run_in_a_terminal_leaves_a_checkpoint(tmp_path):
+    """The terminal interrupts make and its shell, which sends the ranks USR1 and waits for them."""
+    folder, scene = tmp_path / "out", tmp_path / "scene.toml"
+    text = SCENE.format(last=STEPS, motion=MOTIONS["leapfrog"].replace("0.2", "0.01"))
+    scene.write_text(
+        text.replace("[output]", f'[output]\ndirectory = "{folder}"').replace("_every = 1\n", "_every = 25\n")
+    )
+    line = ["make", "-o", "setup", "run", f"BIN={Path(sys.executable).parent}", "RANKS=2", f"SCENE={scene}"]
+    ours, theirs = pty.openpty()
+
+    def in_a_terminal() -> None:
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+        listen()
+
+    come = after_steps(folder, 2, 0.0)
+    make = subprocess.Popen(
+        line,
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+        start_new_session=True,
+        preexec_fn=in_a_terminal,
+    )
+    os.close(theirs)
+    printed: list[bytes] = []
+    reader = threading.Thread(target=lambda: printed.extend(iter(lambda: read(ours), b"")))
+    reader.start()
+    try:
+        while not come():
+            assert make.poll() is None, b"".join(printed).decode()
+        os.write(ours, b"\x03")
+        make.wait(TIMEOUT)
+    finally:
+        if make.poll() is None:
+            kill(make)
+        reader.join(TIMEOUT)
+        os.close(ours)
+    status = RunStatus.read(folder)
+    assert (status.state, status.why) == ("stopped", "signal SIGUSR1"), b"".join(printed).decode()
+    assert make.returncode == -signal.SIGINT  # make waits for its shell, and then ends as Ctrl-C asks
+    assert f"stopped at step {status.step}: signal SIGUSR1; go on with --restart auto" in b"".join(printed).decode()
+    assert time_series.read(folder / "series.csv")["step"].tolist() == list(range(status.step + 1))
+    assert 0 < status.step < STEPS and checkpoint_writer.path_of(folder, status.step).is_dir()
+
+
+def read(terminal: int) -> bytes:
+    """What a terminal shows next, nothing when all that wrote to it have ended."""
+    try:
+        return os.read(terminal, 4096)
+    except OSError:  # Linux's word for that
+        return b""
+
+
 JOBS = {"slurm": ["job.sh", "scene.toml"], "pbs": ["job.sh"]}
 
 
@@ -337,7 +399,7 @@ def test_job_scripts_submit_themselves_until_the_run_is_finished(tmp_path, syste
     for name, content in {"srun": runs, "mpiexec": runs, "sbatch": submits, "qsub": submits}.items():
         (tools / name).write_text(content)
         (tools / name).chmod(0o755)
-    script = Path(__file__).parents[2] / "examples" / system / "job.sh"
+    script = ROOT / "examples" / system / "job.sh"
     path = f"{tools}:{Path(sys.executable).parent}:{os.environ['PATH']}"
     common = ENVIRONMENT | {"PATH": path, "SCENE": "scene.toml", "PBS_O_WORKDIR": str(tmp_path)}
     for time_given, more, code in (("1", "--walltime 1", 75), ("03:50:00", "", 0)):

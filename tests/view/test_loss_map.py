@@ -46,7 +46,7 @@ def test_the_command_draws_a_map_and_refuses_the_rest(comm, tmp_path, capsys):
     assert (tmp_path / "losses.png").stat().st_size > 5000
     with pytest.raises(InputError, match="a map of losses has no phi; choose among energy"):
         draw("--quantity", "phi")
-    with pytest.raises(InputError, match="axis says nothing to a map of losses"):
+    with pytest.raises(InputError, match="axis has no effect on a map of losses"):
         draw("--axis", "x")
     time_series.write(comm, tmp_path / "losses.csv", COLUMNS, [], Provenance())
     with pytest.raises(InputError, match="holds no losses to draw"):

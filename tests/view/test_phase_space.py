@@ -153,11 +153,11 @@ def test_the_command_draws_what_is_asked_for_and_refuses_the_rest(comm, tmp_path
     for arguments, message in (
         (["--group", "muons"], "has no group muons; choose among all, electron, proton, bunch_0, ions"),
         (["--quantity", "phi"], "phase space has no picture phi; choose among x-px"),
-        (["--axis", "x"], "axis says nothing to phase space"),
+        (["--axis", "x"], "axis has no effect on phase space"),
     ):
         with pytest.raises(InputError, match=message):
             draw(*arguments)
-    with pytest.raises(InputError, match="group says nothing to a slice"):
+    with pytest.raises(InputError, match="group has no effect on a slice"):
         chosen = parser().parse_args(["plot", str(tmp_path), "--group", "ions"])
         chosen.command(chosen)
 

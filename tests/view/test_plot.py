@@ -145,7 +145,7 @@ def test_options_go_to_the_pictures_that_have_them():
     assert [view.position for view in chosen] == [0.1, 0.1, None, None]
     assert [view.scale for view in chosen] == ["log", "log", "log", "auto"]
     assert all(view.axis == 0 for view in chosen)
-    with pytest.raises(InputError, match="boxes says nothing to a line"):
+    with pytest.raises(InputError, match="boxes has no effect on a line"):
         views.with_options([views.View("phi", "line")], boxes=False)
 
 
@@ -153,8 +153,8 @@ def test_options_go_to_the_pictures_that_have_them():
     ("view", "message"),
     [
         (views.View("Q"), "holds no Q; choose among E, phi, rho"),
-        (views.View("phi", "line", scale="log"), "scale says nothing to a line; leave it out"),
-        (views.View("phi", "projection", position=0.1), "position says nothing to a projection"),
+        (views.View("phi", "line", scale="log"), "scale has no effect on a line; leave it out"),
+        (views.View("phi", "projection", position=0.1), "position has no effect on a projection"),
         (views.View("phi", level=3), "level 3 does not exist in .*; it has levels 0 to 2"),
         (
             views.View("phi", axis=2, position=0.2),

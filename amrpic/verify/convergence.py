@@ -144,14 +144,14 @@ def solve(hierarchy: Hierarchy, source: Source) -> tuple[tuple[float, float], tu
     """Errors of φ and of E (L2, max), and the cycles that the solve took. Collective."""
     solver = solver_of(hierarchy, tolerance=1e-10, background="neutralizing" if hierarchy.domain.singular else None)
     rho = fill(Field(hierarchy), source)
-    phi, report = solver.solve(rho, boundary_values=source.potential, boundary_flux=_outward_slope(hierarchy, source))
+    phi, report = solver.solve(rho, boundary_values=source.potential, boundary_flux=outward_slope(hierarchy, source))
     cycles = report.cycles if report.converged else np.nan
     efield = solver.electric_field(phi)
     of_phi = errors([phi], source.potential, shift=hierarchy.domain.singular)
     return of_phi, errors(efield.components, source.field), cycles
 
 
-def _outward_slope(hierarchy: Hierarchy, source: Source) -> Function:
+def outward_slope(hierarchy: Hierarchy, source: Source) -> Function:
     lower, upper = hierarchy.domain.lower, hierarchy.domain.upper
 
     def slope(*place: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(m
     coarse_[std::size_t(n)].resize(mesh_.levels() > 1 ? coarse_row * coarse_row : 0);
     star_[std::size_t(n)].resize(2 * row);
   }
+  columns_.resize(coarse_row);
 }
 
 void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls, Ends ends, FullyCovered fully_covered,
@@ -106,6 +107,19 @@ int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int
   return std::min(extent + layers, fourth_order::wall_cells);
 }
 
+/// Call f(place in the plane, place of the first cell, distance to the next one, distance inwards, count) for each row
+/// of the cells of a box at one of its faces.
+template <class F>
+static void for_each_row_at(Box const& own, int axis, int side, F&& f) {
+  auto const [u, v] = tangential_axes(axis);
+  Index3 const pitch = pitches(own);
+  std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
+  std::ptrdiff_t const first = side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis];
+  for (int y = 0; y < own.extent(v); ++y)
+    f(std::ptrdiff_t(y) * own.extent(u), first + std::ptrdiff_t(y) * pitch[v], std::ptrdiff_t(pitch[u]), inward,
+      own.extent(u));
+}
+
 /// Where the wall is open, ghosts are its data, whatever is inside. `first`: number of the box's first face there.
 bool FourthOrderGhosts::fill_open_wall(int l, int b, int axis, int side, Walls const& walls, int first) {
   if (walls.faces[std::size_t(first)].kind != Boundary::open) return false;
@@ -123,7 +137,23 @@ void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, R
   Real const* const data = walls.datum.data() + first;
   Box const& own = mesh_.box(l, b);
   auto const [u, v] = tangential_axes(axis);
-  std::size_t const face = std::size_t(2 * axis + side);
+  auto& ghosts = ghosts_[std::size_t(2 * axis + side)];
+  auto const weights = [&](int cells) -> fourth_order::WallGhosts const& {
+    return ends == Ends::of_field ? polynomial_at_wall(l, axis, side, cells) : wall_ghosts(l, axis, side, cells);
+  };
+  if (own.extent(axis) >= fourth_order::wall_cells) {  // all of them lie in the box
+    auto const& w = weights(fourth_order::wall_cells);
+    for_each_row_at(own, axis, side,
+                    [&](std::ptrdiff_t out, std::ptrdiff_t at, std::ptrdiff_t step, std::ptrdiff_t inward, int count) {
+                      for (std::size_t n = 0; n < layers; ++n)
+                        for (int x = 0; x < count; ++x) {
+                          Real const* const c = phi + at + x * step;
+                          ghosts[n][std::size_t(out + x)] =
+                              w.layer[n]({c[0], c[inward], c[2 * inward], c[3 * inward]}, data[out + x]);
+                        }
+                    });
+    return;
+  }
   Index3 cell{0, 0, 0};
   std::size_t out = 0;
   for (int y = 0; y < own.extent(v); ++y)
@@ -135,36 +165,67 @@ void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, R
         cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
         inside[std::size_t(n)] = value(own, phi, axis, cell);
       }
-      auto const& ghosts =
-          ends == Ends::of_field ? polynomial_at_wall(l, axis, side, cells) : wall_ghosts(l, axis, side, cells);
-      for (std::size_t n = 0; n < layers; ++n) ghosts_[face][n][out] = ghosts.layer[n](inside, data[out]);
+      for (std::size_t n = 0; n < layers; ++n) ghosts[n][out] = weights(cells).layer[n](inside, data[out]);
     }
 }
 
 /// Means of a layer of coarse cells over the faces of the fine cells in front of them, of a row of these: two rows.
 void FourthOrderGhosts::fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count,
                                 Real const* coarse, std::ptrdiff_t pitch) {
-  Real* const star = star_[std::size_t(layer)].data();
-  for (int m = 0; m < count; ++m) {
-    if (fits[m] == no_fit) continue;
-    MeansBlock const block = blocks[m][std::size_t(layer)];
-    if (block.size == 0) continue;
-    auto const& along_u = half_weights_[std::size_t(block.size)][std::size_t(-block.u)];
-    auto const& along_v = half_weights_[std::size_t(block.size)][std::size_t(-block.v)];
-    Real const* const first = coarse + m + block.u + pitch * block.v;
-    std::array<std::array<Real, 2>, 2> sum{};  // [upper half along v][along u]
-    for (int j = 0; j < block.size; ++j) {
-      Real const* const row = first + pitch * j;
-      std::array<Real, 2> of_row{};
-      for (int i = 0; i < block.size; ++i)
-        for (std::size_t half = 0; half < 2; ++half) of_row[half] += along_u[half][std::size_t(i)] * row[i];
-      for (std::size_t upper = 0; upper < 2; ++upper)
-        for (std::size_t half = 0; half < 2; ++half) sum[upper][half] += along_v[upper][std::size_t(j)] * of_row[half];
-    }
-    for (std::size_t upper = 0; upper < 2; ++upper)
-      for (std::size_t half = 0; half < 2; ++half)
-        star[upper * 2 * std::size_t(count) + 2 * std::size_t(m) + half] = sum[upper][half];
+  auto const is_central = [&](int m) { return fits[m] != no_fit && blocks[m][std::size_t(layer)].is_central(); };
+  for (int m = 0; m < count;) {
+    int end = m;
+    while (end < count && is_central(end)) ++end;
+    if (end > m) fit_central(layer, m, end, count, coarse, pitch);
+    for (m = end; m < count && !is_central(m); ++m)
+      if (fits[m] != no_fit && blocks[m][std::size_t(layer)].size > 0)
+        fit_cell(layer, blocks[m][std::size_t(layer)], m, count, coarse, pitch);
   }
+}
+
+/// Of the cells [begin, end), all with the block around them.
+void FourthOrderGhosts::fit_central(int layer, int begin, int end, int count, Real const* coarse,
+                                    std::ptrdiff_t pitch) {
+  constexpr int size = MeansBlock::most, middle = size / 2;
+  auto const& weights = half_weights_[size][middle];
+  Real* const columns = columns_.data();
+  for (std::size_t upper = 0; upper < 2; ++upper) {
+    auto const& along_v = weights[upper];
+    Real const* const rows = coarse - middle * (1 + pitch);
+    int const width = end - begin + 2 * middle;
+    for (int x = 0; x < width; ++x) {
+      Real const* const c = rows + begin + x;
+      columns[x] = along_v[0] * c[0] + along_v[1] * c[pitch] + along_v[2] * c[2 * pitch] + along_v[3] * c[3 * pitch] +
+                   along_v[4] * c[4 * pitch];
+    }
+    Real* const star = star_[std::size_t(layer)].data() + upper * 2 * std::size_t(count) + 2 * std::size_t(begin);
+    for (int x = 0; x < end - begin; ++x)
+      for (std::size_t half = 0; half < 2; ++half) {
+        auto const& w = weights[half];
+        star[2 * x + int(half)] = w[0] * columns[x] + w[1] * columns[x + 1] + w[2] * columns[x + 2] +
+                                  w[3] * columns[x + 3] + w[4] * columns[x + 4];
+      }
+  }
+}
+
+/// Of one cell, with any block.
+void FourthOrderGhosts::fit_cell(int layer, MeansBlock const& block, int m, int count, Real const* coarse,
+                                 std::ptrdiff_t pitch) {
+  auto const& along_u = half_weights_[std::size_t(block.size)][std::size_t(-block.u)];
+  auto const& along_v = half_weights_[std::size_t(block.size)][std::size_t(-block.v)];
+  Real const* const first = coarse + m + block.u + pitch * block.v;
+  std::array<std::array<Real, 2>, 2> sum{};  // [upper half along v][along u]
+  for (int j = 0; j < block.size; ++j) {
+    Real const* const row = first + pitch * j;
+    std::array<Real, 2> of_row{};
+    for (int i = 0; i < block.size; ++i)
+      for (std::size_t half = 0; half < 2; ++half) of_row[half] += along_u[half][std::size_t(i)] * row[i];
+    for (std::size_t upper = 0; upper < 2; ++upper)
+      for (std::size_t half = 0; half < 2; ++half) sum[upper][half] += along_v[upper][std::size_t(j)] * of_row[half];
+  }
+  for (std::size_t upper = 0; upper < 2; ++upper)
+    for (std::size_t half = 0; half < 2; ++half)
+      star_[std::size_t(layer)][upper * 2 * std::size_t(count) + 2 * std::size_t(m) + half] = sum[upper][half];
 }
 
 /// Two layers of coarse cells behind a face, into `coarse_`.
@@ -206,10 +267,7 @@ void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field c
   std::ptrdiff_t const coarse_pitch = face.nu + 2 * FourthOrderPlan::margin;
   read_coarse(l, b, int(f), phi);
 
-  Box const& own = mesh_.box(l, b);
-  auto const [u, v] = tangential_axes(axis);
   Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
-  Real *const near = ghosts_[f][0].data(), *const far = ghosts_[f][1].data();
   for (int row = 0; row < i.nv; ++row) {
     FitNumber const* const fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(row) * i.nu;
     auto const* const blocks = plan_.level(l).blocks.data() + face.blocks + i.u + std::ptrdiff_t(i.v + row) * face.nu;
@@ -219,34 +277,76 @@ void FourthOrderGhosts::fill_interface(int l, int b, int axis, int side, Field c
               coarse_[std::size_t(n)].data() + FourthOrderPlan::margin + i.u +
                   (FourthOrderPlan::margin + i.v + row) * coarse_pitch,
               coarse_pitch);
-    for (int m = 0; m < i.nu; ++m) {
-      if (fits[m] == no_fit) continue;
-      flux[m] = 0;
-      // A second layer whose means are worse than the first's would only spoil the polynomial along the normal.
-      bool const deep = blocks[m][1].size >= std::min<int>(blocks[m][0].size, MeansBlock::most - 1);
-      for (int half = 0; half < 4; ++half) {
-        Index3 cell{0, 0, 0};
-        cell[u] = 2 * (i.u + m) + half % 2, cell[v] = 2 * (i.v + row) + half / 2;
+    // A second layer whose means are worse than the first's would only spoil the polynomial along the normal.
+    auto const is_deep = [&](int m) {
+      return blocks[m][1].size >= std::min<int>(blocks[m][0].size, MeansBlock::most - 1);
+    };
+    for (int m = 0; m < i.nu;) {
+      if (fits[m] == no_fit) {
+        ++m;
+        continue;
+      }
+      int end = m + 1;
+      while (end < i.nu && fits[end] != no_fit && is_deep(end) == is_deep(m)) ++end;
+      fill_in_front(l, b, axis, side, i, row, m, end, is_deep(m), cells, flux);
+      m = end;
+    }
+  }
+}
+
+/// The ghosts of the coarse cells [begin, end) of a row behind an interface, and what they leave for these. `deep`: of
+/// both layers of coarse means.
+void FourthOrderGhosts::fill_in_front(int l, int b, int axis, int side, Interface const& i, int row, int begin, int end,
+                                      bool deep, Real const* cells, Real* flux) {
+  Box const& own = mesh_.box(l, b);
+  auto const [u, v] = tangential_axes(axis);
+  auto& ghosts = ghosts_[std::size_t(2 * axis + side)];
+  std::fill(flux + begin, flux + end, 0.0);
+  // The cells in line inwards lie in the box, or need not.
+  bool const all_inside = own.extent(axis) >= fourth_order::wall_cells;
+  Index3 const pitch = pitches(own);
+  std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
+  for (int half = 0; half < 2; ++half) {
+    Index3 cell{0, 0, 0};
+    cell[u] = 2 * i.u, cell[v] = 2 * (i.v + row) + half;
+    cell[axis] = side == 0 ? 0 : own.extent(axis) - 1;
+    Real const* const first =
+        cells + (cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(cell[2]) * pitch[2]);
+    std::ptrdiff_t const at = cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u);
+    Real *const near = ghosts[0].data() + at, *const far = ghosts[1].data() + at;
+    std::size_t const of_half = std::size_t(half) * 2 * std::size_t(i.nu);
+    Real const *const star = star_[0].data() + of_half, *const second = star_[1].data() + of_half;
+    auto const set = [&](fourth_order::InterfaceGhosts const& weights, int x, Real f0, Real f1, Real f2) {
+      auto const ghost = [&](fourth_order::InterfaceGhosts::Layer const& w) {
+        Real const coarse = deep ? w.coarse[0] * star[x] + w.coarse[1] * second[x] : w.coarse[0] * star[x];
+        return coarse + w.fine[0] * f0 + w.fine[1] * f1 + w.fine[2] * f2;
+      };
+      near[x] = ghost(weights.layer[0]), far[x] = ghost(weights.layer[1]);
+      return fourth_order::difference(far[x], near[x], f0, f1);
+    };
+    if (all_inside) {
+      auto const& weights = interface_ghosts_[deep ? 2 : 1][fourth_order::fine_cells];
+      for (int m = begin; m < end; ++m) {
+        Real const *const p = first + 2 * m * std::ptrdiff_t(pitch[u]), *const q = p + pitch[u];
+        flux[m] += set(weights, 2 * m, p[0], p[inward], p[2 * inward]) +
+                   set(weights, 2 * m + 1, q[0], q[inward], q[2 * inward]);
+      }
+      continue;
+    }
+    for (int m = begin; m < end; ++m) {
+      std::array<Real, 2> left{};
+      for (int x = 2 * m; x < 2 * m + 2; ++x) {
+        cell[u] = 2 * i.u + x;
         int const inside = std::min(cells_inside(l, b, axis, side, cell[u], cell[v]), fourth_order::fine_cells);
         std::array<Real, fourth_order::fine_cells> fine{};
         for (int n = 0; n < inside; ++n) {
           cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
           fine[std::size_t(n)] = value(own, cells, axis, cell);
         }
-        auto const& weights = interface_ghosts_[deep ? 2 : 1][std::size_t(inside)];
-        std::size_t const at_star = std::size_t(half / 2 * 2 * i.nu + 2 * m + half % 2);
-        std::array<Real, layers> ghost{};
-        for (std::size_t n = 0; n < layers; ++n) {
-          auto const& w = weights.layer[n];
-          Real sum = w.coarse[0] * star_[0][at_star];
-          if (deep) sum += w.coarse[1] * star_[1][at_star];
-          for (std::size_t c = 0; c < fourth_order::fine_cells; ++c) sum += w.fine[c] * fine[c];
-          ghost[n] = sum;
-        }
-        std::ptrdiff_t const at = cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u);
-        near[at] = ghost[0], far[at] = ghost[1];
-        flux[m] += fourth_order::difference(ghost[1], ghost[0], fine[0], fine[1]);
+        left[std::size_t(x % 2)] =
+            set(interface_ghosts_[deep ? 2 : 1][std::size_t(inside)], x, fine[0], fine[1], fine[2]);
       }
+      flux[m] += left[0] + left[1];
     }
   }
 }
@@ -258,7 +358,7 @@ Traffic FourthOrderGhosts::of_visit() const {
 }
 
 std::size_t FourthOrderGhosts::bytes() const {
-  std::size_t values = 0;
+  std::size_t values = columns_.capacity();
   for (int n = 0; n < layers; ++n) {
     values += coarse_[std::size_t(n)].capacity() + star_[std::size_t(n)].capacity();
     for (auto const& face : ghosts_) values += face[std::size_t(n)].capacity();

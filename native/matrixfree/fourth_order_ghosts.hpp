@@ -134,6 +134,11 @@ class FourthOrderGhosts {
   }
   void fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count, Real const* coarse,
                std::ptrdiff_t pitch);
+  void fit_central(int layer, int begin, int end, int count, Real const* coarse, std::ptrdiff_t pitch);
+  void fit_cell(int layer, fourth_order::MeansBlock const& block, int m, int count, Real const* coarse,
+                std::ptrdiff_t pitch);
+  void fill_in_front(int l, int b, int axis, int side, Interface const& i, int row, int begin, int end, bool deep,
+                     Real const* cells, Real* flux);
 
   CompositeMesh& mesh_;
   FourthOrderPlan plan_;
@@ -150,6 +155,7 @@ class FourthOrderGhosts {
   std::array<std::array<std::vector<Real>, layers>, 6> ghosts_;  ///< of the box under way
   std::array<std::vector<Real>, layers> coarse_, star_;  ///< of the interface under way: coarse means, those over the
                                                          ///< fine cells' faces in two rows
+  std::vector<Real> columns_;                            ///< of a row of blocks: sums across it
 };
 
 }  // namespace amrpic

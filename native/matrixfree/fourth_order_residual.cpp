@@ -50,7 +50,7 @@ FourthOrderResidual::FourthOrderResidual(CompositeMesh& mesh, FourthOrderGhosts&
     : CompositeResidual(mesh), ghosts_(ghosts) {
   std::size_t most = 0;
   mesh_.for_each_box([&](int l, int b) {
-    if (has_wall(l, b)) most = std::max(most, std::size_t(mesh_.box(l, b).cells()));
+    if (has_wall(l, b) && !has_walls_alone(l, b)) most = std::max(most, std::size_t(mesh_.box(l, b).cells()));
   });
   if (most > 0) zeros_.assign(most + 2 * layers, 0.0);
 }
@@ -106,17 +106,24 @@ void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Re
     std::ptrdiff_t const of_row = j + std::ptrdiff_t(k) * ny;
     InLine const n = in_line(j);
     Real const* const row = c + at;
+    auto set = [&](int i, Real x_near, Real x_far) {
+      plane_[std::size_t(at + i)] = formula(rho[at + i], row[i], x_near, x_far, n.y[1][i] + n.y[2][i],
+                                            n.y[0][i] + n.y[3][i], n.z[1][i] + n.z[2][i], n.z[0][i] + n.z[3][i]);
+    };
+    std::array<Real, layers> const below{ghosts_.ghosts(0, 0, 0)[of_row], ghosts_.ghosts(0, 0, 1)[of_row]},
+        above{ghosts_.ghosts(0, 1, 0)[of_row], ghosts_.ghosts(0, 1, 1)[of_row]};
+    if (int const e = nx - 1; nx >= 2 * layers) {
+      set(0, below[0] + row[1], below[1] + row[2]);
+      set(1, row[0] + row[2], below[0] + row[3]);
+      set(e - 1, row[e - 2] + row[e], row[e - 3] + above[0]);
+      set(e, row[e - 1] + above[0], row[e - 2] + above[1]);
+      continue;
+    }
     auto along_x = [&](int i) {
       if (i >= 0 && i < nx) return row[i];
-      return ghosts_.ghosts(0, i < 0 ? 0 : 1, i < 0 ? -i - 1 : i - nx)[of_row];
+      return i < 0 ? below[std::size_t(-i - 1)] : above[std::size_t(i - nx)];
     };
-    auto set = [&](int i) {
-      plane_[std::size_t(at + i)] =
-          formula(rho[at + i], row[i], along_x(i - 1) + along_x(i + 1), along_x(i - 2) + along_x(i + 2),
-                  n.y[1][i] + n.y[2][i], n.y[0][i] + n.y[3][i], n.z[1][i] + n.z[2][i], n.z[0][i] + n.z[3][i]);
-    };
-    for (int i = 0; i < std::min(layers, nx); ++i) set(i);
-    for (int i = std::max(layers, nx - layers); i < nx; ++i) set(i);
+    for (int i = 0; i < nx; ++i) set(i, along_x(i - 1) + along_x(i + 1), along_x(i - 2) + along_x(i + 2));
   }
   ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, Real excess) {
     plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
@@ -124,12 +131,50 @@ void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Re
   mesh_.clear_covered(l, b, k, plane_.data());
 }
 
+/// Whether wall data reach no further than the first two cells of the box: it has these between any two ends of its
+/// level, and no finer fluxes.
+bool FourthOrderResidual::has_walls_alone(int l, int b) const {
+  Box const& own = mesh_.box(l, b);
+  auto const& refined = mesh_.plan(l, b).refined;
+  return std::min({own.extent(0), own.extent(1), own.extent(2)}) >= 2 * layers && refined.first == refined.last;
+}
+
+/// `plane_` -= what the wall data add to the Laplacian in a plane of such a box, rounded as everywhere.
+void FourthOrderResidual::subtract_walls(int l, int b, int k) {
+  Box const& own = mesh_.box(l, b);
+  Index3 const pitch = pitches(own);
+  for (auto& of_axis : across_) of_axis.assign(std::size_t(pitch[2]), 0.0);
+  for (int f = 0; f < 6; ++f) {
+    if (mesh_.plan(l, b).faces[std::size_t(f)].wall < 0) continue;
+    int const axis = f / 2, side = f % 2;
+    Real const *const near = ghosts_.ghosts(axis, side, 0), *const far = ghosts_.ghosts(axis, side, 1);
+    auto& out = across_[std::size_t(axis)];
+    for (int n = 0; n < layers; ++n) {
+      int const place = side == 0 ? n : own.extent(axis) - 1 - n;
+      auto const add = [&](std::ptrdiff_t at, std::ptrdiff_t step, std::ptrdiff_t from, int count) {
+        for (int x = 0; x < count; ++x)
+          out[std::size_t(at + x * step)] = n == 0 ? fourth_order::across(near[from + x], far[from + x])
+                                                   : fourth_order::across(Real(0), near[from + x]);
+      };
+      if (axis == 2 && k == place)
+        add(0, 1, 0, pitch[2]);
+      else if (axis < 2)  // a row of the face
+        add(std::ptrdiff_t(place) * pitch[axis], pitch[1 - axis], std::ptrdiff_t(k) * own.extent(1 - axis),
+            own.extent(1 - axis));
+    }
+  }
+  Real3 const weight = mesh_.equation(l).weight;
+  for (std::size_t i = 0; i < across_[0].size(); ++i)
+    plane_[i] -= weighted_sum(weight, across_[0][i], across_[1][i], across_[2][i]);
+}
+
 void FourthOrderResidual::right_hand_side_plane(int l, int b, int k, Source const& source) {
-  if (!has_wall(l, b)) {
+  if (k == 0 && has_wall(l, b)) ghosts_.visit_zero(l, b, source.walls[std::size_t(l)]);
+  if (!has_wall(l, b) || has_walls_alone(l, b)) {
     source_plane(l, b, k, source);
+    if (has_wall(l, b)) subtract_walls(l, b, k);
     return mesh_.clear_covered(l, b, k, plane_.data());
   }
-  if (k == 0) ghosts_.visit_zero(l, b, source.walls[std::size_t(l)]);
   plane_of(l, b, k, source, zeros_.data() + layers, zeros_.data(), zeros_.data() + zeros_.size());
 }
 

@@ -21,10 +21,13 @@ class FourthOrderResidual : public CompositeResidual {
   }
 
   void plane_of(int l, int b, int k, Source const& source, Real const* cells, Real const* begin, Real const* end);
+  void subtract_walls(int l, int b, int k);
   bool has_wall(int l, int b) const;
+  bool has_walls_alone(int l, int b) const;
 
   FourthOrderGhosts& ghosts_;
-  std::vector<Real> zeros_;  ///< of a box at a wall
+  std::array<std::vector<Real>, 3> across_;  ///< of the plane under way, by axis: what wall data add
+  std::vector<Real> zeros_;                  ///< of a box at a wall
 };
 
 }  // namespace amrpic

@@ -36,6 +36,7 @@ class MatrixFreeBackend : public Backend {
   ElectricField electric_field_as(Field const& potential, CoveredField covered, Holds holds) override {
     return composite_.electric_field(potential, problem_.walls, covered, holds);
   }
+  std::size_t steps_in_turn() const override { return steps_.size(); }
   std::vector<std::vector<std::vector<FourthOrderField::AddedDensity>>> beside_coarse_faces(
       Field const& density) override {
     if (problem_.options.order == 2) return {};
@@ -69,8 +70,8 @@ class MatrixFreeBackend : public Backend {
   /// Of each level, places in the cycle's vectors; empty until first used, and where no rank has any.
   std::vector<std::vector<std::size_t>> behind_gaps_;
   bool knows_gaps_ = false;
-  std::array<Real, 2> steps_;  ///< factors of corrections, in turn
-  std::size_t cycles_ = 0;     ///< since `start`
+  std::vector<Real> steps_;  ///< factors of corrections, in turn
+  std::size_t cycles_ = 0;   ///< since `start`
   MinimalResidual corrections_;
   Field* phi_ = nullptr;
   Real latest_residual_ = 0;    ///< its norm, V/m^2

@@ -216,11 +216,12 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
 }
 
 /// Whether so many cycles, and those to come at the pace of the latest one, are more than nine for ten digits, or
-/// eleven where cells are long; in fourth order at the pace of the latest two, whose steps differ, four more, or eight
-/// with Dirichlet walls.
+/// eleven where cells are long; in fourth order four more, or eight with Dirichlet walls. Where the factors of
+/// corrections differ, the pace is that of all of them in turn, and not known before.
 bool PoissonSolver::is_slow(std::vector<Real> const& residuals) const {
   Real const residual = residuals.back();
-  std::size_t const cycles = residuals.size() - 1, back = options_.order == 4 && cycles > 1 ? 2 : 1;
+  std::size_t const cycles = residuals.size() - 1, back = backend_->steps_in_turn();
+  if (cycles < back) return false;
   Real const factor = std::pow(residual / residuals[cycles - back], Real(1) / Real(back));
   if (factor >= 1) return true;
   Real const tolerance = std::clamp(options_.tolerance, 1e-10, 0.1);

@@ -16,7 +16,7 @@ import amrpic
 from amrpic import PoissonSolver, _native
 from amrpic.errors import InputError, SolverError
 from amrpic.mesh.field import Field
-from amrpic.verify.convergence import _outward_slope, smooth
+from amrpic.verify.convergence import outward_slope, smooth
 from amrpic.verify.errors import errors, observed_order
 from amrpic.verify.meshes import MESHES, Mesh
 from amrpic.verify.sources import Gaussian, Product, Source, Wave, fill
@@ -179,7 +179,7 @@ def measured(
         rho.holds = "means"
         if not means:
             rho = rho.as_points()
-        slope = _outward_slope(hierarchy, source)
+        slope = outward_slope(hierarchy, source)
         phi, report = solver.solve(rho, boundary_values=source.potential, boundary_flux=slope)
         assert report.converged, report.reason
         most = max(most, report.cycles)

@@ -1,0 +1,154 @@
+"""Order 4 between all kinds of walls: orders on all meshes, and what it is worth beside order 2."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from ..mesh.domain import BoundarySpec, Domain
+from ..mesh.field import Field
+from ..mesh.hierarchy import Hierarchy
+from ..stages.poisson import PoissonSolver
+from .convergence import outward_slope, smooth
+from .draw import MARKERS, picture
+from .errors import errors, observed_order
+from .meshes import MESHES, Mesh
+from .sources import Gaussian, Product, Source, Wave, fill
+from .table import Cell, Goal, Table
+
+COLUMNS = (
+    *("mesh", "φ, L2", "φ, max", "E, L2", "E, max", "order: φ, L2", "order: φ, max", "order: E, L2", "order: E, max"),
+    "cycles",
+)
+WALLS: tuple[BoundarySpec, ...] = ("open", "neumann", "dirichlet", "periodic")
+TURN = 2 * np.pi
+WIDTHS = (2, 3, 4, 6, 8)  # σ/h
+CELLS = (32, 48, 64, 80, 96)  # of the base, for errors against seconds
+AT_EQUAL_TIME = 1 / 40  # of the error of order 2
+
+
+def tables(comm: MPI.Comm) -> Iterator[Table]:
+    """The tables of this topic. Collective."""
+    for walls in WALLS:
+        yield _on_all_meshes(comm, walls)
+    yield _over_width(comm)
+    yield _over_seconds(comm)
+
+
+def _on_all_meshes(comm: MPI.Comm, walls: BoundarySpec) -> Table:
+    # Errors of E are of third order in the cells at Dirichlet walls, a layer one cell deep: of order 3.5 in L2.
+    in_l2, at_most = (3.5, 2.8) if walls == "dirichlet" else (3.7, 3.5)
+    rows: list[list[Cell]] = []
+    for name, mesh in MESHES.items():
+        cells = (32, 48) if len(mesh.levels) > 2 or mesh.size[2] > 1 else (48, 72)
+        found = [solve(mesh.hierarchy(comm, n, walls), source_on(name, mesh, walls)) for n in cells]
+        error = np.array([row for row, _, _ in found])
+        order = [observed_order(cells, error[:, c].tolist()) for c in range(4)]
+        goals = [Goal(o, bound, least=True) for o, bound in zip(order[1:], (3.7, in_l2, at_most), strict=True)]
+        cycles = Goal(max(taken for _, taken, _ in found), 17 if walls == "dirichlet" else 13)
+        rows.append([name, *map(float, error[-1]), order[0], *goals, cycles])
+    charge = "a Gaussian, on coarse-fine faces of most meshes" if walls == "open" else "waves"
+    return Table(
+        f"Order 4, {walls} walls",
+        f"The source is {charge}. Means are given for the density; errors, relative, are those of values at the centres, on "
+        "the finer of two meshes 1.5 times apart."
+        + (" In the cells at these walls E is of third order, so of order 3.5 in L2." if walls == "dirichlet" else ""),
+        COLUMNS,
+        rows,
+    )
+
+
+def source_on(name: str, mesh: Mesh, walls: BoundarySpec) -> Source:
+    """What is solved on a mesh of that name, smooth on it."""
+    if walls == "periodic":
+        x, y, z = mesh.size
+        return Product((Wave(TURN / x, 0.3), Wave(TURN / y, 1.0), Wave(2 * TURN / z, 0.2)))
+    if walls != "open":
+        return smooth(mesh.size)
+    beside = {"face": (0.48, 0.5, 0.5), "edge": (0.42, 0.42, 0.5), "corner": (0.42, 0.42, 0.42)}
+    centre = beside.get(name.rsplit(" ", 1)[-1], (0.5, 0.5, 0.5))
+    return Gaussian(tuple(0.068 * np.array(mesh.size)), tuple(np.array(centre) * mesh.size))
+
+
+def solve(hierarchy: Hierarchy, source: Source, order: int = 4) -> tuple[list[float], int, float]:
+    """Errors of φ (L2, max) and E (L2, max) at centres, cycles, and seconds of the best of three solves. Collective."""
+    comm, singular = hierarchy.comm, hierarchy.domain.singular
+    solver = PoissonSolver(hierarchy, order=order, background="neutralizing" if singular else None)
+    rho, seconds = fill(Field(hierarchy), source), np.inf
+    if order == 4:
+        rho.holds = "means"
+    slope = outward_slope(hierarchy, source)
+    for _ in range(3):
+        comm.Barrier()
+        start = time.perf_counter()
+        phi, report = solver.solve(rho, boundary_values=source.potential, boundary_flux=slope)
+        seconds = min(seconds, comm.allreduce(time.perf_counter() - start, op=MPI.MAX))
+    efield = solver.electric_field(phi)
+    found = errors([phi.as_points() if order == 4 else phi], source.potential, shift=singular)
+    return [*found, *errors(efield.components, source.field)], report.cycles if report.converged else -1, seconds
+
+
+def _over_width(comm: MPI.Comm) -> Table:
+    """A round Gaussian in free space, on uniform cubes, eight σ from the walls."""
+    curves, rows = {}, []
+    found: dict[int, list[float]] = {2: [], 4: []}
+    for order, of_order in found.items():
+        for width in WIDTHS:
+            cells = 16 * width
+            domain = Domain(lower=0.0, upper=1.0, cells=cells, boundary="open")
+            source = Gaussian((width / cells,) * 3, (0.5, 0.5, 0.5))
+            of_order.append(solve(Hierarchy(comm, domain, max_grid_size=32), source, order)[0][2])
+        curves[f"order {order}"] = list(WIDTHS), of_order
+    for width, second, fourth in zip(WIDTHS, found[2], found[4], strict=True):
+        rows.append([width, second, fourth, second / fourth])
+    return Table(
+        "Order 4 and order 2 against σ/h",
+        "Relative error of E (L2) of a round Gaussian given as means, in free space, on uniform cubes.",
+        ("σ/h", "order 2", "order 4", "ratio"),
+        rows,
+        curves,
+        across="σ/h",
+        upwards="relative error of E, L2",
+    )
+
+
+def _over_seconds(comm: MPI.Comm) -> Table:
+    """Both orders on nested cubes, solved to 1e-10."""
+    rows: list[list[Cell]] = []
+    taken, wrong = {}, {}
+    source = Gaussian((0.07,) * 3, (0.5, 0.5, 0.5))
+    for order in (2, 4):
+        found = [solve(MESHES["nested cubes"].hierarchy(comm, n, "open"), source, order) for n in CELLS]
+        taken[order] = [seconds for _, _, seconds in found]
+        wrong[order] = [row[2] for row, _, _ in found]
+    slope, start = np.polyfit(np.log(taken[2]), np.log(wrong[2]), 1)  # the error of order 2 falls by a power of time
+    for n, cells in enumerate(CELLS):
+        at_equal_time = wrong[4][n] / np.exp(start + slope * np.log(taken[4][n]))
+        asked: Cell = Goal(at_equal_time, AT_EQUAL_TIME) if cells >= 64 else at_equal_time
+        rows.append([cells, taken[2][n], wrong[2][n], taken[4][n], wrong[4][n], taken[4][n] / taken[2][n], asked])
+    return Table(
+        "Order 4 and order 2 against seconds",
+        "A round Gaussian on nested cubes in free space, solved to 1e-10 from zero, best of three; relative error of E (L2). "
+        "Last column: the error of order 4 over what order 2 makes in the same time, by the power of time that its errors fall "
+        "with.",
+        ("base cells", "order 2, s", "E", "order 4, s", "E", "time, of order 2's", "error at equal time"),
+        rows,
+        upwards="error of E against seconds",
+        picture=partial(_draw, taken, wrong),
+    )
+
+
+def _draw(taken: dict[int, list[float]], wrong: dict[int, list[float]], path: Path) -> None:
+    with picture(
+        path, "Order 4 and order 2 against seconds", "seconds of a solve to 1e-10", "relative error of E, L2"
+    ) as axes:
+        for n, order in enumerate(taken):
+            axes.plot(
+                taken[order], wrong[order], f"C{n}{MARKERS[n]}-", markersize=4, linewidth=1, label=f"order {order}"
+            )
+        axes.set(xscale="log", yscale="log")

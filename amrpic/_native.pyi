@@ -499,6 +499,27 @@ def cycle_work(
     What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.
     """
 
+def set_most_direct_readers(most: int) -> int:
+    """
+    Let coarser corrections that more than so many ranks read of one pass through others; returns what it was. For tests on few ranks. On all ranks.
+    """
+
+class CyclePlans:
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        pre_sweeps: int,
+        post_sweeps: int,
+        screening: float = 0.0,
+        stretch: Sequence[float] = [1.0, 1.0, 1.0],
+    ) -> None:
+        """
+        What all ranks know of the cycle on the hierarchy of a virtual rank. Local.
+        """
+
+    def work(self, rank: int) -> list[LevelWork]:
+        """What `cycle_work` gives of another rank. Local."""
+
 class Means:
     """
     Leads from values at the centres of cells to means over them, and back.
@@ -652,6 +673,7 @@ class Migration:
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
         gone: NDArray[numpy.int64],
+        has_weights: bool,
     ) -> None: ...
     @property
     def lost(self) -> NDArray[numpy.int64]: ...

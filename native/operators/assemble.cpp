@@ -371,6 +371,7 @@ MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
     multigrid.levels.push_back(hierarchy.share_level(l));
     multigrid.faces.push_back(hierarchy.share_faces(l));
     multigrid.ratio.push_back(refinement_ratio);
+    multigrid.parents_in_place.push_back(0);
     multigrid.upper.emplace_back();
     Real3 const h = hierarchy.level(l).spacing();
     WallGhosts& walls = multigrid.walls.emplace_back();

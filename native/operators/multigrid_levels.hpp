@@ -32,6 +32,9 @@ DistributedBoxes halved(Level const& finer, Index3 const& ratio, Box const& doma
 /// Sort boxes along the curve, and distribute them by cells: where each rank's run starts.
 std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks);
 
+/// The levels as another rank has them, that of the hierarchy: the same one as a virtual rank sees it. Local.
+MultigridLevels seen_by(MultigridLevels multigrid, Hierarchy const& hierarchy);
+
 /// Factor of the last cell in the ghost behind a wall that prolongation from level l reads.
 Real prolonged_end(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l, Index3 const& cell,
                    int axis, int side);

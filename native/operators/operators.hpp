@@ -59,6 +59,9 @@ struct MultigridLevels {
   std::vector<std::shared_ptr<Level const>> levels;
   std::vector<std::shared_ptr<LevelFaces const>> faces;  ///< [l], of the base and finer levels; null on coarser ones
   std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
+  /// [l]: whether level l - 1 covers the domain with the parents of each box of level l in the box of the same number,
+  /// on the same rank.
+  std::vector<char> parents_in_place;
   std::vector<WallGhosts> walls;
   std::vector<std::array<UpperEnd, 3>> upper;  ///< [l][axis]
   std::array<std::array<Boundary, 2>, 3> boundary;

@@ -231,6 +231,217 @@ class DamagedNeoHookean:
         self, f: Sequence[Sequence[float]], h: Sequence[Sequence[float]], damage: float
     ) -> list[list[float]]: ...
 
+vacuum_permittivity: float = 8.8541878188e-12
+
+class Norm(enum.Enum):
+    l1 = 0
+
+    l2 = 1
+
+    max = 2
+
+class Prolongation(enum.Enum):
+    constant = 0
+
+    trilinear = 1
+
+class Smoother(enum.Enum):
+    red_black = 0
+
+    jacobi = 1
+
+    gauss_seidel = 2
+
+    symmetric_gauss_seidel = 3
+
+    chebyshev = 4
+
+class Bottom(enum.Enum):
+    gmres = 0
+
+    cg = 1
+
+    bicgstab = 2
+
+    multigrid = 3
+
+    direct = 4
+
+class BottomPreconditioner(enum.Enum):
+    none = 0
+
+    jacobi = 1
+
+    gauss_seidel = 2
+
+    ilu = 3
+
+    smoothed_aggregation = 4
+
+    plain_aggregation = 5
+
+    brick_aggregation = 6
+
+    structured_aggregation = 7
+
+class Krylov(enum.Enum):
+    none = 0
+
+    fgmres = 1
+
+    bicgstab = 2
+
+class Backend(enum.Enum):
+    matrix_free = 0
+
+    crs = 1
+
+class Kernels(enum.Enum):
+    tuned = 0
+
+    portable = 1
+
+class CoveredField(enum.Enum):
+    mean = 0
+
+    difference = 1
+
+class Holds(enum.Enum):
+    points = 0
+
+    means = 1
+
+class WorkUnit:
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def apply_seconds(self) -> float: ...
+    @property
+    def triad_throughput(self) -> float: ...
+
+def measure_work_unit(cells: int) -> WorkUnit: ...
+
+class SolverOptions:
+    def __init__(self) -> None: ...
+    @property
+    def backend(self) -> Backend: ...
+    @backend.setter
+    def backend(self, arg: Backend, /) -> None: ...
+    @property
+    def kernels(self) -> Kernels: ...
+    @kernels.setter
+    def kernels(self, arg: Kernels, /) -> None: ...
+    @property
+    def tolerance(self) -> float: ...
+    @tolerance.setter
+    def tolerance(self, arg: float, /) -> None: ...
+    @property
+    def to_discretisation(self) -> bool: ...
+    @to_discretisation.setter
+    def to_discretisation(self, arg: bool, /) -> None: ...
+    @property
+    def absolute_tolerance(self) -> float: ...
+    @absolute_tolerance.setter
+    def absolute_tolerance(self, arg: float, /) -> None: ...
+    @property
+    def norm(self) -> Norm: ...
+    @norm.setter
+    def norm(self, arg: Norm, /) -> None: ...
+    @property
+    def order(self) -> int: ...
+    @order.setter
+    def order(self, arg: int, /) -> None: ...
+    @property
+    def max_cycles(self) -> int: ...
+    @max_cycles.setter
+    def max_cycles(self, arg: int, /) -> None: ...
+    @property
+    def smoother(self) -> Smoother: ...
+    @smoother.setter
+    def smoother(self, arg: Smoother, /) -> None: ...
+    @property
+    def pre_sweeps(self) -> int: ...
+    @pre_sweeps.setter
+    def pre_sweeps(self, arg: int, /) -> None: ...
+    @property
+    def post_sweeps(self) -> int: ...
+    @post_sweeps.setter
+    def post_sweeps(self, arg: int, /) -> None: ...
+    @property
+    def relaxation(self) -> float: ...
+    @relaxation.setter
+    def relaxation(self, arg: float, /) -> None: ...
+    @property
+    def prolongation(self) -> Prolongation: ...
+    @prolongation.setter
+    def prolongation(self, arg: Prolongation, /) -> None: ...
+    @property
+    def screening(self) -> float: ...
+    @screening.setter
+    def screening(self, arg: float, /) -> None: ...
+    @property
+    def stretch(self) -> list[float]: ...
+    @stretch.setter
+    def stretch(self, arg: Sequence[float], /) -> None: ...
+    @property
+    def coarse_levels(self) -> int: ...
+    @coarse_levels.setter
+    def coarse_levels(self, arg: int, /) -> None: ...
+    @property
+    def bottom(self) -> Bottom: ...
+    @bottom.setter
+    def bottom(self, arg: Bottom, /) -> None: ...
+    @property
+    def bottom_preconditioner(self) -> BottomPreconditioner: ...
+    @bottom_preconditioner.setter
+    def bottom_preconditioner(self, arg: BottomPreconditioner, /) -> None: ...
+    @property
+    def krylov(self) -> Krylov: ...
+    @krylov.setter
+    def krylov(self, arg: Krylov, /) -> None: ...
+    @property
+    def neutralize(self) -> bool: ...
+    @neutralize.setter
+    def neutralize(self, arg: bool, /) -> None: ...
+
+class SolveReport:
+    @property
+    def converged(self) -> bool: ...
+    @property
+    def cycles(self) -> int: ...
+    @property
+    def residuals(self) -> list[float]: ...
+    @property
+    def floor(self) -> float: ...
+    @property
+    def discretisation_error(self) -> float: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def seconds(self) -> dict[str, float]: ...
+
+class Reusable:
+    def __init__(self) -> None: ...
+
+class PoissonSolver:
+    def __init__(self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable) -> None: ...
+    def solve(self, rho: Field, phi: Field, from_zero: bool) -> SolveReport: ...
+    def electric_field(self, potential: Field, covered: CoveredField) -> ElectricField: ...
+    def electric_field_as(self, potential: Field, covered: CoveredField, holds: Holds) -> ElectricField: ...
+    def to_means(self, points: Field, means: Field) -> None: ...
+    def wall_faces(self, level: int) -> tuple: ...
+    def wall_data(self, level: int) -> NDArray[numpy.float64]: ...
+    @property
+    def reusable(self) -> Reusable: ...
+    @property
+    def bottom_setups(self) -> int: ...
+    @property
+    def levels_assembled(self) -> int: ...
+    @property
+    def assemblies(self) -> int: ...
+    @property
+    def backend_bytes(self) -> int: ...
+
 def cluster(blocks: NDArray[numpy.int32], efficiency: float) -> NDArray[numpy.int32]: ...
 def refine(
     hierarchy: Hierarchy,
@@ -504,6 +715,27 @@ def cycle_work(
     What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.
     """
 
+def set_most_direct_readers(most: int) -> int:
+    """
+    Let coarser corrections that more than so many ranks read of one pass through others; returns what it was. For tests on few ranks. On all ranks.
+    """
+
+class CyclePlans:
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        pre_sweeps: int,
+        post_sweeps: int,
+        screening: float = 0.0,
+        stretch: Sequence[float] = [1.0, 1.0, 1.0],
+    ) -> None:
+        """
+        What all ranks know of the cycle on the hierarchy of a virtual rank. Local.
+        """
+
+    def work(self, rank: int) -> list[LevelWork]:
+        """What `cycle_work` gives of another rank. Local."""
+
 class Means:
     """
     Leads from values at the centres of cells to means over them, and back.
@@ -658,6 +890,7 @@ class Migration:
         weight: NDArray[numpy.float64],
         id: NDArray[numpy.int64],
         gone: NDArray[numpy.int64],
+        has_weights: bool,
     ) -> None: ...
     @property
     def lost(self) -> NDArray[numpy.int64]: ...
@@ -901,214 +1134,3 @@ def solve_points(
     """
     This rank's rows of the solutions (vectors, rows), iterations and relative residual. Collective.
     """
-
-vacuum_permittivity: float = 8.8541878188e-12
-
-class Norm(enum.Enum):
-    l1 = 0
-
-    l2 = 1
-
-    max = 2
-
-class Prolongation(enum.Enum):
-    constant = 0
-
-    trilinear = 1
-
-class Smoother(enum.Enum):
-    red_black = 0
-
-    jacobi = 1
-
-    gauss_seidel = 2
-
-    symmetric_gauss_seidel = 3
-
-    chebyshev = 4
-
-class Bottom(enum.Enum):
-    gmres = 0
-
-    cg = 1
-
-    bicgstab = 2
-
-    multigrid = 3
-
-    direct = 4
-
-class BottomPreconditioner(enum.Enum):
-    none = 0
-
-    jacobi = 1
-
-    gauss_seidel = 2
-
-    ilu = 3
-
-    smoothed_aggregation = 4
-
-    plain_aggregation = 5
-
-    brick_aggregation = 6
-
-    structured_aggregation = 7
-
-class Krylov(enum.Enum):
-    none = 0
-
-    fgmres = 1
-
-    bicgstab = 2
-
-class Backend(enum.Enum):
-    matrix_free = 0
-
-    crs = 1
-
-class Kernels(enum.Enum):
-    tuned = 0
-
-    portable = 1
-
-class CoveredField(enum.Enum):
-    mean = 0
-
-    difference = 1
-
-class Holds(enum.Enum):
-    points = 0
-
-    means = 1
-
-class WorkUnit:
-    @property
-    def seconds(self) -> float: ...
-    @property
-    def apply_seconds(self) -> float: ...
-    @property
-    def triad_throughput(self) -> float: ...
-
-def measure_work_unit(cells: int) -> WorkUnit: ...
-
-class SolverOptions:
-    def __init__(self) -> None: ...
-    @property
-    def backend(self) -> Backend: ...
-    @backend.setter
-    def backend(self, arg: Backend, /) -> None: ...
-    @property
-    def kernels(self) -> Kernels: ...
-    @kernels.setter
-    def kernels(self, arg: Kernels, /) -> None: ...
-    @property
-    def tolerance(self) -> float: ...
-    @tolerance.setter
-    def tolerance(self, arg: float, /) -> None: ...
-    @property
-    def to_discretisation(self) -> bool: ...
-    @to_discretisation.setter
-    def to_discretisation(self, arg: bool, /) -> None: ...
-    @property
-    def absolute_tolerance(self) -> float: ...
-    @absolute_tolerance.setter
-    def absolute_tolerance(self, arg: float, /) -> None: ...
-    @property
-    def norm(self) -> Norm: ...
-    @norm.setter
-    def norm(self, arg: Norm, /) -> None: ...
-    @property
-    def order(self) -> int: ...
-    @order.setter
-    def order(self, arg: int, /) -> None: ...
-    @property
-    def max_cycles(self) -> int: ...
-    @max_cycles.setter
-    def max_cycles(self, arg: int, /) -> None: ...
-    @property
-    def smoother(self) -> Smoother: ...
-    @smoother.setter
-    def smoother(self, arg: Smoother, /) -> None: ...
-    @property
-    def pre_sweeps(self) -> int: ...
-    @pre_sweeps.setter
-    def pre_sweeps(self, arg: int, /) -> None: ...
-    @property
-    def post_sweeps(self) -> int: ...
-    @post_sweeps.setter
-    def post_sweeps(self, arg: int, /) -> None: ...
-    @property
-    def relaxation(self) -> float: ...
-    @relaxation.setter
-    def relaxation(self, arg: float, /) -> None: ...
-    @property
-    def prolongation(self) -> Prolongation: ...
-    @prolongation.setter
-    def prolongation(self, arg: Prolongation, /) -> None: ...
-    @property
-    def screening(self) -> float: ...
-    @screening.setter
-    def screening(self, arg: float, /) -> None: ...
-    @property
-    def stretch(self) -> list[float]: ...
-    @stretch.setter
-    def stretch(self, arg: Sequence[float], /) -> None: ...
-    @property
-    def coarse_levels(self) -> int: ...
-    @coarse_levels.setter
-    def coarse_levels(self, arg: int, /) -> None: ...
-    @property
-    def bottom(self) -> Bottom: ...
-    @bottom.setter
-    def bottom(self, arg: Bottom, /) -> None: ...
-    @property
-    def bottom_preconditioner(self) -> BottomPreconditioner: ...
-    @bottom_preconditioner.setter
-    def bottom_preconditioner(self, arg: BottomPreconditioner, /) -> None: ...
-    @property
-    def krylov(self) -> Krylov: ...
-    @krylov.setter
-    def krylov(self, arg: Krylov, /) -> None: ...
-    @property
-    def neutralize(self) -> bool: ...
-    @neutralize.setter
-    def neutralize(self, arg: bool, /) -> None: ...
-
-class SolveReport:
-    @property
-    def converged(self) -> bool: ...
-    @property
-    def cycles(self) -> int: ...
-    @property
-    def residuals(self) -> list[float]: ...
-    @property
-    def floor(self) -> float: ...
-    @property
-    def discretisation_error(self) -> float: ...
-    @property
-    def reason(self) -> str: ...
-    @property
-    def seconds(self) -> dict[str, float]: ...
-
-class Reusable:
-    def __init__(self) -> None: ...
-
-class PoissonSolver:
-    def __init__(self, hierarchy: Hierarchy, options: SolverOptions, reusable: Reusable) -> None: ...
-    def solve(self, rho: Field, phi: Field, from_zero: bool) -> SolveReport: ...
-    def electric_field(self, potential: Field, covered: CoveredField) -> ElectricField: ...
-    def electric_field_as(self, potential: Field, covered: CoveredField, holds: Holds) -> ElectricField: ...
-    def to_means(self, points: Field, means: Field) -> None: ...
-    def wall_faces(self, level: int) -> tuple: ...
-    def wall_data(self, level: int) -> NDArray[numpy.float64]: ...
-    @property
-    def reusable(self) -> Reusable: ...
-    @property
-    def bottom_setups(self) -> int: ...
-    @property
-    def levels_assembled(self) -> int: ...
-    @property
-    def assemblies(self) -> int: ...
-    @property
-    def backend_bytes(self) -> int: ...

@@ -90,6 +90,7 @@ def migrate(points: MaterialPoints, mesh: Mesh) -> tuple[MaterialPoints, int]:
         np.ascontiguousarray(points.initial_volume),
         points.id,
         NONE,
+        has_weights=True,
     )
     count = plan.arriving
     rest = np.stack(

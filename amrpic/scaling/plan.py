@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from .sent import Sent
 from .virtual_ranks import (
     chosen_ranks,
     counts,
-    cycle_work,
+    cycle_plans,
     distributed,
     moved_on,
     moved_part,
@@ -40,13 +40,8 @@ from .virtual_ranks import (
 SAMPLE = 10**5  # particles of a scene of which momenta are taken
 MOVED = 300_000  # particles of a rank, and of those that share its bricks, that are gone through for a migration
 LOOKED_AT = 24  # ranks of which all messages are counted
-SECONDS = 30.0  # of the processor, in which as many ranks as can be are gone through for cycles, and for open walls
-FEWEST = 32  # that are gone through anyway
+WALLS = 2**14  # ranks that are gone through for open walls
 NODE = 36  # ranks of a node of which all are looked at
-
-
-Cycle = list[_native.LevelWork]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -87,9 +82,8 @@ class Plan:
     ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
     nodes: list[range]  # ranks of these nodes
-    relaxed: float  # Σ_l max over ranks gone through of cells relaxed in a cycle, as a part of those of all on one rank
-    walls: list[Walls]  # of ranks that were gone through
-    gone_through: tuple[int, int]  # how many, for cycles and for open walls
+    relaxed: float  # Σ_l max over ranks of cells relaxed in a cycle, as a part of those of all on one rank
+    walls: list[Walls]  # of ranks that were gone through, all or `WALLS` of them
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
     estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
@@ -156,30 +150,32 @@ def imbalance(cells: Array) -> float:
     return float(cells.max(axis=1).sum() / cells.mean(axis=1).sum())
 
 
-def in_time(ranks: Iterable[int], work: Callable[[int], T], seconds: float) -> dict[int, T]:
-    """Return what `work` gives of as many ranks as so many seconds of the processor allow, and of a few at least."""
-    out: dict[int, T] = {}
-    end = time.process_time() + seconds
-    for rank in map(int, ranks):
-        if len(out) >= FEWEST and time.process_time() > end:
-            break
-        out[rank] = work(rank)
-    return out
+@dataclass(frozen=True)
+class Cycles:
+    """What a cycle takes of all ranks."""
+
+    messages: Array  # (ranks,)
+    bytes: Array  # (ranks,)
+    relaxed: Mapping[int, float]  # by level, the base being 0: the most cells of a rank
+    sweeps: Mapping[int, int]  # by level
+
+    @classmethod
+    def of(cls, plans: _native.CyclePlans, ranks: int) -> Cycles:
+        """Return those of so many ranks, gone through one after the other."""
+        messages, volume = np.zeros(ranks), np.zeros(ranks)
+        relaxed, sweeps = dict[int, float](), dict[int, int]()
+        for rank in range(ranks):
+            for level in plans.work(rank):
+                messages[rank] += level.messages
+                volume[rank] += level.bytes
+                relaxed[level.level] = max(relaxed.get(level.level, 0.0), level.relaxed)
+                sweeps[level.level] = level.sweeps
+        return cls(messages, volume, relaxed, sweeps)
 
 
-def spread_out(ranks: int) -> Iterator[int]:
-    """Yield all ranks, so that those yielded at any time are spread evenly over all."""
-    bits = max(ranks - 1, 0).bit_length()
-    reversed_ = (int(f"{number:0{bits}b}"[::-1], 2) if bits else 0 for number in range(1 << bits))
-    return (rank for rank in reversed_ if rank < ranks)
-
-
-def _busy_in_cycles(cycles: Mapping[int, Cycle], ranks: int) -> list[Array]:
-    """Return the messages and the bytes of a cycle, (ranks,) each; 0 for those that were not gone through."""
-    return [
-        _values_of(ranks, {rank: sum(getattr(of, what) for of in work) for rank, work in cycles.items()})
-        for what in ("messages", "bytes")
-    ]
+def spread_out(ranks: int, most: int) -> list[int]:
+    """Return all ranks, or so many at even distances."""
+    return list(range(ranks)) if ranks <= most else [ranks * n // most for n in range(most)]
 
 
 def _values_of(ranks: int, values: Mapping[int, float]) -> Array:
@@ -231,12 +227,14 @@ class Planner:
         neighbours = neighbours_of_ranks(mesh)
         met = neighbours.sum(axis=0)
         self._say(f"{ranks} ranks: cycles")
-        cycles = in_time(np.argsort(-met, kind="stable"), lambda rank: cycle_work(scene, closed.seen_by(rank)), SECONDS)
+        cycle_of = cycle_plans(scene, closed)
+        cycles = Cycles.of(cycle_of, ranks)
         self._say(f"{ranks} ranks: open walls")
         walls_at = self._walls(mesh)
-        walls = in_time(spread_out(ranks), walls_at, SECONDS)
+        walls = {rank: walls_at(rank) for rank in spread_out(ranks, WALLS)}
         busy = [
-            *_busy_in_cycles(cycles, ranks),
+            cycles.messages,
+            cycles.bytes,
             _values_of(ranks, {rank: of.traffic.messages for rank, of in walls.items()}),
         ]
         chosen = chosen_ranks(
@@ -250,8 +248,7 @@ class Planner:
                 self._say(f"{ranks} ranks: messages of rank {rank}, the {len(looks) + 1}th of about {len(chosen)}")
                 walls[rank] = walls[rank] if rank in walls else walls_at(rank)
                 mesh_there = closed.seen_by(rank)
-                cycles[rank] = cycles[rank] if rank in cycles else cycle_work(scene, mesh_there)
-                looks[rank] = self._look(mesh_there, held, other.seen_by(rank), walls[rank], cycles[rank])
+                looks[rank] = self._look(mesh_there, held, other.seen_by(rank), walls[rank], cycle_of.work(rank))
             return looks[rank]
 
         nodes = []
@@ -275,9 +272,8 @@ class Planner:
             list(looks),
             list(looks.values()),
             nodes or [range(ranks)],
-            self._relaxed(list(cycles.values())),
+            self._relaxed(cycles),
             list(walls.values()),
-            (len(cycles), len(walls)),
             self._without(mesh, held),
             held.exchange,
             int(scene.solver.tolerance == "discretization"),
@@ -290,7 +286,9 @@ class Planner:
         same = all(np.array_equal(mesh.boxes(level), self.mesh.boxes(level)) for level in range(mesh.levels))
         return self._bricks if same else bricks_of(self._clouds, mesh)
 
-    def _look(self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls, cycle: Cycle) -> dict[str, Sent]:
+    def _look(
+        self, mesh: Hierarchy, held: Served, other: Hierarchy, walls: Walls, cycle: list[_native.LevelWork]
+    ) -> dict[str, Sent]:
         """Return what a virtual rank, that of the mesh, sends and relaxes."""
         rank = mesh.comm.rank
         mine, each = particles_of(rank, held, mesh, self._sample, MOVED)
@@ -301,15 +299,11 @@ class Planner:
         sent["open walls"] = Sent(walls.traffic)
         return sent
 
-    def _relaxed(self, of_ranks: Sequence[Cycle]) -> float:
+    def _relaxed(self, cycles: Cycles) -> float:
         """Return Σ_l max over ranks of the cells relaxed in a cycle, as a part of those of the whole mesh on one rank."""
         cells = dict(enumerate(self.mesh.cells(level) for level in range(self.mesh.levels)))
         cells |= {-number: n for number, n in enumerate(cells_below(self.scene), start=1)}
-        visits = {of.level: of.sweeps for work in of_ranks for of in work}
-        most: dict[int, float] = {}
-        for of in itertools.chain.from_iterable(of_ranks):
-            most[of.level] = max(most.get(of.level, 0.0), of.relaxed)
-        return sum(most.values()) / sum(cells[level] * sweeps for level, sweeps in visits.items())
+        return sum(cycles.relaxed.values()) / sum(cells[level] * sweeps for level, sweeps in cycles.sweeps.items())
 
     # ---- open walls ----
 

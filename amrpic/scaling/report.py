@@ -135,16 +135,16 @@ def _span(values: Sequence[float]) -> str:
 
 def _looked_at(plans: Sequence[Plan]) -> str:
     """Return which ranks' messages are counted, and how many others may send."""
-    rows: Rows = [["ranks", "cycles", "open walls", "all calls", *(f"{call}: most / of others" for call in BOUNDED)]]
+    rows: Rows = [["ranks", "open walls", "all calls", *(f"{call}: most / of others" for call in BOUNDED)]]
     for plan in plans:
         bounds = [f"{plan.most(call, 'messages'):.0f} / {plan.at_most(call):.0f}" for call in BOUNDED]
-        numbers = (plan.ranks, *plan.gone_through, len(plan.looked_at))
+        numbers = (plan.ranks, len(plan.walls), len(plan.looked_at))
         rows.append([*(f"{number:,}" for number in numbers), *bounds])
     return (
-        "Cells, particles and memory are those of all ranks. Cycles, the ranks that meet most others first, and open walls are "
-        "gone through for as many ranks as a time allows; all calls for the busiest of them, for those with most of what they "
-        "hold, for some at even distances and for two busy nodes. How many that is, and what other ranks send at most if none "
-        "sends more for each rank that it meets than the worst of those:\n\n" + as_markdown(rows)
+        "Cells, particles and memory are those of all ranks, and cycles are gone through for all. Open walls are gone through "
+        "for all ranks or for many at even distances; all calls for the busiest ranks, for those with most of what they hold, "
+        "for some at even distances and for two busy nodes. How many that is, and what other ranks send at most if none sends "
+        "more for each rank that it meets than the worst of those:\n\n" + as_markdown(rows)
     )
 
 

@@ -181,6 +181,12 @@ def cycle_work(scene: Scene, mesh: Hierarchy) -> list[_native.LevelWork]:
     return _native.cycle_work(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
 
 
+def cycle_plans(scene: Scene, mesh: Hierarchy) -> _native.CyclePlans:
+    """Return what gives the same of each rank, for the mesh of a virtual one."""
+    solver = scene.solver
+    return _native.CyclePlans(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
+
+
 def _moved(scene: Scene, particles: Particles, efield: VectorField, clouds: Clouds) -> Particles:
     """Return the particles after a step without forces."""
     match scene.motion:

@@ -58,11 +58,11 @@ def migrate_without(
     weight, most = particles.one_weight_and_most(comm)
     _require_few(most)
     given = particles if weight is not None else particles.with_own_weights()
-    plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
+    plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone, weight is None)
     most, uneven = _most_and_uneven(comm, plan)
     if evenly and uneven:
         servers = shared_out_by_work(particles, hierarchy)
-        plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone)
+        plan = _native.Migration(hierarchy.particle_mesh, servers, *given.arrays, gone, weight is None)
         most, _ = _most_and_uneven(comm, plan)
     _require_few(most)
     here = Particles.allocate(plan.arriving, particles.species, weight)

@@ -146,6 +146,24 @@ void bind_matrixfree(nb::module_& m) {
       },
       "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
       "What one cycle takes of this rank, which may be virtual, by levels, the coarsest first. Local.");
+  m.def(
+      "set_most_direct_readers", [](int most) { return std::exchange(matrixfree::most_direct_readers(), most); },
+      "most"_a,
+      "Let coarser corrections that more than so many ranks read of one pass through others; returns what it was. For "
+      "tests on few ranks. On all ranks.");
+  nb::class_<matrixfree::CyclePlans>(m, "CyclePlans")
+      .def(
+          "__init__",
+          [](matrixfree::CyclePlans* self, std::shared_ptr<Hierarchy const> hierarchy, int pre_sweeps, int post_sweeps,
+             Real screening, Real3 const& stretch) {
+            nb::gil_scoped_release release;
+            new (self)
+                matrixfree::CyclePlans(hierarchy->stretched(stretch), screening * screening, {pre_sweeps, post_sweeps});
+          },
+          "hierarchy"_a, "pre_sweeps"_a, "post_sweeps"_a, "screening"_a = 0.0, "stretch"_a = Real3{1, 1, 1},
+          "What all ranks know of the cycle on the hierarchy of a virtual rank. Local.")
+      .def("work", &matrixfree::CyclePlans::work, "rank"_a, nb::call_guard<nb::gil_scoped_release>(),
+           "What `cycle_work` gives of another rank. Local.");
   nb::class_<Means>(m, "Means", "Leads from values at the centres of cells to means over them, and back.")
       .def(
           "__init__",

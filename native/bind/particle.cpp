@@ -141,16 +141,18 @@ void bind_particle(nb::module_& m) {
       .def(
           "__init__",
           [](Migration* self, ParticleMesh& mesh, Row<std::int64_t const> servers, ConstColumns position,
-             ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> gone) {
+             ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> gone,
+             bool has_weights) {
             nb::gil_scoped_release release;
             ParticleList const without{gone.data(), gone.data() + gone.shape(0)};
             std::vector<std::int64_t> first(servers.data(), servers.data() + servers.shape(0));
             Hierarchy const& hierarchy = mesh.hierarchy();
             new (self) Migration(mesh, Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
-                                 view(position, momentum, weight, id), without);
+                                 view(position, momentum, weight, id), without, has_weights);
           },
-          "mesh"_a, "servers"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, nb::keep_alive<1, 2>(),
-          nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>(), nb::keep_alive<1, 7>())
+          "mesh"_a, "servers"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, "has_weights"_a,
+          nb::keep_alive<1, 2>(), nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>(),
+          nb::keep_alive<1, 7>())
       .def_prop_ro(
           "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
       .def_prop_ro("arriving", &Migration::arriving)

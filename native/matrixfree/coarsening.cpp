@@ -7,36 +7,21 @@
 namespace amrpic::matrixfree {
 
 Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio,
-                       Refinement const& refinement, CoarseGhosts const& ghosts)
+                       Pair const& pair, CoarseGhosts const& ghosts)
     : comm_(comm),
       fine_(fine),
       coarse_(coarse),
       ratio_(ratio),
-      refines_(refinement.in_part),
-      has_gaps_(refinement.has_gaps),
-      in_place_(!refines_ && keeps_children_together()) {
+      refines_(pair.refines),
+      has_gaps_(pair.has_gaps),
+      // Such boxes make up the same larger blocks on both levels, unless they end at seams, which these have at places
+      // of their own.
+      in_place_(pair.parents_in_place && !fine.layout().has_seam() && !coarse.layout().has_seam()) {
   lay_out_coarse_patches(comm, ghosts);
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
   if (refines_)
-    interface_ = InterfaceCells(fine.level(), coarse.level(), refinement.finer, fine.layout(), fine.faces(),
-                                coarse_patches_, fine.stencil().weight(), coarse.stencil().weight());
-}
-
-/// Whether on all ranks the parents of each own block make up the own block of the same number. Local: where the
-/// coarser level's boxes are the parents of the finer one's, box by box, they make up the same larger ones.
-bool Coarsening::keeps_children_together() const {
-  Level const &level = fine_.level(), &coarser = coarse_.level();
-  if (coarser.ranks() != level.ranks() || coarser.box_count() != level.box_count()) return false;
-  for (int r = 0; r <= level.ranks(); ++r)
-    if (coarser.first_box(r) != level.first_box(r)) return false;
-  for (int b = 0; b < level.box_count(); ++b) {
-    Box const& box = level.box(b);
-    if (!(box.coarsen(ratio_).intersect(coarser.domain()) == coarser.box(b))) return false;
-    for (int d = 0; d < 3; ++d)
-      if (box.lower[d] % ratio_[d] != 0) return false;
-  }
-  // blocks end at seams, which the two levels may have at places of their own
-  return !fine_.layout().has_seam() && !coarse_.layout().has_seam();
+    interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
+                                fine.stencil().weight(), coarse.stencil().weight());
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
@@ -93,16 +78,21 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   }
   values_.resize(size + 64);  // a vector that starts in the last row may reach past it
   Level const& level = fine_.level();
-  auto const exchange = [&](std::vector<Copied> const& copied, int around) {
-    auto const across = copies_across_ranks(
-        level, coarser, [&](Box const& o) { return o.grow(around).refine(ratio_); },
-        [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); });
-    return RectangleExchange(comm, coarse_.layout(), copied, across, [this](Box const& box, Part const& f) {
-      for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
-    });
+  auto const exchange = [&](std::vector<Copied> const& copied, int around, bool has_relays) {
+    auto const near = [&](Box const& o) { return o.grow(around).refine(ratio_); };
+    auto const regions = [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); };
+    AskedOf asked_of;
+    if (has_relays) asked_of = [&](int owner) { return copies_asked_of(owner, level, coarser, near, regions); };
+    return RectangleExchange(
+        comm, coarse_.layout(), copied, copies_across_ranks(level, coarser, near, regions),
+        [this](Box const& box, Part const& f) {
+          for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
+        },
+        Colours::all, asked_of);
   };
-  parents_ = exchange(local, reach);
-  if (!in_place_) targets_of_residuals_ = exchange(local_targets, beside);
+  // Where parents are in place each rank meets its neighbours alone, else all that share the children of one.
+  parents_ = exchange(local, reach, !in_place_);
+  if (!in_place_) targets_of_residuals_ = exchange(local_targets, beside, false);
 }
 
 /// A ghost cell of the coarser correction is a multiple of the cell before it; corners follow axis after axis.

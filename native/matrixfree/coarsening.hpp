@@ -19,15 +19,16 @@ struct CoarseGhosts {
 /// What passes between a level and the next coarser one in a cycle.
 class Coarsening {
  public:
-  /// How the finer level refines the coarser one.
-  struct Refinement {
-    bool in_part = false;          ///< the coarser right-hand side is its own elsewhere
-    bool has_gaps = false;         ///< somewhere, on any rank, see `GapFit`
-    Level const* finer = nullptr;  ///< the level after the finer one
+  /// How the finer level lies on the coarser one.
+  struct Pair {
+    bool refines = false;           ///< the coarser right-hand side is its own elsewhere
+    bool parents_in_place = false;  ///< see MultigridLevels
+    bool has_gaps = false;          ///< somewhere, on any rank, see `GapFit`
+    Level const* finer = nullptr;   ///< the level after the finer one
   };
   /// Collective.
-  Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio,
-             Refinement const& refinement, CoarseGhosts const& ghosts);
+  Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, Pair const& pair,
+             CoarseGhosts const& ghosts);
 
   /// Run stages over the finer level, and in the same pass leave the coarser one's right-hand side. Collective.
   ///
@@ -63,7 +64,6 @@ class Coarsening {
     std::int32_t from, to;
     float factor;
   };
-  bool keeps_children_together() const;
   void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts);
   Vector& clear_target();
   void update_gaps();

@@ -47,6 +47,16 @@ CopiesAcrossRanks copies_across_ranks(Level const& readers, Level const& owners,
   return {asked.rectangles(seams), wanted.rectangles(seams)};
 }
 
+/// What all others read of a rank: `asked` as that one has it. Local.
+template <class Near, class Regions>
+std::vector<CopiedRectangle> copies_asked_of(int owner, Level const& readers, Level const& owners, Near&& near,
+                                             Regions&& regions) {
+  ReadOfBoxes asked;
+  for_each_read_by_others(*readers.seen_by(owner), *owners.seen_by(owner), near, regions,
+                          [&](Read const& read) { asked.add(read); });
+  return asked.rectangles({});
+}
+
 /// The layers of copied cells beyond which the level ends.
 CopiesAcrossRanks at_edges(Level const& level, CopiesAcrossRanks const& copies);
 

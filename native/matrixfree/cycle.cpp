@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <limits>
 
-#include "operators/multigrid_levels.hpp"
 #include "operators/semicoarse.hpp"
 
 #ifdef __SSE2__
@@ -87,11 +86,14 @@ WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const&
 
 }  // namespace
 
-Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
-    : comm_(comm),
-      multigrid_(coarsen_below(refinement_levels(hierarchy, shift), hierarchy.domain(),
-                               {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max())),
-      relaxation_(relaxation) {
+MultigridLevels Cycle::levels_of(Hierarchy const& hierarchy, Real shift) {
+  return coarsen_below(refinement_levels(hierarchy, shift), hierarchy.domain(),
+                       {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max());
+}
+
+Cycle::Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation)
+    : comm_(comm), multigrid_(std::move(multigrid)), relaxation_(relaxation) {
+  Real const shift = multigrid_.shift;
   OpenWalls const open_walls(multigrid_);
   auto const has_gaps = levels_with_gaps(comm, multigrid_);
   for (std::size_t l = 0; l < multigrid_.levels.size(); ++l) {
@@ -101,7 +103,7 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
     own.factor = relaxation_on(*multigrid_.levels[l], shift, multigrid_.halves_at_most(l), relaxation.factor);
     std::vector<LevelCopy> copies;
     if (multigrid_.refines(l))
-      copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, hierarchy.max_grid_size());
+      copies = semicoarse_copies(multigrid_.levels[l], rules.walls, multigrid_.boundary, max_grid_size);
     // sweeps that do not start from zero, and a residual after them, read one cell further
     int const deep = own.halo() + (!copies.empty() || !multigrid_.refines(l) ? 1 : 0);
     bool const thin = copies.empty() && !has_gaps[l] && has_thin_copies(*multigrid_.levels[l], rules);
@@ -110,7 +112,8 @@ Cycle::Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, R
     if (l > 0)
       level.coarsening = std::make_unique<Coarsening>(
           comm, *level.swept, *levels_.back().swept, multigrid_.ratio[l],
-          Coarsening::Refinement{multigrid_.refines(l), has_gaps[l] != 0, multigrid_.beside(l).finer},
+          Coarsening::Pair{multigrid_.refines(l), multigrid_.parents_in_place[l] != 0, has_gaps[l] != 0,
+                           multigrid_.beside(l).finer},
           CoarseGhosts{[&](Index3 const& cell, int axis, int side) {
                          return prolonged_end(multigrid_, open_walls, l - 1, cell, axis, side);
                        },

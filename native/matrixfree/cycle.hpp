@@ -7,6 +7,7 @@
 #include "matrixfree/direct.hpp"
 #include "matrixfree/local_cycle.hpp"
 #include "operators/multigrid_cycle.hpp"
+#include "operators/multigrid_levels.hpp"
 #include "operators/open_walls.hpp"
 
 namespace amrpic::matrixfree {
@@ -27,7 +28,13 @@ struct LevelWork {
 class Cycle {
  public:
   /// `shift`: of the Equation. Collective.
-  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation);
+  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
+      : Cycle(comm, levels_of(hierarchy, shift), hierarchy.max_grid_size(), relaxation) {}
+  /// On levels of `levels_of`. Collective.
+  Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation);
+
+  /// The levels of a hierarchy and those below the base. Local.
+  static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift);
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();
@@ -64,6 +71,25 @@ class Cycle {
   std::vector<CycleLevel> levels_;
   std::unique_ptr<FastDiagonalisation> direct_;
   std::vector<Real> values_;
+};
+
+/// What one cycle takes of each of any number of ranks that need not exist: what all have in common is found once.
+class CyclePlans {
+ public:
+  /// `hierarchy`: of a virtual rank. `shift`: of the Equation. Local.
+  CyclePlans(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Relaxation const& relaxation)
+      : hierarchy_(std::move(hierarchy)), multigrid_(Cycle::levels_of(*hierarchy_, shift)), relaxation_(relaxation) {}
+
+  /// The work of a rank; see Cycle::work. Local.
+  std::vector<LevelWork> work(int rank) const {
+    auto const there = hierarchy_->seen_by(rank);
+    return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_).work();
+  }
+
+ private:
+  std::shared_ptr<Hierarchy const> hierarchy_;
+  MultigridLevels multigrid_;
+  Relaxation relaxation_;
 };
 
 }  // namespace amrpic::matrixfree

@@ -82,7 +82,8 @@ void add_row(float const* from, int length, float* to) {
 }  // namespace
 
 RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
-                                     CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours)
+                                     CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours,
+                                     AskedOf const& asked_of)
     : colours_(colours) {
   auto own = [&](Box const& box, Part const& f) { layout.for_each_own_part(box, f); };
   for (Region const& region : regions_of(local))
@@ -93,17 +94,45 @@ RectangleExchange::RectangleExchange(Communicator const& comm, Layout const& lay
   local_.shrink_to_fit();
   asked_ = packed(across.asked, false, own);
   wanted_ = packed(across.wanted, true, copies);
-  auto parcels = [this](std::vector<CopiedRectangle> const& rectangles, Traffic& sent) {
-    std::vector<Parcel> out;
-    for (CopiedRectangle const& r : rectangles) {
-      sent.messages += out.empty() || out.back().rank != r.rank;
-      sent.bytes += std::int64_t(sizeof(float)) * places(r.cells);
-      neighbours_.insert(r.rank);
-      out.push_back({r.rank, places(r.cells)});
-    }
-    return out;
+  if (asked_of && comm.ranks() - 1 > most_direct_readers())
+    plan_with_relays(comm, across, asked_of);
+  else
+    exchange_ = Exchange<float>(comm, parcels(across.asked, sent_by_update_), parcels(across.wanted, sent_by_add_));
+}
+
+/// What passes in one direction; adds to what this rank sends if that is it.
+std::vector<Parcel> RectangleExchange::parcels(std::vector<CopiedRectangle> const& rectangles, Traffic& sent) {
+  std::vector<Parcel> out;
+  for (CopiedRectangle const& r : rectangles) {
+    sent.messages += out.empty() || out.back().rank != r.rank;
+    sent.bytes += std::int64_t(sizeof(float)) * places(r.cells);
+    neighbours_.insert(r.rank);
+    out.push_back({r.rank, places(r.cells)});
+  }
+  return out;
+}
+
+void RectangleExchange::plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across,
+                                         AskedOf const& asked_of) {
+  relays_ = std::make_unique<Relays>();
+  RelayPlan const& plan = relays_->plan = plan_relays(comm.rank(), across, asked_of);
+  relays_->first.push_back(0);
+  for (Box const& cells : plan.passed_on) relays_->first.push_back(relays_->first.back() + std::size_t(places(cells)));
+  relays_->values.resize(relays_->first.back());
+  auto const steps = [&](std::vector<RelayPlan::Step> const& of, std::vector<CopiedRectangle> const& own,
+                         Traffic& sent) {
+    std::vector<CopiedRectangle> out;
+    for (auto const& step : of)
+      out.push_back({step.rank,
+                     step.own < 0 ? plan.passed_on[std::size_t(step.passed_on)] : own[std::size_t(step.own)].cells,
+                     {}});
+    return parcels(out, sent);
   };
-  exchange_ = Exchange<float>(comm, parcels(across.asked, sent_by_update_), parcels(across.wanted, sent_by_add_));
+  Traffic received;
+  auto const sent_first = steps(plan.sent_first, across.asked, sent_by_update_);
+  exchange_ = Exchange<float>(comm, sent_first, steps(plan.received_first, across.wanted, received));
+  auto const sent_second = steps(plan.sent_second, {}, sent_by_update_);
+  relays_->second_round = Exchange<float>(comm, sent_second, steps(plan.received_second, across.wanted, received));
 }
 
 /// How many values of a rectangle pass.
@@ -134,12 +163,13 @@ std::vector<RectangleExchange::Packed> RectangleExchange::packed(std::vector<Cop
 
 void RectangleExchange::start(float const* cells, float* copies) const {
   exchange_.start([&](std::size_t n, float* out) {
-    for (Pair const& p : asked_[n].parts)
+    Packed const& asked = asked_[relays_ ? std::size_t(relays_->plan.sent_first[n].own) : n];
+    for (Pair const& p : asked.parts)
       if (colours_ == Colours::all)
         for_each_row(p.extent, p.at, p.packed,
                      [&](auto at, auto packed, int length) { copy_row(cells + at, length, out + packed); });
       else
-        for_each_of_colour(asked_[n].extent, asked_[n].parity, p.extent, p.first, p.at,
+        for_each_of_colour(asked.extent, asked.parity, p.extent, p.first, p.at,
                            [&](auto at, auto packed) { out[packed] = cells[at]; });
   });
   for (Pair const& l : local_)
@@ -147,16 +177,33 @@ void RectangleExchange::start(float const* cells, float* copies) const {
                  [&](auto at, auto copy, int length) { copy_row(cells + at, length, copies + copy); });
 }
 
+/// Take the values of a rectangle that this rank reads.
+void RectangleExchange::unpack(std::size_t n, float const* in, float* copies) const {
+  for (Pair const& p : wanted_[n].parts)
+    if (colours_ == Colours::all)
+      for_each_row(p.extent, p.packed, p.at,
+                   [&](auto packed, auto at, int length) { copy_row(in + packed, length, copies + at); });
+    else
+      for_each_of_colour(wanted_[n].extent, wanted_[n].parity, p.extent, p.first, p.at,
+                         [&](auto at, auto packed) { copies[at] = in[packed]; });
+}
+
 void RectangleExchange::finish(float* copies) const {
+  if (!relays_) return exchange_.finish([&](std::size_t n, float const* in) { unpack(n, in, copies); });
+  auto const& [plan, second_round, first, values] = *relays_;
+  float* const passed_on = relays_->values.data();
   exchange_.finish([&](std::size_t n, float const* in) {
-    for (Pair const& p : wanted_[n].parts)
-      if (colours_ == Colours::all)
-        for_each_row(p.extent, p.packed, p.at,
-                     [&](auto packed, auto at, int length) { copy_row(in + packed, length, copies + at); });
-      else
-        for_each_of_colour(wanted_[n].extent, wanted_[n].parity, p.extent, p.first, p.at,
-                           [&](auto at, auto packed) { copies[at] = in[packed]; });
+    auto const& step = plan.received_first[n];
+    if (step.own >= 0) return unpack(std::size_t(step.own), in, copies);
+    std::size_t const place = std::size_t(step.passed_on);
+    std::copy_n(in, first[place + 1] - first[place], passed_on + first[place]);
   });
+  second_round.update(
+      [&](std::size_t n, float* out) {
+        std::size_t const place = std::size_t(plan.sent_second[n].passed_on);
+        std::copy_n(passed_on + first[place], first[place + 1] - first[place], out);
+      },
+      [&](std::size_t n, float const* in) { unpack(std::size_t(plan.received_second[n].own), in, copies); });
 }
 
 void RectangleExchange::add(float const* copies, float* cells) const {

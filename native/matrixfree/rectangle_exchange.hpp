@@ -1,10 +1,12 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <set>
 
 #include "base/communicator.hpp"
 #include "matrixfree/layout.hpp"
+#include "matrixfree/relays.hpp"
 #include "mesh/exchange.hpp"
 
 namespace amrpic::matrixfree {
@@ -31,9 +33,11 @@ class RectangleExchange {
 
   /// `layout` holds the cells. `local`: what is copied from own boxes. `across`: what passes between ranks;
   /// a cell of it, in the indices of the copy, may have several copies or none. Of one colour, only `update` is for it,
-  /// and copies of own cells take both.
+  /// and copies of own cells take both. With `asked_of`, see `plan_relays`, what a rank would send to many ranks passes
+  /// through some of them; then, too, only `update` is for it.
   RectangleExchange(Communicator const& comm, Layout const& layout, std::vector<Copied> const& local,
-                    CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours = Colours::all);
+                    CopiesAcrossRanks const& across, ForEachPart const& copies, Colours colours = Colours::all,
+                    AskedOf const& asked_of = {});
 
   /// Fill the copies, which may lie in the vector of the cells. Collective.
   void update(float const* cells, float* copies) const {
@@ -71,6 +75,17 @@ class RectangleExchange {
   std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
                              ForEachPart const& for_each_part) const;
   std::int64_t places(Box const& cells) const;
+  void plan_with_relays(Communicator const& comm, CopiesAcrossRanks const& across, AskedOf const& asked_of);
+  std::vector<Parcel> parcels(std::vector<CopiedRectangle> const& rectangles, Traffic& sent);
+  void unpack(std::size_t n, float const* in, float* copies) const;
+
+  /// What passes through other ranks, and through this one.
+  struct Relays {
+    RelayPlan plan;
+    Exchange<float> second_round;
+    std::vector<std::size_t> first;  ///< of what is passed on: places in `values`, and their number
+    std::vector<float> values;
+  };
 
   Colours colours_ = Colours::all;
   Traffic sent_by_update_, sent_by_add_;
@@ -78,6 +93,7 @@ class RectangleExchange {
   std::vector<Pair> local_;  ///< cells, and the copy
   std::vector<Packed> asked_, wanted_;
   Exchange<float> exchange_;
+  std::unique_ptr<Relays> relays_;  ///< none where all pass directly
 };
 
 }  // namespace amrpic::matrixfree

@@ -11,21 +11,18 @@ Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::vecto
 
 Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::shared_ptr<BoxTable const> table,
              std::vector<int> first_box, int rank)
-    : domain_(domain),
-      periodic_(periodic),
-      spacing_(spacing),
-      table_(std::move(table)),
-      first_box_(std::move(first_box)),
-      rank_(rank) {}
-
-int Level::owner(int b) const {
-  return int(std::upper_bound(first_box_.begin() + 1, first_box_.end(), b) - first_box_.begin()) - 1;
+    : domain_(domain), periodic_(periodic), spacing_(spacing), table_(std::move(table)), rank_(rank) {
+  auto const in_use = [&first_box] {
+    int out = 0;
+    for (std::size_t r = 1; r < first_box.size(); ++r) out += first_box[r] > first_box[r - 1];
+    return out;
+  }();
+  owners_ = std::make_shared<Owners const>(Owners{std::move(first_box), in_use});
 }
 
-int Level::ranks_in_use() const {
-  int out = 0;
-  for (int r = 0; r < ranks(); ++r) out += first_box(r + 1) > first_box(r);
-  return out;
+int Level::owner(int b) const {
+  auto const& first = owners_->first_box;
+  return int(std::upper_bound(first.begin() + 1, first.end(), b) - first.begin()) - 1;
 }
 
 std::vector<Index3> Level::images(Box const& region) const {
@@ -51,7 +48,8 @@ GlobalIndex Level::cells_in(Box const& region) const {
 
 bool Level::same_as(Level const& other) const {
   return this == &other || (domain_ == other.domain_ && periodic_ == other.periodic_ && spacing_ == other.spacing_ &&
-                            first_box_ == other.first_box_ && (table_ == other.table_ || boxes() == other.boxes()));
+                            (owners_ == other.owners_ || owners_->first_box == other.owners_->first_box) &&
+                            (table_ == other.table_ || boxes() == other.boxes()));
 }
 
 std::shared_ptr<Level const> Level::stretched(Real3 const& factor) const {

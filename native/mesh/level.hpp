@@ -63,7 +63,7 @@ class Level {
   std::vector<Box> const& boxes() const { return table_->boxes(); }
   Box const& box(int b) const { return table_->box(b); }
   std::shared_ptr<BoxTable const> const& share_table() const { return table_; }
-  int ranks() const { return int(first_box_.size()) - 1; }
+  int ranks() const { return int(owners_->first_box.size()) - 1; }
   int rank() const { return rank_; }
   int owner(int b) const;
   int owner_of_cell(GlobalIndex cell) const { return owner(table_->box_of_cell(cell)); }
@@ -71,8 +71,8 @@ class Level {
   /// Boxes of this rank: [first_local_box, last_local_box).
   int first_local_box() const { return first_box(rank_); }
   int last_local_box() const { return first_box(rank_ + 1); }
-  int first_box(int rank) const { return first_box_[std::size_t(rank)]; }
-  int ranks_in_use() const;  ///< those that have cells
+  int first_box(int rank) const { return owners_->first_box[std::size_t(rank)]; }
+  int ranks_in_use() const { return owners_->in_use; }  ///< those that have cells
 
   GlobalIndex cells() const { return table_->cells(); }
   GlobalIndex box_offset(int b) const { return table_->offset(b); }  ///< number of its first cell
@@ -111,7 +111,12 @@ class Level {
   std::array<bool, 3> periodic_;
   Real3 spacing_;
   std::shared_ptr<BoxTable const> table_;
-  std::vector<int> first_box_;  ///< ranks + 1 values
+  /// The same for all ranks, and shared by the levels that differ in nothing else.
+  struct Owners {
+    std::vector<int> first_box;  ///< ranks + 1 values
+    int in_use = 0;
+  };
+  std::shared_ptr<Owners const> owners_;
   int rank_;
 };
 

@@ -49,6 +49,29 @@ void for_each_reader(Level const& readers, Level const& owners, Near&& near, F&&
   for (int b : boxes) f(b);
 }
 
+/// Call f(owner, read) for what a box of `readers` reads of any rank.
+template <class Regions, class F>
+void for_each_read_of_box(Level const& readers, Level const& owners, Regions&& regions, int reader, F&& f) {
+  int number = 0;
+  regions(reader, [&](Box const& region) {
+    owners.for_each_overlap(region, [&](int o, Box const& part, Index3 const& shift) {
+      int const owner = owners.owner(o), other = owner == owners.rank() ? readers.owner(reader) : owner;
+      f(owner, Read{other, reader, o, number, part, shift});
+    });
+    ++number;
+  });
+}
+
+/// Call asked(read) for what others read of this rank; see below.
+template <class Near, class Regions, class Asked>
+void for_each_read_by_others(Level const& readers, Level const& owners, Near&& near, Regions&& regions, Asked&& asked) {
+  for_each_reader(readers, owners, near, [&](int b) {
+    for_each_read_of_box(readers, owners, regions, b, [&](int owner, Read const& read) {
+      if (owner == owners.rank()) asked(read);
+    });
+  });
+}
+
 /// Call wanted(read) for what this rank reads of others, and asked(read) for what others read of it, where a box of
 /// `readers` reads the cells of `owners` in some regions: `regions(box, read)` calls read(region) for each, and must
 /// give the same on all ranks. `near`: as in `for_each_reader`.
@@ -56,26 +79,11 @@ template <class Near, class Regions, class Wanted, class Asked>
 void for_each_read_across_ranks(Level const& readers, Level const& owners, Near&& near, Regions&& regions,
                                 Wanted&& wanted, Asked&& asked) {
   if (owners.ranks() == 1 || readers.ranks() == 1) return;
-  int const me = owners.rank();
-  auto visit = [&](int reader, auto&& f) {
-    int number = 0;
-    regions(reader, [&](Box const& region) {
-      owners.for_each_overlap(region, [&](int o, Box const& part, Index3 const& shift) {
-        int const owner = owners.owner(o);
-        f(owner, Read{owner == me ? readers.owner(reader) : owner, reader, o, number, part, shift});
-      });
-      ++number;
-    });
-  };
   for (int b = readers.first_local_box(); b < readers.last_local_box(); ++b)
-    visit(b, [&](int owner, Read const& read) {
-      if (owner != me) wanted(read);
+    for_each_read_of_box(readers, owners, regions, b, [&](int owner, Read const& read) {
+      if (owner != owners.rank()) wanted(read);
     });
-  for_each_reader(readers, owners, near, [&](int b) {
-    visit(b, [&](int owner, Read const& read) {
-      if (owner == me) asked(read);
-    });
-  });
+  for_each_read_by_others(readers, owners, near, regions, asked);
 }
 
 /// A list of all of them.

@@ -111,6 +111,20 @@ Real3 behind_open_walls(MultigridLevels const& multigrid) {
   return out;
 }
 
+/// See MultigridLevels::parents_in_place.
+bool keeps_parents_in_place(Level const& level, Level const& coarser, Index3 const& ratio) {
+  if (coarser.ranks() != level.ranks() || coarser.box_count() != level.box_count()) return false;
+  for (int r = 0; r <= level.ranks(); ++r)
+    if (coarser.first_box(r) != level.first_box(r)) return false;
+  for (int b = 0; b < level.box_count(); ++b) {
+    Box const& box = level.box(b);
+    if (!(box.coarsen(ratio).intersect(coarser.domain()) == coarser.box(b))) return false;
+    for (int d = 0; d < 3; ++d)
+      if (box.lower[d] % ratio[d] != 0) return false;
+  }
+  return true;
+}
+
 /// Put a level below the lowest one.
 void put_below(MultigridLevels& multigrid, Domain const& domain, Index3 const& ratio, Real3 const& behind,
                CoarseBoxes const& policy) {
@@ -130,6 +144,8 @@ void put_below(MultigridLevels& multigrid, Domain const& domain, Index3 const& r
   }
   auto const level = coarser(finer, ratio, region, policy);
   multigrid.ratio.front() = ratio;
+  multigrid.parents_in_place.front() = keeps_parents_in_place(finer, *level, ratio);
+  multigrid.parents_in_place.insert(multigrid.parents_in_place.begin(), 0);
   multigrid.ratio.insert(multigrid.ratio.begin(), Index3{1, 1, 1});
   multigrid.levels.insert(multigrid.levels.begin(), level);
   multigrid.faces.insert(multigrid.faces.begin(), nullptr);
@@ -148,6 +164,7 @@ MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
     multigrid.levels.push_back(hierarchy.share_level(l));
     multigrid.faces.push_back(hierarchy.share_faces(l));
     multigrid.ratio.push_back(refinement_ratio);
+    multigrid.parents_in_place.push_back(0);
     multigrid.upper.emplace_back();
     Real3 const h = hierarchy.level(l).spacing();
     WallGhosts& walls = multigrid.walls.emplace_back();
@@ -184,6 +201,19 @@ MultigridLevels coarsen_below(MultigridLevels multigrid, Domain const& domain, C
     Index3 const ratio = coarsening_of(*multigrid.levels.front(), domain);
     if (ratio == Index3{1, 1, 1}) break;
     put_below(multigrid, domain, ratio, behind, boxes);
+  }
+  return multigrid;
+}
+
+MultigridLevels seen_by(MultigridLevels multigrid, Hierarchy const& hierarchy) {
+  for (std::size_t l = 0; l < multigrid.levels.size(); ++l) {
+    auto& level = multigrid.levels[l];
+    if (l >= multigrid.base) {
+      level = hierarchy.share_level(int(l - multigrid.base));
+      multigrid.faces[l] = hierarchy.share_faces(int(l - multigrid.base));
+    } else if (level->ranks() > 1) {
+      level = level->seen_by(hierarchy.comm().rank());
+    }
   }
   return multigrid;
 }

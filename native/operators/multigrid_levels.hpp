@@ -21,6 +21,9 @@ struct MultigridLevels {
   std::vector<std::shared_ptr<Level const>> levels;
   std::vector<std::shared_ptr<LevelFaces const>> faces;  ///< [l], of the base and finer levels; null on coarser ones
   std::vector<Index3> ratio;  ///< [l]: cells of level l per cell of level l - 1; 2 on refinement levels
+  /// [l]: whether level l - 1 covers the domain with the parents of each box of level l in the box of the same number,
+  /// on the same rank.
+  std::vector<char> parents_in_place;
   std::vector<WallGhosts> walls;
   std::vector<std::array<UpperEnd, 3>> upper;  ///< [l][axis]
   std::array<std::array<Boundary, 2>, 3> boundary;
@@ -71,6 +74,9 @@ DistributedBoxes halved(Level const& finer, Index3 const& ratio, Box const& doma
 
 /// Sort boxes along the curve, and distribute them by cells: where each rank's run starts.
 std::vector<int> distribute_along_curve(std::vector<Box>& boxes, int ranks);
+
+/// The levels as another rank has them, that of the hierarchy: the same one as a virtual rank sees it. Local.
+MultigridLevels seen_by(MultigridLevels multigrid, Hierarchy const& hierarchy);
 
 /// Factor of the last cell in the ghost behind a wall that prolongation from level l reads.
 Real prolonged_end(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l, Index3 const& cell,

@@ -1,12 +1,18 @@
 #include "operators/open_walls.hpp"
 
+#include <algorithm>
+
 namespace amrpic {
 
 OpenWalls::OpenWalls(MultigridLevels const& multigrid) : multigrid_(multigrid) {
+  auto const is_open = [](auto const& sides) { return std::count(sides.begin(), sides.end(), Boundary::open) > 0; };
+  if (std::none_of(multigrid.boundary.begin(), multigrid.boundary.end(), is_open)) return;
   for (std::size_t l = multigrid.base + 1; l < multigrid.levels.size(); ++l)
     for (Box const& box : multigrid.levels[l]->boxes())
       for (int d = 0; d < 3; ++d)
-        for (int side = 0; side < 2; ++side) refined_[d][side] |= multigrid.levels[l]->is_at_wall(box, d, side);
+        for (int side = 0; side < 2; ++side)
+          if (multigrid.boundary[d][side] == Boundary::open)
+            refined_[d][side] |= multigrid.levels[l]->is_at_wall(box, d, side);
 }
 
 bool refines_open_wall(MultigridLevels const& multigrid) {

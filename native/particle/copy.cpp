@@ -86,13 +86,12 @@ bool copy_moved(std::vector<Column> const& columns, Move const* first, Move cons
 }
 
 void copy_arrivals(PackedParticles const& arrivals, Places const& places, ParticleView const& out) {
-  for (std::size_t n = 0; n < arrivals.all.size(); ++n) {
-    PackedParticle const& particle = arrivals.all[n];
-    LocalIndex const place = places.arrivals[n];
+  for (std::int64_t n = 0; n < arrivals.count(); ++n) {
+    LocalIndex const place = places.arrivals[std::size_t(n)];
     for (int d = 0; d < 3; ++d)
-      out.position[d][place] = particle.position[d], out.momentum[d][place] = particle.momentum[d];
-    if (!out.equal_weights) out.weight[place] = particle.weight;
-    out.id[place] = particle.id;
+      out.position[d][place] = arrivals.position(n, d), out.momentum[d][place] = arrivals.momentum(n, d);
+    if (!out.equal_weights && arrivals.has_weights()) out.weight[place] = arrivals.weight(n);
+    out.id[place] = arrivals.id(n);
   }
 }
 

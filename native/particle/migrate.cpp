@@ -1,19 +1,21 @@
 #include "particle/migrate.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include "particle/copy.hpp"
 
 namespace amrpic {
 
-Migration::Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone)
+Migration::Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone,
+                     bool has_weights)
     : mesh_(mesh), servers_(std::move(servers)), particles_(particles), destinations_(mesh) {
   Communicator const& comm = mesh.hierarchy().comm();
   destinations_ = classify(mesh, servers_, particles, gone);
   auto const& staying = destinations_.per_brick;
   staying_ = std::accumulate(staying.begin(), staying.end(), std::int64_t(0));
-  leaving_ = pack(mesh, particles, destinations_.leavers);
+  leaving_ = pack(mesh, particles, destinations_.leavers, has_weights);
   arrivals_ = announce(comm, leaving_);
 }
 
@@ -26,8 +28,10 @@ bool Migration::finish(ParticleView const& out) {
   exchange(mesh_.hierarchy().comm(), leaving_, arrivals_);
   places_ = sort(mesh_, destinations_, arrivals_);
   bool const stayed = copy(mesh_, particles_, destinations_, arrivals_, places_, out);
-  auto const left = [](PackedParticle const& particle) { return is_finite(particle.momentum); };
-  return destinations_.finite && stayed && std::all_of(leaving_.all.begin(), leaving_.all.end(), left);
+  bool left = true;
+  for (std::int64_t n = 0; n < leaving_.count(); ++n)
+    for (int d = 0; d < 3; ++d) left = left && std::isfinite(leaving_.momentum(n, d));
+  return destinations_.finite && stayed && left;
 }
 
 void Migration::carry(std::vector<Real const*> const& from, std::vector<Real*> const& to) const {

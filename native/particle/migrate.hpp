@@ -19,8 +19,10 @@ class Migration {
 
   /// Find where each particle goes, wrapped along periodic axes, and how many will come. Collective. The particles must
   /// live until `finish`; those that are `gone` are left out. There must not be more than `most` of them, nor may more
-  /// than that arrive where `finish` is called.
-  Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone);
+  /// than that arrive where `finish` is called. `has_weights`: whether weights go with particles, since not all are
+  /// equal; the same on all ranks.
+  Migration(ParticleMesh& mesh, Servers servers, ParticleView const& particles, ParticleList const& gone,
+            bool has_weights);
 
   std::vector<std::int64_t> const& lost() const { return destinations_.lost; }  ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + arrivals_.count(); }        ///< how many live here afterwards

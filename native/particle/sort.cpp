@@ -23,9 +23,8 @@ std::vector<LocalIndex> in_order(BrickNumbers const& bricks, LocalIndex own) {
 
 Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticles const& arrivals) {
   BrickNumbers& bricks = destinations.bricks;
-  std::vector<LocalIndex> brick_of(arrivals.all.size());
-  std::transform(arrivals.all.begin(), arrivals.all.end(), brick_of.begin(),
-                 [&](PackedParticle const& particle) { return bricks.number(particle.home); });
+  std::vector<LocalIndex> brick_of(static_cast<std::size_t>(arrivals.count()));
+  for (std::size_t n = 0; n < brick_of.size(); ++n) brick_of[n] = bricks.number(arrivals.home(std::int64_t(n)));
   LocalIndex const own = mesh.bricks();
   std::vector<std::int64_t> next = destinations.per_brick;  // place of each brick; at first how many it will hold
   next.resize(std::size_t(own) + bricks.remote().size(), 0);
@@ -51,13 +50,12 @@ Places sort(ParticleMesh const& mesh, Destinations& destinations, PackedParticle
   out.runs.reserve(destinations.runs.size());
   out.movers.reserve(destinations.movers.size());
   out.wrapped.reserve(destinations.wrapped.size());
-  out.arrivals.resize(arrivals.all.size());
+  out.arrivals.resize(brick_of.size());
 
   std::int64_t const first_higher = arrivals.starts[std::size_t(mesh.hierarchy().comm().rank())];
   auto const place_arrivals = [&](std::int64_t first, std::int64_t last, bool wrapped) {
     for (std::int64_t n = first; n < last; ++n)
-      if (arrivals.all[std::size_t(n)].wrapped == wrapped)
-        out.arrivals[std::size_t(n)] = take(brick_of[std::size_t(n)]);
+      if (arrivals.is_wrapped(n) == wrapped) out.arrivals[std::size_t(n)] = take(brick_of[std::size_t(n)]);
   };
   auto mover = destinations.movers.begin();
   auto const place_movers_before = [&](LocalIndex place) {

@@ -24,10 +24,18 @@ from amrpic.scaling.densities import clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work
 from amrpic.scaling.model import fitted, step_time, total
 from amrpic.scaling.neighbours import neighbours_of_ranks
-from amrpic.scaling.plan import Choices, Plan, Planner, Walls, in_time, spread_out
+from amrpic.scaling.plan import Choices, Cycles, Plan, Planner, Walls, spread_out
 from amrpic.scaling.sent import Sent
 from amrpic.scaling.targets import Targets
-from amrpic.scaling.virtual_ranks import chosen_ranks, counts, cycle_work, distributed, moved_on, without_open_walls
+from amrpic.scaling.virtual_ranks import (
+    chosen_ranks,
+    counts,
+    cycle_plans,
+    cycle_work,
+    distributed,
+    moved_on,
+    without_open_walls,
+)
 from amrpic.scene.scene import Scene
 from amrpic.stages.deposit import deposit
 from amrpic.stages.gather import gather
@@ -156,7 +164,6 @@ def invented() -> Plan:
         [range(1)],
         0.2,
         walls,
-        (1, 1),
         without,
         between,
         0,
@@ -218,14 +225,21 @@ def test_heavy_ranks_are_looked_at():
     assert chosen_ranks(loads, 1000) == list(range(1000))
 
 
-def test_ranks_are_gone_through_as_far_as_time_allows():
-    assert (
-        sorted(spread_out(11)) == list(range(11))
-        and list(spread_out(8))[:4] == [0, 4, 2, 6]
-        and list(spread_out(1)) == [0]
-    )
-    assert in_time(range(10**6), str, 0.0).keys() == set(range(32))
-    assert in_time(range(5), str, 0.0) == {rank: f"{rank}" for rank in range(5)}
+def test_cycles_are_gone_through_for_all_ranks():
+    made = scene()
+    closed = without_open_walls(distributed(planned_mesh(made, clouds_of(made))[0], 60))
+    found = Cycles.of(cycle_plans(made, closed), 60)
+    each = [cycle_work(made, closed.seen_by(rank)) for rank in range(60)]
+    for what in ("messages", "bytes"):
+        assert getattr(found, what).tolist() == [sum(getattr(level, what) for level in work) for work in each]
+    for n, level in enumerate(each[0]):
+        assert found.relaxed[level.level] == max(work[n].relaxed for work in each)
+        assert found.sweeps[level.level] == level.sweeps
+    assert Planner(made).plan(60, looked_at=4).most("cycle", "messages") >= found.messages.max() > 0
+
+
+def test_walls_of_many_ranks_are_gone_through_at_even_distances():
+    assert spread_out(7, 10) == list(range(7)) and spread_out(1000, 4) == [0, 250, 500, 750]
 
 
 def test_plans_of_all_ranks_hold_all_cells_and_particles():
@@ -296,7 +310,7 @@ def test_all_neighbours_are_found():
 def test_few_ranks_show_what_the_busiest_one_sends():
     planner = Planner(scene())
     few, all_ = planner.plan(40, looked_at=10), planner.plan(40, looked_at=40)
-    assert len(all_.looked_at) == 40 and few.gone_through == (40, 40)
+    assert len(all_.looked_at) == 40 and len(few.walls) == 40
     assert few.most("cycle", "messages") == all_.most("cycle", "messages")
     assert few.most("open walls", "messages") == all_.most("open walls", "messages")
     for call in ("deposit", "gather"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -106,7 +106,7 @@ class Problem:
 
     def operator(self, level: int, name: str, columns: int, axis: int = 0) -> sparse.csr_array:
         """This rank's rows, all columns."""
-        native = self.solver.native.operators
+        native = partial(_native.operators_of, self.solver.native)
         start, column, value = native(level).rows_of(name, native(columns), axis)
         return sparse.csr_array((value, column, start), shape=(len(start) - 1, self.hierarchy.cells(columns)))
 
@@ -115,7 +115,7 @@ class Problem:
         return np.concatenate(self.hierarchy.comm.allgather(np.array(field.native.level(level))))
 
     def uncovered(self, level: int) -> np.ndarray:
-        return self.solver.native.operators(level).uncovered().astype(bool)
+        return _native.operators_of(self.solver.native, level).uncovered().astype(bool)
 
     def residual(self, level: int) -> np.ndarray:
         out = self.right_hand_side(level)
@@ -259,7 +259,8 @@ def test_norms_and_integrals_of_the_right_hand_side(comm, name):
     f = [p.right_hand_side(level) for level in range(p.hierarchy.levels)]
     terms = []
     for level in range(p.hierarchy.levels):
-        start, _, value = p.solver.native.operators(level).rows_of("no_fine", p.solver.native.operators(level), 0)
+        native = _native.operators_of(p.solver.native, level)
+        start, _, value = native.rows_of("no_fine", native, 0)
         terms.append(value[start[:-1]] * p.phi.native.level(level))
     for norm in NORMS:
         assert p.laplacian.right_hand_side_norm(*source, norm_of(norm)) == pytest.approx(p.norm(f, norm), rel=1e-10)

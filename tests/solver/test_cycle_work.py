@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,16 @@ def sent(mesh: amrpic.Hierarchy, cycles: int) -> Traffic:
     return traffic() - before
 
 
+@contextmanager
+def most_direct_readers(most: int) -> Iterator[None]:
+    """Let coarser corrections that more than so many ranks read of one pass through others."""
+    before = _native.set_most_direct_readers(most)
+    try:
+        yield
+    finally:
+        _native.set_most_direct_readers(before)
+
+
 def of_norm(mesh: amrpic.Hierarchy) -> int:
     """Collective calls of a norm."""
     before = traffic()
@@ -38,12 +50,14 @@ def of_norm(mesh: amrpic.Hierarchy) -> int:
 
 
 @pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=240)
+@pytest.mark.parametrize("most", [32, 1])
 @pytest.mark.parametrize("name", CASES)
-def test_counters_find_what_the_plan_of_a_cycle_says(comm, name):
+def test_counters_find_what_the_plan_of_a_cycle_says(comm, name, most):
     mesh = hierarchy_of(CASES[name], comm)
-    found = sent(mesh, 2) - sent(mesh, 1)
     unreal = hierarchy_of(CASES[name], VirtualRank(comm.rank, comm.size))
-    work = _native.cycle_work(unreal.native, 2, 2)
+    with most_direct_readers(most):
+        found = sent(mesh, 2) - sent(mesh, 1)
+        work = _native.cycle_work(unreal.native, 2, 2)
     laplacian = _native.CompositeLaplacian(unreal.native, (1, 1, 1))
     beside = [np.add(laplacian.sent_by_residual, laplacian.sent_by_add)[i] for i in range(2)]
     assert found.messages == sum(level.messages for level in work) + beside[0]
@@ -111,3 +125,30 @@ def test_levels_of_few_cells_come_together_on_every_eighth_rank():
     }
     assert {work[-3].cells for work in by_rank} <= {0, 12**3}
     assert max(level.neighbours for work in by_rank for level in work.values()) <= 100
+
+
+@pytest.mark.mpi(ranks=(3, 4), timeout=240)
+@pytest.mark.parametrize("name", CASES)
+def test_corrections_that_pass_through_other_ranks_are_the_same(comm, name):
+    mesh = hierarchy_of(CASES[name], comm)
+    rho = amrpic.Field(mesh, "C/m^3").fill(lambda x, y, z: np.sin(5 * x) * np.cos(3 * y) + z)
+    found = []
+    for most in (32, 1):
+        with most_direct_readers(most):
+            solver = amrpic.PoissonSolver(mesh, tolerance=1e-30, max_cycles=2, background="neutralizing")
+            phi, _ = solver.solve(rho)
+        found.append([phi.array(level).copy() for level in range(mesh.levels)])
+    assert all(np.array_equal(*levels) for levels in zip(*found, strict=True))
+
+
+def test_what_many_read_passes_through_some_of_them():
+    """A rank of a coarser level has the cells of eight ranks, and 4³ ranks read of it; each value passes at most twice."""
+
+    def found(most: int) -> list[_native.LevelWork]:
+        with most_direct_readers(most):
+            return [cube(192, rank, 512)[-1] for rank in range(512)]
+
+    passed_on, direct = found(32), found(1000)
+    assert max(work.messages for work in passed_on) < 0.65 * max(work.messages for work in direct)
+    bytes_passed_on, bytes_direct = (sum(work.bytes for work in ranks) for ranks in (passed_on, direct))
+    assert bytes_direct < bytes_passed_on < 2 * bytes_direct

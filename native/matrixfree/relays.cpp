@@ -1,0 +1,71 @@
+#include "matrixfree/relays.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace amrpic::matrixfree {
+
+namespace {
+
+std::map<int, int> routes(std::vector<CopiedRectangle> const& asked) {
+  std::map<int, std::int64_t> values;
+  for (CopiedRectangle const& r : asked) values[r.rank] += r.cells.cells();
+  return relays_of(values);
+}
+
+void sort_by_rank(std::vector<RelayPlan::Step>& steps) {
+  std::stable_sort(steps.begin(), steps.end(), [](auto const& a, auto const& b) { return a.rank < b.rank; });
+}
+
+}  // namespace
+
+int& most_direct_readers() {
+  static int most = 32;  // neighbours on a level are 26
+  return most;
+}
+
+std::map<int, int> relays_of(std::map<int, std::int64_t> const& values) {
+  std::map<int, int> out;
+  for (auto const& [rank, number] : values) out[rank] = rank;
+  if (int(values.size()) <= most_direct_readers()) return out;
+  std::vector<std::pair<std::int64_t, int>> by_values;
+  for (auto const& [rank, number] : values) by_values.emplace_back(-number, rank);
+  std::sort(by_values.begin(), by_values.end());
+  std::size_t const relays = std::size_t(std::sqrt(double(values.size())));
+  std::vector<int> passing, others;  // both in ascending order, so that readers of a relay are near each other
+  for (std::size_t n = 0; n < by_values.size(); ++n) (n < relays ? passing : others).push_back(by_values[n].second);
+  std::sort(passing.begin(), passing.end());
+  std::sort(others.begin(), others.end());
+  for (std::size_t n = 0; n < others.size(); ++n) out[others[n]] = passing[n * relays / others.size()];
+  return out;
+}
+
+RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, AskedOf const& asked_of) {
+  RelayPlan out;
+  auto const from_me = routes(across.asked);
+  for (std::size_t n = 0; n < across.asked.size(); ++n)
+    out.sent_first.push_back({from_me.at(across.asked[n].rank), int(n), -1});
+  sort_by_rank(out.sent_first);
+  for (std::size_t first = 0; first < across.wanted.size();) {
+    int const owner = across.wanted[first].rank;
+    int number = int(first);
+    while (first < across.wanted.size() && across.wanted[first].rank == owner) ++first;
+    auto const asked = asked_of(owner);
+    auto const from_owner = routes(asked);
+    int const relay = from_owner.at(me);
+    for (CopiedRectangle const& r : asked) {
+      if (r.rank == me) {
+        (relay == me ? out.received_first : out.received_second).push_back({relay == me ? owner : relay, number++, -1});
+      } else if (from_owner.at(r.rank) == me) {
+        int const place = int(out.passed_on.size());
+        out.passed_on.push_back(r.cells);
+        out.received_first.push_back({owner, -1, place});
+        out.sent_second.push_back({r.rank, -1, place});
+      }
+    }
+  }
+  for (auto* steps : {&out.received_first, &out.sent_second, &out.received_second}) sort_by_rank(*steps);
+  return out;
+}
+
+}  // namespace amrpic::matrixfree

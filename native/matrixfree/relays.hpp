@@ -1,0 +1,41 @@
+// Whoever sends values to many ranks sends them to some of these, which pass on what is for others.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <vector>
+
+#include "matrixfree/copies_across_ranks.hpp"
+
+namespace amrpic::matrixfree {
+
+/// So many ranks get what they read of a rank from itself; of more, some pass it on. A mutable number, so that tests
+/// need no hundreds of ranks; the same on all ranks whenever exchanges are planned.
+int& most_direct_readers();
+
+/// The rank that sends each reader what it reads of an owner: the reader itself where it comes from the owner.
+/// `values`: how many each reads. Of n readers, the √n that read most pass on what the others read, which they share
+/// evenly.
+std::map<int, int> relays_of(std::map<int, std::int64_t> const& values);
+
+/// Rectangles on their way between owners and readers, in two rounds: from owners to readers and relays, and from
+/// relays to other readers. Those of two ranks are in the same order on both.
+struct RelayPlan {
+  struct Step {
+    int rank;  ///< where it goes, or comes from
+    int own;   ///< number among what others read of this rank (first round), or among what it reads; -1 if it is passed
+               ///< on
+    int passed_on;  ///< number among what is passed on, or -1
+  };
+  std::vector<Step> sent_first, received_first, sent_second, received_second;  ///< in ascending order of ranks
+  std::vector<Box> passed_on;                                                  ///< cells of what this rank passes on
+};
+
+/// What all ranks read of a rank, as that one has it.
+using AskedOf = std::function<std::vector<CopiedRectangle>(int owner)>;
+
+/// The plan of rank `me`. Local.
+RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, AskedOf const& asked_of);
+
+}  // namespace amrpic::matrixfree

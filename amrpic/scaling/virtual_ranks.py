@@ -103,10 +103,11 @@ def _spread_over(
     corners = bricks.cells[which]
     cell = corners[:, :3] + rng.random((len(which), 3)) * (corners[:, 3:] - corners[:, :3] + 1)
     taken = rng.integers(0, max(len(like), 1), len(which))
+    equal = like.equal_weights and len(like) > 0
     made = Particles(
         np.array(mesh.domain.lower) + cell * _spacings(mesh)[bricks.rows[which, 0]],
         like.momentum[taken],
-        like.weight[taken],
+        np.broadcast_to(like.weight[0], len(which)) if equal else like.weight[taken],
         rng.integers(0, max(int(like.id.max(initial=0)), 1), len(which), endpoint=True),
         like.species,
     )

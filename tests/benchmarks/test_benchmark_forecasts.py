@@ -14,7 +14,9 @@ import forecasts
 def test_a_short_run_is_foreseen_and_taken():
     found = forecasts.compare(forecasts.ROOT / "examples" / "waist.toml", 2, steps=3)
     assert (found.scene, found.ranks, found.steps) == ("waist", 2, 3)
-    assert found.source.endswith(("steps of it", "of its cells"))  # on a busy machine the scene itself takes too long
+    assert (
+        "steps of it" in found.source or "of its cells" in found.source
+    )  # on a busy machine the scene itself takes too long
     assert min(*found.foreseen, *found.taken) > 1e-4
     header, row = forecasts.rows([found])
     assert dict(zip(header[:2], row[:2], strict=True)) == {"scene": "waist", "ranks": "2"}

@@ -215,18 +215,20 @@ ALONE = {
 SCRIPT = """
 import amrpic, amrpic.errors
 from mpi4py import MPI
-from amrpic.commands import main, run
+from amrpic.commands import main
+from amrpic.run.simulation import Simulation
 
 def fail(simulation):
     if simulation.step == 3 and simulation.comm.rank == 1:
         {failure}
 
-class Failing(run.Simulation):
-    def run(self, walltime=None):
-        self.on_step(fail)
-        return super().run(walltime)
+whole_run = Simulation.run
 
-run.Simulation = Failing
+def run_that_fails(simulation, *rest):
+    simulation.on_step(fail)
+    return whole_run(simulation, *rest)
+
+Simulation.run = run_that_fails
 main.main(["run", {scene!r}, "--output", {out!r}, "--set", "schedule.steps=6", "--set", "output.checkpoint_every=2"])
 """
 

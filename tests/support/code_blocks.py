@@ -17,6 +17,7 @@ from typing import Any
 
 import amrpic
 from amrpic.commands.main import parser
+from amrpic.commands.methods import scene_from
 
 ROOT = Path(__file__).parents[2]
 FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
@@ -33,6 +34,7 @@ sigma = "5 mm"
 charge = "-1 pC"
 particles = 100
 """  # what parts of a scene are tried in
+PRESS = ROOT / "examples" / "press.toml"  # and those of a scene of material points
 ELSEWHERE = "apt-get", "docker", "export", "pip", "python3", "make", "sbatch", "srun", "tar", "cd", "git"
 # Commands that other machines have, or that install and compile: their blocks are checked for their syntax alone.
 
@@ -98,6 +100,9 @@ class Reader:
         given = tomllib.loads(block.text)
         if block.file:
             (self.folder / block.file).write_text(block.text, encoding="utf-8")
+        if "method" in given:
+            scene_from(tomllib.loads(PRESS.read_text(encoding="utf-8")) | given, PRESS)
+            return
         if {"domain", "bunches"} <= set(given):
             self.scene = block.text
         amrpic.Scene.from_dict(tomllib.loads(self.scene) | given)

@@ -15,9 +15,9 @@ import mpi_batch
 from amrpic import Domain, Field, Hierarchy, PoissonSolver, Scene
 from amrpic.mesh.boxes import table_of
 from amrpic.run.memory import LAPLACIAN, _copies, run_memory
+from examples import EXAMPLES, with_bunches
 from hierarchies import all_cases
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAM = str(Path(sys.executable).with_name("amrpic"))
 
 # What a run takes over all ranks: the sum of the peaks of its processes, pictures and all.
@@ -132,7 +132,7 @@ def test_a_short_run_takes_the_memory_that_its_preview_tells(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("ranks", [1, 2])
-@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", with_bunches(), ids=lambda path: path.stem)
 def test_every_example_takes_the_memory_that_its_preview_tells(tmp_path, path, ranks):
     # Nothing is new after the first steps of a mesh that stays.
     static = Scene.from_toml(path).refinement.regrid_every == 0

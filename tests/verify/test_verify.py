@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
@@ -28,6 +26,7 @@ from amrpic.verify.hard import CASES
 from amrpic.verify.meshes import MESHES
 from amrpic.verify.sources import Gaussian, Layer, Plummer, Product, Sphere, Together, Wave
 from amrpic.verify.table import Goal, Table
+from examples import EXAMPLES, with_bunches
 
 SOURCES = {
     "sphere": Sphere(0.2, (0.05, 0, 0)),
@@ -37,7 +36,6 @@ SOURCES = {
     "product": Product((Wave(3.0), Layer(0.3), Wave(2.0, 1.0))),
     "pair": Together((Gaussian((0.03, 0.03, 0.1), (0.1, 0, 0)), Gaussian((0.05,) * 3, (-0.1, 0, 0), -EPS0))),
 }
-EXAMPLES = Path(__file__).parents[2] / "examples"
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -228,11 +226,6 @@ def test_all_solvers_take_the_backend_that_is_asked_for(monkeypatch):
 WITHOUT_FORMULA = {"fodo": "waterbag", "halo": "thermal"}  # examples, and their distribution
 
 
-def has_bunches(path: Path) -> bool:
-    """Whether a scene is particle-in-cell."""
-    return "method" not in tomllib.loads(path.read_text(encoding="utf-8"))
-
-
 @pytest.mark.parametrize("name", WITHOUT_FORMULA)
 def test_a_density_without_a_formula_is_refused(name):
     with pytest.raises(InputError, match=f"is a {WITHOUT_FORMULA[name]} bunch, whose density has no formula here"):
@@ -241,7 +234,7 @@ def test_a_density_without_a_formula_is_refused(name):
 
 @pytest.mark.parametrize(
     "path",
-    [path for path in sorted(EXAMPLES.glob("*.toml")) if path.stem not in WITHOUT_FORMULA and has_bunches(path)],
+    [path for path in with_bunches() if path.stem not in WITHOUT_FORMULA],
     ids=lambda path: path.stem,
 )
 def test_density_of_an_example_is_that_of_its_particles(path):

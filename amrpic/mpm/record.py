@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from datetime import timedelta
 from types import TracebackType
 
 from mpi4py import MPI
@@ -19,7 +18,7 @@ from ..io.time_series import Series
 from ..parallel import together
 from ..results.run_results import SERIES
 from ..run.folder import set_aside
-from ..run.log import Log, RunLog
+from ..run.log import Log, RunLog, line_of
 from ..run.restart import about, writers_of
 from ..run.status import Status
 from ..stages.diagnostics import peak_memory
@@ -185,20 +184,16 @@ class Recorder:
 
 
 def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> str:
-    """Return the line of a step: how far the load is, how its equilibrium was found, the pace."""
-    width = len(str(last_step))
-    return "  ".join(
-        [
-            f"step {row['step']:{width}.0f}/{last_step}",
-            f"load {100 * row['load']:6.2f} %",
-            f"{row['points']:.0f} points",
-            f"J {row['j_min']:.3f} to {row['j_max']:.3f}",
-            f"damage {row['damage_max']:.2f}",
-            f"{row.get('turns', 0):.0f} turns",
-            f"{row.get('newton_iterations', 0):.0f} Newton {row.get('cg_iterations', 0):.0f} CG",
-            f"{row.get('cuts', 0):.0f} cuts",
-            f"{row['seconds']:.3g} s/step",
-            f"ETA {timedelta(seconds=round(seconds_left))}",
-            f"{row['memory'] / 2**20:.0f} MiB",
-        ]
+    """Return the line of a step of material points: the load, the points, how the equilibrium was found."""
+    return line_of(
+        row,
+        last_step,
+        seconds_left,
+        f"load {100 * row['load']:6.2f} %",
+        f"{row['points']:.0f} points",
+        f"J {row['j_min']:.3f} to {row['j_max']:.3f}",
+        f"damage {row['damage_max']:.2f}",
+        f"{row.get('turns', 0):.0f} turns",
+        f"{row.get('newton_iterations', 0):.0f} Newton {row.get('cg_iterations', 0):.0f} CG",
+        f"{row.get('cuts', 0):.0f} cuts",
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Self
 
@@ -13,7 +12,7 @@ from ..errors import InputError, ParticleError, SolverError
 from ..io import checkpoint_writer
 from ..parallel import world_by_default
 from ..results.run_results import Results
-from ..run.folder import STOP, Claim, prepare
+from ..run.folder import STOP, claimed
 from ..run.log import Log
 from ..run.restart import writers_of
 from ..run.stop import Stop
@@ -82,7 +81,7 @@ class Simulation:
     def _run(self, walltime: float | None, log: Log) -> str | None:
         begun, self._begun = self._begun, True
         with (
-            self._claim(),
+            claimed(self.comm, self.scene),
             Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
             Recorder(self.state, self._plan, begun, log) as record,
         ):
@@ -100,13 +99,6 @@ class Simulation:
                 self._record(record)
             record.end(self.state)
         return None
-
-    def _claim(self) -> AbstractContextManager[object]:
-        """Hold the folder, if anything is written into it. Collective."""
-        if not self.scene.output.write:
-            return nullcontext()
-        prepare(self.comm, self.scene)
-        return Claim(self.comm, self.scene.directory)
 
     def _record(self, record: Recorder) -> None:
         record.state(self.state)

@@ -7,6 +7,7 @@ import fcntl
 import os
 import re
 import socket
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from types import TracebackType
 
@@ -39,6 +40,17 @@ def prepare(comm: MPI.Comm, scene: AnyScene) -> None:
     problem = comm.bcast(problem)
     if problem is not None:
         raise OutputError(f"output folder {directory} cannot be written ({problem}); choose another one by --output")
+
+
+def claimed(comm: MPI.Comm, scene: AnyScene) -> AbstractContextManager[object]:
+    """Return a hold on the folder of a scene's run, if anything is written into it. Collective.
+
+    Raises OutputError on all ranks if the folder cannot be written, or another run holds it.
+    """
+    if not scene.output.write:
+        return nullcontext()
+    prepare(comm, scene)
+    return Claim(comm, scene.directory)
 
 
 class Claim:

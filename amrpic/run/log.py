@@ -106,16 +106,26 @@ class RunLog:
 
 
 def step_line(row: Mapping[str, float], last_step: int, seconds_left: float) -> str:
-    """Return the line of a step: where it stands, the mesh, the particles, the solve, the pace."""
+    """Return the line of a step of particles: its time, the mesh, the particles, the solve."""
     cells = [value for name, value in row.items() if name.startswith("cells_")]
+    return line_of(
+        row,
+        last_step,
+        seconds_left,
+        f"t {row['time']:.4e} s",
+        f"{len(cells)} levels {row['boxes']:.0f} boxes {sum(cells):.0f} cells",
+        f"{row['particles']:.0f} particles {row['lost_particles']:.0f} lost",
+        f"{row['cycles']:.0f} cycles {row['residual']:.1e}",
+    )
+
+
+def line_of(row: Mapping[str, float], last_step: int, seconds_left: float, *found: str) -> str:
+    """Return the line of a step: its number, what was `found`, the pace and the memory."""
     width = len(str(last_step))
     return "  ".join(
         [
             f"step {row['step']:{width}.0f}/{last_step}",
-            f"t {row['time']:.4e} s",
-            f"{len(cells)} levels {row['boxes']:.0f} boxes {sum(cells):.0f} cells",
-            f"{row['particles']:.0f} particles {row['lost_particles']:.0f} lost",
-            f"{row['cycles']:.0f} cycles {row['residual']:.1e}",
+            *found,
             f"{row['seconds']:.3g} s/step",
             f"ETA {timedelta(seconds=round(seconds_left))}",
             f"{row['memory'] / 2**20:.0f} MiB",

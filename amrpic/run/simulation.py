@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Self
 
@@ -28,7 +27,7 @@ from .clock import Clock
 from .course import Reference
 from .field_functions import FieldFunction
 from .flight import kicked
-from .folder import STOP, Claim, prepare
+from .folder import STOP, claimed
 from .log import Log
 from .output import Recorder
 from .plan import Plan
@@ -142,7 +141,7 @@ class Simulation:
     def _run(self, walltime: float | None, log: Log) -> str | None:
         begun, self._begun = self._begun, True
         with (
-            self._claim(),
+            claimed(self.comm, self.scene),
             Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
             Recorder(self.comm, self.state, self._plan, begun, self._diagnostics, log) as record,
         ):
@@ -158,13 +157,6 @@ class Simulation:
             self.state = kicked(self.state, self._plan)
             with self.clock("output"):
                 return record.end(self.state, stop.reason)
-
-    def _claim(self) -> AbstractContextManager[object]:
-        """Hold the folder, if anything is written into it. Collective."""
-        if not self.scene.output.write:
-            return nullcontext()
-        prepare(self.comm, self.scene)
-        return Claim(self.comm, self.scene.directory)
 
     def _record(self, record: Recorder) -> None:
         record.state(self.state, self.remarks)

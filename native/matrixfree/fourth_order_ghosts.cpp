@@ -120,7 +120,8 @@ static void for_each_row_at(Box const& own, int axis, int side, F&& f) {
       own.extent(u));
 }
 
-/// Where the wall is open, ghosts are its data, whatever is inside. `first`: number of the box's first face there.
+/// At an open wall the ghost values are the data of the wall and do not depend on the interior. `first`: number of the
+/// box's first face there.
 bool FourthOrderGhosts::fill_open_wall(int l, int b, int axis, int side, Walls const& walls, int first) {
   if (walls.faces[std::size_t(first)].kind != Boundary::open) return false;
   auto const [u, v] = tangential_axes(axis);

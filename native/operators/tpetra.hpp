@@ -79,7 +79,7 @@ auto local_size(Map const& map) -> decltype(map.getNodeNumElements()) {
   return map.getNodeNumElements();
 }
 
-/// What tells Tpetra that columns of a row do not ascend.
+/// Parameters of a Tpetra matrix with unsorted columns in its rows.
 inline Teuchos::RCP<Teuchos::ParameterList> unsorted_rows() {
   auto const out = Teuchos::rcp(new Teuchos::ParameterList);
   out->set("sorted", false);

@@ -369,11 +369,12 @@ Interactions::Far TreePotential::multipole(Octree const& tree, int n, double dis
 OfCells TreePotential::of_cells(Octree const& tree, int n, int level) const {
   TreeNode const& node = tree.nodes[std::size_t(n)];
   if (options_.operator_order == 2) return {node.lattice, {}, true, false};
-  OfCells out{{}, plain_moments(tree.moments[std::size_t(n)]), false, false};
+  bool const cubes = shape_[0] == shape_[1] && shape_[1] == shape_[2];
+  if (cubes || node.level == level) return {};
+  OfCells out{{}, plain_moments(tree.moments[std::size_t(n)]), false, true};
   double const of_ghost = std::ldexp(1.0, -2 * level);
   out.means.charge = (of_ghost * out.means.charge - node.lattice.charge) / 24;
   for (int d = 0; d < 3; ++d) out.means.dipole[d] = (of_ghost * out.means.dipole[d] - node.lattice.dipole[d]) / 24;
-  out.has_means = node.level != level && (shape_[0] != shape_[1] || shape_[1] != shape_[2]);
   return out;
 }
 

@@ -55,15 +55,6 @@ Halo::Halo(Communicator const& comm, CellReads const& reads) : cells_(reads.want
     places_.push_back(size_);
     size_ += run.count;
   }
-  plan(comm, reads);
-}
-
-Halo::Halo(Communicator const& comm, Halo const& whole, CellReads const& part)
-    : size_(whole.size_), cells_(whole.cells_), places_(whole.places_) {
-  plan(comm, part);
-}
-
-void Halo::plan(Communicator const& comm, CellReads const& reads) {
   Level const& level = reads.owners();
   first_ = level.first_local_cell();
   owned_ = level.local_cells();

@@ -67,8 +67,6 @@ class Halo {
   Halo() = default;
   /// Local, as all plans are.
   Halo(Communicator const& comm, CellReads const& reads);
-  /// That of a part of another halo's cells, which keeps the places of the other.
-  Halo(Communicator const& comm, Halo const& whole, CellReads const& part);
 
   /// The same cells where values of but `owned` own ones are kept, that of an own cell at place(its place among all).
   /// It can `update`; cells are found by the halo that it comes from.
@@ -104,9 +102,6 @@ class Halo {
   /// Fill the halo of each field from its owners; values of a field lie `stride` numbers apart. Collective.
   void update(std::vector<Real const*> const& own, std::vector<Real*> const& halo, std::ptrdiff_t stride = 1) const;
 
-  /// The same for one field stored as [own cells | halo].
-  void update(Real* field) const { update({field}, {field + owned_}); }
-
   /// Add each field's halo to its owners' cells, in the order of ranks; the halo keeps its values. Collective.
   void fold(std::vector<Real*> const& own, std::vector<Real const*> const& halo, std::ptrdiff_t stride = 1) const;
 
@@ -121,7 +116,6 @@ class Halo {
     else
       runs.push_back({place, 1});
   }
-  void plan(Communicator const& comm, CellReads const& reads);
   LocalIndex place_in_halo(GlobalIndex cell) const;
   void write_places(GlobalIndex first, LocalIndex count, LocalIndex* out) const;
   std::size_t first_run_from(GlobalIndex cell) const;

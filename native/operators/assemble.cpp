@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <optional>
 
 #include "operators/halos.hpp"
 #include "operators/intergrid_rows.hpp"

@@ -1,8 +1,6 @@
 // The formulas of native/stencil with unknowns for values: what they give are rows of operators.
 #pragma once
 
-#include <array>
-
 #include "operators/cell_shape.hpp"
 #include "operators/form.hpp"
 #include "stencil/interface.hpp"

@@ -20,7 +20,6 @@ class SparseMatrix {
   void add(Real scale, LevelVector const& x, LevelVector& y) const;                 ///< y += scale A x
   void set_rows(LevelVector const& x, LevelVector& y) const;  ///< y = A x in rows that have entries
 
-  bool has_rows() const { return bool(objects_); }
   Teuchos::RCP<TpetraTypes::Matrix> const& matrix() const { return objects_->matrix; }
   std::size_t bytes() const;  ///< of this rank
 

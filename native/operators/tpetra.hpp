@@ -6,7 +6,7 @@
 #include <Tpetra_Map.hpp>
 #include <Tpetra_MultiVector.hpp>
 #include <Tpetra_RowMatrix.hpp>
-#include <string>
+#include <algorithm>
 #include <type_traits>
 #include <vector>
 
@@ -42,12 +42,18 @@ struct TpetraTypes {
 template <class T>
 using DeviceArray = Kokkos::View<T*, Kokkos::LayoutLeft, TpetraTypes::Device>;
 
+/// A host's values as a view of the host.
+template <class T, class Allocator>
+auto host_view(std::vector<T, Allocator> const& values) {
+  return Kokkos::View<T const*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>(values.data(),
+                                                                                                values.size());
+}
+
 /// A copy of a host's values in the memory of Tpetra's node.
 template <class T, class Allocator>
 DeviceArray<T> on_device(std::vector<T, Allocator> const& values) {
   DeviceArray<T> out(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), values.size());
-  Kokkos::deep_copy(out, Kokkos::View<T const*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>(
-                             values.data(), values.size()));
+  Kokkos::deep_copy(out, host_view(values));
   return out;
 }
 
@@ -55,9 +61,7 @@ DeviceArray<T> on_device(std::vector<T, Allocator> const& values) {
 /// themselves, which must outlive what is returned.
 template <class T, class Allocator>
 auto seen_by_device(std::vector<T, Allocator> const& values) {
-  Kokkos::View<T const*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged> const host(values.data(),
-                                                                                                    values.size());
-  return Kokkos::create_mirror_view_and_copy(TpetraTypes::Device::memory_space(), host);
+  return Kokkos::create_mirror_view_and_copy(TpetraTypes::Device::memory_space(), host_view(values));
 }
 
 /// An array of unset values in the memory of Tpetra's node.

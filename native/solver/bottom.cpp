@@ -9,7 +9,7 @@
 #include <Ifpack2_Factory.hpp>
 #include <MueLu_CreateTpetraPreconditioner.hpp>
 #include <Tpetra_CrsMatrix.hpp>
-#include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include "base/communicator.hpp"
@@ -271,11 +271,7 @@ void take_own(DeviceArray<LocalIndex> const& place, LocalIndex first, DeviceArra
 }  // namespace
 
 Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool singular, SolverOptions const& options)
-    : comm_(comm),
-      singular_(singular),
-      rows_(operators.rows()),
-      first_(operators.level->first_local_cell()),
-      total_(operators.level->cells()) {
+    : comm_(comm), singular_(singular), first_(operators.level->first_local_cell()), total_(operators.level->cells()) {
   if (total_ > most_cells)
     throw SolverError("the coarsest level would have " + std::to_string(total_) +
                       " cells; give the base numbers of cells with more factors of two, or more coarse_levels");
@@ -286,10 +282,10 @@ Bottom::Bottom(Communicator const& comm, LevelOperators const& operators, bool s
   }
   place_ = order_of_domain(*operators.level);
   HostRows whole = gather(comm, operators, place_);
-  volume_ = volumes_of(operators);
+  auto const volume = volumes_of(operators);
   on_device_ = UntilFinalize<OnDevice>(
-      {on_device(place_), on_device(volume_), DeviceArray<Real>("gathered", std::size_t(total_))});
-  Real const scale = normalise(whole, volume_, singular);
+      {on_device(place_), on_device(volume), DeviceArray<Real>("gathered", std::size_t(total_))});
+  Real const scale = normalise(whole, volume, singular);
   require_fit(whole, options);
   Box const& domain = operators.level->domain();
   problem_ = std::make_unique<GatheredProblem>(whole, scale,

@@ -36,12 +36,12 @@ class Bottom {
   void gather_right_hand_side(LevelVector const& right_hand_side) const;
   Communicator comm_;
   bool singular_;
-  LocalIndex rows_;  ///< of this rank
   GlobalIndex first_, total_;
-  std::vector<int> counts_, starts_;   ///< rows per rank
-  std::vector<LocalIndex> place_;      ///< in the order of the domain, of each cell
-  std::vector<Real> volume_;           ///< of each cell in the order of the domain, over that of ordinary ones
-  UntilFinalize<OnDevice> on_device_;  ///< copies of these, and room for a gathered right-hand side
+  std::vector<int> counts_, starts_;  ///< rows per rank
+  std::vector<LocalIndex> place_;     ///< in the order of the domain, of each cell
+  /// The same; the volume of each cell in the order of the domain, over that of ordinary ones; and room for a gathered
+  /// right-hand side.
+  UntilFinalize<OnDevice> on_device_;
   std::unique_ptr<GatheredProblem> problem_;
 };
 

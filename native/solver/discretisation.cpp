@@ -1,6 +1,4 @@
 // The error that the mesh itself makes, estimated from what a coarser mesh would make of the same potential.
-#include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "solver/crs_backend.hpp"

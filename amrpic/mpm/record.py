@@ -114,6 +114,7 @@ class Recorder:
         return {
             **state.measured,
             "step": state.step,
+            "last_step": state.step + state.loads.steps_left,
             "load": state.load,
             "time": state.load,
             **{f"seconds_{stage}": spent[stage].seconds for stage in STAGES if stage in spent},

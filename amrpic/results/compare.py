@@ -33,6 +33,8 @@ HOW = (
     "boxes",
     "cycles",
     "residual",
+    "cg_",
+    "changed_rank",
 )  # columns on how a run went, not on what it found
 FINAL = (
     "particles",
@@ -83,6 +85,9 @@ def compare(first: Path, second: Path) -> Comparison:
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
     remarks: list[str] = []
+    if any(run.of_points for run in runs):
+        remarks.append("of material points the series are compared, not the files of points and fields")
+        return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)
     for name, part in (
         ("beam", _beam),
         ("fields", partial(_fields, remarks=remarks)),

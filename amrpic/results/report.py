@@ -70,6 +70,8 @@ def make(folder: Path) -> str:
     series, about = time_series.read(path), time_series.about_of(path)
     if len(series) == 0:
         raise InputError(f"{path} has no rows yet; let the run make its first step")
+    if about["scene"].get("method") == "mpm":
+        raise InputError(f"{folder} is of material points, for which there is no page; see its pictures and {SERIES}")
     scene = Scene.from_dict(about["scene"], source=f"the scene in {path}")
     status = None
     with contextlib.suppress(InputError):

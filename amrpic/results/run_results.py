@@ -70,6 +70,11 @@ class Results:
         with together(self.comm, InputError):
             return Scene.from_dict(self._scene(), source=f"the scene in {self.path}")
 
+    @property
+    def of_points(self) -> bool:
+        """Whether the run was of material points, of which tables alone are read back here. Local."""
+        return self._scene().get("method") == "mpm"
+
     def _scene(self) -> Mapping[str, Any]:
         if self.folder == self.path and (series := self.folder / SERIES).exists():
             return time_series.scene_of(series)

@@ -45,6 +45,7 @@ class Status:
             updated=now(),
             step=step,
             of=scene.schedule.last_step,
+            method=str(scene.to_dict().get("method", "")),
         )
         if begin:
             self._write()
@@ -52,10 +53,12 @@ class Status:
     def step(self, row: Mapping[str, float], pace: float, dt: float, written: Mapping[str, int]) -> None:
         """Take in a step: its row of the series, the pace in s per step, Δt in s, the latest step of each kind of output."""
         cells = [int(value) for name, value in row.items() if name.startswith("cells_")]
-        left = timedelta(seconds=max(self._status.of - int(row["step"]), 0) * pace)
+        last = int(row.get("last_step", self._status.of))
+        left = timedelta(seconds=max(last - int(row["step"]), 0) * pace)
         self._status = replace(
             self._status,
             step=int(row["step"]),
+            of=last,
             time=known(row["time"]),
             dt=known(dt),
             seconds_per_step=known(pace),

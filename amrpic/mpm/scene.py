@@ -68,7 +68,8 @@ class PointsSection(Section):
     )
     weights: Literal["moments", "volume"] = Field(
         default="moments",
-        description="moments: weights near the volumes that are exact to the highest degree there is; volume: the volumes.",
+        description="moments: weights near the volumes that are exact to the highest degree there is, in elements of one "
+        "material, and volumes in others; volume: the volumes.",
     )
 
 

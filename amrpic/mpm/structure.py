@@ -85,7 +85,9 @@ class Voronoi(Section):
     grain: str = Field(description="The material of grains.")
     binder: str = Field(description="The material between them.")
     joint: float = Field(default=0.12, gt=0, lt=1, description="Width of joints, over the mean distance of grains.")
-    voids: float = Field(default=0.0, ge=0, lt=0.9, description="Part of the volume that round voids take, in the mean.")
+    voids: float = Field(
+        default=0.0, ge=0, lt=0.9, description="Part of the volume that round voids take, in the mean."
+    )
     void: str = Field(default=EMPTY, description="What is in them.")
     seed: int = Field(default=1, ge=0, description="Of their places.")
 

@@ -15,6 +15,7 @@ from amrpic.io import time_series
 from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
 from amrpic.mpm.sample import mesh_of, sample
+from amrpic.verify.mpm import press
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RUBBER = {"law": "neo-hookean", "young": "300 MPa", "poisson": 0.25, "density": 1000}
@@ -134,6 +135,35 @@ def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
     for name, column in whole.state.placed.points.columns().items():
         np.testing.assert_array_equal(column, again.state.placed.points.columns()[name], err_msg=name)
     assert whole.state.measured == again.state.measured and whole.state.load == again.state.load == 1
+
+
+@pytest.mark.mpi(ranks=(2, 3, 4))
+def test_ranks_press_a_structure_that_breaks_as_one_does(comm):
+    """Steps and Newton's iterations are equal, CG's within one for each, displacements within 1e-6 of the largest."""
+    small = mpm.Scene.from_dict({"name": "press", **press(8, breaks=True, part=0.03)})
+
+    def pressed(ranks):
+        run = mpm.Simulation(ranks, small)
+        starts = by_id(ranks, run.state.placed.points)
+        rows = [state.measured for state in run]
+        return rows, by_id(ranks, run.state.placed.points) - starts
+
+    rows, moved = pressed(comm)
+    alone = comm.bcast(pressed(MPI.COMM_SELF) if comm.rank == 0 else None)
+    assert len(rows) == len(alone[0]) and rows[-1]["damage_max"] > 0.5
+    for mine, theirs in zip(rows, alone[0], strict=True):
+        for name in ("load", "cuts", "turns", "newton_iterations", "newton_most"):
+            assert mine[name] == theirs[name], name
+        assert abs(mine["cg_most"] - theirs["cg_most"]) <= 1
+        assert abs(mine["cg_iterations"] - theirs["cg_iterations"]) <= theirs["newton_iterations"]
+    some = np.random.default_rng(1).choice(len(moved), 1000, replace=False)
+    assert np.abs(moved - alone[1])[some].max() < 1e-6 * np.abs(alone[1]).max()
+
+
+def by_id(comm, points):
+    """Positions of all ranks' points, in the order of their ids."""
+    ids, positions = (np.concatenate(comm.allgather(one)) for one in (points.id, points.position))
+    return positions[np.argsort(ids)]
 
 
 BRITTLE = {**RUBBER, "damage": {"toughness": "200 kJ/m^2", "length": "1 m"}}

@@ -35,7 +35,7 @@ AT_POINTS = ((1, 4), (2, 3), (2, 4), (3, 4), (4, 5))  # degree, points per axis
 DEGREES = (1, 2, 3, 4)
 BEYOND_CACHE = {"degree": 2, "cells": (48, 40, 60), "per_axis": 4}
 CEED_ELEMENTS = 20
-LAWS = {
+LAWS: dict[str, mpm.Material] = {
     "neo-Hookean": mpm.NeoHookean(300e6, 0.25),
     "Ogden": mpm.Ogden(((72e6, 1.3), (60e6, 5.0), (-12e6, -2.0)), 120e6),
 }

@@ -9,6 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import mpm
+from amrpic.commands.main import main
 from amrpic.errors import InputError, ParticleError
 from amrpic.fem import Mesh
 from amrpic.io import time_series
@@ -228,3 +229,28 @@ def test_elements_with_too_few_points_need_a_floor(comm, tmp_path):
         mpm.Simulation(comm, few)
     run = mpm.Simulation(comm, few.replace(floor_stiffness=1e5))
     assert run.advance().measured["floor_share"] > 0
+
+
+def test_commands_on_a_run_work_or_say_in_a_sentence_that_they_do_not(tmp_path, capsys):
+    for name in ("one", "other"):
+        output = {"directory": str(tmp_path / name), "write": ["series", "fields", "points"]}
+        small = scene(tmp_path, schedule={"steps": 2}, output=output)
+        mpm.Simulation(MPI.COMM_SELF, small).run(log="silent")
+    one, other = (str(tmp_path / name) for name in ("one", "other"))
+
+    def said(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            main([*arguments])
+        return ended.value.code, capsys.readouterr()
+
+    code, shown = said("watch", one, "--once")
+    assert code == 0 and "finished" in shown.out
+    lines = {line.split()[0]: line for line in shown.out.splitlines() if line}
+    assert "2 of 2, 100 %" in lines["step"] and "100.00 %" in lines["load"] and "1024" in lines["points"]
+    assert {"work", "stored", "newton_iterations"} <= set(lines) and not {"particles", "mesh"} & set(lines)
+    code, shown = said("compare", one, other, "--tolerance", "0")
+    assert code == 0 and "of material points the series are compared" in shown.out
+    code, shown = said("report", one)
+    assert code == 2 and len(shown.err.splitlines()) == 1 and "is of material points" in shown.err
+    code, shown = said("plot", one)
+    assert code == 0 and "material" in shown.out

@@ -10,7 +10,7 @@ from typing import TypeVar
 from ..errors import InputError, SolverError
 
 State = TypeVar("State")
-GROWTH = 1.5
+FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
 NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
 MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
 
@@ -71,11 +71,15 @@ class Loads:
 
         It is shorter if the damage of a point, which grew by `growth`, would come near to what it may.
         """
-        length = self.length or 1 / self.steps
-        wanted = length * (GROWTH if iterations <= self.easy else 1)
-        if growth > 0:
-            wanted = min(wanted, max(min(length, self._shortest), length * NEAR * self.damage_step / growth))
-        return replace(self, begin=self.end, length=min(1 / self.steps, wanted), refused=())
+        length, most = self.length or 1 / self.steps, NEAR * self.damage_step
+        likely = [f for f in FACTORS if f * growth <= most and (f <= 1 or iterations <= self.easy)]
+        wanted = length * max(likely, default=FACTORS[-1])
+        return replace(
+            self,
+            begin=self.end,
+            length=min(1 / self.steps, max(wanted, min(length, self._shortest))),
+            refused=(),
+        )
 
     def cut(self) -> Loads:
         """Return what follows if the step fails: half of it. SolverError if that is too small."""

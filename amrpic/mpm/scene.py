@@ -88,7 +88,7 @@ class LoadSection(Section):
         gt=0,
         le=1,
         description="The damage of a point may grow by so much in a step, lengths of steps follow from it. Those down to a "
-        "sixteenth of 1/steps may break more: a crack that runs through at once does so in any step.",
+        "sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. 1: as much as will.",
     )
 
     @property
@@ -98,7 +98,8 @@ class LoadSection(Section):
 
     def loads(self, begin: float = 0.0, length: float | None = None) -> Loads:
         """Return the load from where it is, with the length of the next step if it is not the first one."""
-        return Loads(self.steps, self.smallest, self.easy, self.damage_step, begin, length)
+        damage_step = self.damage_step if self.damage_step < 1 else math.inf
+        return Loads(self.steps, self.smallest, self.easy, damage_step, begin, length)
 
 
 class SolveSection(Section):

@@ -123,7 +123,9 @@ def test_points_are_bitwise_the_same_after_a_hundred_random_moves(comm):
 
 @pytest.mark.mpi(ranks=(1, 2))
 def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
-    whole = mpm.Simulation(comm, scene(tmp_path, structure=GRAINS, materials=TWO, schedule={"steps": 4}))
+    whole = mpm.Simulation(
+        comm, scene(tmp_path, structure=GRAINS, materials=TWO, schedule={"steps": 4, "damage_step": 1})
+    )
     ids = whole.state.placed.points.id
     for _ in range(2):
         whole.advance()
@@ -141,7 +143,7 @@ def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
 @pytest.mark.mpi(ranks=(2, 3, 4))
 def test_ranks_press_a_structure_that_breaks_as_one_does(comm):
     """Steps and Newton's iterations are equal, CG's within one for each, displacements within 1e-6 of the largest."""
-    small = mpm.Scene.from_dict({"name": "press", **press(8, breaks=True, part=0.03)})
+    small = mpm.Scene.from_dict({"name": "press", **press(3, breaks=True, part=0.006)})
 
     def pressed(ranks):
         run = mpm.Simulation(ranks, small)
@@ -180,7 +182,7 @@ def test_files_of_a_run_say_what_its_points_have(tmp_path):
         tmp_path,
         structure=GRAINS,
         materials=TWO,
-        schedule={"steps": 2},
+        schedule={"steps": 2, "damage_step": 1},
         output={"directory": str(tmp_path / "run"), "write": write, "points_every": 1},
     )
     run = mpm.Simulation(MPI.COMM_SELF, small)

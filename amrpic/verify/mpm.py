@@ -237,7 +237,7 @@ def press(steps: int, breaks: bool, size: Size = SMALL, part: float = 0.3) -> di
             "binder": solid(300e6, 100.0),
             "air": {"law": "neo-hookean", "young": 5e6, "poisson": 0.0},
         },
-        "schedule": {"steps": steps, "easy": 6},
+        "schedule": {"steps": steps, "smallest": 1e-4, "easy": 6},
         "solver": {"damage_tolerance": 0.03, "turns": 30, "iterations": MOST_NEWTON},
     }
 

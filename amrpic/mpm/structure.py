@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
+import scipy
 from pydantic import Field, model_validator
-from scipy.spatial import cKDTree
 
 from ..errors import SceneError
 from ..scene.complaints import complaint
@@ -107,7 +107,7 @@ class Voronoi(Section):
         volume = float(np.prod(upper - lower))
         apart = (volume / self.grains) ** (1 / 3)
         centres = lower + draw.uniform(size=(self.grains, 3)) * (upper - lower)
-        near = cKDTree(centres).query(places, k=min(2, self.grains))[0].reshape(len(places), -1)
+        near = scipy.spatial.cKDTree(centres).query(places, k=min(2, self.grains))[0].reshape(len(places), -1)
         joint = near[:, -1] - near[:, 0] < self.joint * apart if self.grains > 1 else np.zeros(len(places), dtype=bool)
         out = np.where(joint, number[self.binder], number[self.grain])
         # Balls overlap, and some reach in from outside: of centres without order, of balls that add up to a part a of the

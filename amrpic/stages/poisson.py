@@ -8,8 +8,8 @@ from itertools import product
 from typing import Any, Literal, get_args
 
 import numpy as np
+import scipy
 from pydantic import ValidationError
-from scipy import sparse
 
 from .. import _native, html
 from ..errors import SolverError
@@ -298,7 +298,7 @@ class Operator:
     source: tuple[_native.LevelOperators, str, int] | None = None
     first_column: int = 0  # of this rank's cells of the column level, where there is no source
 
-    def to_scipy(self) -> sparse.csr_array | None:
+    def to_scipy(self) -> scipy.sparse.csr_array | None:
         """The whole operator on rank 0, None elsewhere; rows and columns in the order of the levels' cells. Collective."""
         parts = self.hierarchy.comm.gather(self.entries, root=0)
         if parts is None:
@@ -307,13 +307,15 @@ class Operator:
         start = np.concatenate([[0], np.cumsum(lengths)])
         columns = np.concatenate([column for _, column, _ in parts])
         values = np.concatenate([value for _, _, value in parts])
-        return sparse.csr_array((values, columns, start), shape=self.shape)
+        return scipy.sparse.csr_array((values, columns, start), shape=self.shape)
 
     def multiply(self, values: np.ndarray) -> np.ndarray:
         """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective."""
         if self.source is None:
             start, columns, own = self.entries
-            local = sparse.csr_array((own, columns - self.first_column, start), shape=(len(start) - 1, len(values)))
+            local = scipy.sparse.csr_array(
+                (own, columns - self.first_column, start), shape=(len(start) - 1, len(values))
+            )
             return local @ values
         operators, name, axis = self.source
         return operators.multiply(name, axis, np.ascontiguousarray(values))

@@ -65,7 +65,7 @@ steps = 40
 write = ["series", "checkpoint", "losses", "particles"]
 """
 PAGES = {
-    "README": Page(shorter="--set bunches.0.particles=20000", needs=("pandas", "xarray")),
+    "README": Page(shorter="--set bunches.0.particles=20000 --set domain.cells=48", needs=("pandas", "xarray")),
     "batch": Page(),
     "diagnostics": Page(("scene",), needs=("pandas",), files={"scene.toml": BASE + LOSSY}),
     "elements": Page(shorter="--set schedule.steps=3 --set bunches.0.particles=500"),

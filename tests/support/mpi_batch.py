@@ -123,7 +123,9 @@ class Batch:
         (folder / "batch.json").write_text(json.dumps(self.timeouts))
         option = self.config.option
         self.arguments = ["-q", "--color=no", "-m", ""]
-        self.arguments += ["-p", "no:cacheprovider", f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
+        # A batch ends with one search for garbage; that plugin would add five, which take longer than most tests.
+        self.arguments += ["-p", "no:cacheprovider", "-p", "no:unraisableexception"]
+        self.arguments += [f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
         self.arguments += ["-o", f"verbosity_assertions={max(0, option.verbose)}", str(items[0].path)]
 
     def run(self) -> None:

@@ -25,6 +25,7 @@ class Processes:
             # Open for reading, too, so that it need not wait for the rank. No child inherits it.
             self._orders.append(os.open(folder / f"orders{rank}", os.O_RDWR))
         server = Path(__file__).with_name("mpi_server.py")
+        environment = {**environment, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # each batch would look for them anew
         self.output = folder / "output"
         with self.output.open("wb") as output:
             self._process = subprocess.Popen(

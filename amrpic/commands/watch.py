@@ -25,7 +25,7 @@ from .text_table import columns
 if TYPE_CHECKING:
     from rich.console import Group
 
-SHOWN = {  # columns of the series, with their units
+SHOWN = {  # columns of the series of all methods, with their units
     "rms_x": "m",
     "rms_y": "m",
     "rms_z": "m",
@@ -33,6 +33,9 @@ SHOWN = {  # columns of the series, with their units
     "potential_energy": "J",
     "particles": "",
     "cycles": "",
+    "stored": "J",
+    "dissipated": "J",
+    "newton_iterations": "",
     "seconds": "s",
 }
 WIDTH = 40  # steps in a sparkline

@@ -22,7 +22,7 @@ from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields
-from .run_results import LOSSES, PARTICLES, SERIES, Results
+from .run_results import LOSSES, PARTICLES, SERIES, Results, rows_of
 
 Table = NDArray[Any]
 
@@ -76,19 +76,22 @@ class Comparison:
 def compare(first: Path, second: Path) -> Comparison:
     """Compare the runs in two folders. Serial.
 
-    Raises InputError if one of them holds no series.
+    Raises InputError if one of them holds no rows of a series.
     """
     runs = [Results.open(MPI.COMM_SELF, folder) for folder in (first, second)]
-    tables = [time_series.read(run.folder / SERIES) for run in runs]
+    tables = [rows_of(run.folder) for run in runs]
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
     remarks: list[str] = []
+    of_points = any("method" in scene for scene in scenes)
+    if of_points:
+        remarks.append("of material points the series alone is compared")
     for name, part in (
         ("beam", _beam),
         ("fields", partial(_fields, remarks=remarks)),
         ("particles", _particles),
         ("losses", _losses),
-    ):
+    )[: 0 if of_points else None]:
         with contextlib.suppress(_Missing):
             parts[name] = list(part(*runs))
     return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)

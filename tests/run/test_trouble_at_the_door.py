@@ -9,9 +9,11 @@ import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import amrpic
 import mpi_batch
@@ -121,7 +123,8 @@ def test_a_suspended_process_does_not_take_the_others_for_lost(monkeypatch):
     minutes, looks = itertools.count(), iter([False, False, True])
     clock = SimpleNamespace(monotonic=lambda: 60.0 * next(minutes), sleep=lambda seconds: None)
     monkeypatch.setattr(failure, "time", clock)
-    assert failure.is_over(SimpleNamespace(Test=lambda: next(looks)), failure.GRACE)
+    others = cast(MPI.Request, SimpleNamespace(Test=lambda: next(looks)))
+    assert failure.is_over(others, failure.GRACE)
 
 
 @pytest.mark.parametrize("after", [0.15, 0.4, 0.8, 1.5])

@@ -133,6 +133,17 @@ def test_crash_at_exit(comm):
     assert "status 139" in output and "in test_segfault" in output and "status 3" in output and "status 7" in output
 
 
+def test_processes_may_take_their_time_to_end(tmp_path):
+    """As on a busy machine, where MPI's own end alone takes many seconds."""
+    found, output = outcomes(tmp_path, """
+@pytest.mark.mpi(ranks=2)
+def test_ends_late(comm):
+    import atexit
+    atexit.register(time.sleep, 11 if comm.rank else 0)
+""")  # fmt: skip
+    assert found == {"test_ends_late[2r]": "PASSED"}, output
+
+
 def test_skips_and_expected_failures_pass_through(tmp_path):
     found, _ = outcomes(tmp_path, """
 @pytest.mark.mpi(ranks=2)

@@ -161,8 +161,10 @@ class Voxels(Section):
     def read(self) -> np.ndarray:
         """Return the labels. Raises SceneError as `labels` does."""
         try:
-            voxels: np.ndarray = np.load(Path(self.file), allow_pickle=False)
-        except (OSError, ValueError) as reason:
+            voxels = np.load(Path(self.file), allow_pickle=False)
+            if not isinstance(voxels, np.ndarray):
+                raise ValueError("it holds several arrays")
+        except (OSError, ValueError, EOFError) as reason:
             raise SceneError(f"structure.file {self.file} cannot be read ({reason}); give a .npy of labels") from None
         if voxels.ndim != 3 or voxels.size == 0 or voxels.dtype.kind not in "iu":
             raise SceneError(

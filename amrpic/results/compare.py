@@ -22,7 +22,7 @@ from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields
-from .run_results import LOSSES, PARTICLES, SERIES, Results
+from .run_results import LOSSES, PARTICLES, SERIES, Results, rows_of
 
 Table = NDArray[Any]
 
@@ -78,10 +78,10 @@ class Comparison:
 def compare(first: Path, second: Path) -> Comparison:
     """Compare the runs in two folders. Serial.
 
-    Raises InputError if one of them holds no series.
+    Raises InputError if one of them holds no rows of a series.
     """
     runs = [Results.open(MPI.COMM_SELF, folder) for folder in (first, second)]
-    tables = [time_series.read(run.folder / SERIES) for run in runs]
+    tables = [rows_of(run.folder) for run in runs]
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
     remarks: list[str] = []

@@ -10,12 +10,16 @@ from mpi4py import MPI
 
 from amrpic import mpm
 from amrpic.commands.main import main
+from amrpic.commands.watch import Look
 from amrpic.errors import InputError, ParticleError
 from amrpic.fem import Mesh
 from amrpic.io import time_series
+from amrpic.io.run_status import RunStatus
 from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
 from amrpic.mpm.sample import mesh_of, sample
+from amrpic.results import report
+from amrpic.results.compare import compare
 from amrpic.verify.mpm import press
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -206,6 +210,35 @@ def test_files_of_a_run_say_what_its_points_have(tmp_path):
     assert rows["dissipated"][-1] > 0
     assert rows["stored"][-1] + rows["dissipated"][-1] <= 1.02 * rows["work"][-1]
     assert len(list((tmp_path / "run").glob("*.png"))) == 5
+
+
+@pytest.mark.mpi(ranks=2)
+def test_a_run_is_read_back_by_the_commands_that_know_points(comm, tmp_path):
+    write = ["series", "fields", "checkpoint", "pictures"]
+    output = {"directory": str(tmp_path / "run"), "write": write}
+    results = mpm.Simulation(comm, scene(tmp_path, schedule={"steps": 2}, output=output)).run(log="silent")
+    look = Look.at(tmp_path / "run", RunStatus.read(tmp_path / "run"))
+    assert [name for name, _, _ in look.series] == [
+        "work",
+        "stored",
+        "dissipated",
+        "turns",
+        "newton_iterations",
+        "cg_iterations",
+        "seconds",
+    ]
+    found = compare(tmp_path / "run", tmp_path / "run")
+    assert set(found.parts) == {"series"} and found.equal(0) and len(found.parts["series"]) > 30
+    for read in (lambda: results.scene, lambda: results.fields[2], lambda: report.make(tmp_path / "run")):
+        with pytest.raises(
+            InputError, match="is of material points, whose scene and fields are not read back; look at"
+        ):
+            read()
+    elsewhere = scene(tmp_path, schedule={"steps": 2}, output={**output, "directory": str(tmp_path / "other")})
+    again = mpm.Simulation.restart(comm, tmp_path / "run" / "checkpoint_00000002", elsewhere)
+    again.run(log="silent")
+    assert (tmp_path / "other" / "fields_00000002_mises_y.png").exists()
+    assert not (tmp_path / "other" / "force.png").exists()
 
 
 @pytest.mark.mpi(ranks=(1, 2))

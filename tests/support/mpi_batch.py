@@ -20,7 +20,7 @@ from mpi_processes import Processes
 
 PATIENCE = float(os.environ.get("AMRPIC_TEST_PATIENCE", "1"))  # more on slow or emulated processors
 LONG = 20  # times what a short one may take
-TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes
+TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes, which a busy machine makes long
 KEPT = 2 << 30  # bytes of memory of processes that wait for the next batch
 GRACE = 3.0  # seconds for the other ranks to end a test that failed on one, and for all to tell where they hang
 
@@ -336,7 +336,7 @@ class Launcher:
 
     def ended(self, batch: Batch) -> list[pytest.TestReport]:
         """End processes; a report if they end badly."""
-        status = batch.processes.close()
+        status = batch.processes.close(PATIENCE * TIMEOUT)
         return [] if status == 0 else [batch.bad_end(status)]
 
     @pytest.hookimpl(tryfirst=True)

@@ -417,6 +417,8 @@ class MeshError:
     @property
     def solves(self) -> int: ...
 
+SOLVES_PER_ESTIMATE: int = 10
+
 class SolveReport:
     @property
     def converged(self) -> bool: ...

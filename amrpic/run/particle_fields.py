@@ -59,7 +59,7 @@ class ParticleFields:
                 phi, report = plan.solve(rho, guess, only, last=self._last_report(only))
                 efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
                 plan.compensate(efield, rho, only)
-            before = self.phi if self.known is not None and plan.extrapolates else None
+            before = self.phi if self.known is not None and plan.scene.extrapolates_potential else None
             return Solution(rho, phi, efield, report, frames, before=before)
         plan.go_without_compensation()
         known = self.known.parts if self.known is not None else ()

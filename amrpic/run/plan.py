@@ -119,11 +119,6 @@ class Plan:
         )
         return self._solvers[frame]
 
-    @property
-    def extrapolates(self) -> bool:
-        """Whether solves start from what the potentials of two steps lead to: particles fly, and few cycles are to be saved."""
-        return isinstance(self.scene.motion, Leapfrog) and self.scene.solver.tolerance == "discretization"
-
     def keep_solvers(self, frames: Frames) -> None:
         """Free the solvers of other frames."""
         self._solvers = {of: made for of, made in self._solvers.items() if of in frames.members}

@@ -94,6 +94,7 @@ void bind_solver(nb::module_& m) {
       .def_ro("contraction", &MeshError::contraction)
       .def_ro("right_hand_side", &MeshError::right_hand_side)
       .def_ro("solves", &MeshError::solves);
+  m.attr("SOLVES_PER_ESTIMATE") = nb::int_(MeshError::lasts + 1);  // of the error of the mesh
 
   nb::class_<SolveReport>(m, "SolveReport")
       .def_ro("converged", &SolveReport::converged)

@@ -35,6 +35,9 @@ class SolveReport:
     reason: str  # why the solve stopped
     floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
     discretization_error: float = 0.0  # estimate of the largest error of φ that the mesh makes, V; 0 unless asked for
+    contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
+    right_hand_side: float = 0.0  # its norm when the error was estimated
+    solves_since: int = 0  # that estimate
 
     def _repr_html_(self) -> str:
         end = "converged" if self.converged else "not converged"
@@ -111,12 +114,15 @@ class PoissonSolver:
         guess: Field | None = None,
         boundary_values: Function | None = None,
         boundary_flux: Function | None = None,
+        last: SolveReport | None = None,
     ) -> tuple[Field, SolveReport]:
         """Return the potential in V and how the solve went. Collective.
 
         `rho` is in C/m³; what it holds in covered cells is ignored. `guess` is a potential to start from.
         `boundary_values(x, y, z)` gives V on Dirichlet faces, `boundary_flux(x, y, z)` the outward derivative of φ in V/m on
-        Neumann faces; both are called with arrays of face centres in m, and are zero by default.
+        Neumann faces; both are called with arrays of face centres in m, and are zero by default. `last` is the report of the
+        solve on this hierarchy that found the guess: its estimate of the error that the mesh makes serves nine further
+        solves, as long as the right-hand side is of about the same size, and these may take a single cycle.
 
         Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
         no potential can balance, for a right-hand side that is not finite, and for fields of another hierarchy.
@@ -131,9 +137,10 @@ class PoissonSolver:
             rho = self._in_means(rho)
             phi.holds = "means"
         try:
-            report = self.native.solve(rho.native, phi.native, guess is None)
+            report = self.native.solve(rho.native, phi.native, guess is None, _known(last))
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
+        mesh = report.mesh_error
         return phi, SolveReport(
             report.converged,
             report.cycles,
@@ -141,7 +148,10 @@ class PoissonSolver:
             report.seconds,
             report.reason,
             report.floor,
-            report.discretisation_error,
+            mesh.error,
+            mesh.contraction,
+            mesh.right_hand_side,
+            mesh.solves,
         )
 
     @property
@@ -251,6 +261,13 @@ class BaseSetup:
 
     base: tuple  # communicator, domain, order, bottom and its preconditioner, stretch, screening
     native: _native.Reusable
+
+
+def _known(last: SolveReport | None) -> _native.MeshError:
+    """Return what an earlier solve found of the error of the mesh."""
+    if last is None:
+        return _native.MeshError()
+    return _native.MeshError(last.discretization_error, last.contraction, last.right_hand_side, last.solves_since)
 
 
 def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> SolverOptions:

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from amrpic import mpm
 from amrpic.commands.main import main
-from amrpic.commands.watch import Look
+from amrpic.commands.watch import SHOWN_OF_POINTS, Look
 from amrpic.errors import InputError, ParticleError
 from amrpic.fem import Mesh
 from amrpic.io import time_series
@@ -218,15 +218,7 @@ def test_a_run_is_read_back_by_the_commands_that_know_points(comm, tmp_path):
     output = {"directory": str(tmp_path / "run"), "write": write}
     results = mpm.Simulation(comm, scene(tmp_path, schedule={"steps": 2}, output=output)).run(log="silent")
     look = Look.at(tmp_path / "run", RunStatus.read(tmp_path / "run"))
-    assert [name for name, _, _ in look.series] == [
-        "work",
-        "stored",
-        "dissipated",
-        "turns",
-        "newton_iterations",
-        "cg_iterations",
-        "seconds",
-    ]
+    assert [name for name, _, _ in look.series] == list(SHOWN_OF_POINTS)
     found = compare(tmp_path / "run", tmp_path / "run")
     assert set(found.parts) == {"series"} and found.equal(0) and len(found.parts["series"]) > 30
     for read in (lambda: results.scene, lambda: results.fields[2], lambda: report.make(tmp_path / "run")):

@@ -48,7 +48,7 @@ def _on_all_meshes(comm: MPI.Comm, walls: BoundarySpec) -> Table:
     in_l2, at_most = (3.5, 2.8) if walls == "dirichlet" else (3.7, 3.5)
     rows: list[list[Cell]] = []
     for name, mesh in MESHES.items():
-        cells = (32, 48) if len(mesh.levels) > 2 or mesh.size[2] > 1 else (48, 72)
+        cells = (32, 48) if len(mesh.levels) > 2 or mesh.size[2] > 1 else (64, 96)
         found = [solve(mesh.hierarchy(comm, n, walls), source_on(name, mesh, walls)) for n in cells]
         error = np.array([row for row, _, _ in found])
         order = [observed_order(cells, error[:, c].tolist()) for c in range(4)]

@@ -64,6 +64,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
             for ranks in (1, 2)
         ),
         *(Part("walls", "walls.py", ranks, options) for ranks in walls),
+        Part("orders", "orders.py", 1, ("--cells", "64") if quick else repeats_of_gamma),
         Part("bases", "bases.py", 0, ("--bases", "72", "100", "--runs", "3") if quick else ()),
         *(() if quick else (Part("gamma", "gamma.py", 0, repeats_of_gamma),)),
         Part("least squares", "least_squares.py", 1, repeats_of_gamma),

@@ -13,6 +13,9 @@ from gamma import CUBES, gamma_ratio, memory_ratio
 from least_squares import ORDERS
 from least_squares import record_name as stencil_record
 from measuring import Record
+from orders import CASES as CELLS_OF_ORDERS
+from orders import WALLS as WALLS_OF_ORDERS
+from orders import name as order_name
 from particles import OWN_B, SOLENOID, record_name
 from pic_step import IMPACTX_WALLS, step_name
 from points import MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
@@ -109,6 +112,7 @@ def goals(records: Sequence[Record]) -> list[Goal]:
             long_cells,
             memory,
             setup,
+            of_order_4,
             assembly,
             particles,
             step,
@@ -285,6 +289,16 @@ def setup(found: Found) -> Iterator[Goal]:
     yield Goal("bunch 64: regrid with φ carried over against a solve to 1e-6", found.ratio(regrid, solve), 1, unit="×")
     walls = found.ratio(walls_name(144, "open"), walls_name(144, "dirichlet"))
     yield Goal("open walls against grounded ones, ten_bunches 144", walls, 1.5, 1.15, "×")
+
+
+def of_order_4(found: Found) -> Iterator[Goal]:
+    for cells in CELLS_OF_ORDERS:
+        for walls in WALLS_OF_ORDERS:
+            second, fourth = (order_name(cells, walls, density) for density in ("order 2", "order 4"))
+            case = f"order 4 beside order 2, static {cells}, {walls} walls"
+            yield Goal(f"{case}: time", found.ratio(fourth, second), 1.9, unit="×")
+            more = found.fact(fourth, "bytes per cell") - found.fact(second, "bytes per cell")
+            yield Goal(f"{case}: more memory", more, 2, unit=" B/cell")
 
 
 def assembly(found: Found) -> Iterator[Goal]:

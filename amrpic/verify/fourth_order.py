@@ -14,6 +14,7 @@ from ..mesh.domain import BoundarySpec, Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from ..stages.poisson import PoissonSolver
+from . import peers
 from .convergence import outward_slope, smooth
 from .draw import MARKERS, picture
 from .errors import errors, observed_order
@@ -29,6 +30,7 @@ WALLS: tuple[BoundarySpec, ...] = ("open", "neumann", "dirichlet", "periodic")
 TURN = 2 * np.pi
 WIDTHS = (2, 3, 4, 6, 8)  # σ/h
 CELLS = (32, 48, 64, 80, 96)  # of the base, for errors against seconds
+LARGEST_ON_STATIC = {64: 2e-5, 128: 2e-6}  # error of E, L2, by base cells
 AT_EQUAL_TIME = 1 / 40  # of the error of order 2
 
 
@@ -36,6 +38,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     """The tables of this topic. Collective."""
     for walls in WALLS:
         yield _on_all_meshes(comm, walls)
+    yield _on_static(comm)
     yield _over_width(comm)
     yield _over_seconds(comm)
 
@@ -45,7 +48,7 @@ def _on_all_meshes(comm: MPI.Comm, walls: BoundarySpec) -> Table:
     in_l2, at_most = (3.5, 2.8) if walls == "dirichlet" else (3.7, 3.5)
     rows: list[list[Cell]] = []
     for name, mesh in MESHES.items():
-        cells = (32, 48) if len(mesh.levels) > 2 or mesh.size[2] > 1 else (48, 72)
+        cells = (32, 48) if len(mesh.levels) > 2 or mesh.size[2] > 1 else (64, 96)
         found = [solve(mesh.hierarchy(comm, n, walls), source_on(name, mesh, walls)) for n in cells]
         error = np.array([row for row, _, _ in found])
         order = [observed_order(cells, error[:, c].tolist()) for c in range(4)]
@@ -75,15 +78,32 @@ def source_on(name: str, mesh: Mesh, walls: BoundarySpec) -> Source:
     return Gaussian(tuple(0.068 * np.array(mesh.size)), tuple(np.array(centre) * mesh.size))
 
 
-def solve(hierarchy: Hierarchy, source: Source, order: int = 4) -> tuple[list[float], int, float]:
-    """Errors of φ (L2, max) and E (L2, max) at centres, cycles, and seconds of the best of three solves. Collective."""
+def _on_static(comm: MPI.Comm) -> Table:
+    """The case `static` of the comparison with AMReX."""
+    rows: list[list[Cell]] = []
+    for cells, largest in LARGEST_ON_STATIC.items():
+        for walls in ("dirichlet", "open"):
+            mesh = peers.static(comm, cells, walls=walls)
+            (second, _, _), (fourth, cycles, _) = (solve(mesh, peers.static_source(), order, 1) for order in (2, 4))
+            most = Goal(cycles, 17 if walls == "dirichlet" else 13)
+            rows.append([f"static {cells}", walls, second[2], *fourth[:2], Goal(fourth[2], largest), fourth[3], most])
+    return Table(
+        "Order 4 on static 64 and 128",
+        "One Gaussian, given as means, in two nested cubes, as beside AMReX; relative errors of values at the centres.",
+        ("case", "walls", "E, L2, order 2", "φ, L2", "φ, max", "E, L2", "E, max", "cycles"),
+        rows,
+    )
+
+
+def solve(hierarchy: Hierarchy, source: Source, order: int = 4, times: int = 3) -> tuple[list[float], int, float]:
+    """Errors of φ (L2, max) and E (L2, max) at centres, cycles, and seconds of the best of some solves. Collective."""
     comm, singular = hierarchy.comm, hierarchy.domain.singular
     solver = PoissonSolver(hierarchy, order=order, background="neutralizing" if singular else None)
     rho, seconds = fill(Field(hierarchy), source), np.inf
     if order == 4:
         rho.holds = "means"
     slope = outward_slope(hierarchy, source)
-    for _ in range(3):
+    for _ in range(times):
         comm.Barrier()
         start = time.perf_counter()
         phi, report = solver.solve(rho, boundary_values=source.potential, boundary_flux=slope)

@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 from mpi4py import MPI
 
-from ..mesh.domain import Domain
+from ..mesh.domain import BoundarySpec, Domain
 from ..mesh.field import Field
 from ..mesh.hierarchy import Hierarchy
 from .chosen import solver_of
@@ -62,9 +62,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     )
 
 
-def static(comm: MPI.Comm, n: int, max_grid_size: int = 32) -> Hierarchy:
+def static(comm: MPI.Comm, n: int, max_grid_size: int = 32, walls: BoundarySpec = "dirichlet") -> Hierarchy:
     """The unit cube of n³ cells, and two nested cubes of as many in its middle. Collective."""
-    domain = Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary="dirichlet")
+    domain = Domain((0, 0, 0), (1, 1, 1), (n,) * 3, boundary=walls)
     first = [((n // 2,) * 3, (3 * n // 2 - 1,) * 3)]
     second = [((3 * n // 2,) * 3, (5 * n // 2 - 1,) * 3)]
     return Hierarchy(comm, domain, [first, second], max_grid_size=max_grid_size)

@@ -11,16 +11,17 @@ namespace amrpic::freespace {
 struct Options {
   double acceptance =
       0.5;  ///< a box is a multipole from where its radius looks smaller than this fraction of the distance
-  double lattice_limit = 10;  ///< and from this many of its cells on, where the lattice is a small correction
-  double dropped = 1e-7;      ///< fraction of all |q| that may be left out with the weakest boxes
-  double separation = 1.25;   ///< charge this many half widths from a patch of ghosts is interpolated on it
-  double negligible = 2e-6;   ///< fraction of a box's potential that orders left out may add
-  int operator_order = 2;     ///< 4: potentials are means over cells, see `fourth_order.hpp`
+  double lattice_limit = 10;    ///< and from this many of its cells on, where the lattice is a small correction
+  double dropped = 1e-7;        ///< fraction of all |q| that may be left out with the weakest boxes
+  double separation = 1.25;     ///< charge this many half widths from a patch of ghosts is interpolated on it
+  double negligible = 2e-6;     ///< fraction of a box's potential that orders left out may add
+  int operator_order = 2;       ///< 4: potentials are means over cells, see `fourth_order.hpp`
+  double of_weak = acceptance;  ///< the largest acceptance, of boxes with next to no charge
 
   /// What goes with an operator. In fourth order the lattice fades by the fourth power of the distance and is left out
   /// from `lattice_limit` on, where it is 8e-6 of the potential; the rest is about as exact.
   static Options of_order(int order) {
-    if (order == 4) return {0.35, 16, 1e-7, 1.75, 2e-7, 4};
+    if (order == 4) return {0.3, 16, 1e-7, 2, 2e-7, 4, 0.6};
     return {};
   }
   /// Of ghosts behind a wall.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <tuple>
 #include <utility>
 
@@ -172,7 +173,24 @@ Harmonics<double> moments_about_centre(BlockCharges const& charges, Leaf const& 
 }  // namespace
 
 void sort_by_block(std::vector<ChargeBox::Added>& added) {
-  std::stable_sort(added.begin(), added.end(), in_order_of_blocks);
+  if (added.empty()) return;
+  Cell first = block_of(0, added.front().cell).place, last = first;
+  for (auto const& a : added)
+    for (int d = 0; d < 3; ++d) {
+      int const place = block_of(0, a.cell).place[d];
+      first[d] = std::min(first[d], place), last[d] = std::max(last[d], place);
+    }
+  auto const number = [&](Cell const& cell) {  // by z, then y, then x, as keys are compared
+    Cell const p = block_of(0, cell).place;
+    return std::size_t(p[0] - first[0] +
+                       (last[0] - first[0] + 1) * (p[1] - first[1] + (last[1] - first[1] + 1) * (p[2] - first[2])));
+  };
+  std::vector<std::size_t> next(number({last[0] * block_edge, last[1] * block_edge, last[2] * block_edge}) + 2, 0);
+  for (auto const& a : added) ++next[number(a.cell) + 1];
+  std::partial_sum(next.begin(), next.end(), next.begin());
+  std::vector<ChargeBox::Added> sorted(added.size());
+  for (auto const& a : added) sorted[next[number(a.cell)]++] = a;
+  added = std::move(sorted);
 }
 
 void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to) {

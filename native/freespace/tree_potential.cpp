@@ -271,8 +271,22 @@ TreePotential::TreePotential(Lattice const& lattice, int finest, Options const& 
       widest_(widest_blocks(shape_)),
       kernels_(shape_, options.operator_order, table_reach(lattice, finest, options)) {}
 
-double TreePotential::far_limit(TreeNode const& node) const {
-  return freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
+/// Charge of a node over what as large a part of all has on average, rounded up to a power of two, so that rounding
+/// rarely chooses; at most one.
+double TreePotential::weakness(Octree const& tree, TreeNode const& node) const {
+  if (options_.of_weak <= options_.acceptance) return 1;
+  TreeNode const& all = tree.nodes.front();
+  auto const size = [&](TreeNode const& of) { return std::pow(of.radius + longest_spacing_, 3); };
+  double const share = node.magnitude / all.magnitude * size(all) / size(node);
+  return std::min(1.0, std::ldexp(1.0, std::ilogb(share) + 1));
+}
+
+/// From where on a node is a multipole. The error of that is the power order + 1 of its radius over the distance, so
+/// nodes with less charge may be nearer.
+double TreePotential::far_limit(Octree const& tree, TreeNode const& node) const {
+  double const least = options_.acceptance / options_.of_weak;
+  double const factor = std::max(least, std::pow(weakness(tree, node), 1.0 / (order + 1)));
+  return factor * freespace::far_limit(options_, node.radius, longest_spacing_ * node.coarsest);
 }
 
 std::vector<Interactions> TreePotential::interactions(Octree const& tree, std::vector<GhostPatch> const& patches,
@@ -280,7 +294,7 @@ std::vector<Interactions> TreePotential::interactions(Octree const& tree, std::v
   std::vector<Interactions> out(patches.size());
   if (tree.empty()) return out;
   std::vector<double> limits;
-  for (TreeNode const& node : tree.nodes) limits.push_back(far_limit(node));
+  for (TreeNode const& node : tree.nodes) limits.push_back(far_limit(tree, node));
   std::vector<std::vector<int>> left(patches.size());  // to the children
   std::vector<int> stack;
   for (std::size_t p = patches.size(); p-- > 0;) {
@@ -353,10 +367,11 @@ Interactions::Far TreePotential::multipole(Octree const& tree, int n, double dis
   TreeNode const& node = tree.nodes[n];
   Interactions::Far out{n, order, true};
   double const distance = std::sqrt(distance2);
+  double const negligible_order = options_.negligible * node.magnitude / weakness(tree, node);
   double left_out = 0, power = std::pow(distance, -order);
   for (int l = order; l > lowest_order; --l, power *= distance) {
     left_out += degree_strength(tree.moments[n], l) * power;
-    if (left_out > options_.negligible * node.magnitude) break;
+    if (left_out > negligible_order) break;
     out.highest = l - 1;
   }
   double const negligible = lattice_negligible * longest_spacing_ * node.coarsest;
@@ -428,7 +443,7 @@ void TreePotential::add_mixed(Octree const& tree, std::vector<int> const& nodes,
         TreeNode const& node = tree.nodes[n];
         Lanes const x = at[0] - node.centre[0], y = at[1] - node.centre[1], z = at[2] - node.centre[2];
         Lanes const r2 = x * x + y * y + z * z;
-        double const limit = far_limit(node);
+        double const limit = far_limit(tree, node);
         unsigned const far = active & bits_of(r2 > limit * limit);
         if (far) {
           Lanes const inverse_r = inverse_root(r2);

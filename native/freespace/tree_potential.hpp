@@ -64,7 +64,8 @@ class TreePotential {
     int node;
   };
   class NearPatch;
-  double far_limit(TreeNode const& node) const;
+  double weakness(Octree const& tree, TreeNode const& node) const;
+  double far_limit(Octree const& tree, TreeNode const& node) const;
   std::optional<double> summed_width(TreeNode const& node) const;
   bool is_summed(TreeNode const& node, PatchBox const& patch_box) const;
   Interactions::Far multipole(Octree const& tree, int node, double distance2) const;

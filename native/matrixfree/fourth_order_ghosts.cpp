@@ -30,6 +30,8 @@ FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(m
     star_[std::size_t(n)].resize(2 * row);
   }
   columns_.resize(coarse_row);
+  differences_.resize(row);
+  for (auto& line : lines_) line.resize(row);
 }
 
 void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls, Ends ends, FullyCovered fully_covered,
@@ -107,17 +109,23 @@ int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int
   return std::min(extent + layers, fourth_order::wall_cells);
 }
 
-/// Call f(place in the plane, place of the first cell, distance to the next one, distance inwards, count) for each row
-/// of the cells of a box at one of its faces.
-template <class F>
-static void for_each_row_at(Box const& own, int axis, int side, F&& f) {
-  auto const [u, v] = tangential_axes(axis);
+/// Of a row of the cells of a box at one of its faces, from (u, v) on, the first of each in line inwards, the second,
+/// and so on, side by side: in the box, or copied to `lines_`.
+std::array<Real const*, fourth_order::wall_cells> FourthOrderGhosts::cells_at(Box const& own, Real const* phi, int axis,
+                                                                              int side, int u, int v, int count) {
+  auto const [along, across] = tangential_axes(axis);
   Index3 const pitch = pitches(own);
   std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
-  std::ptrdiff_t const first = side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis];
-  for (int y = 0; y < own.extent(v); ++y)
-    f(std::ptrdiff_t(y) * own.extent(u), first + std::ptrdiff_t(y) * pitch[v], std::ptrdiff_t(pitch[u]), inward,
-      own.extent(u));
+  Real const* const first = phi + (side == 0 ? 0 : std::ptrdiff_t(own.extent(axis) - 1) * pitch[axis]) +
+                            std::ptrdiff_t(u) * pitch[along] + std::ptrdiff_t(v) * pitch[across];
+  std::array<Real const*, fourth_order::wall_cells> out;
+  for (int n = 0; n < fourth_order::wall_cells; ++n) {
+    Real const* const from = first + n * inward;
+    Real* const to = lines_[std::size_t(n)].data();
+    for (int x = 0; axis == 0 && x < count; ++x) to[x] = from[std::ptrdiff_t(x) * pitch[along]];
+    out[std::size_t(n)] = axis == 0 ? to : from;
+  }
+  return out;
 }
 
 /// At an open wall the ghost values are the data of the wall and do not depend on the interior. `first`: number of the
@@ -144,15 +152,17 @@ void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, R
   };
   if (own.extent(axis) >= fourth_order::wall_cells) {  // all of them lie in the box
     auto const& w = weights(fourth_order::wall_cells);
-    for_each_row_at(own, axis, side,
-                    [&](std::ptrdiff_t out, std::ptrdiff_t at, std::ptrdiff_t step, std::ptrdiff_t inward, int count) {
-                      for (std::size_t n = 0; n < layers; ++n)
-                        for (int x = 0; x < count; ++x) {
-                          Real const* const c = phi + at + x * step;
-                          ghosts[n][std::size_t(out + x)] =
-                              w.layer[n]({c[0], c[inward], c[2 * inward], c[3 * inward]}, data[out + x]);
-                        }
-                    });
+    int const nu = own.extent(u);
+    for (int y = 0; y < own.extent(v); ++y) {
+      auto const line = cells_at(own, phi, axis, side, 0, y, nu);
+      std::ptrdiff_t const first_out = std::ptrdiff_t(y) * nu;
+      for (std::size_t n = 0; n < layers; ++n) {
+        auto const layer = w.layer[n];
+        Real const* const given = data + first_out;
+        Real* __restrict const out = ghosts[n].data() + first_out;
+        for (int x = 0; x < nu; ++x) out[x] = layer({line[0][x], line[1][x], line[2][x], line[3][x]}, given[x]);
+      }
+    }
     return;
   }
   Index3 cell{0, 0, 0};
@@ -303,52 +313,40 @@ void FourthOrderGhosts::fill_in_front(int l, int b, int axis, int side, Interfac
   auto const [u, v] = tangential_axes(axis);
   auto& ghosts = ghosts_[std::size_t(2 * axis + side)];
   std::fill(flux + begin, flux + end, 0.0);
-  // The cells in line inwards lie in the box, or need not.
-  bool const all_inside = own.extent(axis) >= fourth_order::wall_cells;
-  Index3 const pitch = pitches(own);
-  std::ptrdiff_t const inward = side == 0 ? pitch[axis] : -pitch[axis];
+  bool const all_inside = own.extent(axis) >= fourth_order::wall_cells;  // else cells in line inwards need not
   for (int half = 0; half < 2; ++half) {
-    Index3 cell{0, 0, 0};
-    cell[u] = 2 * i.u, cell[v] = 2 * (i.v + row) + half;
-    cell[axis] = side == 0 ? 0 : own.extent(axis) - 1;
-    Real const* const first =
-        cells + (cell[0] + std::ptrdiff_t(cell[1]) * pitch[1] + std::ptrdiff_t(cell[2]) * pitch[2]);
-    std::ptrdiff_t const at = cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u);
-    Real *const near = ghosts[0].data() + at, *const far = ghosts[1].data() + at;
-    std::size_t const of_half = std::size_t(half) * 2 * std::size_t(i.nu);
+    int const first_u = 2 * (i.u + begin), row_v = 2 * (i.v + row) + half, count = 2 * (end - begin);
+    std::ptrdiff_t const at = first_u + std::ptrdiff_t(row_v) * own.extent(u);
+    Real* __restrict const near = ghosts[0].data() + at, * __restrict const far = ghosts[1].data() + at;
+    Real* __restrict const left = differences_.data();
+    std::size_t const of_half = std::size_t(half) * 2 * std::size_t(i.nu) + 2 * std::size_t(begin);
     Real const *const star = star_[0].data() + of_half, *const second = star_[1].data() + of_half;
-    auto const set = [&](fourth_order::InterfaceGhosts const& weights, int x, Real f0, Real f1, Real f2) {
+    auto const set = [=](fourth_order::InterfaceGhosts const& weights, int x, Real f0, Real f1, Real f2) {
       auto const ghost = [&](fourth_order::InterfaceGhosts::Layer const& w) {
         Real const coarse = deep ? w.coarse[0] * star[x] + w.coarse[1] * second[x] : w.coarse[0] * star[x];
         return coarse + w.fine[0] * f0 + w.fine[1] * f1 + w.fine[2] * f2;
       };
       near[x] = ghost(weights.layer[0]), far[x] = ghost(weights.layer[1]);
-      return fourth_order::difference(far[x], near[x], f0, f1);
+      left[x] = fourth_order::difference(far[x], near[x], f0, f1);
     };
     if (all_inside) {
-      auto const& weights = interface_ghosts_[deep ? 2 : 1][fourth_order::fine_cells];
-      for (int m = begin; m < end; ++m) {
-        Real const *const p = first + 2 * m * std::ptrdiff_t(pitch[u]), *const q = p + pitch[u];
-        flux[m] += set(weights, 2 * m, p[0], p[inward], p[2 * inward]) +
-                   set(weights, 2 * m + 1, q[0], q[inward], q[2 * inward]);
-      }
-      continue;
+      auto const weights = interface_ghosts_[deep ? 2 : 1][fourth_order::fine_cells];
+      auto const line = cells_at(own, cells, axis, side, first_u, row_v, count);
+      Real const *const f0 = line[0], *const f1 = line[1], *const f2 = line[2];
+      for (int x = 0; x < count; ++x) set(weights, x, f0[x], f1[x], f2[x]);
     }
-    for (int m = begin; m < end; ++m) {
-      std::array<Real, 2> left{};
-      for (int x = 2 * m; x < 2 * m + 2; ++x) {
-        cell[u] = 2 * i.u + x;
-        int const inside = std::min(cells_inside(l, b, axis, side, cell[u], cell[v]), fourth_order::fine_cells);
-        std::array<Real, fourth_order::fine_cells> fine{};
-        for (int n = 0; n < inside; ++n) {
-          cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
-          fine[std::size_t(n)] = value(own, cells, axis, cell);
-        }
-        left[std::size_t(x % 2)] =
-            set(interface_ghosts_[deep ? 2 : 1][std::size_t(inside)], x, fine[0], fine[1], fine[2]);
+    for (int x = 0; !all_inside && x < count; ++x) {
+      Index3 cell{0, 0, 0};
+      cell[u] = first_u + x, cell[v] = row_v;
+      int const inside = std::min(cells_inside(l, b, axis, side, cell[u], cell[v]), fourth_order::fine_cells);
+      std::array<Real, fourth_order::fine_cells> fine{};
+      for (int n = 0; n < inside; ++n) {
+        cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
+        fine[std::size_t(n)] = value(own, cells, axis, cell);
       }
-      flux[m] += left[0] + left[1];
+      set(interface_ghosts_[deep ? 2 : 1][std::size_t(inside)], x, fine[0], fine[1], fine[2]);
     }
+    for (int m = begin; m < end; ++m) flux[m] += left[2 * (m - begin)] + left[2 * (m - begin) + 1];
   }
 }
 
@@ -359,7 +357,7 @@ Traffic FourthOrderGhosts::of_visit() const {
 }
 
 std::size_t FourthOrderGhosts::bytes() const {
-  std::size_t values = columns_.capacity();
+  std::size_t values = columns_.capacity() + differences_.capacity() + lines_.size() * lines_[0].capacity();
   for (int n = 0; n < layers; ++n) {
     values += coarse_[std::size_t(n)].capacity() + star_[std::size_t(n)].capacity();
     for (auto const& face : ghosts_) values += face[std::size_t(n)].capacity();

@@ -57,13 +57,17 @@ class FourthOrderGhosts {
   }
 
   /// Call f(place in the box, axis, excess) for each uncovered cell of a plane and each of its faces with a refined
-  /// cell beyond: the difference of phi across the face, outwards, by the finer fluxes, less that by the level's cells.
-  template <class F>
-  void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
-    Box const& own = mesh_.box(l, b);
+  /// cell beyond: the difference of phi across the face, outwards, by the finer fluxes, less that by the level's cells,
+  /// which are value(cell), up to two cells away.
+  template <class Value, class F>
+  void for_each_refined(int l, int b, int k, Value&& value, F&& f) const {
     fluxes_.for_each_refined(
         l, b, k, zero_, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t place, Real flux) {
-          auto const at = in_line(own, phi, r.axis, cell);
+          auto const at = [&](int n) {
+            Index3 there = cell;
+            there[std::size_t(r.axis)] += n;
+            return value(there);
+          };
           int const outward = r.side == 0 ? -1 : 1;
           f(place, r.axis,
             fine_face_weight * flux - fourth_order::difference(at(-outward), at(0), at(outward), at(2 * outward)));
@@ -109,6 +113,8 @@ class FourthOrderGhosts {
 
  private:
   void fill(int l, int b, Field const& phi, Walls const* walls, Ends ends);
+  std::array<Real const*, fourth_order::wall_cells> cells_at(Box const& own, Real const* phi, int axis, int side, int u,
+                                                             int v, int count);
   void fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Walls const& walls, int first);
   bool fill_open_wall(int l, int b, int axis, int side, Walls const& walls, int first);
   fourth_order::WallGhosts const& polynomial_at_wall(int l, int axis, int side, int cells) const {
@@ -156,6 +162,8 @@ class FourthOrderGhosts {
   std::array<std::vector<Real>, layers> coarse_, star_;  ///< of the interface under way: coarse means, those over the
                                                          ///< fine cells' faces in two rows
   std::vector<Real> columns_;                            ///< of a row of blocks: sums across it
+  std::array<std::vector<Real>, fourth_order::wall_cells> lines_;  ///< of a row of cells at a face across x
+  std::vector<Real> differences_;                                  ///< across the faces of a row of fine cells
 };
 
 }  // namespace amrpic

@@ -23,25 +23,23 @@ struct Formula {
   }
 };
 
-/// Where the cells one and two away along y and z lie of a run of cells that are contiguous in memory: below, above.
-struct InLine {
-  std::array<Real const*, 4> y, z;  ///< two below, one below, one above, two above
+/// A row of cells between its ghosts, and those in line with it along y and z: two below, one below, one above, two
+/// above.
+struct Rows {
+  Real const* own;
+  std::array<Real const*, 4> y, z;
 };
 
-/// f - L phi of the cells [first, last) of a run; the ends of rows take what memory holds beside them along x, and are
-/// put right afterwards.
-void run(Formula const& formula, std::ptrdiff_t first, std::ptrdiff_t last, Real const* __restrict c, InLine const& n,
-         Real const* __restrict rho, Real* __restrict out) {
-  Real const *const ym = n.y[1], *const yp = n.y[2], *const ymm = n.y[0], *const ypp = n.y[3];
-  Real const *const zm = n.z[1], *const zp = n.z[2], *const zmm = n.z[0], *const zpp = n.z[3];
+/// f - L phi of a row.
+void run(Formula const& formula, int count, Rows const& rows, Real const* __restrict rho, Real* __restrict out) {
+  Real const* const c = rows.own;
+  Real const *const ymm = rows.y[0], *const ym = rows.y[1], *const yp = rows.y[2], *const ypp = rows.y[3];
+  Real const *const zmm = rows.z[0], *const zm = rows.z[1], *const zp = rows.z[2], *const zpp = rows.z[3];
   Formula const f = formula;
-  kernels::for_each_part(first, last, [&](std::ptrdiff_t begin, std::ptrdiff_t end) {
-    fetch<Use::read>(rho + begin + page<Real>, end - begin);
-    fetch<Use::read>(zpp + begin + page<Real>, end - begin);
-    for (std::ptrdiff_t i = begin; i < end; ++i)
-      out[i] = f(rho[i], c[i], c[i - 1] + c[i + 1], c[i - 2] + c[i + 2], ym[i] + yp[i], ymm[i] + ypp[i], zm[i] + zp[i],
-                 zmm[i] + zpp[i]);
-  });
+  fetch<Use::read>(rho + page<Real>, count);
+  for (int i = 0; i < count; ++i)
+    out[i] = f(rho[i], c[i], c[i - 1] + c[i + 1], c[i - 2] + c[i + 2], ym[i] + yp[i], ymm[i] + ypp[i], zm[i] + zp[i],
+               zmm[i] + zpp[i]);
 }
 
 }  // namespace
@@ -50,9 +48,10 @@ FourthOrderResidual::FourthOrderResidual(CompositeMesh& mesh, FourthOrderGhosts&
     : CompositeResidual(mesh), ghosts_(ghosts) {
   std::size_t most = 0;
   mesh_.for_each_box([&](int l, int b) {
-    if (has_wall(l, b) && !has_walls_alone(l, b)) most = std::max(most, std::size_t(mesh_.box(l, b).cells()));
+    Box const& own = mesh_.box(l, b);
+    most = std::max(most, std::size_t(own.extent(0) + 2 * layers) * std::size_t(own.extent(1) + 2 * layers));
   });
-  if (most > 0) zeros_.assign(most + 2 * layers, 0.0);
+  for (auto& plane : planes_) plane.resize(most);
 }
 
 bool FourthOrderResidual::has_wall(int l, int b) const {
@@ -61,72 +60,55 @@ bool FourthOrderResidual::has_wall(int l, int b) const {
 }
 
 void FourthOrderResidual::residual_plane(int l, int b, int k, Source const& source, Field const& phi) {
-  auto const& values = phi.level(l);
-  plane_of(l, b, k, source, values.data() + mesh_.offset(l, b), values.data(), values.data() + values.size());
+  plane_of(l, b, k, source, phi.level(l).data() + mesh_.offset(l, b));
 }
 
-/// f - L phi of a plane of cells of a box whose ghosts are at hand, into `plane_`. Memory may be read between `begin`
-/// and `end`.
-void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Real const* cells, Real const* begin,
-                                   Real const* end) {
-  Box const& own = mesh_.box(l, b);
+/// Bring plane n of a box into `planes_`, with the ghosts around it; of a plane of ghosts those in front of cells.
+/// `cells`: of the box, null where they are zero.
+void FourthOrderResidual::fill_plane(Box const& own, int n, Real const* cells) {
   int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
-  std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
-  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
-  Formula const formula{mesh_.equation(l), source.background};
-  Real const* const c = cells + k * plane;
-  auto row_along_y = [&](int j) -> Real const* {
-    if (j >= 0 && j < ny) return c + std::ptrdiff_t(j) * nx;
-    return ghosts_.ghosts(1, j < 0 ? 0 : 1, j < 0 ? -j - 1 : j - ny) + std::ptrdiff_t(k) * nx;
+  std::ptrdiff_t const pitch = nx + 2 * layers;
+  Real* const out = plane_around(own, n);
+  auto const set_row = [&](int j, Real const* from) {
+    from ? std::copy_n(from, nx, out + j * pitch) : std::fill_n(out + j * pitch, nx, Real(0));
   };
-  auto plane_along_z = [&](int n) -> Real const* {
-    if (n >= 0 && n < nz) return cells + n * plane;
-    return ghosts_.ghosts(2, n < 0 ? 0 : 1, n < 0 ? -n - 1 : n - nz);
-  };
-  std::array<Real const*, 4> const z{plane_along_z(k - 2), plane_along_z(k - 1), plane_along_z(k + 1),
-                                     plane_along_z(k + 2)};
-  auto in_line = [&](int j) {
-    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
-    return InLine{{row_along_y(j - 2), row_along_y(j - 1), row_along_y(j + 1), row_along_y(j + 2)},
-                  {z[0] + at, z[1] + at, z[2] + at, z[3] + at}};
-  };
-  // Rows away from the first and last two lie side by side, as their neighbours do.
-  auto sweep = [&](int first, int last) {
-    std::ptrdiff_t const at = std::ptrdiff_t(first) * nx, count = std::ptrdiff_t(last - first) * nx;
-    std::ptrdiff_t const from = std::max<std::ptrdiff_t>(0, layers - (c + at - begin));
-    std::ptrdiff_t const to = std::min<std::ptrdiff_t>(count, end - (c + at) - layers);
-    run(formula, from, to, c + at, in_line(first), rho + at, plane_.data() + at);
-  };
-  int const inner = std::max(layers, ny - layers);
-  for (int j = 0; j < std::min(layers, ny); ++j) sweep(j, j + 1);
-  if (inner > layers) sweep(layers, inner);
-  for (int j = inner; j < ny; ++j) sweep(j, j + 1);
-  for (int j = 0; j < ny; ++j) {
-    std::ptrdiff_t const at = std::ptrdiff_t(j) * nx;
-    std::ptrdiff_t const of_row = j + std::ptrdiff_t(k) * ny;
-    InLine const n = in_line(j);
-    Real const* const row = c + at;
-    auto set = [&](int i, Real x_near, Real x_far) {
-      plane_[std::size_t(at + i)] = formula(rho[at + i], row[i], x_near, x_far, n.y[1][i] + n.y[2][i],
-                                            n.y[0][i] + n.y[3][i], n.z[1][i] + n.z[2][i], n.z[0][i] + n.z[3][i]);
-    };
-    std::array<Real, layers> const below{ghosts_.ghosts(0, 0, 0)[of_row], ghosts_.ghosts(0, 0, 1)[of_row]},
-        above{ghosts_.ghosts(0, 1, 0)[of_row], ghosts_.ghosts(0, 1, 1)[of_row]};
-    if (int const e = nx - 1; nx >= 2 * layers) {
-      set(0, below[0] + row[1], below[1] + row[2]);
-      set(1, row[0] + row[2], below[0] + row[3]);
-      set(e - 1, row[e - 2] + row[e], row[e - 3] + above[0]);
-      set(e, row[e - 1] + above[0], row[e - 2] + above[1]);
-      continue;
-    }
-    auto along_x = [&](int i) {
-      if (i >= 0 && i < nx) return row[i];
-      return i < 0 ? below[std::size_t(-i - 1)] : above[std::size_t(i - nx)];
-    };
-    for (int i = 0; i < nx; ++i) set(i, along_x(i - 1) + along_x(i + 1), along_x(i - 2) + along_x(i + 2));
+  if (n < 0 || n >= nz) {
+    Real const* const from = ghosts_.ghosts(2, n < 0 ? 0 : 1, n < 0 ? -n - 1 : n - nz);
+    for (int j = 0; j < ny; ++j) set_row(j, from + std::ptrdiff_t(j) * nx);
+    return;
   }
-  ghosts_.for_each_refined(l, b, k, cells, [&](std::ptrdiff_t at, int axis, Real excess) {
-    plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
+  for (int j = 0; j < ny; ++j) set_row(j, cells ? cells + (std::ptrdiff_t(n) * ny + j) * nx : nullptr);
+  for (int layer = 0; layer < layers; ++layer) {
+    set_row(-1 - layer, ghosts_.ghosts(1, 0, layer) + std::ptrdiff_t(n) * nx);
+    set_row(ny + layer, ghosts_.ghosts(1, 1, layer) + std::ptrdiff_t(n) * nx);
+    Real const* const below = ghosts_.ghosts(0, 0, layer) + std::ptrdiff_t(n) * ny;
+    Real const* const above = ghosts_.ghosts(0, 1, layer) + std::ptrdiff_t(n) * ny;
+    for (int j = 0; j < ny; ++j) out[j * pitch - 1 - layer] = below[j], out[j * pitch + nx + layer] = above[j];
+  }
+}
+
+/// f - L phi of a plane of cells of a box whose ghosts are at hand, into `plane_`; plane after plane, from the first
+/// on. `cells`: of the box, null where they are zero.
+void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Real const* cells) {
+  Box const& own = mesh_.box(l, b);
+  std::ptrdiff_t const nx = own.extent(0), ny = own.extent(1), pitch = nx + 2 * layers;
+  for (int n = k == 0 ? -layers : k + layers; n <= k + layers; ++n) fill_plane(own, n, cells);
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * nx * ny;
+  Formula const formula{mesh_.equation(l), source.background};
+  Real const* const c = plane_around(own, k);
+  std::array<Real const*, 4> const z{plane_around(own, k - 2), plane_around(own, k - 1), plane_around(own, k + 1),
+                                     plane_around(own, k + 2)};
+  for (std::ptrdiff_t j = 0; j < ny; ++j) {
+    std::ptrdiff_t const at = j * pitch;
+    run(formula, int(nx),
+        {c + at,
+         {c + at - 2 * pitch, c + at - pitch, c + at + pitch, c + at + 2 * pitch},
+         {z[0] + at, z[1] + at, z[2] + at, z[3] + at}},
+        rho + j * nx, plane_.data() + j * nx);
+  }
+  auto const value = [&](Index3 const& cell) { return plane_around(own, cell[2])[cell[0] + cell[1] * pitch]; };
+  ghosts_.for_each_refined(l, b, k, value, [&](std::ptrdiff_t at, int axis, Real excess) {
+    plane_[std::size_t(at - k * nx * ny)] -= formula.equation.weight[axis] * excess;
   });
   mesh_.clear_covered(l, b, k, plane_.data());
 }
@@ -175,7 +157,7 @@ void FourthOrderResidual::right_hand_side_plane(int l, int b, int k, Source cons
     if (has_wall(l, b)) subtract_walls(l, b, k);
     return mesh_.clear_covered(l, b, k, plane_.data());
   }
-  plane_of(l, b, k, source, zeros_.data() + layers, zeros_.data(), zeros_.data() + zeros_.size());
+  plane_of(l, b, k, source, nullptr);
 }
 
 void FourthOrderResidual::term_sizes_plane(int l, int b, int k, Source const& source) {

@@ -20,14 +20,21 @@ class FourthOrderResidual : public CompositeResidual {
     ghosts_.visit(phi, &walls, FourthOrderGhosts::Ends::ghosts, FullyCovered::skip, f);
   }
 
-  void plane_of(int l, int b, int k, Source const& source, Real const* cells, Real const* begin, Real const* end);
+  void plane_of(int l, int b, int k, Source const& source, Real const* cells);
+  void fill_plane(Box const& own, int n, Real const* cells);
+  /// The first cell of plane n of a box in `planes_`; rows lie a row and its four ghosts apart.
+  Real* plane_around(Box const& own, int n) {
+    return planes_[std::size_t(n + layers) % planes_.size()].data() + layers * (own.extent(0) + 2 * layers) + layers;
+  }
   void subtract_walls(int l, int b, int k);
   bool has_wall(int l, int b) const;
   bool has_walls_alone(int l, int b) const;
 
+  static constexpr int layers = FourthOrderGhosts::layers;
+
   FourthOrderGhosts& ghosts_;
-  std::array<std::vector<Real>, 3> across_;  ///< of the plane under way, by axis: what wall data add
-  std::vector<Real> zeros_;                  ///< of a box at a wall
+  std::array<std::vector<Real>, 3> across_;               ///< of the plane under way, by axis: what wall data add
+  std::array<std::vector<Real>, 2 * layers + 1> planes_;  ///< around the one under way, with the ghosts around each
 };
 
 }  // namespace amrpic

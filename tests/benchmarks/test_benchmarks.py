@@ -24,6 +24,7 @@ import gamma
 import goals
 import growth
 import measuring
+import orders
 import particles
 import peers
 import performance
@@ -52,6 +53,14 @@ def test_work_unit_grows_with_its_cells_and_is_bounded_by_memory():
 
 def test_work_unit_of_one_cell_is_a_time_below_that_of_many():
     assert 0 < measuring.work_unit(WORLD, 1).seconds < measuring.work_unit(WORLD, 10**6).seconds
+
+
+def test_order_4_is_timed_beside_order_2():
+    records = {record.name: record for record in orders.beside(16, "open", 2)}
+    second, means, points = (records[orders.name(16, "open", density)] for density in orders.DENSITIES)
+    assert all(len(record.seconds) == 2 and record.median > 0 for record in records.values())
+    assert second.facts["cycles"] < means.facts["cycles"] <= 13
+    assert points.facts["cycles"] == means.facts["cycles"]
 
 
 def test_goals_in_work_units_take_the_least():

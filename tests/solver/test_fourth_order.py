@@ -207,7 +207,7 @@ def test_orders_between_open_walls(name):
     centre = place.get(name.rsplit(" ", 1)[-1], (0.5, 0.5, 0.5))
     source = Gaussian(tuple(0.068 * np.array(mesh.size)), tuple(np.array(centre) * mesh.size))
     fine = len(mesh.levels) > 2 or mesh.size[2] > 1
-    order, cycles = measured(mesh, source, "open", (32, 48) if fine else (48, 72))
+    order, cycles = measured(mesh, source, "open", (32, 48) if fine else (64, 96))
     assert min(order[1:3]) > 3.7
     assert order[3] > 3.5
     assert cycles <= 13

@@ -14,7 +14,7 @@ from mpi4py import MPI
 from ..errors import InputError
 from ..io.field_reader import Dump, open_dump
 from ..mesh.domain import AXES
-from ..mesh.field import Field, VectorField
+from ..mesh.field import Field, Holds, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..mesh.patch import Patch
 from ..parallel import together
@@ -39,6 +39,7 @@ class DumpedFields(Mapping[str, Field | VectorField]):
     time: float  # s
     hierarchy: Hierarchy
     units: Mapping[str, str]
+    potential_holds: Holds
     _read: dict[str, Field | VectorField] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -49,7 +50,8 @@ class DumpedFields(Mapping[str, Field | VectorField]):
             step, time, units = dump.step, dump.time, dict(dump.units)
             boxes = [level.boxes for level in dump.levels[1:]]
         sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor
-        return cls(path, step, time, Hierarchy(comm, scene.domain.value, boxes, *sizes), units)
+        hierarchy = Hierarchy(comm, scene.domain.value, boxes, *sizes)
+        return cls(path, step, time, hierarchy, units, scene.solver.potential_holds)
 
     def on(self, hierarchy: Hierarchy) -> DumpedFields:
         """The same fields on another hierarchy; nan in cells that the dump does not have."""
@@ -70,6 +72,7 @@ class DumpedFields(Mapping[str, Field | VectorField]):
                 values = _region(dump, name, patches[0])
                 for patch, component in zip(patches, np.moveaxis(values, -1, 0), strict=True):
                     patch.data[...] = component
+        parts[0].holds = self.potential_holds if name == "phi" else "points"
         return parts[0] if len(parts) == 1 else VectorField(*parts)
 
     @property

@@ -32,6 +32,7 @@ from ..scene.differences import differences
 from ..scene.domain import DomainSection
 from ..scene.motion import Leapfrog
 from ..scene.scene import Scene
+from ..scene.solver_options import SolverOptions
 from ..stages.encounters import Flights
 from ..stages.migrate import migrate
 from ..stages.poisson import SolveReport
@@ -167,7 +168,9 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
     units = {"rho": "C/m^3", "phi": "V", BEFORE: "V"}
     fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
+    order = held.header.about.scene["solver"].get("order", 2)
     for name, field in fields.items():
+        field.holds = SolverOptions(order=order).potential_holds if name.startswith("phi") else "points"
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
     if hierarchy is not stored and not another:

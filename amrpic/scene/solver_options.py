@@ -196,6 +196,11 @@ class SolverOptions(Section):
     def _refuse(self, option: str, what: str, remedy: str) -> NoReturn:
         raise complaint(what, remedy, path=option, found=getattr(self, option))
 
+    @property
+    def potential_holds(self) -> Literal["points", "means"]:
+        """What the values of a potential are, see `Field.holds`."""
+        return "means" if self.order == 4 else "points"
+
     def screening_refusal(self, domain: Domain) -> tuple[str, str] | None:
         """Return why a domain does not let the potential be screened, and what to do; None if it does."""
         if self.screening > 0 and any("open" in faces for faces in domain.boundary):

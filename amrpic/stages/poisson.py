@@ -133,9 +133,9 @@ class PoissonSolver:
         self._set_walls(boundary_values, boundary_flux)
         phi = guess.copy() if guess is not None else Field(self.hierarchy)
         phi.unit = "V"
-        if self.options.order == 4:
+        phi.holds = self.options.potential_holds
+        if phi.holds == "means":
             rho = self._in_means(rho)
-            phi.holds = "means"
         try:
             report = self.native.solve(rho.native, phi.native, guess is None, _known(last))
         except _native.SolverError as refused:

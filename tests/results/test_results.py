@@ -51,13 +51,16 @@ def test_fields_particles_and_tables_are_those_of_the_run(comm, tmp_path):
         assert all(everyones[id] == place for id, place in zip(held.id.tolist(), held.position.tolist(), strict=True))
 
 
-def test_a_dump_and_a_checkpoint_are_read_by_themselves(tmp_path):
-    simulation = amrpic.Simulation(scene(tmp_path))
+@pytest.mark.parametrize(("order", "holds"), [(2, "points"), (4, "means")])
+def test_a_dump_and_a_checkpoint_are_read_by_themselves(tmp_path, order, holds):
+    simulation = amrpic.Simulation(scene(tmp_path).replace(solver={"order": order}))
     simulation.run(log="silent")
     for name in ("fields_00000003.vtkhdf", "checkpoint_00000003"):
         found = amrpic.open(tmp_path / name)
         assert list(found.fields) == [3] and found.scene == simulation.scene
         np.testing.assert_array_equal(levels_of(found.fields[3].rho), levels_of(simulation.rho))
+        assert found.fields[3].phi.holds == simulation.phi.holds == holds and found.fields[3].rho.holds == "points"
+    assert amrpic.Simulation.restart(tmp_path / "checkpoint_00000003").phi.holds == holds
     assert len(amrpic.open(tmp_path / "checkpoint_00000003").particles(3)) == 3000
 
 

@@ -103,8 +103,7 @@ struct Worker {
     }
   }
 
-  /// Store value(i, before, after) of the cells of one parity by write(i, value); `here`: what neighbours are read of.
-  /// Cells of the other parity keep their values.
+  /// Set here[i] to value(i, before, after) in the cells of one parity. Those of the other one keep their values.
   template <class T, class Value>
   KOKKOS_INLINE_FUNCTION void relax(int n, int parity, T* here, T left, T right, Value const& value) const {
     if constexpr (on_host) {

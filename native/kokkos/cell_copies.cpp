@@ -4,13 +4,15 @@
 
 namespace amrpic::kokkos {
 
-Gather::Gather(std::vector<std::pair<std::int32_t, std::int32_t>> pairs) {
+Gather::Gather(std::vector<std::pair<std::int32_t, std::int32_t>> pairs, bool adds_up) {
   std::stable_sort(pairs.begin(), pairs.end(), [](auto const& a, auto const& b) { return a.first < b.first; });
   std::vector<std::int32_t> to, first, from;
   for (auto const& [place, source] : pairs) {
     if (to.empty() || to.back() != place) {
       to.push_back(place);
       first.push_back(std::int32_t(from.size()));
+    } else if (!adds_up) {
+      continue;
     }
     from.push_back(source);
   }
@@ -48,9 +50,9 @@ CellCopies::CellCopies(Communicator const& comm, matrixfree::RectangleExchange c
     return pairs;
   };
   bool const updates = use == Use::update;
-  local_ = Gather(updates ? turned(lists.local) : lists.local);
-  pack_ = Gather(turned(updates ? lists.asked : lists.wanted));
-  unpack_ = Gather(updates ? lists.wanted : lists.asked);
+  local_ = Gather(updates ? turned(lists.local) : lists.local, !updates);
+  pack_ = Gather(turned(updates ? lists.asked : lists.wanted), !updates);
+  unpack_ = Gather(updates ? lists.wanted : lists.asked, !updates);
   sent_ = side(updates ? lists.asked_parcels : lists.wanted_parcels);
   received_ = side(updates ? lists.wanted_parcels : lists.asked_parcels);
   exchange_ = Exchange<float>(comm, lists.asked_parcels, lists.wanted_parcels);

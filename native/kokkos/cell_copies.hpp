@@ -12,8 +12,9 @@ namespace amrpic::kokkos {
 class Gather {
  public:
   Gather() = default;
-  /// Pairs (to, from); those of one place are added in their order.
-  explicit Gather(std::vector<std::pair<std::int32_t, std::int32_t>> pairs);
+  /// Pairs (to, from). Those of one place are added in their order if it `adds_up`; else they are the same value, and
+  /// the first one is taken.
+  Gather(std::vector<std::pair<std::int32_t, std::int32_t>> pairs, bool adds_up);
 
   void set(Array<float> const& from, Array<float> const& to) const { run(from, to, false); }
   void add(Array<float> const& from, Array<float> const& to) const { run(from, to, true); }

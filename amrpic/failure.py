@@ -19,6 +19,7 @@ from .errors import AmrpicError, HierarchyError, InputError, SceneError
 BAD_INPUT = 2  # exit status of what the user can correct in the input; any other failure is 1
 NOT_PRINTED = (errno.ENOSPC, errno.EPIPE, errno.EIO, errno.EBADF)  # what printing may meet; files have names besides
 GRACE = 3.0  # s; ranks that raise together get here within milliseconds of each other
+LOOK = 0.01  # s that a look at the others counts for at most
 
 
 class Meeting:
@@ -45,10 +46,15 @@ class Meeting:
 
 
 def is_over(collective: MPI.Request, patience: float) -> bool:
-    """Return whether all ranks have come to a collective call within `patience` s."""
-    end = time.monotonic() + patience
-    while not (over := collective.Test()) and time.monotonic() < end:
+    """Return whether all ranks have come to a collective call within `patience` s.
+
+    Time in which this process did not run counts little: where its job was suspended, the others have had as much less.
+    """
+    waited, latest = 0.0, time.monotonic()
+    while not (over := collective.Test()) and waited < patience:
         time.sleep(1e-4)
+        now = time.monotonic()
+        waited, latest = waited + min(now - latest, LOOK), now
     return over
 
 

@@ -15,7 +15,7 @@ from least_squares import record_name as stencil_record
 from measuring import Record
 from particles import OWN_B, SOLENOID, record_name
 from pic_step import IMPACTX_WALLS, step_name
-from points import beyond_cache_name, layout_name
+from points import MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
 from points import record_name as product_name
 from solving import BESIDE_DST, BOXES, EACH_BACKEND, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
@@ -165,6 +165,19 @@ def elements(found: Found) -> Iterator[Goal]:
             mine, theirs = (product_name(problem, degree, "Gauss", who) for who in ("amrpic", "libCEED"))
             faster = found.unknowns_per_second(mine) / found.unknowns_per_second(theirs)
             yield Goal(f"{problem} at Gauss points, degree {degree}, against libCEED", faster, 2, 4, "×", at_least=True)
+    for who, must, aim in (("neo-Hookean", 0.6, 0.85), ("Ogden", 0.4, 0.6)):
+        slower = found.ratio(tangent_name("BP4"), tangent_name(who))
+        yield Goal(f"{who} tangent against BP4, points/s", slower, must, aim, "×", at_least=True)
+    for degree in (1, 2):
+        share = found.ratio(points_step_name(degree, "points"), points_step_name(degree, "Newton"))
+        what = f"locate, migrate, sort and weigh, degree {degree}, over a Newton iteration"
+        yield Goal(what, share, 0.5, 0.15, "×")
+    yield Goal(
+        "memory of a run, degree 2, 64 points an element", found.fact(MEMORY, "bytes per point"), 400, 300, " B/point"
+    )
+    for cells, must, aim in ((16, 0.6, 0.3), (32, 0.35, 0.15)):
+        share = found.ratio(solve_name(cells, "p-multigrid"), solve_name(cells, "jacobi"))
+        yield Goal(f"p-multigrid over the diagonal, degree 2, contrast 800, {cells}³ elements", share, must, aim, "×")
     rates = {
         (ranks, size): found.fact(name, "points") / found.seconds(name)
         for ranks in (1, 2)

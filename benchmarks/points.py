@@ -2,7 +2,8 @@
 
 Each product with an operator beside the machine's peak of fused products and sums, measured in turns with it, and beside
 libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and
-back alone.
+back alone. Tangents of solids beside BP4 at the same points; what a load step does to points beside an iteration of
+Newton's method; multigrid beside the diagonal on grains, binder and air; memory of a run.
 Thread time on one rank; on two ranks wall time of the slower one.
 """
 
@@ -13,15 +14,19 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import ceed_peer
 import numpy as np
-from measuring import Record, watched, write
+from measuring import Record, reset_peak, resident, watched, write
 from mpi4py import MPI
 
-from amrpic import _native, fem
+from amrpic import _native, fem, mpm
+from amrpic.mpm.state import Plan
+from amrpic.mpm.step import begin, put
+from amrpic.verify.press import first_tangent
 
 PROBLEMS = {"BP1": (fem.Mass, 1), "BP2": (fem.Mass, 3), "BP3": (fem.Poisson, 1), "BP4": (fem.Poisson, 3)}
 CELLS = {1: 16, 2: 10, 3: 8, 4: 6}  # elements per axis at points, by degree
@@ -30,6 +35,12 @@ AT_POINTS = ((1, 4), (2, 3), (2, 4), (3, 4), (4, 5))  # degree, points per axis
 DEGREES = (1, 2, 3, 4)
 BEYOND_CACHE = {"degree": 2, "cells": (48, 40, 60), "per_axis": 4}
 CEED_ELEMENTS = 20
+LAWS: dict[str, mpm.Material] = {
+    "neo-Hookean": mpm.NeoHookean(300e6, 0.25),
+    "Ogden": mpm.Ogden(((72e6, 1.3), (60e6, 5.0), (-12e6, -2.0)), 120e6),
+}
+STEP_CELLS = {1: 16, 2: 8}  # elements per axis of runs, by degree
+AIR = 5e6  # Pa, an 800th of the grains' stiffness
 
 
 def nominal_flops(kind: type[fem.Operator], degree: int) -> int:
@@ -48,6 +59,21 @@ def layout_name(degree: int, per_axis: int) -> str:
 
 def beyond_cache_name(ranks: int, size: str) -> str:
     return f"elements, BP3, p = 2, 64 points, {size}, {ranks} ranks"
+
+
+def tangent_name(who: str) -> str:
+    return f"elements, product, p = 2, 64 points, {who}"
+
+
+def points_step_name(degree: int, what: str) -> str:
+    return f"load step, p = {degree}, 64 points, {what}"
+
+
+def solve_name(cells: int, preconditioner: str) -> str:
+    return f"solve, p = 2, contrast 800, {cells}³ elements, {preconditioner}"
+
+
+MEMORY = "load step, p = 2, 64 points, memory"
 
 
 def seconds(call: Callable[[], Any], least: float = 0.02) -> float:
@@ -109,6 +135,78 @@ def at_gauss(problem: str, degree: int, runs: int, peer: bool) -> list[Record]:
     return timed(record_name(problem, degree, "Gauss", "{who}"), calls, runs, facts)
 
 
+def tangents(runs: int) -> list[Record]:
+    """Return the records of products with BP4 and with tangents of solids, at the same points."""
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, CELLS[2], degree=2)
+    points, u = fem.jittered(mesh, 4, weights="volume"), vector(mesh, 3)
+    operators: dict[str, fem.Operator] = {"BP4": fem.Poisson(points, components=3)}
+    operators |= {name: mpm.Solid(points, law).tangent(1e-3 * np.sin(mesh.nodes)) for name, law in LAWS.items()}
+    calls: dict[str, Callable[[], Any]] = {
+        name: partial(operator.__matmul__, u) for name, operator in operators.items()
+    }
+    return timed(tangent_name("{who}"), calls, runs, dict.fromkeys(calls, facts_of(mesh, 3, len(points), 0)))
+
+
+def pressed(cells: int, degree: int) -> mpm.Scene:
+    """A block between walls, 64 points an element, that writes nothing."""
+    return mpm.Scene.from_dict(
+        {
+            "name": "bench",
+            "domain": {"lower": 0, "upper": 1, "cells": cells, "degree": degree},
+            "faces": {"x": "slip", "y": "slip", "z": ["slip", {"press": 0.1}]},
+            "materials": {"rubber": {"law": "neo-hookean", "young": 300e6, "poisson": 0.25}},
+            "schedule": {"steps": 10},
+            "output": {"write": []},
+        }
+    )
+
+
+def load_step(degree: int, runs: int) -> list[Record]:
+    """Return the records of what a load step does to points, to locate, migrate, sort and weigh them, and of an iteration of
+    Newton's method: forces, tangent, and its linear system to a hundredth."""
+    scene = pressed(STEP_CELLS[degree], degree)
+    plan = Plan(MPI.COMM_SELF, scene)
+    state = begin(plan)
+    points, solid, mesh = state.placed.points, state.placed.solid, state.placed.mesh
+    walls = (mesh.node_indices == 0) | (mesh.node_indices == mesh.node_counts - 1)
+    u = 1e-3 * np.sin(5 * mesh.nodes[:, [1, 2, 0]]) * ~walls
+
+    def newton() -> None:
+        force = solid.respond(u).force
+        fem.solve(solid.tangent(u), force, fixed=walls, tolerance=1e-2)
+
+    calls: dict[str, Callable[[], Any]] = {"points": lambda: put(points, plan, 0.0), "Newton": newton}
+    facts = {name: {"points": len(points)} for name in calls}
+    return timed(points_step_name(degree, "{who}"), calls, runs, facts)
+
+
+def run_memory() -> Record:
+    """Return the record of a load step and what memory it takes at its fullest, made in this process."""
+    before = resident("VmRSS")
+    reset_peak()
+    run = mpm.Simulation(MPI.COMM_SELF, pressed(12, 2))
+    start = time.thread_time()
+    run.advance()
+    taken, count = time.thread_time() - start, len(run.state.placed.points)
+    facts = {"points": count, "bytes per point": (resident("VmHWM") - before) / count}
+    return Record(MEMORY, [taken], facts=facts)
+
+
+def solves(cells: int) -> list[Record]:
+    """Return the records of the first linear system of a press, to 1e-8, by multigrid and by the diagonal."""
+    tangent, fixed, values = first_tangent(MPI.COMM_SELF, 2, cells, 4, AIR)
+    out = []
+    for preconditioner in ("p-multigrid", "jacobi"):
+        start = time.thread_time()
+        _, report = fem.solve(
+            tangent, 0 * values, fixed=fixed, values=values, tolerance=1e-8, preconditioner=preconditioner
+        )
+        assert report.converged, report.reason
+        facts = {"points": len(tangent.points), "iterations": report.iterations}
+        out.append(Record(solve_name(cells, preconditioner), [time.thread_time() - start], facts=facts))
+    return out
+
+
 def facts_of(mesh: fem.Mesh, components: int, points: int, flops: int) -> dict[str, Any]:
     return {
         "unknowns": len(mesh.node_indices) * components,
@@ -146,6 +244,10 @@ def large(runs: int, small: bool) -> list[Record]:
 
 def printed(record: Record) -> str:
     facts = record.facts
+    if "iterations" in facts:
+        return f"{record.name}: {facts['iterations']} iterations in {record.median:.3g} s"
+    if record.name == MEMORY:
+        return f"{record.name}: {facts['bytes per point']:.0f} B a point"
     rate = f"{1e-6 * facts['points'] / record.median:.3g} million points/s"
     if "unknowns" not in facts:
         return f"{record.name}: {rate}"
@@ -169,13 +271,20 @@ def main() -> int:
         if not peer:
             print("without libCEED, which cannot be imported: rows beside it are left out", flush=True)
         problems = ("BP3",) if given.quick else tuple(PROBLEMS)
+        memory = run_memory()  # before others have taken some that is used again
         with watched(core):
             for problem in problems:
                 for degree, per_axis in AT_POINTS:
                     records += at_points(problem, degree, per_axis, given.runs, peer)
                 for degree in DEGREES:
                     records += at_gauss(problem, degree, given.runs, peer)
+            records += tangents(given.runs)
+            for degree in STEP_CELLS:
+                records += load_step(degree, given.runs)
+            for cells in (8,) if given.quick else (16, 32):
+                records += solves(cells)
         records[0].facts.update(core)
+        records.append(memory)
     for small in (True,) if given.quick else (True, False):
         records += large(given.runs, small)
     if comm.rank == 0:

@@ -2,7 +2,8 @@
 
 `@pytest.mark.mpi(ranks=(1, 2), timeout=60)` runs a test once per number of ranks, on as many processes, which other files
 share unless it asks for `fresh=True`.
-Such a test asks for the fixture `comm`; its `tmp_path` is one directory for all ranks.
+Such a test asks for the fixture `comm`; its `tmp_path` is one directory for all ranks. `more=(4,)` adds numbers of ranks to its
+long form.
 
 A test with an argument `long` has two forms, short for False; the long ones carry the marker `long`, as do tests that have
 no short form. `pytest` leaves them out unless it is given `-m`.
@@ -28,7 +29,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers",
-        "mpi(ranks=(1, 2), timeout=60, fresh=False): on so many MPI ranks, within the timeout, in new processes",
+        "mpi(ranks=(1, 2), more=(), timeout=60, fresh=False): on so many MPI ranks, and on more if long, within the timeout, "
+        "in new processes",
     )
     config.addinivalue_line("markers", "browser: looks at pages in Chromium; skipped without, unless --need-browser")
     config.addinivalue_line("markers", "long: takes minutes; `pytest -m long` runs these alone, `pytest -m ''` all")
@@ -42,7 +44,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     mark = metafunc.definition.get_closest_marker("mpi")
     if mark is not None:
         metafunc.fixturenames.append("ranks")
-        metafunc.parametrize("ranks", mpi_batch.rank_counts(mark), ids=lambda n: f"{n}r")
+        further = [pytest.param(n, marks=pytest.mark.long) for n in mark.kwargs.get("more", ())]
+        metafunc.parametrize("ranks", [*mpi_batch.rank_counts(mark), *further], ids=lambda n: f"{n}r")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

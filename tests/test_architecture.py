@@ -98,6 +98,10 @@ def python_files() -> list[Path]:
     return sorted((ROOT / "amrpic").rglob("*.py"))
 
 
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
 def included(text: str) -> Iterator[str]:
     """Folders of the own headers that a native source includes."""
     return (folder for folder in re.findall(r'^\s*#\s*include\s*"(\w+)/', text, re.MULTILINE))
@@ -147,19 +151,20 @@ def forbidden_imports(module: tuple[str, ...], text: str) -> set[str]:
     return {".".join(other) for other in above | beside}
 
 
-@pytest.mark.parametrize("path", native_files(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_native_folder_includes_only_what_lies_below_it(path):
-    text = path.read_text()
-    assert forbidden_includes(path.parent.name, text) == set()
-    for pattern, folders in CONFINED.items():
-        assert path.parent.name in folders or not re.search(pattern, text), (
-            f"{pattern} belongs to {folders or 'nobody'}"
-        )
+def test_native_folders_include_only_what_lies_below_them():
+    found = {name_of(path): forbidden_includes(path.parent.name, path.read_text()) for path in native_files()}
+    assert {name: folders for name, folders in found.items() if folders} == {}
 
 
-@pytest.mark.parametrize("path", python_files(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_module_imports_from_below_only(path):
-    assert forbidden_imports(module_of(path), path.read_text()) == set()
+@pytest.mark.parametrize("pattern", CONFINED)
+def test_what_belongs_to_some_native_folders_is_in_no_other(pattern):
+    others = [path for path in native_files() if path.parent.name not in CONFINED[pattern]]
+    assert [name_of(path) for path in others if re.search(pattern, path.read_text())] == []
+
+
+def test_modules_import_from_below_only():
+    found = {name_of(path): forbidden_imports(module_of(path), path.read_text()) for path in python_files()}
+    assert {name: modules for name, modules in found.items() if modules} == {}
 
 
 def test_all_modules_have_a_place_in_the_order():
@@ -212,10 +217,9 @@ def test_a_build_without_them_leaves_out_just_what_includes_trilinos_or_kokkos()
     assert {name for name, path in sources.items() if includes(KOKKOS, path)} - of_trilinos == of_kokkos
 
 
-@pytest.mark.parametrize("source", common_sources())
-def test_what_is_compiled_once_knows_nothing_of_instruction_sets(source):
-    for path in [ROOT / source, *own_headers(ROOT / source)]:
-        assert not re.search(r"vector_size|__(AVX|SSE|FMA)", path.read_text()), path
+def test_what_is_compiled_once_knows_nothing_of_instruction_sets():
+    read = {path for name in common_sources() for path in [ROOT / name, *own_headers(ROOT / name)]}
+    assert [name_of(path) for path in sorted(read) if re.search(r"vector_size|__(AVX|SSE|FMA)", path.read_text())] == []
 
 
 # What a cycle on compressed rows is made of; the smoothers' set-up and the ends of a solve lie in other files.
@@ -248,11 +252,10 @@ def weights_in(text: str) -> list[str]:
     return [match[0] for match in WEIGHTS.finditer(whole_numbers)]
 
 
-@pytest.mark.parametrize("path", native_files(), ids=lambda path: str(path.relative_to(ROOT)))
-def test_weights_of_formulas_stand_in_native_stencil_alone(path):
-    found = weights_in(path.read_text())
-    if path.parent.name != "stencil":
-        assert len(found) <= OTHER_NUMBERS.get(str(path.relative_to(ROOT / "native")), 0), found
+def test_weights_of_formulas_stand_in_native_stencil_alone():
+    others = [path for path in native_files() if path.parent.name != "stencil"]
+    found = {str(path.relative_to(ROOT / "native")): weights_in(path.read_text()) for path in others}
+    assert {name: weights for name, weights in found.items() if len(weights) > OTHER_NUMBERS.get(name, 0)} == {}
 
 
 def test_weights_are_found():

@@ -7,6 +7,9 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from mpi4py import MPI
+
+from ..parallel import from_rank_0
 from ..results.compare import Comparison, Difference, compare
 from ..units import quantity
 from .arguments import Commands, command
@@ -45,8 +48,9 @@ def _tolerance(text: str) -> float:
 
 
 def _compare(chosen: argparse.Namespace) -> int:
-    found = compare(Path(chosen.first), Path(chosen.second))
-    print("\n".join(lines(found, chosen.tolerance)))
+    found = from_rank_0(MPI.COMM_WORLD, lambda: compare(Path(chosen.first), Path(chosen.second)))
+    if MPI.COMM_WORLD.rank == 0:
+        print("\n".join(lines(found, chosen.tolerance)))
     return 0 if found.equal(chosen.tolerance) else DIFFERENT
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from mpi4py import MPI
+
 from ..errors import InputError
+from ..parallel import from_rank_0
 from .arguments import Commands, command
 
 
@@ -23,5 +26,7 @@ def _report(chosen: argparse.Namespace) -> int:
     folder = Path(chosen.run)
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give that of a run, such as runs/drift")
-    print(report.write(folder))
+    path = from_rank_0(MPI.COMM_WORLD, lambda: report.write(folder))
+    if MPI.COMM_WORLD.rank == 0:
+        print(path)
     return 0

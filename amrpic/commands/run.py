@@ -45,7 +45,7 @@ def _run(chosen: argparse.Namespace) -> int:
     try:
         simulation = _begin(comm, scene, chosen.restart)
     except Exception as failure:
-        start_failed(comm, scene, " ".join(str(failure).split()))
+        start_failed(comm, scene, failure)
         raise
     return 0 if simulation.run(walltime).stopped is None else STOPPED
 

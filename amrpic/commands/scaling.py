@@ -17,8 +17,6 @@ from ..scaling.study import KINDS, LAUNCHER, Study
 from .arguments import Commands, command, count, pic_scene_of, scene_arguments, scene_of
 from .text_table import columns
 
-CYCLES = 2.0
-
 
 def add(commands: Commands) -> None:
     """Add the command to the parser."""
@@ -89,7 +87,12 @@ def add(commands: Commands) -> None:
         metavar="FILE",
         help="where the text of --plan goes, as Markdown; default plan.md in --output",
     )
-    scaling.add_argument("--cycles", type=float, default=CYCLES, metavar="N", help="of a solve, for --plan; default 2")
+    scaling.add_argument(
+        "--cycles",
+        type=float,
+        metavar="N",
+        help="of a solve, on average, for --plan; default 2, and about 1 where solves start from extrapolated potentials",
+    )
     scaling.add_argument("--calibrate", metavar="FILE", help="measure the constants of this machine into a TOML file")
     scaling.add_argument("--output", metavar="DIR", help="where to write; default runs/<scene>")
 
@@ -155,7 +158,7 @@ def _calibrate(launcher: str, clock: str, path: Path) -> int:
 
 def _plan(chosen: argparse.Namespace, folder: Path) -> int:
     from ..scaling.machine import Machine
-    from ..scaling.plan import Planner
+    from ..scaling.plan import Planner, cycles_per_solve
     from ..scaling.report import write_plans
     from ..scaling.targets import Targets
 
@@ -164,7 +167,8 @@ def _plan(chosen: argparse.Namespace, folder: Path) -> int:
     say = _progress()
     planner = Planner(pic_scene_of(chosen), say)
     plans = list(planner.plans(chosen.plan))
-    text, paths = write_plans(planner, plans, machines, chosen.cycles, folder, chosen.page, targets, _said(chosen))
+    cycles = cycles_per_solve(planner.scene) if chosen.cycles is None else chosen.cycles
+    text, paths = write_plans(planner, plans, machines, cycles, folder, chosen.page, targets, _said(chosen))
     say("")
     print(text)
     print(*paths, sep="\n")
@@ -175,7 +179,7 @@ def _said(chosen: argparse.Namespace) -> str:
     """Return the command that makes a plan, as it is shown."""
     changes = [part for change in chosen.set for part in ("--set", change)]
     machines = [part for name in chosen.machine or [] for part in ("--machine", name)]
-    cycles = [] if chosen.cycles == CYCLES else ["--cycles", f"{chosen.cycles:g}"]
+    cycles = [] if chosen.cycles is None else ["--cycles", f"{chosen.cycles:g}"]
     targets = [] if chosen.targets is None else ["--targets", str(chosen.targets)]
     plan = ["--plan", ",".join(map(str, chosen.plan))]
     return shlex.join(["amrpic", "scaling", str(chosen.scene), *changes, *plan, *machines, *cycles, *targets])

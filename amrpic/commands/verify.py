@@ -27,7 +27,11 @@ def add(commands: Commands) -> None:
         help="speed against error of a scene, over meshes, tolerances, box sizes and guesses; several if repeated, with TOPIC "
         "only if named too",
     )
-    verify.add_argument("--quick", action="store_true", help="try fewer settings of each scene")
+    verify.add_argument(
+        "--quick",
+        action="store_true",
+        help="try fewer settings of each scene, and fewer cases of operators, materials and mpm",
+    )
     verify.add_argument(
         "--long", action="store_true", help="make comparisons in full that are shortened otherwise; hours, not minutes"
     )

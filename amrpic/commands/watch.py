@@ -6,7 +6,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -19,13 +19,14 @@ from ..io.run_status import FINISHED, RUNNING, STOPPED, RunStatus
 from ..results.run_results import SERIES
 from ..units import quantity
 from .arguments import Commands, command, seconds
+from .methods import MPM
 from .run import STOPPED as EXIT_STOPPED
 from .text_table import columns
 
 if TYPE_CHECKING:
     from rich.console import Group
 
-SHOWN = {  # columns of the series, with their units
+SHOWN: Mapping[str, str] = {  # columns of the series, with their units
     "rms_x": "m",
     "rms_y": "m",
     "rms_z": "m",
@@ -33,6 +34,15 @@ SHOWN = {  # columns of the series, with their units
     "potential_energy": "J",
     "particles": "",
     "cycles": "",
+    "seconds": "s",
+}
+SHOWN_OF_POINTS: Mapping[str, str] = {
+    "work": "J",
+    "stored": "J",
+    "dissipated": "J",
+    "turns": "",
+    "newton_iterations": "",
+    "cg_iterations": "",
     "seconds": "s",
 }
 WIDTH = 40  # steps in a sparkline
@@ -51,10 +61,10 @@ class Look:
     @classmethod
     def at(cls, folder: Path, status: RunStatus) -> Look:
         """Return how a run looks now. Raises InputError if its series is damaged."""
-        path, held = folder / SERIES, {}
+        path, held, shown = folder / SERIES, {}, SHOWN_OF_POINTS if status.method == MPM else SHOWN
         if path.exists():
-            held = time_series.latest(path, list(SHOWN), WIDTH)
-        series = [(name, sparkline(values), _value(values[-1], SHOWN[name])) for name, values in held.items() if values]
+            held = time_series.latest(path, list(shown), WIDTH)
+        series = [(name, sparkline(values), _value(values[-1], shown[name])) for name, values in held.items() if values]
         return cls(f"{status.scene}: {status.state}{': ' * bool(status.why)}{status.why}", _facts(status), series)
 
     @property
@@ -79,18 +89,35 @@ def _facts(status: RunStatus) -> list[tuple[str, str]]:
         rest = datetime.fromisoformat(status.estimated_end) - datetime.now().astimezone()
         left = f", {max(timedelta(seconds=round(rest.total_seconds())), timedelta(0))} left"
     written = ", ".join(f"{kind} {step}" for kind, step in status.written.items())
+    of_method = _of_points(status) if status.method == MPM else _of_particles(status)
     facts = [
         ("step", f"{status.step} of {status.of}, {done}"),
-        ("time", f"{_value(status.time, 's')}, step of {_value(status.dt, 's')}" if status.dt else _value(status.time, "s")),
         ("pace", f"{_value(pace, 's')} per step on {status.ranks} rank{'s' * (status.ranks > 1)}{left}"),
-        ("particles", f"{status.particles}, {status.lost_particles} lost"),
-        ("mesh", f"{status.levels} levels, {status.cells} cells"),
-        ("solve", f"{status.cycles} cycles to {status.residual:.1e}" if status.residual is not None else "none"),
+        *of_method,
         ("memory", f"{status.memory / 2**20:.0f} MiB on the largest rank"),
         ("written", f"steps: {written}" if written else "nothing yet"),
         ("updated", f"{status.updated}, process {status.process} on {status.host}"),
     ]  # fmt: skip
     return facts
+
+
+def _of_particles(status: RunStatus) -> list[tuple[str, str]]:
+    time = _value(status.time, "s")
+    return [
+        ("time", f"{time}, step of {_value(status.dt, 's')}" if status.dt else time),
+        ("particles", f"{status.particles}, {status.lost_particles} lost"),
+        ("mesh", f"{status.levels} levels, {status.cells} cells"),
+        ("solve", f"{status.cycles} cycles to {status.residual:.1e}" if status.residual is not None else "none"),
+    ]
+
+
+def _of_points(status: RunStatus) -> list[tuple[str, str]]:
+    left = "none" if status.residual is None else f"{status.cycles} CG iterations, {status.residual:.1e} of forces left"
+    return [
+        ("load", "none" if status.time is None else f"{100 * status.time:.2f} %"),
+        ("points", f"{status.particles}"),
+        ("solve", left),
+    ]
 
 
 def _value(value: float | None, unit: str) -> str:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from mpi4py import MPI
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array, csr_array
 
 from .. import _native
 from ..errors import InputError
@@ -42,7 +42,7 @@ class Operator:
         """Return the diagonal as a vector, exactly and without products with unit vectors. Collective."""
         return shaped(self.native.diagonal(), self.components)
 
-    def to_scipy(self) -> csr_array | None:
+    def to_scipy(self) -> scipy.sparse.csr_array | None:
         """Return the matrix on rank 0, and None on others. Collective.
 
         Its rows are the unknowns of all ranks, rank after rank, in the order of vectors with components side by side.
@@ -54,7 +54,7 @@ class Operator:
             return None
         row, column, value = parts
         size = int(self.mesh.node_counts.prod()) * self.components
-        return csr_array(coo_array((value, (row, column)), shape=(size, size)))
+        return scipy.sparse.csr_array(scipy.sparse.coo_array((value, (row, column)), shape=(size, size)))
 
 
 def _gathered(comm: MPI.Intracomm, values: np.ndarray) -> np.ndarray:

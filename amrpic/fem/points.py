@@ -25,9 +25,9 @@ class Points:
     from -1 to 1, `volume` and `weight` (n,) in m³, `number` (n,) that of the point among those of all ranks.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
-    exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `gauss`:
-    they are so many of Gauss's points along each axis of all elements, x fastest, and have his weights. `weight`: those that
-    they have instead.
+    exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `rough`:
+    elements (elements,) that keep volumes in any case. `gauss`: they are so many of Gauss's points along each axis of all
+    elements, x fastest, and have his weights. `weight`: those that they have instead.
     """
 
     def __init__(
@@ -40,6 +40,7 @@ class Points:
         weights: Weights = "moments",
         gauss: int = 0,
         weight: np.ndarray | None = None,
+        rough: np.ndarray | None = None,
     ) -> None:
         self.mesh = mesh
         self.element = np.ascontiguousarray(element, dtype=np.int32)
@@ -52,12 +53,20 @@ class Points:
         elif weight is not None:
             self.weight = np.ascontiguousarray(weight, dtype=np.float64)
         elif weights == "moments":
-            first = np.searchsorted(self.element, np.arange(len(mesh.elements) + 1))
-            self.weight, self.exact_to = _native.fem_fit_moments(
-                first.astype(np.int64), self.reference, self.volume, mesh.element_volume, 2 * mesh.degree - 1
-            )
+            self._fit(np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
         self.native = _native.FemPoints(
             mesh.native, self.element, self.reference, self.weight, gauss == mesh.degree + 1
+        )
+
+    def _fit(self, rough: np.ndarray) -> None:
+        """Give points of elements that are not rough the weights that are exact to the highest degree there is."""
+        mesh, fits = self.mesh, ~rough
+        some = fits[self.element]
+        counts = np.bincount(self.element[some], minlength=len(rough))[fits]
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        self.weight = self.volume.copy()
+        self.weight[some], self.exact_to[fits] = _native.fem_fit_moments(
+            first, self.reference[some], self.volume[some], mesh.element_volume, 2 * mesh.degree - 1
         )
 
     def __len__(self) -> int:

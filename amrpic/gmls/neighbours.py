@@ -8,8 +8,8 @@ from itertools import chain
 from typing import Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from .. import _native
 from ..errors import InputError
@@ -183,7 +183,7 @@ def nearby(
         raise InputError(f"sites have {where.shape[1]} coordinates and targets {places.shape[1]}; give as many")
     if (order is None) == (radius is None):
         raise InputError("neighbours need either an order or a radius; give one of them")
-    tree = cKDTree(where, leafsize=LEAF)
+    tree = scipy.spatial.cKDTree(where, leafsize=LEAF)
     tied = np.zeros(len(places), dtype=bool)
     if radius is not None:
         distances = np.broadcast_to(finite(radius, "the radius"), len(places)).copy()

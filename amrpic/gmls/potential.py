@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from mpi4py import MPI
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from .. import _native
 from ..errors import InputError, SolverError
@@ -176,7 +175,9 @@ class _Rows:
     def __init__(self, comm: Communicator, given: _Given, order: int, reach: float) -> None:
         free = np.ones(len(given.sites), dtype=bool)
         free[given.fixed] = False
-        along = cKDTree(given.sites).indices  # leaf by leaf: places near each other have numbers near each other
+        along = scipy.spatial.cKDTree(
+            given.sites
+        ).indices  # leaf by leaf: places near each other have numbers near each other
         unknown = along[free[along]]
         first, last = share(comm, len(unknown))
         self.sites, self.count = unknown[first:last], len(given.sites)
@@ -196,7 +197,7 @@ class _Rows:
         if exact:
             f = f - found.exact_weights[:, 0, 0] * given.slopes[self.sites]
         self._f = f = f - laplacian[:, given.fixed] @ given.potential
-        among = csr_array(laplacian[:, unknown])
+        among = scipy.sparse.csr_array(laplacian[:, unknown])
         diagonal = among[np.arange(last - first), np.arange(first, last)]
         self._replaced = None
         if not given.bounded:

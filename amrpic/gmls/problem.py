@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import nnls
 
 from .. import _native
 from ..errors import InputError
@@ -228,7 +228,7 @@ class Problem:
             found.path[t] = NO_SIGN
             for sign in (1.0, -1.0):
                 columns = np.hstack([rows.T, -rows[~off].T])
-                z, _ = nnls(columns, sign * tau[:, 0], maxiter=20 * columns.shape[1])
+                z, _ = scipy.optimize.nnls(columns, sign * tau[:, 0], maxiter=20 * columns.shape[1])
                 missing = np.abs(columns @ z - sign * tau[:, 0]).max()
                 if missing <= RESIDUAL_BOUND * np.abs(tau).max():
                     total = z[: len(rows)].copy()

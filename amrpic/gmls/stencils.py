@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.sparse import csr_array
 
 from ..errors import InputError, SolverError
 from .checks import finite, points
@@ -84,7 +84,7 @@ class Stencils:
     def __len__(self) -> int:
         return len(self.start) - 1
 
-    def matrix(self, name: str) -> csr_array:
+    def matrix(self, name: str) -> scipy.sparse.csr_array:
         """Return the matrix of a quantity, (n * its numbers per target, samples): a row per target if it is one number.
 
         Whole vectors are numbered site by site. Data of exact rows are not in it: `exact_weights`.
@@ -92,9 +92,11 @@ class Stencils:
         rows, shape = self._rows(name)
         count = rows.stop - rows.start
         if count == 1:
-            return csr_array((self._weights(rows.start), self.index, self.start), (len(self), self.samples))
+            return scipy.sparse.csr_array(
+                (self._weights(rows.start), self.index, self.start), (len(self), self.samples)
+            )
         of_target = [
-            csr_array((self._weights(r), self.index, self.start), (len(self), self.samples))
+            scipy.sparse.csr_array((self._weights(r), self.index, self.start), (len(self), self.samples))
             for r in range(rows.start, rows.stop)
         ]
         lengths = np.repeat(np.diff(self.start)[:, None], count, axis=1).ravel()
@@ -105,7 +107,7 @@ class Stencils:
         )
         data = np.concatenate([part.data for part in of_target])[order]
         index = np.concatenate([part.indices for part in of_target])[order]
-        return csr_array((data, index, start), (len(self) * count, self.samples))
+        return scipy.sparse.csr_array((data, index, start), (len(self) * count, self.samples))
 
     def apply(self, values: ArrayLike, exact: Mapping[str, ArrayLike] | None = None) -> dict[str, np.ndarray]:
         """Return each quantity, (n, *shape), from values (m,), or (n, *shape, columns) from (m, columns).
@@ -128,7 +130,9 @@ class Stencils:
             start = self.start[some.start : some.stop + 1]
             index, weights = self.index[start[0] : start[-1]], self._weights(slice(None), some)
             for row in range(self.solved.shape[1]):
-                matrix = csr_array((weights[:, row], index, start - start[0]), (len(start) - 1, self.samples))
+                matrix = scipy.sparse.csr_array(
+                    (weights[:, row], index, start - start[0]), (len(start) - 1, self.samples)
+                )
                 sums[some, row] = matrix @ given
         for number, name in enumerate(self.exact):
             datum = np.asarray(data[name], dtype=float)

@@ -49,9 +49,9 @@ class Dump(Composite):
             raise self._refusal(f"it is no field dump of amrpic ({one_line(error)})") from None
         try:
             require_parts(self._h5, self.path.parent)
-        except ValueError as error:
+        except UNREADABLE as error:  # HDF5's own as well: a damaged group is found where its members are looked for
             self._h5.close()
-            raise self._refusal(str(error)) from None
+            raise self._refusal(one_line(error)) from None
 
     @cached_property
     def periodic(self) -> tuple[bool, bool, bool]:

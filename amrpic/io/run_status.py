@@ -48,6 +48,7 @@ class RunStatus:
     written: dict[str, int] = field(default_factory=dict)  # the latest step of each kind of output
     notes: list[str] = field(default_factory=list)  # what the run chose by itself
     warnings: list[str] = field(default_factory=list)
+    method: str = ""  # "mpm": material points, whose `time` is the part of the load; else particle-in-cell
 
     def write(self, folder: Path) -> None:
         """Replace the file in the folder of the run. Raises OSError."""

@@ -133,7 +133,10 @@ def read(path: Path) -> NDArray[Any]:
 
 
 def latest(path: Path, names: Sequence[str], count: int) -> dict[str, list[float]]:
-    """Return at most the `count` latest values of some numeric columns, without reading the whole file. Raises InputError."""
+    """Return at most the `count` latest values of those numeric columns that there are, without reading the whole file.
+
+    Raises InputError.
+    """
     try:
         with open(path, "rb") as file:
             head = file.readline()
@@ -142,7 +145,7 @@ def latest(path: Path, names: Sequence[str], count: int) -> dict[str, list[float
             lines = file.read().decode().split("\n")[start > len(head) : -1]  # whole ones
         columns = head.decode().strip().split(",")
         rows = [line.split(",") for line in lines[-count:]]
-        return {name: [float(row[columns.index(name)]) for row in rows] for name in names}
+        return {name: [float(row[columns.index(name)]) for row in rows] for name in names if name in columns}
     except (OSError, ValueError, IndexError) as error:
         raise _unreadable(path, error) from None
 

@@ -264,6 +264,7 @@ class Field(FieldViews):
         for values outside of the bounds.
         """
         out = Field(hierarchy, self.unit)
+        out.holds = self.holds
         remap(self, out, order, bounds)
         return out.average_down()
 

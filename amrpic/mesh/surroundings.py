@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from .. import _native
 from .boxes import table_of
@@ -135,12 +135,12 @@ class Surroundings:
 
     def largest_depth(self) -> Array:
         """Return the largest depth within `width` of each cell of the box."""
-        most = maximum_filter(np.maximum(self.depth, 0), 2 * self.width + 1, mode="constant")
+        most = scipy.ndimage.maximum_filter(np.maximum(self.depth, 0), 2 * self.width + 1, mode="constant")
         return most[block(np.full(3, self.width), self.width + self.size - 1)]
 
     def irregular(self) -> Array:
         """Return which cells of the box have walls or coarser cells within `width`."""
-        other = maximum_filter((self.depth != 0).astype(np.int8), 2 * self.width + 1, mode="constant")
+        other = scipy.ndimage.maximum_filter((self.depth != 0).astype(np.int8), 2 * self.width + 1, mode="constant")
         return other[block(np.full(3, self.width), self.width + self.size - 1)].astype(bool)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,7 @@ from .. import _native
 from ..errors import SolverError
 from ..fem import Operator, Points, solve
 from ..fem.points import mask_of
-from ..parallel import global_sum
+from ..parallel import global_max, global_sum
 from .equilibrium import EquilibriumReport, equilibrium
 from .solid import Solid
 
@@ -34,6 +35,7 @@ class DamageReport:
         float
     ]  # of equilibrium with the damage that it led to, over the size of forces, after each turn
     equilibria: Sequence[EquilibriumReport]
+    growth: float = 0.0  # of the damage of a point, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +91,7 @@ def settle(
     tolerance: float = 1e-8,
     damage_tolerance: float | None = None,
     most_turns: int = 100,
+    most_growth: float = math.inf,
     start: ArrayLike | None = None,
     **conditions: Any,
 ) -> tuple[Settled, DamageReport]:
@@ -97,15 +100,16 @@ def settle(
     Displacement and damage are found in turns, each with the other as it is, until the forces that the displacement leaves with
     the damage that it leads to are within `damage_tolerance`, by default `tolerance`, of the size of all; then the displacement
     is found once more, to `tolerance`. Before that it is found no better than of use. `conditions` and the rest are those of
-    `equilibrium`. The driving energy of points grows from what the solid had before, whatever turns pass through. What was
-    reached is returned, converged or not.
+    `equilibrium`. The driving energy of points grows from what the solid had before, whatever turns pass through. Turns end
+    without convergence where the damage of a point grows by more than `most_growth`. What was reached is returned, converged
+    or not.
     """
     u, enough = start, damage_tolerance or tolerance
     if not any(m.damage for m in solid.materials):
         u, report = equilibrium(solid, fixed=fixed, tolerance=tolerance, start=u, **conditions)
         nodes, last = np.zeros(len(solid.mesh.node_indices)), report.residuals[-1] / (report.size or 1)
         return Settled(u, nodes, solid), DamageReport(report.converged, 1, [last], [report])
-    now, breaks = solid, solid.surface_and_length()[0] > 0
+    now, breaks, growth = solid, solid.surface_and_length()[0] > 0, 0.0
     residuals: list[float] = []
     reports: list[EquilibriumReport] = []
     nodes = np.zeros(len(solid.mesh.node_indices))
@@ -120,16 +124,17 @@ def settle(
         nodes = damage_field(solid, driving)
         now = solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
         residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
-        if residuals[-1] <= enough:
+        growth = global_max(solid.mesh.comm, float((now.damage - solid.damage).max(initial=0.0)))
+        if residuals[-1] <= enough or growth > most_growth:
             break
     assert isinstance(u, np.ndarray)
-    converged = reports[-1].converged and residuals[-1] <= enough
+    converged = reports[-1].converged and residuals[-1] <= enough and growth <= most_growth
     if converged and residuals[-1] > tolerance:
         u, report = equilibrium(now, fixed=fixed, tolerance=tolerance, start=u, **conditions)
         reports.append(report)
         now = now.with_damage(now.damage, np.maximum(solid.driving, now.states(u).driving))
         converged = report.converged
-    return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports)
+    return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports, growth)
 
 
 def _apart(solid: Solid, u: np.ndarray, fixed: ArrayLike, load: ArrayLike | None) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -9,7 +10,9 @@ from typing import TypeVar
 from ..errors import InputError, SolverError
 
 State = TypeVar("State")
-GROWTH = 1.5
+FACTORS = (1.5, 1.0, 0.75, 0.5)  # of lengths of steps: few, so that rounding does not change them
+NEAR = 0.75  # part of what damage may grow by in a step, at which the next one is aimed
+MOST_HALVINGS = 4  # of the first length, for the sake of damage: a crack that runs through at once does so in any step
 
 
 @dataclass(frozen=True)
@@ -24,11 +27,15 @@ class LoadStep:
 
 @dataclass(frozen=True)
 class Loads:
-    """How far a load has come on, and how large its next step is: 1/`steps` of it, less after steps that failed."""
+    """How far a load has come on, and how large its next step is: 1/`steps` of it, less after steps that failed.
+
+    The damage of a point may grow by `damage_step` in a step, unless it is one of the shortest that are cut for that.
+    """
 
     steps: int
     smallest: float = 1e-3
     easy: int = 4
+    damage_step: float = math.inf
     begin: float = 0.0
     length: float | None = None
     refused: tuple[tuple[float, float], ...] = ()  # since the last step that was taken
@@ -45,10 +52,34 @@ class Loads:
         rest, length = 1 - self.begin, self.length or 1 / self.steps
         return 1.0 if rest < length * (1 + 1e-9) else self.begin + length
 
-    def taken(self, iterations: int) -> Loads:
-        """Return what follows the step; after one of few iterations the next is half as long again, up to the first."""
-        length = (self.length or 1 / self.steps) * (GROWTH if iterations <= self.easy else 1)
-        return replace(self, begin=self.end, length=min(1 / self.steps, length), refused=())
+    @property
+    def steps_left(self) -> int:
+        """How many steps are left, if all are like the next."""
+        return math.ceil((1 - self.begin) / (self.end - self.begin) - 1e-9) if self.begin < 1 else 0
+
+    @property
+    def most_growth(self) -> float:
+        """By how much the damage of a point may grow in the next step."""
+        return self.damage_step if self.end - self.begin >= 1.5 * self._shortest else math.inf
+
+    @property
+    def _shortest(self) -> float:
+        return 1 / self.steps / 2**MOST_HALVINGS
+
+    def taken(self, iterations: int, growth: float = 0.0) -> Loads:
+        """Return what follows the step: one half as long again after few iterations, up to the first length.
+
+        It is shorter if the damage of a point, which grew by `growth`, would come near to what it may.
+        """
+        length, most = self.length or 1 / self.steps, NEAR * self.damage_step
+        likely = [f for f in FACTORS if f * growth <= most and (f <= 1 or iterations <= self.easy)]
+        wanted = length * max(likely, default=FACTORS[-1])
+        return replace(
+            self,
+            begin=self.end,
+            length=min(1 / self.steps, max(wanted, min(length, self._shortest))),
+            refused=(),
+        )
 
     def cut(self) -> Loads:
         """Return what follows if the step fails: half of it. SolverError if that is too small."""

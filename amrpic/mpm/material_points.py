@@ -141,12 +141,15 @@ def placed(
 ) -> Placed:
     """Return points that are sorted by element and id as a solid in a mesh. Collective.
 
-    Elements that they do not fill, or in which they are too few, get Gauss's points of a weak solid without Poisson's effect;
-    InputError on all ranks for such elements if there is no floor stiffness.
+    Elements with points of several materials keep volumes as weights: no polynomial follows the jumps of stress there, and
+    weights that change from step to step move forces about. Elements that they do not fill, or in which they are too few, get
+    Gauss's points of a weak solid without Poisson's effect; InputError on all ranks for such elements if there is no floor
+    stiffness.
     """
     element, reference = mesh.native.locate(points.position)
-    weighed = Points(mesh, element, reference, points.volume, points.id, weights)
     held = np.bincount(element, minlength=len(mesh.elements))
+    rough = _several(element, points.material, len(mesh.elements))
+    weighed = Points(mesh, element, reference, points.volume, points.id, weights, rough=rough)
     volume = np.bincount(element, points.volume, len(mesh.elements))
     poor = held < enough(mesh.degree)
     if floor_stiffness == 0:
@@ -185,6 +188,13 @@ def placed(
     own = (rule.element[of_floor], rule.reference[of_floor], rule.volume[of_floor], none)
     floor = Solid(Points(mesh, *own, weight=rule.weight[of_floor]), weak)
     return Placed(points, solid, np.argsort(order)[: len(points)], weighed, floor)
+
+
+def _several(element: np.ndarray, material: np.ndarray, count: int) -> np.ndarray:
+    """Which elements have points, sorted by these, of several materials, (count,). Local."""
+    out = np.zeros(count, dtype=bool)
+    out[element[1:][(np.diff(element) == 0) & (np.diff(material) != 0)]] = True
+    return out
 
 
 def _require_enough(mesh: Mesh, held: np.ndarray, poor: np.ndarray) -> None:

@@ -41,7 +41,7 @@ def quantities(scene: Scene) -> Sequence[Quantity]:
         *(Quantity(f"force_{face}", "N") for face in FACES),  # along the axis, of the face on the body
         Quantity("floor_share"),  # of the forces of faces, by the floor stiffness
         *(Quantity(name, "J") for name in joule),
-        *(Quantity(name) for name in ("j_min", "j_max", "damage_max")),
+        *(Quantity(name) for name in ("j_min", "j_max", "damage_max", "damage_growth")),
         *(Quantity(name, counts=True) for name in ("points", "changed_rank", "cuts")),
         *(
             Quantity(name, counts=True)
@@ -128,6 +128,7 @@ def measure(
         "dissipated": float(sum(dissipated)),
         **{f"dissipated_{name}": float(one) for name, one in zip(scene.materials, dissipated, strict=True)},
         "gap": all_work - float(sum(stored)) - float(sum(dissipated)),
+        "damage_growth": report.growth,
         "turns": report.turns,
         "newton_iterations": sum(newton),
         "newton_most": max(newton),

@@ -16,11 +16,14 @@ NAME = "force.png"
 def draw_forces(folder: Path, into: Path) -> list[Path]:
     """Draw the forces of faces of a run over the travel of its platens, or over the load if none moves; return the paths.
 
-    Raises InputError if the run has no series, OutputError if the picture cannot be written.
+    There is none of a table without rows, as after a restart from the last step. Raises InputError if the run has no series,
+    OutputError if the picture cannot be written.
     """
     from matplotlib.figure import Figure
 
     rows = time_series.read(Path(folder) / SERIES)
+    if len(rows) == 0:
+        return []
     moving = [axis for axis in AXES if rows[f"travel_{axis}"].any()]
     figure = Figure(figsize=(6, 4), layout="constrained")
     panel = figure.subplots()

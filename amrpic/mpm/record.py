@@ -10,10 +10,9 @@ from mpi4py import MPI
 
 from .. import isa
 from ..errors import OutputError
-from ..failure import sentence
 from ..io import checkpoint_writer, points_writer, vtkhdf_writer
 from ..io.field_reader import LiveDump
-from ..io.run_status import FAILED, FINISHED, STOPPED
+from ..io.run_status import FINISHED, STOPPED
 from ..io.time_series import Series
 from ..parallel import together
 from ..results.run_results import SERIES
@@ -66,7 +65,7 @@ class Recorder:
             self._series.close()
         self._log.__exit__(kind, value, trace)
         if value is not None:
-            self._status.end(FAILED, sentence(value).removeprefix("amrpic: "), self._written)
+            self._status.failed(value, self._written)
 
     def state(self, state: State) -> None:
         """Record a state: its row and line, and the files that are due."""
@@ -114,6 +113,7 @@ class Recorder:
         return {
             **state.measured,
             "step": state.step,
+            "last_step": state.step + state.loads.steps_left,
             "load": state.load,
             "time": state.load,
             **{f"seconds_{stage}": spent[stage].seconds for stage in STAGES if stage in spent},

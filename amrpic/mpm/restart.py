@@ -14,7 +14,6 @@ from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..run.restart import about
 from ..scene.differences import differences
-from .loads import Loads
 from .material_points import MaterialPoints
 from .scene import Scene
 from .state import Plan, State
@@ -59,8 +58,8 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     scene = scene if scene is not None else Scene.from_dict(made_by, source=f"the scene in {path}")
     _require_same(scene, made_by, path)
     plan = Plan(comm, scene)
-    held, schedule, extra = read(comm, path, manifest=manifest), scene.schedule, header.extra
-    loads = Loads(schedule.steps, schedule.smallest, schedule.easy, extra["begin"], extra["length"])
+    held, extra = read(comm, path, manifest=manifest), header.extra
+    loads = scene.schedule.loads(extra["begin"], extra["length"])
     there, _ = put(MaterialPoints(**held.tables["points"]), plan, loads.begin)
     return State(header.step, loads, there, extra["totals"]), plan
 

@@ -20,6 +20,7 @@ from ..scene.parts import SceneParts
 from ..scene.section import Section
 from ..scene.units import Acceleration3, Density, Index3, Length, Length3, Pressure, Toughness
 from .faces import FACES_SCHEMA, Face, faces_of
+from .loads import Loads
 from .materials import Damage, Material, NeoHookean, Ogden
 from .structure import EMPTY, Regions, Voronoi, Voxels
 
@@ -67,7 +68,8 @@ class PointsSection(Section):
     )
     weights: Literal["moments", "volume"] = Field(
         default="moments",
-        description="moments: weights near the volumes that are exact to the highest degree there is; volume: the volumes.",
+        description="moments: weights near the volumes that are exact to the highest degree there is, in elements of one "
+        "material, and volumes in others; volume: the volumes.",
     )
 
 
@@ -81,11 +83,23 @@ class LoadSection(Section):
     easy: int = Field(
         default=4, ge=0, description="After a step of at most so many Newton iterations the next is half as long again."
     )
+    damage_step: float = Field(
+        default=0.1,
+        gt=0,
+        le=1,
+        description="The damage of a point may grow by so much in a step, lengths of steps follow from it. Those down to a "
+        "sixteenth of 1/steps may break more: a crack that runs through at once does so in any step. 1: as much as will.",
+    )
 
     @property
     def last_step(self) -> int:
         """Number of the last step, if none is cut."""
         return self.steps
+
+    def loads(self, begin: float = 0.0, length: float | None = None) -> Loads:
+        """Return the load from where it is, with the length of the next step if it is not the first one."""
+        damage_step = self.damage_step if self.damage_step < 1 else math.inf
+        return Loads(self.steps, self.smallest, self.easy, damage_step, begin, length)
 
 
 class SolveSection(Section):

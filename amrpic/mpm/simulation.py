@@ -79,12 +79,12 @@ class Simulation:
         return Results(self.comm, self.scene.directory, self._run(walltime, log))
 
     def _run(self, walltime: float | None, log: Log) -> str | None:
-        begun, self._begun = self._begun, True
         with (
             claimed(self.comm, self.scene),
             Stop(self.comm, walltime, self.scene.directory / STOP) as stop,
-            Recorder(self.state, self._plan, begun, log) as record,
+            Recorder(self.state, self._plan, self._begun, log) as record,
         ):
+            self._begun = True
             if not self._recorded:
                 self._record(record)
             while self.state.load < 1:

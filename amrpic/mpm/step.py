@@ -19,10 +19,8 @@ def begin(plan: Plan) -> State:
     mesh, scene = mesh_of(plan.comm, plan.scene), plan.scene
     with plan.clock("sample"):
         points = sample(scene, mesh)
-    schedule = scene.schedule
-    loads = Loads(schedule.steps, schedule.smallest, schedule.easy)
     there, _ = put(points, plan, 0.0)
-    return replace(State(0, loads, there), measured=at_rest(there, plan))
+    return replace(State(0, scene.schedule.loads(), there), measured=at_rest(there, plan))
 
 
 def advance(state: State, plan: Plan) -> State:
@@ -37,7 +35,7 @@ def advance(state: State, plan: Plan) -> State:
     measured, totals = measure(state, loads, settled, report, plan)
     there, came = put(moved(settled.solid, settled.displacement, state.placed.body), plan, loads.end)
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
-    after = loads.taken(max(one.iterations for one in report.equilibria))
+    after = loads.taken(max(one.iterations for one in report.equilibria), report.growth)
     return State(state.step + 1, after, there, totals, measured)
 
 
@@ -64,6 +62,7 @@ def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, Damag
             tolerance=scene.solver.tolerance,
             damage_tolerance=scene.solver.damage_tolerance,
             most_turns=scene.solver.turns,
+            most_growth=loads.most_growth,
             most_iterations=scene.solver.iterations,
             coarse=scene.solver.coarse,
         )

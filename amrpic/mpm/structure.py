@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
+import scipy
 from pydantic import Field, model_validator
-from scipy.spatial import cKDTree
 
 from ..errors import SceneError
 from ..scene.complaints import complaint
@@ -85,7 +85,9 @@ class Voronoi(Section):
     grain: str = Field(description="The material of grains.")
     binder: str = Field(description="The material between them.")
     joint: float = Field(default=0.12, gt=0, lt=1, description="Width of joints, over the mean distance of grains.")
-    voids: float = Field(default=0.0, ge=0, lt=0.9, description="Part of the volume that round voids take, at most.")
+    voids: float = Field(
+        default=0.0, ge=0, lt=0.9, description="Part of the volume that round voids take, in the mean."
+    )
     void: str = Field(default=EMPTY, description="What is in them.")
     seed: int = Field(default=1, ge=0, description="Of their places.")
 
@@ -105,15 +107,18 @@ class Voronoi(Section):
         volume = float(np.prod(upper - lower))
         apart = (volume / self.grains) ** (1 / 3)
         centres = lower + draw.uniform(size=(self.grains, 3)) * (upper - lower)
-        near = cKDTree(centres).query(places, k=min(2, self.grains))[0].reshape(len(places), -1)
+        near = scipy.spatial.cKDTree(centres).query(places, k=min(2, self.grains))[0].reshape(len(places), -1)
         joint = near[:, -1] - near[:, 0] < self.joint * apart if self.grains > 1 else np.zeros(len(places), dtype=bool)
         out = np.where(joint, number[self.binder], number[self.grain])
-        taken = 0.0
-        while taken < self.voids:
+        # Balls overlap, and some reach in from outside: of centres without order, of balls that add up to a part a of the
+        # space, a place is in none with the probability exp(-a).
+        largest, taken = 0.5 * apart, 0.0
+        around = upper - lower + 2 * largest
+        while taken < -np.log(1 - self.voids):
             radius = draw.uniform(0.3, 0.5) * apart
-            centre = lower + draw.uniform(size=3) * (upper - lower)
+            centre = lower - largest + draw.uniform(size=3) * around
             out[((places - centre) ** 2).sum(axis=1) <= radius**2] = number[self.void]
-            taken += 4 / 3 * np.pi * radius**3 / volume
+            taken += 4 / 3 * np.pi * radius**3 / float(np.prod(around))
         return out
 
 
@@ -156,8 +161,10 @@ class Voxels(Section):
     def read(self) -> np.ndarray:
         """Return the labels. Raises SceneError as `labels` does."""
         try:
-            voxels: np.ndarray = np.load(Path(self.file), allow_pickle=False)
-        except (OSError, ValueError) as reason:
+            voxels = np.load(Path(self.file), allow_pickle=False)
+            if not isinstance(voxels, np.ndarray):
+                raise ValueError("it holds several arrays")
+        except (OSError, ValueError, EOFError) as reason:
             raise SceneError(f"structure.file {self.file} cannot be read ({reason}); give a .npy of labels") from None
         if voxels.ndim != 3 or voxels.size == 0 or voxels.dtype.kind not in "iu":
             raise SceneError(

@@ -8,7 +8,7 @@ wherever they can be, so that quasi-random numbers stay quiet. Fourth moments <x
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import betaincinv, ndtri
+import scipy
 
 from .thermal_equilibrium import squared_radius
 
@@ -17,7 +17,7 @@ DRAWS = 7
 
 def gaussian(u: np.ndarray) -> np.ndarray:
     """Normal along all axes."""
-    return ndtri(u[:6])
+    return scipy.special.ndtri(u[:6])
 
 
 def ball(u: np.ndarray) -> np.ndarray:
@@ -27,7 +27,9 @@ def ball(u: np.ndarray) -> np.ndarray:
 
 def parabolic(u: np.ndarray) -> np.ndarray:
     """Density 1 - r^2 / 7 in the ball of radius sqrt(7), for <x^2> = R^2 / 7; normal momenta. <x^4> = 7 / 3."""
-    return _isotropic(np.sqrt(7 * betaincinv(1.5, 2, u[0])), u)  # (r / R)^2 has the beta distribution of 3/2 and 2
+    return _isotropic(
+        np.sqrt(7 * scipy.special.betaincinv(1.5, 2, u[0])), u
+    )  # (r / R)^2 has the beta distribution of 3/2 and 2
 
 
 def shell(u: np.ndarray, inner: float) -> np.ndarray:
@@ -49,7 +51,7 @@ def tube(u: np.ndarray, inner: float) -> np.ndarray:
     <x^4> = R^4 (1 + a^2 + a^4) / 8, <z^4> = 9 / 5; normal momenta.
     """
     x, y = _polar(tube_radius(inner) * np.sqrt(inner**2 + (1 - inner**2) * u[0]), u[1])
-    return np.stack([x, y, _even(u[2]), *ndtri(u[3:6])])
+    return np.stack([x, y, _even(u[2]), *scipy.special.ndtri(u[3:6])])
 
 
 def tube_radius(inner: float) -> float:
@@ -64,7 +66,7 @@ def kapchinsky_vladimirsky(u: np.ndarray, normal_z: bool) -> np.ndarray:
     """
     x, px = _polar(2 * np.sqrt(u[0]), u[1])  # the share of a plane in the squared radius is even in (0, 1)
     y, py = _polar(2 * np.sqrt(1 - u[0]), u[2])
-    return np.stack([x, y, ndtri(u[3]) if normal_z else _even(u[3]), px, py, ndtri(u[4])])
+    return np.stack([x, y, scipy.special.ndtri(u[3]) if normal_z else _even(u[3]), px, py, scipy.special.ndtri(u[4])])
 
 
 def thermal(u: np.ndarray, depression: float) -> np.ndarray:
@@ -73,7 +75,7 @@ def thermal(u: np.ndarray, depression: float) -> np.ndarray:
     Normal in x, y at 1, constant in a disc of radius 2 at 0; normal momenta. See `thermal_equilibrium`.
     """
     x, y = _polar(np.sqrt(squared_radius(depression)(u[0])), u[1])
-    return np.stack([x, y, _even(u[2]), *ndtri(u[3:6])])
+    return np.stack([x, y, _even(u[2]), *scipy.special.ndtri(u[3:6])])
 
 
 def waterbag(u: np.ndarray) -> np.ndarray:
@@ -90,7 +92,7 @@ def halo(u: np.ndarray, share: float, size: float) -> np.ndarray:
 
     With the core's variance c = 1 / (1 + share (size^2 - 1)): <x^4> = 3 c^2 (1 + share (size^4 - 1)).
     """
-    return halo_core(share, size) * np.where(u[6] < share, size, 1.0) * ndtri(u[:6])
+    return halo_core(share, size) * np.where(u[6] < share, size, 1.0) * scipy.special.ndtri(u[:6])
 
 
 def halo_core(share: float, size: float) -> float:
@@ -102,7 +104,7 @@ def _isotropic(radius: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Places at a distance from the origin in directions that are even over the sphere, by rows 1 and 2; normal momenta."""
     cosine = 2 * u[1] - 1
     x, y = _polar(radius * np.sqrt(1 - cosine**2), u[2])
-    return np.stack([x, y, radius * cosine, *ndtri(u[3:6])])
+    return np.stack([x, y, radius * cosine, *scipy.special.ndtri(u[3:6])])
 
 
 def _polar(radius: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from scipy.special import elliprd
+import scipy
 
 from ..units import SPEED_OF_LIGHT, VACUUM_PERMITTIVITY
 
@@ -23,7 +23,11 @@ def ellipsoid_gradient(charge: float, size: float, other: float, along: float) -
 
     Its half axes are √5 times as long (O. D. Kellogg, Foundations of Potential Theory, 1929, chapter VII, with Carlson's R_D).
     """
-    return charge / (4 * math.pi * VACUUM_PERMITTIVITY * 5**1.5) * float(elliprd(other**2, along**2, size**2))
+    return (
+        charge
+        / (4 * math.pi * VACUUM_PERMITTIVITY * 5**1.5)
+        * float(scipy.special.elliprd(other**2, along**2, size**2))
+    )
 
 
 def tune_depression(emittance: float, size: float, gradient: float, charge: float, mass: float, gamma: float) -> float:

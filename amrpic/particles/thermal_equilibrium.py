@@ -15,9 +15,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
-from scipy.integrate import cumulative_simpson, solve_ivp
-from scipy.interpolate import PchipInterpolator
-from scipy.optimize import brentq
+import scipy
 
 END = 45.0  # ψ where the density, e^-45, has ended
 POINTS = 8001  # across the beam; its edge is a Debye length wide, and at `COLDEST` the beam 600 of them
@@ -44,7 +42,9 @@ def profile(log_delta: float) -> tuple[np.ndarray, np.ndarray]:
     start = 1e-3 * min(1.0, 1 / math.sqrt(delta))
     first = (delta * start**2 / 4, delta * start / 2)  # ψ = δ s²/4 near the axis
     furthest = 2 * math.sqrt(END) + 2 * abs(log_delta) + 100
-    found = solve_ivp(change, (start, furthest), first, "DOP853", rtol=1e-10, atol=0, dense_output=True, events=end)
+    found = scipy.integrate.solve_ivp(
+        change, (start, furthest), first, "DOP853", rtol=1e-10, atol=0, dense_output=True, events=end
+    )
     s = np.linspace(start, found.t[-1], POINTS)
     assert found.sol is not None
     return np.append(0.0, s), np.append(0.0, found.sol(s)[0])
@@ -53,7 +53,7 @@ def profile(log_delta: float) -> tuple[np.ndarray, np.ndarray]:
 def line_density(log_delta: float) -> float:
     """Return ∫ exp(-ψ) s ds."""
     s, psi = profile(log_delta)
-    return float(cumulative_simpson(np.exp(-psi) * s, x=s)[-1])
+    return float(scipy.integrate.cumulative_simpson(np.exp(-psi) * s, x=s)[-1])
 
 
 @lru_cache(maxsize=16)
@@ -64,11 +64,15 @@ def squared_radius(depression: float) -> Callable[[np.ndarray], np.ndarray]:
     wanted = 4 * (1 / depression**2 - 1)
     if wanted < ROUNDING:
         return lambda beyond: -2 * np.log(beyond)  # without self-field the density is normal
-    s, psi = profile(brentq(lambda d: line_density(d) - wanted, SMALLEST, math.log(2 / wanted), xtol=1e-10))
+    s, psi = profile(
+        scipy.optimize.brentq(lambda d: line_density(d) - wanted, SMALLEST, math.log(2 / wanted), xtol=1e-10)
+    )
     density = np.exp(-psi) * s
-    share = cumulative_simpson(density[::-1], x=-s[::-1])[::-1]  # from outside, so that small ones are exact too
-    mean_square = cumulative_simpson(density * s**2, x=s)[-1] / share[0]
-    table = PchipInterpolator(-np.log(share / share[0]), 2 * s[:-1] ** 2 / mean_square)
+    share = scipy.integrate.cumulative_simpson(density[::-1], x=-s[::-1])[
+        ::-1
+    ]  # from outside, so that small ones are exact too
+    mean_square = scipy.integrate.cumulative_simpson(density * s**2, x=s)[-1] / share[0]
+    table = scipy.interpolate.PchipInterpolator(-np.log(share / share[0]), 2 * s[:-1] ** 2 / mean_square)
     return lambda beyond: table(-np.log(beyond))
 
 

@@ -22,7 +22,7 @@ from ..particles.particles import Particles
 from ..scene.differences import differences
 from ..units import SPEED_OF_LIGHT
 from .dumped_fields import DumpedFields
-from .run_results import LOSSES, PARTICLES, SERIES, Results
+from .run_results import LOSSES, PARTICLES, SERIES, Results, rows_of
 
 Table = NDArray[Any]
 
@@ -33,6 +33,8 @@ HOW = (
     "boxes",
     "cycles",
     "residual",
+    "cg_",
+    "changed_rank",
 )  # columns on how a run went, not on what it found
 FINAL = (
     "particles",
@@ -76,13 +78,16 @@ class Comparison:
 def compare(first: Path, second: Path) -> Comparison:
     """Compare the runs in two folders. Serial.
 
-    Raises InputError if one of them holds no series.
+    Raises InputError if one of them holds no rows of a series.
     """
     runs = [Results.open(MPI.COMM_SELF, folder) for folder in (first, second)]
-    tables = [time_series.read(run.folder / SERIES) for run in runs]
+    tables = [rows_of(run.folder) for run in runs]
     scenes = [time_series.scene_of(run.folder / SERIES) for run in runs]
     parts: dict[str, list[Difference]] = {"series": list(_series(*tables))}
     remarks: list[str] = []
+    if any(run.of_points for run in runs):
+        remarks.append("of material points the series are compared, not the files of points and fields")
+        return Comparison(list(differences(scenes[0], scenes[1])), parts, list(_speed(*tables)), remarks)
     for name, part in (
         ("beam", _beam),
         ("fields", partial(_fields, remarks=remarks)),

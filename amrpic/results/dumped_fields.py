@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from mpi4py import MPI
@@ -19,6 +19,15 @@ from ..mesh.hierarchy import Hierarchy
 from ..mesh.patch import Patch
 from ..parallel import together
 from ..scene.scene import Scene
+
+
+def scene_of(data: Mapping[str, Any], path: Path) -> Scene:
+    """Return the scene of what a path of a run says of it. Raises InputError if that is not of particles in cells."""
+    if "method" in data:
+        raise InputError(
+            f"{path} is of material points, whose scene and fields are not read back; look at the tables, or use amrpic plot"
+        )
+    return Scene.from_dict(data, source=f"the scene in {path}")
 
 
 @dataclass(frozen=True)
@@ -36,7 +45,7 @@ class DumpedFields(Mapping[str, Field | VectorField]):
     def read(cls, comm: MPI.Comm, path: Path) -> DumpedFields:
         """Return the fields of a dump, on the ranks of a communicator. Collective; InputError on all ranks."""
         with together(comm, InputError), open_dump(path) as dump:
-            scene = Scene.from_dict(json.loads(dump.scene_text), source=f"the scene in {path}")
+            scene = scene_of(json.loads(dump.scene_text), path)
             step, time, units = dump.step, dump.time, dict(dump.units)
             boxes = [level.boxes for level in dump.levels[1:]]
         sizes = scene.refinement.max_grid_size, scene.refinement.blocking_factor

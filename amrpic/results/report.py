@@ -26,7 +26,8 @@ from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, quantity
 from ..view import draw, phase_space
 from . import curves
-from .run_results import SERIES
+from .dumped_fields import scene_of
+from .run_results import SERIES, rows_of
 
 FILE = "report.html"
 DPI = 110
@@ -67,10 +68,8 @@ def write(folder: Path) -> Path:
 def make(folder: Path) -> str:
     """Return the report of a run as HTML. Raises InputError if its folder holds no series."""
     path = folder / SERIES
-    series, about = time_series.read(path), time_series.about_of(path)
-    if len(series) == 0:
-        raise InputError(f"{path} has no rows yet; let the run make its first step")
-    scene = Scene.from_dict(about["scene"], source=f"the scene in {path}")
+    series, about = rows_of(folder), time_series.about_of(path)
+    scene = scene_of(about["scene"], path)
     status = None
     with contextlib.suppress(InputError):
         status = RunStatus.read(folder)

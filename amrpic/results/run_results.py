@@ -17,6 +17,7 @@ from mpi4py import MPI
 from .. import html
 from ..errors import InputError
 from ..io import openpmd_reader, particle_reader, time_series
+from ..io.atomic_files import REPLACED, TEMPORARY
 from ..io.checkpoint_manifest import MANIFEST
 from ..io.field_reader import open_dump
 from ..mesh.domain import AXES
@@ -24,7 +25,7 @@ from ..parallel import own, share, together, world_by_default
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from .dumped_fields import DumpedFields
+from .dumped_fields import DumpedFields, scene_of
 
 if TYPE_CHECKING:
     import pandas
@@ -68,7 +69,12 @@ class Results:
     def scene(self) -> Scene:
         """The resolved scene. Collective."""
         with together(self.comm, InputError):
-            return Scene.from_dict(self._scene(), source=f"the scene in {self.path}")
+            return scene_of(self._scene(), self.path)
+
+    @property
+    def of_points(self) -> bool:
+        """Whether the run was of material points, of which tables alone are read back here. Local."""
+        return self._scene().get("method") == "mpm"
 
     def _scene(self) -> Mapping[str, Any]:
         if self.folder == self.path and (series := self.folder / SERIES).exists():
@@ -159,7 +165,8 @@ class Results:
             paths += sorted(self.folder.glob(pattern))
         found: dict[int, Path] = {}
         for path in paths:
-            if step := re.fullmatch(r"[a-z]+_(\d{8,})(\.\w+)?", path.name):
+            step = re.fullmatch(r"[a-z]+_(\d{8,})(\.\w+)?", path.name)
+            if step and path.suffix not in (TEMPORARY, REPLACED):
                 found.setdefault(int(step[1]), path)
         return found
 
@@ -183,6 +190,14 @@ class Dumps(Mapping[int, DumpedFields]):
 
     def __repr__(self) -> str:
         return f"fields of steps {', '.join(map(str, self._paths)) or 'none'}"
+
+
+def rows_of(folder: Path) -> np.ndarray:
+    """Return the rows of the series of a run. Raises InputError if there are none."""
+    rows = time_series.read(folder / SERIES)
+    if len(rows) == 0:
+        raise InputError(f"{folder / SERIES} has no rows yet; let the run make its first step")
+    return rows
 
 
 def _choice(steps: Mapping[int, Path]) -> str:

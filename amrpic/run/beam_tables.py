@@ -32,6 +32,7 @@ from .state import State
 BEAM = "beam.csv"
 SLICES = "slices.csv"
 TIME = (Quantity("step", counts=True), Quantity("time", "s"), Quantity("s", "m"))
+OF_TIME = [column.name for column in TIME]
 GROUP = (*TIME, Quantity("group", is_text=True))
 SLICE = (*GROUP, Quantity("slice", counts=True))
 
@@ -166,12 +167,20 @@ def file_of(name: str) -> str:
 
 
 def flattened(values: Mapping[str, float | np.ndarray | Sequence[float]]) -> dict[str, float]:
-    """Return numbers and the elements of arrays, each by a name of its own: `a`, or `a_0_1` of an array."""
+    """Return numbers and the elements of arrays, each by a name of its own: `a`, or `a_0_1` of an array.
+
+    Raises ValueError for names that a table cannot have, and for two columns of one name.
+    """
     out: dict[str, float] = {}
     for name, value in values.items():
         array = np.asarray(value, dtype=np.float64)
         for place in np.ndindex(array.shape):
-            out["_".join([name, *map(str, place)])] = float(array[place])
+            column = "_".join([name, *map(str, place)])
+            if column in out or column in OF_TIME:
+                raise ValueError(f'two columns are called "{column}"; give one of them another name')
+            if {",", "\n"} & set(column):
+                raise ValueError(f"{column!r} is no name of a column; leave commas and line ends out")
+            out[column] = float(array[place])
     return out
 
 

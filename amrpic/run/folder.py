@@ -21,7 +21,7 @@ LOCK = ".lock"
 STOP = "STOP"  # a file of this name ends the run after a checkpoint
 WRITTEN = re.compile(  # what a run writes
     r"(checkpoint|fields|particles|points)_\d{8,}.*|(series|residuals|beam|slices|losses|own_.+)\.(csv|json)|(losses|screen_.+)\.h5|"
-    r"(fields|points)\.vtkhdf\.series|status\.json|report\.html|openpmd|STOP"
+    r"(fields|points)\.vtkhdf\.series|status\.json|report\.html|force\.png|openpmd|STOP"
 )
 
 

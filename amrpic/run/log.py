@@ -70,8 +70,9 @@ class RunLog:
         weight = MEMORY_OF_PACE if self._lines >= 2 else 1.0
         self.pace += weight * (seconds - self.pace)
         self._lines += 1
-        left = max(self._last_step - int(row["step"]), 0) * self.pace
-        self._say(self._line(row, self._last_step, left))
+        last = int(row.get("last_step", self._last_step))  # runs that choose their steps find it as they go
+        left = max(last - int(row["step"]), 0) * self.pace
+        self._say(self._line(row, last, left))
 
     def note(self, text: str) -> None:
         """Print a line that belongs to no step."""

@@ -226,6 +226,8 @@ def _fields(scene: Scene, boxes: Sequence[Array]) -> int:
         state += components  # from which compressed rows make it
     if scene.schedule.last_step == 0:
         return state + max(components, total)  # to be written; what stands for all of them before the first solve
+    if scene.extrapolates_potential:
+        state += total  # the potential before, and once more what both lead to
     if not scene.refinement.follows:
         return max(2 * state, state + components)  # the step before; what is written
     field_decides = any(

@@ -10,10 +10,9 @@ from mpi4py import MPI
 
 from .. import isa
 from ..errors import OutputError, SolverError
-from ..failure import sentence
 from ..io import checkpoint_writer, openpmd_meshes, openpmd_writer, vtkhdf_writer
 from ..io.field_reader import LiveDump
-from ..io.run_status import FAILED, FINISHED, STOPPED
+from ..io.run_status import FINISHED, STOPPED
 from ..io.time_series import Series, settle
 from ..mesh.domain import AXES
 from ..mesh.field import Field, VectorField
@@ -102,7 +101,7 @@ class Recorder:
             self._beam.close()
         self._log.__exit__(kind, value, trace)
         if value is not None:
-            self._status.end(FAILED, sentence(value).removeprefix("amrpic: "), self._written)
+            self._status.failed(value, self._written)
 
     def state(self, state: State, remarks: list[str]) -> None:
         """Record a state: its row and line, the solves that led to it, and the files that are due."""

@@ -7,9 +7,11 @@ from functools import cached_property
 from ..mesh.field import Field, VectorField
 from ..mesh.hierarchy import Hierarchy
 from ..particles.energy_bins import Frames
+from ..particles.frame import Frame
 from ..particles.particles import Particles
 from ..stages.deposit import deposit
 from ..stages.migrate import migrate, shared_out_by_work
+from ..stages.poisson import SolveReport
 from ..stages.regrid import carry_over
 from ..stages.tag import count
 from .plan import Plan
@@ -54,10 +56,11 @@ class ParticleFields:
         if (only := frames.only) is not None:
             rho, guess = self.rho, self.guess
             with plan.clock("solve"):
-                phi, report = plan.solve(rho, guess, only)
+                phi, report = plan.solve(rho, guess, only, last=self._last_report(only))
                 efield = plan.poisson(self.hierarchy, only).deferred_field(phi, covered=plan.clouds.covered)
                 plan.compensate(efield, rho, only)
-            return Solution(rho, phi, efield, report, frames)
+            before = self.phi if self.known is not None and plan.scene.extrapolates_potential else None
+            return Solution(rho, phi, efield, report, frames, before=before)
         plan.go_without_compensation()
         known = self.known.parts if self.known is not None else ()
         guesses = [self._carried(part) for part in known] if len(known) == len(frames.members) else None
@@ -93,8 +96,16 @@ class ParticleFields:
     @property
     def guess(self) -> Field | None:
         """A potential to start a solve from, if one is known."""
+        if self.known is not None and self.known.rho.hierarchy is self.hierarchy:
+            return self.known.guess
         with self.plan.clock("regrid"):
             return self.phi if self.known is not None else None
+
+    def _last_report(self, frame: Frame) -> SolveReport | None:
+        """Return how the solve before went, if it was of the same equations."""
+        known = self.known
+        same = known is not None and known.phi.hierarchy is self.hierarchy and known.frames.only == frame
+        return known.report if known is not None and same else None
 
     def _carried(self, field: Field) -> Field:
         if field.hierarchy is self.hierarchy:

@@ -124,11 +124,17 @@ class Plan:
         self._solvers = {of: made for of, made in self._solvers.items() if of in frames.members}
 
     def solve(
-        self, rho: Field, guess: Field | None, frame: Frame = LABORATORY, walls: bool = True
+        self,
+        rho: Field,
+        guess: Field | None,
+        frame: Frame = LABORATORY,
+        walls: bool = True,
+        last: SolveReport | None = None,
     ) -> tuple[Field, SolveReport]:
         """Return the potential of a charge density and how the solve went. Collective; SolverError if it does not converge.
 
-        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone, and with `walls`.
+        It is that of the laboratory. What the walls hold counts in the laboratory's frame alone, and with `walls`. `last`: of
+        the solve in this frame and on this hierarchy that found the guess.
         """
         at_rest = frame == LABORATORY and walls
         phi, report = self.poisson(rho.hierarchy, frame).solve(
@@ -136,6 +142,7 @@ class Plan:
             guess=guess,
             boundary_values=self._potential if at_rest else None,
             boundary_flux=self._slope if at_rest else None,
+            last=last,
         )
         self._solves.append(report)
         self._require_converged(report)

@@ -49,6 +49,7 @@ from .step import state_of
 from .time_step import settle_time_step
 
 FIELDS = ("rho", "phi", "efield_x", "efield_y", "efield_z")
+BEFORE = "phi_before"  # that of the step before, where solves start from both
 COLUMNS = ("position", "momentum", "weight", "id")
 ROW_BYTES = (24, 24, 8, 8)  # of each column
 LAGGING_BYTES = 24  # of the momenta that leapfrog keeps beside them
@@ -164,7 +165,7 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     same_ranks = len(servers) == plan.comm.size + 1
     another = _mesh_is_another(plan.scene, held.header)
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
-    units = {"rho": "C/m^3", "phi": "V"}
+    units = {"rho": "C/m^3", "phi": "V", BEFORE: "V"}
     fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
     for name, field in fields.items():
         for level, values in enumerate(held.fields[name]):
@@ -181,7 +182,8 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
         magnetic = VectorField(*(fields[f"bfield_{axis}"] for axis in AXES))
         parts = tuple(fields[f"phi_{number}"] for number in range(len(frames.members)))
     report = SolveReport(**extra["report"])
-    solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic)
+    before = fields.get(BEFORE)
+    solution = Solution(fields["rho"], fields["phi"], efield, report, frames, parts, magnetic, before)
     if another:
         moved = follow(ParticleFields(particles, hierarchy, plan, solution, frames))
         particles, hierarchy, solution = moved.particles, moved.hierarchy, moved.solution
@@ -203,6 +205,8 @@ def _fields(state: State) -> dict[str, Field]:
     if (magnetic := state.solution.magnetic) is not None:
         out |= {f"bfield_{axis}": field for axis, field in zip(AXES, magnetic.components, strict=True)}
         out |= {f"phi_{number}": part for number, part in enumerate(state.solution.parts)}
+    if (before := state.solution.before) is not None:
+        out[BEFORE] = before
     return out
 
 

@@ -26,6 +26,19 @@ class Solution:
     frames: Frames = ONE_FRAME  # in which the charge of each bin rests
     parts: tuple[Field, ...] = ()  # φ of each bin, if there are more than one, V
     magnetic: VectorField | None = None  # T, if there are more bins than one
+    before: Field | None = None  # φ of the step before on this mesh, where the next solve starts from both, V
+
+    @property
+    def guess(self) -> Field:
+        """A potential to start the next solve from: the present one, or what it and the one before lead to."""
+        if self.before is None:
+            return self.phi
+        out = self.phi.copy()
+        for level in range(out.hierarchy.levels):
+            values = out.array(level)
+            values *= 2
+            values -= self.before.array(level)
+        return out
 
     @property
     def beta(self) -> tuple[float, float, float]:

@@ -13,17 +13,18 @@ from importlib.metadata import version
 
 from mpi4py import MPI
 
-from ..io.run_status import FILE, RunStatus, known, now, stamp
+from ..failure import sentence
+from ..io.run_status import FAILED, FILE, RunStatus, known, now, stamp
 from ..scene.any_scene import AnyScene
 
 EVERY = 1.0  # s between two versions of the file
 
 
-def start_failed(comm: MPI.Comm, scene: AnyScene, why: str) -> None:
+def start_failed(comm: MPI.Comm, scene: AnyScene, failure: BaseException) -> None:
     """Say in the folder of a run that it failed before its first step, unless an earlier one left its status there. Local."""
     status = Status(comm, scene, 0, begin=False)
     if not (scene.directory / FILE).exists():
-        status.end("failed", why, {})
+        status.failed(failure, {})
 
 
 class Status:
@@ -45,6 +46,7 @@ class Status:
             updated=now(),
             step=step,
             of=scene.schedule.last_step,
+            method=str(scene.to_dict().get("method", "")),
         )
         if begin:
             self._write()
@@ -52,10 +54,12 @@ class Status:
     def step(self, row: Mapping[str, float], pace: float, dt: float, written: Mapping[str, int]) -> None:
         """Take in a step: its row of the series, the pace in s per step, Δt in s, the latest step of each kind of output."""
         cells = [int(value) for name, value in row.items() if name.startswith("cells_")]
-        left = timedelta(seconds=max(self._status.of - int(row["step"]), 0) * pace)
+        last = int(row.get("last_step", self._status.of))
+        left = timedelta(seconds=max(last - int(row["step"]), 0) * pace)
         self._status = replace(
             self._status,
             step=int(row["step"]),
+            of=last,
             time=known(row["time"]),
             dt=known(dt),
             seconds_per_step=known(pace),
@@ -80,6 +84,10 @@ class Status:
         """Say how the run ended."""
         self._status = replace(self._status, state=state, why=why, written=dict(written), estimated_end=now())
         self._write()
+
+    def failed(self, failure: BaseException, written: Mapping[str, int]) -> None:
+        """Say that the run failed, and why."""
+        self.end(FAILED, sentence(failure).removeprefix("amrpic: "), written)
 
     def _write(self) -> None:
         self._latest = time.monotonic()

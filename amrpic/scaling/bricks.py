@@ -79,14 +79,15 @@ class Served:
 
 @dataclass(frozen=True)
 class Exchange:
-    """What servers of particles and owners of cells send each other, for each two of which one serves what the other owns.
+    """What servers of particles and owners of cells send each other: of each brick its first server meets the owners of its
+    cells, and its other servers meet that one.
 
     Charge goes to the owner, behind a list of bricks and an announcement of it, the field to the server.
     """
 
     ranks: int
     server: Array  # (n,)
-    owner: Array  # (n,)
+    owner: Array  # (n,) or the first server, which stands for owners before the others
     names: Array  # (n,) bricks in the list
     cells: Array  # (n,) in the windows around these
 
@@ -140,30 +141,37 @@ def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
     begin, stop = (np.clip(servers[rank + i], places[brick], places[brick] + _native.PLACES_PER_BRICK) for i in (0, 1))
     each = bricks.particles[brick] * ((stop - begin) / _native.PLACES_PER_BRICK)
     pairs = np.column_stack([brick, rank])
-    return Served(bricks, servers, np.bincount(rank, each, ranks), pairs, exchange(mesh, bricks.rows, pairs, parts))
+    between = exchange(mesh, bricks.rows, pairs, parts, first)
+    return Served(bricks, servers, np.bincount(rank, each, ranks), pairs, between)
 
 
-def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array) -> Exchange:
+def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array, first: Array) -> Exchange:
     """Return what passes because of bricks, `rows` (n, 3), and ranks that serve particles of them, `pairs` (m, 2). Local.
 
-    `parts` is what `_native.brick_windows` returns of the bricks. A brick of a rank's own box needs no messages.
+    `parts` is what `_native.brick_windows` returns of the bricks, `first` (n,) the lowest rank that serves each. A brick of a
+    rank's own box needs no messages.
     """
     ranks, brick, server = mesh.comm.size, pairs[:, 0], pairs[:, 1]
     remote = _owners(mesh, rows[:, 0], rows[:, 1])[brick] != server
     brick, server = brick[remote], server[remote]
-    starts = np.searchsorted(parts[:, 0], np.arange(len(rows) + 1))
-    numbers = starts[brick + 1] - starts[brick]
-    pair = np.repeat(np.arange(len(brick)), numbers)
-    row = np.arange(len(pair)) + np.repeat(starts[brick] - np.cumsum(numbers) + numbers, numbers)
-    owner = _owners(mesh, parts[:, 1], parts[:, 2])[row]
-    other = owner != server[pair]
-    pair, row, owner = pair[other], row[other], owner[other]
-    meetings, member = np.unique(server[pair] * ranks + owner, return_inverse=True)
-    values = np.bincount(member, parts[row, 3], len(meetings))
-    named = np.unique(pair * ranks + owner)  # a brick is named once to each owner of cells around it
-    names = np.searchsorted(meetings, server[named // ranks] * ranks + named % ranks)
-    named_of = np.bincount(names, minlength=len(meetings))
-    return Exchange(ranks, meetings // ranks, meetings % ranks, named_of, values.astype(np.int64))
+    cells = np.bincount(parts[:, 0], parts[:, 3], len(rows))
+    behind = server != first[brick]
+    passed = np.isin(parts[:, 0], brick)  # through the first servers
+    of_part, owner = parts[passed], _owners(mesh, parts[passed, 1], parts[passed, 2])
+    met = owner != first[of_part[:, 0]]
+    by_part = of_part[met, 0], first[of_part[met, 0]], owner[met], of_part[met, 3]
+    by_server = brick[behind], server[behind], first[brick[behind]], cells[brick[behind]]
+    found = [_meetings(ranks, *values) for values in (by_server, by_part)]
+    return Exchange(ranks, *(np.concatenate(both) for both in zip(*found, strict=True)))
+
+
+def _meetings(ranks: int, brick: Array, server: Array, owner: Array, cells: Array) -> tuple[Array, Array, Array, Array]:
+    """Return servers and owners that meet, how many bricks one names to the other, and how many cells pass, each (n,)."""
+    meetings, member = np.unique(server * ranks + owner, return_inverse=True)
+    named = np.unique(np.column_stack([member, brick]), axis=0)  # a brick is named once, whatever its windows
+    names = np.bincount(named[:, 0], minlength=len(meetings))
+    values = np.bincount(member, cells, len(meetings)).astype(np.int64)
+    return meetings // ranks, meetings % ranks, names, values
 
 
 def _owners(mesh: Hierarchy, levels: Array, boxes: Array) -> Array:

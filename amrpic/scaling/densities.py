@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+import scipy
 from mpi4py import MPI
-from scipy.special import ndtr
 
 from ..errors import InputError
 from ..mesh.boxes import cells_of
@@ -86,7 +86,7 @@ def _clouds(scene: Scene, number: int, bunch: Bunch, walked: float) -> Iterator[
 
 
 def _normal(centre: float, size: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda edges: np.diff(ndtr((edges - centre) / size))
+    return lambda edges: np.diff(scipy.special.ndtr((edges - centre) / size))
 
 
 def _even(lower: float, upper: float) -> Callable[[np.ndarray], np.ndarray]:

@@ -2,7 +2,7 @@
 
 A stage takes, with n cells of level l on a rank, p particles in q bricks of which d come into another one, w patches at open
 walls with i interactions, and c cycles that relax the cells s (halos and multigrid levels included, less those that one rank
-with all cells relaxes besides); one cycle more where a solve estimates the error of the mesh
+with all cells relaxes besides); one cycle more for each solve that estimates the error of the mesh
 
     t = call + Σ_l max n_l cell + c s cycle + max p particle + max d moved + max q brick + max w patch + max i interaction
         + max b byte + m latency + b ranks per node / bandwidth + k log₂(ranks) collective

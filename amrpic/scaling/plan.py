@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from ..mesh.boxes import Array
 from ..mesh.hierarchy import Hierarchy
 from ..parallel import Traffic
 from ..run.memory import Share, cells_below, placing_bytes, rank_memory
-from ..run.restart import FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
+from ..run.restart import BEFORE, FIELDS, LAGGING_BYTES, ROW_BYTES, writers_of
 from ..scene.motion import Leapfrog, RandomWalk
 from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served
@@ -86,7 +87,7 @@ class Plan:
     walls: list[Walls]  # of ranks that were gone through, all or `WALLS` of them
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
-    estimates: int  # cycles of a solve that find the error of the mesh, besides those that improve the potential
+    estimates: float  # cycles per solve that find the error of the mesh, besides those that improve the potential
     met: Array  # (ranks,) other ranks that one meets, of all levels together
     seconds: float  # of the processor, in which the plan was made
 
@@ -171,6 +172,20 @@ class Cycles:
                 relaxed[level.level] = max(relaxed.get(level.level, 0.0), level.relaxed)
                 sweeps[level.level] = level.sweeps
         return cls(messages, volume, relaxed, sweeps)
+
+
+def estimates_per_solve(scene: Scene) -> float:
+    """Return for what part of the solves of a run the error of the mesh is estimated."""
+    if scene.solver.tolerance != "discretization":
+        return 0.0
+    refinement = scene.refinement
+    anew = refinement.regrid_every if refinement.follows and refinement.regrid_every > 0 else math.inf
+    return 1 / min(anew, _native.SOLVES_PER_ESTIMATE)
+
+
+def cycles_per_solve(scene: Scene) -> float:
+    """Return how many cycles improve the potential: where it is extrapolated one, and two where the error is estimated."""
+    return 1 + estimates_per_solve(scene) if scene.extrapolates_potential else 2.0
 
 
 def spread_out(ranks: int, most: int) -> list[int]:
@@ -276,7 +291,7 @@ class Planner:
             list(walls.values()),
             self._without(mesh, held),
             held.exchange,
-            int(scene.solver.tolerance == "discretization"),
+            estimates_per_solve(scene),
             met,
             time.process_time() - since,
         )
@@ -338,8 +353,9 @@ class Planner:
         """Return what each writer of a checkpoint does."""
         columns = [*ROW_BYTES, *([LAGGING_BYTES] if isinstance(self.scene.motion, Leapfrog) else [])]
         particles = np.repeat(np.rint(held.particles)[:, None], len(columns), axis=1)
-        rows = np.hstack([np.repeat(cells.T, len(FIELDS), axis=1), particles]).astype(np.int64)
-        sizes = [8] * (len(cells) * len(FIELDS)) + columns
+        fields = len([*FIELDS, *([BEFORE] if self.scene.extrapolates_potential else [])])
+        rows = np.hstack([np.repeat(cells.T, fields, axis=1), particles]).astype(np.int64)
+        sizes = [8] * (len(cells) * fields) + columns
         return loads(rows, sizes, writers_of(self.scene))
 
     # ---- what choices are worth ----

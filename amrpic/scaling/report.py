@@ -93,7 +93,7 @@ def markdown(
     for machine in machines:
         parts += [
             f"## Modelled on {machine.name}, {cycles:g} cycles per solve",
-            f"{machine.source}.",
+            f"{machine.source}. {_of_estimates(first)}",
             as_markdown(_times(plans, machine, cycles)),
             "What each choice costs if it is switched off alone, ms per step:",
             as_markdown(_choices(plans, machine, cycles)),
@@ -101,6 +101,13 @@ def markdown(
             as_markdown(_sensitivity(plans, machine, cycles)),
         ]
     return "\n\n".join(parts)
+
+
+def _of_estimates(plan: Plan) -> str:
+    """Return how often a cycle more finds the error of the mesh."""
+    return (
+        f"In one of {1 / plan.estimates:g} solves a cycle more finds the error of the mesh." if plan.estimates else ""
+    )
 
 
 def _asked(rows: Iterable[tuple[str, str, bool]]) -> str:

@@ -47,6 +47,12 @@ class Scene(SceneParts):
         """Macroparticles of the whole scene at its start."""
         return sum(bunch.number * bunch.copies for bunch in self.bunches)
 
+    @property
+    def extrapolates_potential(self) -> bool:
+        """Whether solves start from what the potentials of the two steps before lead to: of particles that fly on, where few
+        cycles are enough."""
+        return isinstance(self.motion, Leapfrog) and self.solver.tolerance == "discretization"
+
     def summary(self) -> str:
         """Return in one line what the scene is."""
         cells = "x".join(map(str, self.domain.cells))

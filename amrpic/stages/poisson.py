@@ -8,8 +8,8 @@ from itertools import product
 from typing import Any, Literal, get_args
 
 import numpy as np
+import scipy
 from pydantic import ValidationError
-from scipy import sparse
 
 from .. import _native, html
 from ..errors import SolverError
@@ -35,6 +35,9 @@ class SolveReport:
     reason: str  # why the solve stopped
     floor: float  # estimate of the relative residual that rounding alone leaves; 0 unless it was met
     discretization_error: float = 0.0  # estimate of the largest error of φ that the mesh makes, V; 0 unless asked for
+    contraction: float = 0.0  # the latest known: largest change of φ by a second cycle over that by the first
+    right_hand_side: float = 0.0  # its norm when the error was estimated
+    solves_since: int = 0  # that estimate
 
     def _repr_html_(self) -> str:
         end = "converged" if self.converged else "not converged"
@@ -111,12 +114,15 @@ class PoissonSolver:
         guess: Field | None = None,
         boundary_values: Function | None = None,
         boundary_flux: Function | None = None,
+        last: SolveReport | None = None,
     ) -> tuple[Field, SolveReport]:
         """Return the potential in V and how the solve went. Collective.
 
         `rho` is in C/m³; what it holds in covered cells is ignored. `guess` is a potential to start from.
         `boundary_values(x, y, z)` gives V on Dirichlet faces, `boundary_flux(x, y, z)` the outward derivative of φ in V/m on
-        Neumann faces; both are called with arrays of face centres in m, and are zero by default.
+        Neumann faces; both are called with arrays of face centres in m, and are zero by default. `last` is the report of the
+        solve on this hierarchy that found the guess: its estimate of the error that the mesh makes serves nine further
+        solves, as long as the right-hand side is of about the same size, and these may take a single cycle.
 
         Check `report.converged`: an unconverged potential is returned as what it is. Raises SolverError for a charge that
         no potential can balance, for a right-hand side that is not finite, and for fields of another hierarchy.
@@ -131,9 +137,10 @@ class PoissonSolver:
             rho = self._in_means(rho)
             phi.holds = "means"
         try:
-            report = self.native.solve(rho.native, phi.native, guess is None)
+            report = self.native.solve(rho.native, phi.native, guess is None, _known(last))
         except _native.SolverError as refused:
             raise SolverError(str(refused)) from None
+        mesh = report.mesh_error
         return phi, SolveReport(
             report.converged,
             report.cycles,
@@ -141,7 +148,10 @@ class PoissonSolver:
             report.seconds,
             report.reason,
             report.floor,
-            report.discretisation_error,
+            mesh.error,
+            mesh.contraction,
+            mesh.right_hand_side,
+            mesh.solves,
         )
 
     @property
@@ -253,6 +263,13 @@ class BaseSetup:
     native: _native.Reusable
 
 
+def _known(last: SolveReport | None) -> _native.MeshError:
+    """Return what an earlier solve found of the error of the mesh."""
+    if last is None:
+        return _native.MeshError()
+    return _native.MeshError(last.discretization_error, last.contraction, last.right_hand_side, last.solves_since)
+
+
 def _options(options: SolverOptions | None, choices: Mapping[str, Any]) -> SolverOptions:
     """Return the options that are given as a whole or one by one. Raises SolverError."""
     if options is not None:
@@ -298,7 +315,7 @@ class Operator:
     source: tuple[_native.LevelOperators, str, int] | None = None
     first_column: int = 0  # of this rank's cells of the column level, where there is no source
 
-    def to_scipy(self) -> sparse.csr_array | None:
+    def to_scipy(self) -> scipy.sparse.csr_array | None:
         """The whole operator on rank 0, None elsewhere; rows and columns in the order of the levels' cells. Collective."""
         parts = self.hierarchy.comm.gather(self.entries, root=0)
         if parts is None:
@@ -307,13 +324,15 @@ class Operator:
         start = np.concatenate([[0], np.cumsum(lengths)])
         columns = np.concatenate([column for _, column, _ in parts])
         values = np.concatenate([value for _, _, value in parts])
-        return sparse.csr_array((values, columns, start), shape=self.shape)
+        return scipy.sparse.csr_array((values, columns, start), shape=self.shape)
 
     def multiply(self, values: np.ndarray) -> np.ndarray:
         """This rank's part of the operator times `values`, its cells of the column level, by Tpetra. Collective."""
         if self.source is None:
             start, columns, own = self.entries
-            local = sparse.csr_array((own, columns - self.first_column, start), shape=(len(start) - 1, len(values)))
+            local = scipy.sparse.csr_array(
+                (own, columns - self.first_column, start), shape=(len(start) - 1, len(values))
+            )
             return local @ values
         operators, name, axis = self.source
         return operators.multiply(name, axis, np.ascontiguousarray(values))

@@ -115,6 +115,7 @@ def carry_over(field: Field, hierarchy: Hierarchy, order: int = 2, bounds: Bound
     if order > 2 or bounds is not None:
         return field.remap(hierarchy, order, bounds)
     out = Field(hierarchy, field.unit)
+    out.holds = field.holds
     _native.carry_over(field.native, out.native)
     return out
 

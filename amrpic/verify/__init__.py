@@ -24,6 +24,7 @@ from . import (
     hard,
     least_squares,
     materials,
+    mpm,
     openboundary,
     operators,
     pareto,
@@ -32,7 +33,7 @@ from . import (
     stopping,
 )
 from .chosen import backend as chosen_backend
-from .chosen import full_length
+from .chosen import lengths
 from .draw import draw_curves
 from .table import Table
 
@@ -52,6 +53,7 @@ TOPICS: Mapping[str, Callable[[MPI.Comm], Iterator[Table]]] = {
     "gaps": gaps.tables,
     "operators": operators.tables,
     "materials": materials.tables,
+    "mpm": mpm.tables,
 }
 
 
@@ -66,7 +68,7 @@ def verify(
 ) -> Iterator[tuple[str, Table]]:
     """Each table as it is measured, with its topic; the same on all ranks. Collective.
 
-    Of the topics named and of speed against error of the scenes, there with fewer settings if `quick`; of all topics if
+    Of the topics named and of speed against error of the scenes, with fewer settings and cases if `quick`; of all topics if
     neither is named. `backend` is that of the solver, if not the default; with `long` comparisons that take longer are made
     in full. Raises InputError for a topic or a backend that
     does not exist, and for a scene whose charge has no formula.
@@ -75,7 +77,7 @@ def verify(
         if topic not in TOPICS:
             raise InputError(f'verify knows no topic "{topic}"; use {", ".join(TOPICS)}')
     require_backend(backend)
-    with chosen_backend(backend), full_length(long):
+    with chosen_backend(backend), lengths(long, quick):
         for topic in topics or (() if scenes else TOPICS):
             for table in TOPICS[topic](comm):
                 yield topic, table

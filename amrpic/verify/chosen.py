@@ -13,21 +13,28 @@ from ..stages.poisson import PoissonSolver
 
 _backend: ContextVar[str | None] = ContextVar("backend", default=None)  # None: the package's default
 _long: ContextVar[bool] = ContextVar("long", default=False)
+_quick: ContextVar[bool] = ContextVar("quick", default=False)
 
 
 @contextmanager
-def full_length(chosen: bool) -> Iterator[None]:
-    """Let topics within measure their longer comparisons in full, if `chosen`."""
-    before = _long.set(chosen)
+def lengths(long: bool, quick: bool) -> Iterator[None]:
+    """Let topics within measure their longer comparisons in full if `long`, and fewer cases if `quick`."""
+    before = _long.set(long), _quick.set(quick)
     try:
         yield
     finally:
-        _long.reset(before)
+        _long.reset(before[0])
+        _quick.reset(before[1])
 
 
 def in_full() -> bool:
     """Whether longer comparisons are measured in full."""
     return _long.get()
+
+
+def in_brief() -> bool:
+    """Whether fewer cases are measured, where a topic knows which."""
+    return _quick.get()
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import fem, mpm
+from .chosen import in_brief
 from .press import Pressed, confined, exact_stress, iterations, upper_face
 from .table import Goal, Table
 
@@ -25,6 +26,14 @@ LAYOUTS: dict[str, Callable[[fem.Mesh], fem.Points]] = {
     "Gauss": fem.gauss,
     "jittered 4³": lambda mesh: fem.jittered(mesh, 4),
 }
+PATCHES = (
+    (1, "jittered", 4, True),
+    (2, "jittered", 5, True),
+    (3, "jittered", 8, True),
+    (4, "uniform", 8, True),
+    (1, "jittered", 4, False),
+    (2, "jittered", 5, False),
+)
 GRADIENT = np.array([[0.1, 0.05, -0.08], [0.02, -0.2, 0.1], [0.1, 0, 0.15]])
 Row = list[str | float | Goal]
 
@@ -45,17 +54,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         "Walls of 3³ elements move affinely by up to 20 %; Newton's method starts 1 % of the size away. Largest difference of "
         "the displacement from the affine one, in parts of the size, and of stress, in parts of Young's modulus.",
         ("degree", "points", "weights", "m", "displacement", "stress", "iterations"),
-        [
-            _patch(*case)
-            for case in (
-                (1, "jittered", 4, True),
-                (2, "jittered", 5, True),
-                (3, "jittered", 8, True),
-                (4, "uniform", 8, True),
-                (1, "jittered", 4, False),
-                (2, "jittered", 5, False),
-            )
-        ],
+        [_patch(*case) for case in PATCHES if case[0] <= 2 or not in_brief()],
     )
     yield Table(
         "Solids: confined compression",
@@ -86,7 +85,7 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
         "volume weights: one material, or Voronoi's grains (4 GPa) in a binder (300 MPa) with spherical voids of sticky air. "
         "Degree 1 and below by half the elements, or by MueLu's aggregates.",
         ("degree", "elements", "air, MPa", "half the elements", "aggregates - half", "Jacobi"),
-        [_multigrid(comm, *case) for case in MULTIGRID],
+        [_multigrid(comm, *case) for case in MULTIGRID if case[:2] in QUICK_MULTIGRID or not in_brief()],
     )
 
 
@@ -216,6 +215,7 @@ MULTIGRID = (
     (3, 8, 6, 5.0, None),
     (4, 4, 6, 5.0, None),
 )
+QUICK_MULTIGRID = ((1, 8), (2, 8))  # degrees and elements of those that take little
 
 
 def _multigrid(comm: MPI.Comm, degree: int, cells: int, per_axis: int, air: float | None, most: int | None) -> Row:

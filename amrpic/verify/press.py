@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from mpi4py import MPI
+from scipy.spatial import cKDTree
 
 from .. import fem, mpm
 from ..fem.solve import Coarse, Preconditioner
@@ -74,9 +75,10 @@ def structure(places: np.ndarray, grains: int = 60, voids: int = 14, seed: int =
     """The material of places (n, 3) in a unit cube: 0 in Voronoi's cells, 1 in the joints between them, 2 in round voids."""
     rng = np.random.default_rng(seed)
     centres, holes, radii = rng.uniform(size=(grains, 3)), rng.uniform(size=(voids, 3)), rng.uniform(0.06, 0.13, voids)
-    near = np.sort(np.linalg.norm(places[:, None] - centres, axis=2), axis=1)
+    near = cKDTree(centres).query(places, k=2)[0]
     out = np.where(near[:, 1] - near[:, 0] < 0.05, 1, 0)
-    out[(np.linalg.norm(places[:, None] - holes, axis=2) < radii).any(axis=1)] = 2
+    for hole, radius in zip(holes, radii, strict=True):
+        out[((places - hole) ** 2).sum(axis=1) < radius**2] = 2
     return out
 
 

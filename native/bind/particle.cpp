@@ -90,7 +90,7 @@ void bind_particle(nb::module_& m) {
       .def(
           "__init__",
           [](RemoteBricks* self, std::shared_ptr<Hierarchy const> hierarchy) {
-            new (self) RemoteBricks(std::move(hierarchy), {});
+            new (self) RemoteBricks(std::move(hierarchy), {}, {});
           },
           "hierarchy"_a, "None.")
       .def_prop_ro(
@@ -183,7 +183,7 @@ void bind_particle(nb::module_& m) {
       .def(
           "remote",
           [](Migration const& self, std::shared_ptr<Hierarchy const> hierarchy) {
-            return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote());
+            return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote(), self.first_servers());
           },
           "hierarchy"_a);
 
@@ -208,7 +208,7 @@ void bind_particle(nb::module_& m) {
       .def(
           "remote",
           [](Arrangement const& self, std::shared_ptr<Hierarchy const> hierarchy) {
-            return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote);
+            return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote, self.first_servers);
           },
           "hierarchy"_a);
 

@@ -85,12 +85,21 @@ void bind_solver(nb::module_& m) {
       .def_rw("krylov", &SolverOptions::krylov)
       .def_rw("neutralize", &SolverOptions::neutralize);
 
+  nb::class_<MeshError>(m, "MeshError")
+      .def(nb::init<Real, Real, Real, int>(), "error"_a = 0.0, "contraction"_a = 0.0, "right_hand_side"_a = 0.0,
+           "solves"_a = 0)
+      .def_ro("error", &MeshError::error)
+      .def_ro("contraction", &MeshError::contraction)
+      .def_ro("right_hand_side", &MeshError::right_hand_side)
+      .def_ro("solves", &MeshError::solves);
+  m.attr("SOLVES_PER_ESTIMATE") = nb::int_(MeshError::lasts + 1);  // of the error of the mesh
+
   nb::class_<SolveReport>(m, "SolveReport")
       .def_ro("converged", &SolveReport::converged)
       .def_ro("cycles", &SolveReport::cycles)
       .def_ro("residuals", &SolveReport::residuals)
       .def_ro("floor", &SolveReport::floor)
-      .def_ro("discretisation_error", &SolveReport::discretisation_error)
+      .def_ro("mesh_error", &SolveReport::mesh_error)
       .def_ro("reason", &SolveReport::reason)
       .def_ro("seconds", &SolveReport::seconds);
 
@@ -104,7 +113,8 @@ void bind_solver(nb::module_& m) {
             new (self) PoissonSolver(std::move(hierarchy), options, reusable);
           },
           "hierarchy"_a, "options"_a, "reusable"_a)
-      .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, nb::call_guard<nb::gil_scoped_release>())
+      .def("solve", &PoissonSolver::solve, "rho"_a, "phi"_a, "from_zero"_a, "known"_a,
+           nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field", &PoissonSolver::electric_field, "potential"_a, "covered"_a,
            nb::call_guard<nb::gil_scoped_release>())
       .def("electric_field_as", &PoissonSolver::electric_field_as, "potential"_a, "covered"_a, "holds"_a,

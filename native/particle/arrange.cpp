@@ -4,6 +4,7 @@
 #include <stdexcept>
 
 #include "particle/classify.hpp"
+#include "particle/remote_bricks.hpp"
 #include "particle/sort.hpp"
 
 namespace amrpic {
@@ -16,8 +17,9 @@ Arrangement arrange(ParticleMesh& mesh, Servers const& servers, ParticleView con
     throw std::invalid_argument("particles that are to be arranged must be with their servers");
   Places sorted = sort(mesh, destinations, PackedParticles(std::vector<std::int64_t>(leavers.size(), 0)));
 
-  Arrangement out{std::vector<LocalIndex>(std::size_t(particles.count)), std::move(sorted.slots),
-                  std::move(sorted.remote)};
+  Arrangement out{
+      std::vector<LocalIndex>(std::size_t(particles.count)), std::move(sorted.slots), std::move(sorted.remote), {}};
+  out.first_servers = first_servers(mesh.hierarchy(), servers, out.remote);
   for (std::size_t run = 0; run < destinations.runs.size(); ++run) {
     LocalIndex to = sorted.runs[run];
     for (LocalIndex n = destinations.runs[run].first; n < destinations.runs[run].last; ++n)

@@ -15,6 +15,7 @@ struct Arrangement {
   std::vector<LocalIndex> places;    ///< of each particle
   std::vector<std::int64_t> starts;  ///< of each slot, and of one more
   std::vector<Home> remote;          ///< bricks of the last slots
+  std::vector<int> first_servers;    ///< of these
 };
 
 /// Find the places of particles of which this rank is the server; only positions and ids are read. Throws

@@ -251,7 +251,7 @@ class RemoteCharge {
     }
   }
 
-  void add_to(Field& density) const { plan_.add(values_, density); }
+  void add_to(Field& density) { plan_.add(std::move(values_), density); }
 
  private:
   Hierarchy const& hierarchy_;

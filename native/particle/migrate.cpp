@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "particle/copy.hpp"
+#include "particle/remote_bricks.hpp"
 
 namespace amrpic {
 
@@ -32,6 +33,10 @@ bool Migration::finish(ParticleView const& out) {
   for (std::int64_t n = 0; n < leaving_.count(); ++n)
     for (int d = 0; d < 3; ++d) left = left && std::isfinite(leaving_.momentum(n, d));
   return destinations_.finite && stayed && left;
+}
+
+std::vector<int> Migration::first_servers() const {
+  return amrpic::first_servers(mesh_.hierarchy(), servers_, places_.remote);
 }
 
 void Migration::carry(std::vector<Real const*> const& from, std::vector<Real*> const& to) const {

@@ -40,6 +40,7 @@ class Migration {
 
   std::vector<std::int64_t> const& starts() const { return places_.slots; }  ///< of each slot, and of one more
   std::vector<Home> const& remote() const { return places_.remote; }         ///< bricks of the last slots
+  std::vector<int> first_servers() const;                                    ///< of these
 
  private:
   ParticleMesh& mesh_;

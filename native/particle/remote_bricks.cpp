@@ -38,11 +38,10 @@ std::vector<BrickWindows> windows_of(Hierarchy const& hierarchy, std::vector<Hom
 }
 
 /// Send lists to other ranks, and return those that come from others, in the order of ranks. Collective.
-std::vector<std::pair<int, std::vector<Home>>> exchanged(Communicator const& comm,
-                                                         std::map<int, std::vector<Home>> const& to) {
+BricksOfRanks exchanged(Communicator const& comm, std::map<int, std::vector<Home>> const& to) {
   std::vector<std::pair<int, std::int64_t>> counts;
   for (auto const& [rank, list] : to) counts.emplace_back(rank, std::int64_t(list.size()));
-  std::vector<std::pair<int, std::vector<Home>>> from;
+  BricksOfRanks from;
   for (auto const& [rank, count] : comm.announced(counts))
     from.emplace_back(rank, std::vector<Home>(std::size_t(count)));
   Messages messages;
@@ -78,43 +77,69 @@ BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matc
   return out;
 }
 
-RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine,
-                       std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched, int reach)
-    : bricks_(windows_of(hierarchy, mine, matched, reach)) {
+std::vector<int> first_servers(Hierarchy const& hierarchy, Servers const& servers, std::vector<Home> const& bricks) {
+  std::vector<int> out;
+  out.reserve(bricks.size());
+  for (Home const& brick : bricks)
+    out.push_back(servers.server(servers.curve().place(brick.level, cells_of(hierarchy, brick).lower)));
+  return out;
+}
+
+RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<BrickWindows> bricks, std::vector<int> const& servers,
+                       BricksOfRanks const& of_servers, BricksOfRanks const& of_others, bool matched, int reach)
+    : bricks_(std::move(bricks)) {
   int const me = hierarchy.comm().rank();
   auto const own_part = [&](int l, Window::Part const& part) {
     return OwnPart{l, part.box - hierarchy.level(l).first_local_box(), part.in_box()};
   };
-  std::vector<Parcel> asked, wanted;
-  for (BrickWindows const& brick : bricks_) {
+  std::map<Home, std::size_t> place;
+  for (std::size_t b = 0; b < bricks_.size(); ++b) {
+    place[bricks_[b].home] = b;
     first_.emplace_back();
-    for (Window const& window : brick.windows) {
+    for (Window const& window : bricks_[b].windows) {
       first_.back().push_back(cells_);
       cells_ += std::size_t(window.cells.cells());
     }
   }
-  std::map<int, std::vector<WindowPart>> wanted_of;
+  std::map<int, std::vector<WindowPart>> wanted_of, brought_by;
   for_each_part(hierarchy, bricks_, [&](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
-    if (owner == me)
+    if (servers[b] != me)
+      brought_by[servers[b]].push_back(part_of(b, w, part));
+    else if (owner == me)
       local_.push_back({own_part(bricks_[b].windows[w].level, part), part_of(b, w, part)});
     else
       wanted_of[owner].push_back(part_of(b, w, part));
   });
-  for (auto const& [rank, parts] : wanted_of)
-    for (WindowPart const& part : parts) {
-      wanted.push_back({rank, part.cells.cells()});
-      wanted_.push_back(part);
-    }
+  auto const parcels = [](std::map<int, std::vector<WindowPart>> const& of_ranks, std::vector<WindowPart>& parts) {
+    std::vector<Parcel> out;
+    for (auto const& [rank, list] : of_ranks)
+      for (WindowPart const& part : list) {
+        out.push_back({rank, part.cells.cells()});
+        parts.push_back(part);
+      }
+    return out;
+  };
+  std::vector<Parcel> asked, passed_on;
   for (auto const& [rank, list] : of_others) {
-    auto const bricks = windows_of(hierarchy, list, matched, reach);
-    for_each_part(hierarchy, bricks,
+    auto const windows = windows_of(hierarchy, list, matched, reach);
+    for_each_part(hierarchy, windows,
                   [&, reader = rank](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
                     if (owner != me) return;
                     asked.push_back({reader, part.cells.cells()});
-                    asked_.push_back(own_part(bricks[b].windows[w].level, part));
+                    asked_.push_back(own_part(windows[b].windows[w].level, part));
                   });
   }
-  exchange_ = Exchange<Real>(hierarchy.comm(), asked, wanted);
+  for (auto const& [rank, list] : of_servers)
+    for (Home const& brick : list) {
+      std::size_t const b = place.at(brick);
+      for (std::size_t w = 0; w < bricks_[b].windows.size(); ++w)
+        for (Window::Part const& part : bricks_[b].windows[w].parts) {
+          passed_on.push_back({rank, part.cells.cells()});
+          passed_on_.push_back(part_of(b, w, part));
+        }
+    }
+  exchange_ = Exchange<Real>(hierarchy.comm(), asked, parcels(wanted_of, wanted_));
+  between_servers_ = Exchange<Real>(hierarchy.comm(), passed_on, parcels(brought_by, brought_));
 }
 
 template <class Write>
@@ -126,6 +151,11 @@ std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) con
       in += per_cell * count;
     });
   };
+  auto const pack = [&](WindowPart const& from, Real* to) {
+    for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
+      to = std::copy_n(out.data() + per_cell * (from.first + place), per_cell * count, to);
+    });
+  };
   exchange_.update([&](std::size_t n, Real* to) { write(asked_[n], to); },
                    [&](std::size_t n, Real const* in) { unpack(wanted_[n], in); }, per_cell);
   std::vector<Real> cells;
@@ -134,6 +164,8 @@ std::vector<Real> RemotePlan::read(std::size_t per_cell, Write const& write) con
     write(part.own, cells.data());
     unpack(part.window, cells.data());
   }
+  between_servers_.update([&](std::size_t n, Real* to) { pack(passed_on_[n], to); },
+                          [&](std::size_t n, Real const* in) { unpack(brought_[n], in); }, per_cell);
   return out;
 }
 
@@ -153,7 +185,7 @@ std::vector<Real> RemotePlan::read(Field const& density) const {
   });
 }
 
-void RemotePlan::add(std::vector<Real> const& values, Field& density) const {
+void RemotePlan::add(std::vector<Real> values, Field& density) const {
   Hierarchy const& hierarchy = density.hierarchy();
   auto const pack = [&](WindowPart const& from, Real* out) {
     for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
@@ -168,6 +200,13 @@ void RemotePlan::add(std::vector<Real> const& values, Field& density) const {
       for (std::size_t n = 0; n < count; ++n) own[place + n] += *in++;
     });
   };
+  auto const add_to_window = [&](WindowPart const& to, Real const* in) {
+    for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
+      for (std::size_t n = 0; n < count; ++n) values[to.first + place + n] += *in++;
+    });
+  };
+  between_servers_.fold([&](std::size_t n, Real* out) { pack(brought_[n], out); },
+                        [&](std::size_t n, Real const* in) { add_to_window(passed_on_[n], in); });
   std::vector<Real> cells;
   for (LocalPart const& part : local_) {
     cells.resize(std::size_t(part.own.cells.cells()));
@@ -182,14 +221,29 @@ RemotePlan const& RemoteBricks::plan(bool matched, int reach) const {
   auto& plan = plans_[{matched, reach}];
   if (plan) return *plan;
   Communicator const& comm = hierarchy_->comm();
-  std::map<int, std::vector<Home>> to;
-  auto const mine = windows_of(*hierarchy_, bricks_, matched, reach);
-  for_each_part(*hierarchy_, mine, [&](std::size_t b, std::size_t, Window::Part const&, int owner) {
-    if (owner == comm.rank()) return;
-    auto& list = to[owner];
-    if (list.empty() || !(list.back() == bricks_[b])) list.push_back(bricks_[b]);
+  std::map<int, std::vector<Home>> to_servers, to_owners;
+  for (std::size_t b = 0; b < bricks_.size(); ++b)
+    if (servers_[b] != comm.rank()) to_servers[servers_[b]].push_back(bricks_[b]);
+  auto const of_servers = exchanged(comm, to_servers);
+
+  auto bricks = bricks_;
+  for (auto const& [rank, list] : of_servers) bricks.insert(bricks.end(), list.begin(), list.end());
+  auto const passed_on = bricks.begin() + std::ptrdiff_t(bricks_.size());
+  std::sort(passed_on, bricks.end());
+  auto const is_mine = [&](Home const& brick) { return std::binary_search(bricks_.begin(), bricks_.end(), brick); };
+  bricks.erase(std::remove_if(passed_on, std::unique(passed_on, bricks.end()), is_mine), bricks.end());
+  auto servers = servers_;
+  servers.resize(bricks.size(), comm.rank());
+
+  auto windows = windows_of(*hierarchy_, bricks, matched, reach);
+  for_each_part(*hierarchy_, windows, [&](std::size_t b, std::size_t, Window::Part const&, int owner) {
+    if (owner == comm.rank() || servers[b] != comm.rank()) return;
+    auto& list = to_owners[owner];
+    if (list.empty() || !(list.back() == bricks[b])) list.push_back(bricks[b]);
   });
-  plan = std::make_unique<RemotePlan const>(*hierarchy_, bricks_, exchanged(comm, to), matched, reach);
+  auto const of_others = exchanged(comm, to_owners);
+  plan = std::make_unique<RemotePlan const>(*hierarchy_, std::move(windows), servers, of_servers, of_others, matched,
+                                            reach);
   return *plan;
 }
 

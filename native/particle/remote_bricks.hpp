@@ -11,6 +11,7 @@
 #include "mesh/field.hpp"
 #include "particle/buffer_zone.hpp"
 #include "particle/locate.hpp"
+#include "particle/servers.hpp"
 
 namespace amrpic {
 
@@ -57,15 +58,25 @@ struct BrickWindows {
 /// Follows from the boxes alone; `matched`: whether clouds are; `reach`: layers of cells around the brick. Local.
 BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matched, int reach = tile_reach);
 
-/// The plan of what passes between this rank and others because of bricks that one serves and the other owns.
+/// The lowest of the ranks that serve particles of each of some bricks. Local.
+std::vector<int> first_servers(Hierarchy const& hierarchy, Servers const& servers, std::vector<Home> const& bricks);
+
+/// Bricks that each of some other ranks has asked for, in ascending order of ranks and in the order in which it has
+/// them.
+using BricksOfRanks = std::vector<std::pair<int, std::vector<Home>>>;
+
+/// The plan of what passes between this rank and others because of bricks that one serves and the other owns. Of
+/// several ranks that serve the same brick the first alone meets the owners of its cells: it passes on what it reads to
+/// the others, and sums what they add.
 ///
-/// The values of all windows of this rank's remote bricks are stored one window after the other, x fastest.
+/// The values of all windows of a rank's bricks are stored one window after the other, x fastest.
 class RemotePlan {
  public:
-  /// `mine`: remote bricks of this rank; `of_others`: for each other rank that serves such of this rank's cells, in
-  /// ascending order, which ones, in the order in which it has them. Local.
-  RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& mine,
-             std::vector<std::pair<int, std::vector<Home>>> const& of_others, bool matched, int reach);
+  /// `bricks`: remote ones of this rank, then those that it passes on alone; `servers`: the first of each;
+  /// `of_servers`: bricks that pass through this rank; `of_others`: those of first servers, with cells of this rank.
+  /// Local.
+  RemotePlan(Hierarchy const& hierarchy, std::vector<BrickWindows> bricks, std::vector<int> const& servers,
+             BricksOfRanks const& of_servers, BricksOfRanks const& of_others, bool matched, int reach);
 
   std::vector<BrickWindows> const& bricks() const { return bricks_; }
   std::size_t cells() const { return cells_; }  ///< of all windows
@@ -77,7 +88,7 @@ class RemotePlan {
   std::vector<Real> read(Field const& density) const;
 
   /// Add densities in the cells of all windows to those of the owners. Collective.
-  void add(std::vector<Real> const& values, Field& density) const;
+  void add(std::vector<Real> values, Field& density) const;
 
  private:
   /// Cells of this rank's box, numbered from its first one of the level, that another rank reads or this one itself.
@@ -109,27 +120,30 @@ class RemotePlan {
   std::vector<WindowPart> wanted_;  ///< of other ranks
   std::vector<LocalPart> local_;
   Exchange<Real> exchange_;
+  std::vector<WindowPart> passed_on_, brought_;  ///< to other servers, and by first servers
+  Exchange<Real> between_servers_;
 };
 
 /// The remote bricks in which this rank has particles.
 class RemoteBricks {
  public:
-  /// `bricks`: ascending. Local.
-  RemoteBricks(std::shared_ptr<Hierarchy const> hierarchy, std::vector<Home> bricks)
-      : hierarchy_(std::move(hierarchy)), bricks_(std::move(bricks)) {}
+  /// `bricks`: ascending; `servers`: the first of each. Local.
+  RemoteBricks(std::shared_ptr<Hierarchy const> hierarchy, std::vector<Home> bricks, std::vector<int> servers)
+      : hierarchy_(std::move(hierarchy)), bricks_(std::move(bricks)), servers_(std::move(servers)) {}
   RemoteBricks(RemoteBricks const&) = delete;
   RemoteBricks& operator=(RemoteBricks const&) = delete;
 
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   std::vector<Home> const& bricks() const { return bricks_; }
 
-  /// What passes because of them. The first call, for clouds that are matched or not and each reach, lets owners know:
+  /// What passes because of them. The first call, for clouds that are matched or not and each reach, lets others know:
   /// collective.
   RemotePlan const& plan(bool matched, int reach = tile_reach) const;
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
   std::vector<Home> bricks_;
+  std::vector<int> servers_;
   mutable std::map<std::pair<bool, int>, std::unique_ptr<RemotePlan const>> plans_;
 };
 

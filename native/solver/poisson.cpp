@@ -172,6 +172,11 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
   }
   check_size(largest);
   Real const size = backend_->right_hand_side_norm();
+  bool const goes_by_known = !from_zero && report.mesh_error.holds_for(size);
+  if (goes_by_known)
+    ++report.mesh_error.solves;
+  else
+    report.mesh_error = {};
   backend_->start(phi, from_zero);
   constexpr Real hopeless = 1e10;  // residual of a guess that is of another order of magnitude than the answer
   // Cycles in a row that hardly moved the residual; since it was last well below all before; and that lowest one.
@@ -189,8 +194,8 @@ void PoissonSolver::iterate(SolveReport& report, Field& phi, bool from_zero, Rea
     if (residual * size <= options_.absolute_tolerance) return finish(true, "absolute tolerance reached");
     if (!std::isfinite(residual)) return finish(false, "the residual is not finite");
     if (residual > 1e6 * std::max(report.residuals.front(), Real(1))) return finish(false, "the cycles diverge");
-    if (options_.to_discretisation && report.cycles > 1 && below_discretisation(report))
-      return finish(true, "error left is below a tenth of the estimated " + scientific(report.discretisation_error) +
+    if (options_.to_discretisation && report.cycles > (goes_by_known ? 0 : 1) && below_discretisation(report, size))
+      return finish(true, "error left is below a tenth of the estimated " + scientific(report.mesh_error.error) +
                               " V of the mesh");
     if (report.cycles > 0) {
       Real const factor = residual / report.residuals[report.residuals.size() - 2];
@@ -235,17 +240,25 @@ bool PoissonSolver::is_slow(std::vector<Real> const& residuals) const {
 
 /// Whether what the cycles to come would still change is a tenth of the error of the mesh: the latest correction times
 /// the sum of the geometric series that they make.
-bool PoissonSolver::below_discretisation(SolveReport& report) {
+bool PoissonSolver::below_discretisation(SolveReport& report, Real right_hand_side) {
+  MeshError& mesh = report.mesh_error;
+  if (report.cycles == 2) mesh.contraction = latest_correction_ / correction_before_;
+  if (mesh.error == 0) {
+    stopwatch_.time("discretisation error", [&] { mesh.error = backend_->discretisation_error(); });
+    mesh.right_hand_side = right_hand_side;
+  }
   Real const residual = report.residuals.back(), before = report.residuals[report.residuals.size() - 2];
-  if (report.discretisation_error == 0)
-    stopwatch_.time("discretisation error", [&] { report.discretisation_error = backend_->discretisation_error(); });
-  // The residual may fall faster than the error at first; no cycle gains more than a digit for good.
-  Real const factor = std::max({residual / before, latest_correction_ / correction_before_, Real(0.1)});
-  return factor < 0.9 && latest_correction_ * factor / (1 - factor) <= 0.1 * report.discretisation_error;
+  // What a first cycle leaves is what the second one changed when there was one, to be taken twice; of further ones the
+  // residual may fall faster than the error at first, and no cycle gains more than a digit for good.
+  Real const pace =
+      report.cycles == 1 ? 2 * mesh.contraction : std::max(latest_correction_ / correction_before_, Real(0.1));
+  Real const factor = std::max(residual / before, pace);
+  return factor < 0.9 && latest_correction_ * factor / (1 - factor) <= 0.1 * mesh.error;
 }
 
-SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero) {
+SolveReport PoissonSolver::solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known) {
   SolveReport report;
+  report.mesh_error = known;
   stopwatch_.reset();
   backend_->stopwatch().reset();
   if (wall_plan_) stopwatch_.time("open boundary", [&] { set_open_walls(rho); });

@@ -11,13 +11,27 @@
 
 namespace amrpic {
 
+/// What a solve to the error of the mesh found, and solves for nearly the same charge on the same mesh go by.
+struct MeshError {
+  Real error = 0;            ///< estimate of the largest error of phi that the mesh makes, V; 0: not known
+  Real contraction = 0;      ///< the largest change of phi by the second cycle over that by the first
+  Real right_hand_side = 0;  ///< norm of it then
+  int solves = 0;            ///< since then
+
+  static constexpr int lasts = 9;        ///< solves that go by it
+  static constexpr Real changes = 1.25;  ///< factor by which the right-hand side may grow or shrink meanwhile
+  bool holds_for(Real norm) const {
+    return error > 0 && solves < lasts && norm < changes * right_hand_side && changes * norm > right_hand_side;
+  }
+};
+
 /// How a solve went.
 struct SolveReport {
   bool converged = false;
   int cycles = 0;
-  std::vector<Real> residuals;    ///< before the first cycle and after each, relative to the right-hand side
-  Real discretisation_error = 0;  ///< estimate of the largest error of phi that the mesh makes, V; 0: not asked for
-  Real floor = 0;                 ///< estimate of the relative residual that rounding alone leaves; 0 if not reached
+  std::vector<Real> residuals;  ///< before the first cycle and after each, relative to the right-hand side
+  MeshError mesh_error;         ///< unless it was not asked for
+  Real floor = 0;               ///< estimate of the relative residual that rounding alone leaves; 0 if not reached
   std::string reason;
   std::map<std::string, Real> seconds;
 };
@@ -36,8 +50,9 @@ class PoissonSolver {
   Walls& walls(int level) { return walls_[level]; }
 
   /// Fill phi (V) from rho (C/m^3), starting from what phi holds; `from_zero`: nothing but zeros. Covered cells of phi
-  /// hold the mean of their children. Throws SolverError for a charge that no potential can balance. Collective.
-  SolveReport solve(Field const& rho, Field& phi, bool from_zero);
+  /// hold the mean of their children. `known`: by the solve that found the first guess, on the same mesh. Throws
+  /// SolverError for a charge that no potential can balance. Collective.
+  SolveReport solve(Field const& rho, Field& phi, bool from_zero, MeshError const& known = {});
 
   /// E, -(1/s_d^2) d phi/dx_d (V/m); walls count with the data of the latest solve. The potential must stay as it is.
   /// Collective.
@@ -69,7 +84,7 @@ class PoissonSolver {
   void check_size(Real right_hand_side) const;
   void iterate(SolveReport& report, Field& phi, bool from_zero, Real rounding);
   bool is_slow(std::vector<Real> const& residuals) const;
-  bool below_discretisation(SolveReport& report);
+  bool below_discretisation(SolveReport& report, Real right_hand_side);
 
   std::shared_ptr<Hierarchy const> given_;
   std::shared_ptr<Hierarchy const> hierarchy_;  ///< the given one in stretched coordinates

@@ -62,3 +62,17 @@ def test_goals_compare_unknowns_per_second():
     faster = found["BP1 at Gauss points, degree 3, against libCEED"]
     assert faster.measured == pytest.approx(3) and faster.verdict == "met"
     assert found["BP4 at points, degree 3, 64 points: nominal flops over the peak"].verdict == "not measured"
+
+
+def test_solids_are_timed_in_turns_with_what_they_are_compared_with(monkeypatch):
+    monkeypatch.setattr(points, "CELLS", {2: 2})
+    monkeypatch.setattr(points, "STEP_CELLS", {1: 2})
+    records = [*points.tangents(2), *points.load_step(1, 2), *points.solves(4), points.run_memory()]
+    assert all("points/s" in points.printed(one) for one in records[:5])
+    assert all("iterations" in points.printed(one) for one in records[5:7])
+    assert "B a point" in points.printed(records[7]) and records[7].facts["points"] == 12**3 * 64
+    found = {goal.what: goal for goal in goals.elements(goals.Found(records))}
+    assert found["neo-Hookean tangent against BP4, points/s"].measured > 0
+    assert found["locate, migrate, sort and weigh, degree 1, over a Newton iteration"].measured > 0
+    assert found["memory of a run, degree 2, 64 points an element"].measured > 0
+    assert found["p-multigrid over the diagonal, degree 2, contrast 800, 32³ elements"].verdict == "not measured"

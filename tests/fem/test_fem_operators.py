@@ -152,7 +152,7 @@ def everything(comm, degree, boxes, layout):
     return by_node + [np.concatenate([part[n] for part in parts])[order] for n in (1, 2, 3)]
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 @pytest.mark.parametrize("degree", [1, 2, 3])
 @pytest.mark.parametrize("boxes", [2, 3, 4, 8])
 @pytest.mark.parametrize("layout", ["gauss", "jittered", "ragged"])

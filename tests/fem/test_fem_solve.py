@@ -206,7 +206,7 @@ def test_half_the_elements_serve_as_well_as_aggregates(degree, cells):
     assert taken[0] <= taken[1] + 1 and taken[0] <= 10, taken
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 @pytest.mark.parametrize("preconditioner", ["p-multigrid", "jacobi"])
 def test_ranks_find_the_same_solution_in_as_many_iterations(comm, preconditioner):
     found = []

@@ -223,7 +223,7 @@ def jittered(d: int, count: int, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 @pytest.mark.parametrize(("space_name", "kind", "d"), COMBINATIONS)
 def test_polynomials_are_reproduced_and_weights_are_those_of_a_dense_svd(space_name, kind, d, order, long):
-    clouds = 200 if long else 10
+    clouds = 200 if long else 4
     rng = np.random.default_rng([order, d, len(kind), len(space_name)])
     vector = space_name in VECTORS
     space = (VECTORS if vector else SCALARS)[space_name](order)

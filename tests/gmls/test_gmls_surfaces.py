@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from amrpic import gmls
 from amrpic.errors import InputError
@@ -53,7 +54,7 @@ def test_orders_on_closed_surfaces(shape, order, laplacian, curvature):
 def neighbour_distance(x: np.ndarray, t: np.ndarray, order: int) -> np.ndarray:
     """Of the n-th nearest site, n the number of polynomials in the tangent plane."""
     n = gmls.Scalar(order).unknowns(2)
-    return gmls.neighbours.cKDTree(x).query(t, k=[n])[0][:, 0]
+    return cKDTree(x).query(t, k=[n])[0][:, 0]
 
 
 def test_gradients_are_tangential_and_the_divergence_of_the_normal_is_twice_the_mean_curvature():

@@ -151,6 +151,17 @@ def test_a_crash_of_the_first_reader_is_one_sentence(tmp_path, monkeypatch, name
     vetting._end()
 
 
+def test_a_damaged_table_of_a_dumps_groups_is_one_sentence(whole, monkeypatch):
+    """HDF5 finds it where it looks whether the dump has parts, as mutation 663 of seed 651422799 did."""
+
+    def look(h5, folder):
+        raise RuntimeError("Unable to check link existence (bad symbol table node signature)")
+
+    monkeypatch.setattr("amrpic.io.field_reader.require_parts", look)
+    with pytest.raises(InputError, match=r"cannot be read: Unable to check link existence .*; give a fields_"):
+        open_dump(whole / "fields_00000004.vtkhdf")
+
+
 def test_a_dataset_far_larger_than_its_file_is_refused(tmp_path):
     _, write = bad_inputs.BEAMS["openpmd: a shape too large"]
     write(tmp_path / "large.h5")

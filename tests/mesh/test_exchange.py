@@ -45,9 +45,9 @@ def test_parcels_arrive_in_order(comm):
 
 @pytest.mark.mpi(ranks=(2, 3, 4))
 @pytest.mark.parametrize("backend", ["matrix-free", "crs"])
-def test_plans_are_made_without_messages(comm, backend):
-    """All ranks know all boxes, so that each finds what others read of it."""
-    for case in all_cases().values():
+def test_plans_are_made_without_messages(comm, backend, long):
+    """All ranks know all boxes, so that each finds what others read of it; of all hierarchies in the long form."""
+    for case in list(all_cases().values())[:: 1 if long else 4]:
         before = traffic()
         domain = amrpic.Domain(case.lower, case.upper, case.cells, boundary=case.boundary)
         mesh = amrpic.Hierarchy(comm, domain, case.levels, case.max_grid_size, case.blocking_factor)

@@ -123,6 +123,14 @@ def test_polynomials_are_carried_exactly_across_levels_and_walls(order):
         assert (means(a).remap(b, order) - means(b)).max_abs() < 3e-12
 
 
+@pytest.mark.mpi(ranks=(1, 2))
+def test_what_is_carried_holds_what_it_held(comm):
+    means = Field(in_the_middle(comm, 8)).fill(lambda x, y, z: x * x * y + z).as_means()
+    other = Hierarchy(comm, domain(8), (), 16, 2)
+    assert means.remap(other).holds == carry_over(means, other).holds == "means"
+    assert means.as_points().remap(other).holds == carry_over(means.as_points(), other).holds == "points"
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3))
 @pytest.mark.parametrize(
     ("boundary", "order", "bounds"), [("open", 2, None), ("periodic", 3, "neighbours"), ("open", 4, (0.5, 3.5))]

@@ -102,6 +102,9 @@ def test_voxels_must_be_labels_of_materials(comm, tmp_path):
 
     with pytest.raises(SceneError, match=r"structure.file .* cannot be read .*; give a .npy of labels"):
         run(None)
+    with pytest.raises(SceneError, match=r"structure.file .* cannot be read \(No data left in file\); give a .npy of"):
+        (tmp_path / "labels.npy").touch()
+        run(None)
     with pytest.raises(SceneError, match=r"holds float64 of shape \(2, 2, 2\); give whole numbers with three axes"):
         run(np.zeros((2, 2, 2)))
     with pytest.raises(SceneError, match=r"holds int64 of shape \(2, 2\)"):

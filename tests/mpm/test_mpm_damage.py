@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from amrpic import fem, mpm
 from amrpic.errors import InputError, SolverError
+from amrpic.mpm.loads import Loads
 
 TOUGHNESS = 60.0
 
@@ -122,3 +123,28 @@ def test_loads_without_a_state_end_with_their_history():
         mpm.in_steps(0, lambda state, begin, to: (None, 9) if to > 0.5 else (state, 2), steps=10)
     with pytest.raises(InputError, match="give at least one, and a part of the load"):
         mpm.in_steps(0, lambda state, begin, to: (state, 1), steps=0)
+
+
+def test_lengths_of_steps_follow_what_breaks_and_a_crack_at_once_is_one_step():
+    loads = Loads(steps=10, damage_step=0.2)
+    assert loads.most_growth == 0.2
+    assert loads.taken(9, growth=0.1).length == pytest.approx(0.1)
+    assert loads.taken(9, growth=0.19).length == pytest.approx(0.075)
+    assert loads.taken(2, growth=0.3).length == pytest.approx(0.05)
+    for _ in range(4):
+        loads = loads.cut()
+    assert loads.length == pytest.approx(0.1 / 16) and loads.most_growth == np.inf
+    after = loads.taken(2, growth=0.9)
+    assert after.begin == loads.length == after.length  # no shorter for what broke
+    assert after.taken(2, growth=0.01).length == pytest.approx(1.5 * after.length)
+
+
+def test_a_step_that_breaks_too_much_is_left_at_its_first_turns():
+    solid = pulled(MPI.COMM_SELF)
+    mesh = solid.mesh
+    end = mesh.node_indices[:, 0] == 16
+    fixed = np.stack([end | (mesh.node_indices[:, 0] == 0), *(mesh.node_indices[:, d] == 0 for d in (1, 2))], axis=1)
+    values = np.where(end[:, None] & [True, False, False], 30e-6, 0.0)
+    settled, report = mpm.settle(solid, fixed=fixed, values=values, most_growth=0.3, tolerance=1e-7, most_turns=300)
+    assert not report.converged and report.growth > 0.3 and report.turns < 5
+    assert settled.solid.damage.max() == pytest.approx(report.growth)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from amrpic import fem, mpm
 from amrpic.errors import InputError, ParticleError
 from amrpic.verify.press import between_walls, confined, exact_stress, iterations, upper_face
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 YOUNG = 300e6
 PLAIN = mpm.NeoHookean(YOUNG, 0.25)
 OGDEN = mpm.Ogden(((PLAIN.mu, 2.0),), PLAIN.lame)
@@ -119,23 +122,62 @@ def test_walls_that_meet_have_no_equilibrium():
 
 # ---- beside scikit-fem ----
 
-SOFT, STIFF = mpm.NeoHookean(5e3, 0.3), mpm.NeoHookean(1.9e5, 0.3)
-WEIGHT = np.array([0.0, 0.0, -1e4])  # N/m³, of the ball
+
+@dataclass(frozen=True)
+class Sinker:
+    """A heavy ball in a soft block of 1 m, which clamps its lower face."""
+
+    soft: mpm.NeoHookean
+    stiff: mpm.NeoHookean
+    centre: tuple[float, float, float]
+    radius: float  # m
+    weight: float  # N/m³
+    walls: bool  # whether the other faces let nothing through
+
+    def inside(self, x):
+        return ((x - np.array(self.centre)) ** 2).sum(axis=-1) <= self.radius**2
+
+    def held(self, x, quarter=False):
+        """Which components of the displacement are zero at places (n, 3), (n, 3); in a quarter also on what cuts it out."""
+        faces = ((np.abs(x) < 1e-9) | (np.abs(x - 1) < 1e-9)) & self.walls
+        cuts = (np.abs(x - 0.5) < 1e-9) & [True, True, False] & quarter
+        return (np.abs(x[:, 2:]) < 1e-9) | faces | cuts
+
+    def deep(self, points, u):
+        """How far the ball has sunk in the mean, m."""
+        ball = self.inside(points.position)
+        return -float(np.average(points.values(u)[ball, 2], weights=points.volume[ball]))
 
 
-def inside(x):
-    return ((x - 0.5) ** 2).sum(axis=-1) < 0.28**2
+BALL = Sinker(mpm.NeoHookean(5e3, 0.3), mpm.NeoHookean(1.9e5, 0.3), (0.5, 0.5, 0.5), 0.28, 1e4, walls=False)
+IN_EXAMPLE = Sinker(BALL.soft, BALL.stiff, (0.5, 0.5, 0.6), 0.2, 9810.0, walls=True)  # examples/sinker.toml
 
 
-def by_scikit_fem(degree, cells):
-    """Displacements of the same problem, by forms and quadrature of scikit-fem and its own Newton iteration."""
+@dataclass(frozen=True)
+class Theirs:
+    """What scikit-fem finds, component after component of a node."""
+
+    places: np.ndarray
+    displacement: np.ndarray
+    unbalanced: np.ndarray
+    stored: float
+    deep: float  # how far the ball has sunk in the mean
+
+
+def by_scikit_fem(case, degree, cells, order=None, quarter=False):
+    """The same problem, by forms and quadrature of scikit-fem and its own Newton iteration."""
     element = skfem.ElementVector(skfem.ElementHex1() if degree == 1 else skfem.ElementHex2())
     along = np.linspace(0, 1, cells + 1)
-    basis = skfem.Basis(skfem.MeshHex.init_tensor(along, along, along), element, intorder=2 * degree + 1)
+    across = along[along < 0.5 + 1e-9] if quarter else along
+    basis = skfem.Basis(skfem.MeshHex.init_tensor(across, across, along), element, intorder=order or 2 * degree + 1)
 
     def moduli(w):
-        ball = inside(np.moveaxis(w.x, 0, -1))
-        return np.where(ball, STIFF.mu, SOFT.mu), np.where(ball, STIFF.lame, SOFT.lame), ball
+        ball = case.inside(np.moveaxis(w.x, 0, -1))
+        return (
+            np.where(ball, case.stiff.mu, case.soft.mu),
+            np.where(ball, case.stiff.lame, case.soft.lame),
+            ball,
+        )
 
     def piola(f, mu, lame):
         back = transpose(inv(f))
@@ -145,7 +187,7 @@ def by_scikit_fem(degree, cells):
     def unbalanced(v, w):
         mu, lame, ball = moduli(w)
         f = grad(w["u"]) + identity(grad(w["u"]))
-        return ddot(piola(f, mu, lame), grad(v)) - WEIGHT[2] * ball * v[2]
+        return ddot(piola(f, mu, lame), grad(v)) + case.weight * ball * v[2]
 
     @skfem.BilinearForm
     def change(du, v, w):
@@ -161,56 +203,86 @@ def by_scikit_fem(degree, cells):
         f = grad(w["u"]) + identity(grad(w["u"]))
         return mu / 2 * (ddot(f, f) - 3) - mu * np.log(det(f)) + lame / 2 * np.log(det(f)) ** 2
 
+    @skfem.Functional
+    def fallen(w):
+        return -w["u"][2] * moduli(w)[2]
+
+    @skfem.Functional
+    def volume(w):
+        return 1.0 * moduli(w)[2]
+
     u = np.zeros(basis.N)
-    held = basis.get_dofs(lambda x: x[2] == 0).flatten()
-    free = np.setdiff1d(np.arange(basis.N), held)
+    free = np.flatnonzero(~case.held(basis.doflocs.T, quarter)[np.arange(basis.N), np.arange(basis.N) % 3])
     for _ in range(20):
         r = unbalanced.assemble(basis, u=basis.interpolate(u))
         if np.linalg.norm(r[free]) < 1e-12 * np.linalg.norm(r):
             break
         a = change.assemble(basis, u=basis.interpolate(u)).tocsc()
         u[free] -= spsolve(a[free][:, free], r[free])
-    return basis.doflocs, u, r, float(stored.assemble(basis, u=basis.interpolate(u)))
+    found = basis.interpolate(u)
+    sunk, size = (float(one.assemble(basis, u=found)) for one in (fallen, volume))
+    return Theirs(basis.doflocs, u, r, float(stored.assemble(basis, u=found)), sunk / size)
+
+
+def sunk(case, points):
+    """The displacement of a ball's weight, what holds it, and the stored energy."""
+    ball, mesh = case.inside(points.position), points.mesh
+    load = points.integrate(np.where(ball[:, None], [0, 0, -case.weight], 0.0))
+    solid = mpm.Solid(points, (case.soft, case.stiff), ball.astype(int))
+    u, report = mpm.equilibrium(solid, fixed=case.held(mesh.nodes), load=load, tolerance=1e-12)
+    assert report.converged, report
+    return u, solid.respond(u).force - load, report.energy
+
+
+def at_nodes_of(mesh, places, values):
+    """What scikit-fem numbers by component after component of a node, as a vector of a mesh."""
+    of = {
+        (*np.round(place, 6), axis): n
+        for n, (place, axis) in enumerate(zip(places.T, np.arange(len(values)) % 3, strict=True))
+    }
+    order = np.array([[of[(*np.round(place, 6), axis)] for axis in range(3)] for place in mesh.nodes])
+    return values[order]
 
 
 @pytest.mark.parametrize("degree, cells", [(1, 4), (2, 2)])
-def test_a_heavy_ball_sinks_as_scikit_fem_has_it(degree, cells):
+@pytest.mark.parametrize("case", [BALL, IN_EXAMPLE], ids=["free block", "between walls"])
+def test_a_heavy_ball_sinks_as_scikit_fem_has_it(case, degree, cells):
     mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, cells, degree=degree)
-    bottom = mesh.node_indices[:, 2] == 0
-
-    def sunk(points):
-        ball = inside(points.position)
-        load = points.integrate(ball[:, None] * WEIGHT)
-        solid = mpm.Solid(points, (SOFT, STIFF), ball.astype(int))
-        u, report = mpm.equilibrium(solid, fixed=bottom, load=load, tolerance=1e-12)
-        assert report.converged, report
-        return u, solid.respond(u).force - load, report.energy
-
-    u, forces, energy = sunk(fem.gauss(mesh))
-    places, theirs, unbalanced, stored = by_scikit_fem(degree, cells)
-    of = {
-        (*np.round(place, 6), axis): n
-        for n, (place, axis) in enumerate(zip(places.T, np.arange(len(theirs)) % 3, strict=True))
-    }
-    order = np.array([[of[(*np.round(place, 6), axis)] for axis in range(3)] for place in mesh.nodes])
-    size = np.abs(theirs).max()
-    assert size > 0.02
-    assert np.abs(u - theirs[order]).max() < 1e-8 * size
-    assert energy == pytest.approx(stored, rel=1e-9)
-    assert np.abs(forces - unbalanced[order])[bottom].max() < 1e-8 * np.abs(forces).max()
+    u, forces, energy = sunk(case, fem.gauss(mesh))
+    theirs = by_scikit_fem(case, degree, cells)
+    size, held = np.abs(theirs.displacement).max(), case.held(mesh.nodes)
+    assert size > 0.01
+    assert np.abs(u - at_nodes_of(mesh, theirs.places, theirs.displacement)).max() < 1e-8 * size
+    assert energy == pytest.approx(theirs.stored, rel=1e-9)
+    reactions = at_nodes_of(mesh, theirs.places, theirs.unbalanced)
+    assert np.abs(forces - reactions)[held].max() < 1e-8 * np.abs(forces).max()
 
 
-def test_jittered_points_sink_nearly_as_far():
-    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 6, degree=2)
-    found = []
-    for points in (fem.gauss(mesh), fem.jittered(mesh, 4)):
-        ball = inside(points.position)
-        solid = mpm.Solid(points, (SOFT, STIFF), ball.astype(int))
-        load = points.integrate(ball[:, None] * WEIGHT)
-        u, report = mpm.equilibrium(solid, fixed=mesh.node_indices[:, 2] == 0, load=load)
-        assert report.converged
-        found.append(float(np.average(points.values(u)[ball, 2], weights=points.weight[ball])))
-    assert found[0] < -0.02 and found[1] == pytest.approx(found[0], rel=0.05)
+def test_jittered_points_sink_as_far_as_scikit_fem_has_it():
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 4, degree=2)
+    theirs, points = by_scikit_fem(BALL, 2, 4, quarter=True), fem.jittered(mesh, 4)
+    u, _, _ = sunk(BALL, points)
+    assert theirs.deep > 0.01 and BALL.deep(points, u) == pytest.approx(theirs.deep, rel=0.05)
+
+
+@pytest.mark.long
+def test_the_example_sinks_as_scikit_fem_has_it():
+    """Four steps with a new mesh for each, against one solve on a mesh of as many elements, which deforms; over the weight."""
+    run = mpm.Simulation(MPI.COMM_SELF, mpm.Scene.from_toml(EXAMPLES / "sinker.toml"))
+    first = run.state.placed.points
+    *_, last = run
+    after, row = last.placed.points, last.measured
+    order = np.argsort(after.id)[np.searchsorted(np.sort(after.id), first.id)]
+    ball = first.material == 1
+    fell = np.average((first.position - after.position[order])[ball, 2], weights=first.initial_volume[ball])
+    theirs = by_scikit_fem(IN_EXAMPLE, 2, 6, order=9, quarter=True)
+    axis = np.arange(len(theirs.displacement)) % 3
+    lower, upper = (4 * theirs.unbalanced[(axis == 2) & (theirs.places[2] == end)].sum() for end in (0, 1))
+    weight, of_theirs = row["force_z_lower"] + row["force_z_upper"], lower + upper
+    assert weight == pytest.approx(IN_EXAMPLE.weight * 4 / 3 * np.pi * 0.2**3, rel=0.03)
+    assert fell / weight == pytest.approx(theirs.deep / of_theirs, rel=0.05) and fell > 0.01
+    assert row["force_z_lower"] / weight == pytest.approx(lower / of_theirs, rel=0.05)
+    assert row["stored"] / weight**2 == pytest.approx(4 * theirs.stored / of_theirs**2, rel=0.05)
 
 
 # ---- multigrid ----

@@ -9,12 +9,18 @@ import pytest
 from mpi4py import MPI
 
 from amrpic import mpm
+from amrpic.commands.main import main
+from amrpic.commands.watch import SHOWN_OF_POINTS, Look
 from amrpic.errors import InputError, ParticleError
 from amrpic.fem import Mesh
 from amrpic.io import time_series
+from amrpic.io.run_status import RunStatus
 from amrpic.mpm.material_points import migrate, require_inside
 from amrpic.mpm.means import element_means
 from amrpic.mpm.sample import mesh_of, sample
+from amrpic.results import report
+from amrpic.results.compare import compare
+from amrpic.verify.mpm import press
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 RUBBER = {"law": "neo-hookean", "young": "300 MPa", "poisson": 0.25, "density": 1000}
@@ -121,7 +127,9 @@ def test_points_are_bitwise_the_same_after_a_hundred_random_moves(comm):
 
 @pytest.mark.mpi(ranks=(1, 2))
 def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
-    whole = mpm.Simulation(comm, scene(tmp_path, structure=GRAINS, materials=TWO, schedule={"steps": 4}))
+    whole = mpm.Simulation(
+        comm, scene(tmp_path, structure=GRAINS, materials=TWO, schedule={"steps": 4, "damage_step": 1})
+    )
     ids = whole.state.placed.points.id
     for _ in range(2):
         whole.advance()
@@ -134,6 +142,35 @@ def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
     for name, column in whole.state.placed.points.columns().items():
         np.testing.assert_array_equal(column, again.state.placed.points.columns()[name], err_msg=name)
     assert whole.state.measured == again.state.measured and whole.state.load == again.state.load == 1
+
+
+@pytest.mark.mpi(ranks=(2, 3, 4))
+def test_ranks_press_a_structure_that_breaks_as_one_does(comm):
+    """Steps and Newton's iterations are equal, CG's within one for each, displacements within 1e-6 of the largest."""
+    small = mpm.Scene.from_dict({"name": "press", **press(3, breaks=True, part=0.006)})
+
+    def pressed(ranks):
+        run = mpm.Simulation(ranks, small)
+        starts = by_id(ranks, run.state.placed.points)
+        rows = [state.measured for state in run]
+        return rows, by_id(ranks, run.state.placed.points) - starts
+
+    rows, moved = pressed(comm)
+    alone = comm.bcast(pressed(MPI.COMM_SELF) if comm.rank == 0 else None)
+    assert len(rows) == len(alone[0]) and rows[-1]["damage_max"] > 0.5
+    for mine, theirs in zip(rows, alone[0], strict=True):
+        for name in ("load", "cuts", "turns", "newton_iterations", "newton_most"):
+            assert mine[name] == theirs[name], name
+        assert abs(mine["cg_most"] - theirs["cg_most"]) <= 1
+        assert abs(mine["cg_iterations"] - theirs["cg_iterations"]) <= theirs["newton_iterations"]
+    some = np.random.default_rng(1).choice(len(moved), 1000, replace=False)
+    assert np.abs(moved - alone[1])[some].max() < 1e-6 * np.abs(alone[1]).max()
+
+
+def by_id(comm, points):
+    """Positions of all ranks' points, in the order of their ids."""
+    ids, positions = (np.concatenate(comm.allgather(one)) for one in (points.id, points.position))
+    return positions[np.argsort(ids)]
 
 
 BRITTLE = {**RUBBER, "damage": {"toughness": "200 kJ/m^2", "length": "1 m"}}
@@ -149,7 +186,7 @@ def test_files_of_a_run_say_what_its_points_have(tmp_path):
         tmp_path,
         structure=GRAINS,
         materials=TWO,
-        schedule={"steps": 2},
+        schedule={"steps": 2, "damage_step": 1},
         output={"directory": str(tmp_path / "run"), "write": write, "points_every": 1},
     )
     run = mpm.Simulation(MPI.COMM_SELF, small)
@@ -175,6 +212,27 @@ def test_files_of_a_run_say_what_its_points_have(tmp_path):
     assert len(list((tmp_path / "run").glob("*.png"))) == 5
 
 
+@pytest.mark.mpi(ranks=2)
+def test_a_run_is_read_back_by_the_commands_that_know_points(comm, tmp_path):
+    write = ["series", "fields", "checkpoint", "pictures"]
+    output = {"directory": str(tmp_path / "run"), "write": write}
+    results = mpm.Simulation(comm, scene(tmp_path, schedule={"steps": 2}, output=output)).run(log="silent")
+    look = Look.at(tmp_path / "run", RunStatus.read(tmp_path / "run"))
+    assert [name for name, _, _ in look.series] == list(SHOWN_OF_POINTS)
+    found = compare(tmp_path / "run", tmp_path / "run")
+    assert set(found.parts) == {"series"} and found.equal(0) and len(found.parts["series"]) > 30
+    for read in (lambda: results.scene, lambda: results.fields[2], lambda: report.make(tmp_path / "run")):
+        with pytest.raises(
+            InputError, match="is of material points, whose scene and fields are not read back; look at"
+        ):
+            read()
+    elsewhere = scene(tmp_path, schedule={"steps": 2}, output={**output, "directory": str(tmp_path / "other")})
+    again = mpm.Simulation.restart(comm, tmp_path / "run" / "checkpoint_00000002", elsewhere)
+    again.run(log="silent")
+    assert (tmp_path / "other" / "fields_00000002_mises_y.png").exists()
+    assert not (tmp_path / "other" / "force.png").exists()
+
+
 @pytest.mark.mpi(ranks=(1, 2))
 def test_points_outside_or_inside_out_are_named(comm, tmp_path):
     given = scene(tmp_path)
@@ -198,3 +256,28 @@ def test_elements_with_too_few_points_need_a_floor(comm, tmp_path):
         mpm.Simulation(comm, few)
     run = mpm.Simulation(comm, few.replace(floor_stiffness=1e5))
     assert run.advance().measured["floor_share"] > 0
+
+
+def test_commands_on_a_run_work_or_say_in_a_sentence_that_they_do_not(tmp_path, capsys):
+    for name in ("one", "other"):
+        output = {"directory": str(tmp_path / name), "write": ["series", "fields", "points"]}
+        small = scene(tmp_path, schedule={"steps": 2}, output=output)
+        mpm.Simulation(MPI.COMM_SELF, small).run(log="silent")
+    one, other = (str(tmp_path / name) for name in ("one", "other"))
+
+    def said(*arguments):
+        with pytest.raises(SystemExit) as ended:
+            main([*arguments])
+        return ended.value.code, capsys.readouterr()
+
+    code, shown = said("watch", one, "--once")
+    assert code == 0 and "finished" in shown.out
+    lines = {line.split()[0]: line for line in shown.out.splitlines() if line}
+    assert "2 of 2, 100 %" in lines["step"] and "100.00 %" in lines["load"] and "1024" in lines["points"]
+    assert {"work", "stored", "newton_iterations"} <= set(lines) and not {"particles", "mesh"} & set(lines)
+    code, shown = said("compare", one, other, "--tolerance", "0")
+    assert code == 0 and "of material points the series are compared" in shown.out
+    code, shown = said("report", one)
+    assert code == 2 and len(shown.err.splitlines()) == 1 and "is of material points" in shown.err
+    code, shown = said("plot", one)
+    assert code == 0 and "material" in shown.out

@@ -140,7 +140,8 @@ def test_counts_per_brick_are_those_of_numpy_and_need_no_migration(comm):
 @pytest.mark.mpi(ranks=(2, 3, 4), timeout=120)
 @pytest.mark.parametrize("matched", [False, True])
 def test_messages_of_a_deposit_are_those_that_follow_from_boxes_and_servers(comm, matched):
-    """Beside those of a deposit of particles that all live where their cells do."""
+    """Beside those of a deposit of particles that all live where their cells do: of the ranks that serve a brick the first
+    meets the owners of its cells, and the others meet that one."""
     hierarchy, particles = one_cell(comm)
     here, _ = migrate(particles, hierarchy)
     none, _ = migrate(Particles.empty(ONE_KIND), hierarchy)
@@ -151,13 +152,18 @@ def test_messages_of_a_deposit_are_those_that_follow_from_boxes_and_servers(comm
         before = traffic()
         deposit(some, hierarchy, clouds)
         sent.append(traffic() - before)
-    bricks = here.sorted_on(hierarchy).remote.bricks
-    _, parts = _native.brick_windows(hierarchy.native, bricks, matched)
+    remote = comm.allgather(here.sorted_on(hierarchy).remote.bricks)
+    bricks = np.unique(np.concatenate(remote), axis=0).astype(np.int32)
+    places, parts = _native.brick_windows(hierarchy.native, bricks, matched)
+    first = np.searchsorted(here.sorted_on(hierarchy).servers[1:-1], places, side="right")
+    mine = [bool((brick == remote[comm.rank]).all(axis=1).any()) for brick in bricks]
     owner = np.array([hierarchy.owners(level)[box] for _, level, box, _ in parts], dtype=int)
-    others = owner != comm.rank
-    assert comm.allreduce(int(others.sum())) > 0
-    assert sent[1].bytes - sent[0].bytes == 8 * parts[others, 3].sum()
-    assert sent[1].messages - sent[0].messages == len(np.unique(owner[others]))
+    server = first[parts[:, 0]]
+    to_owners = (server == comm.rank) & (owner != comm.rank)
+    to_servers = np.array(mine)[parts[:, 0]] & (server != comm.rank)
+    assert comm.allreduce(int(to_owners.sum())) > 0 and comm.allreduce(int(to_servers.sum())) > 0
+    assert sent[1].bytes - sent[0].bytes == 8 * (parts[to_owners, 3].sum() + parts[to_servers, 3].sum())
+    assert sent[1].messages - sent[0].messages == len(np.unique(owner[to_owners])) + len(np.unique(server[to_servers]))
     assert sent[1].collectives == sent[0].collectives
 
 

@@ -150,6 +150,15 @@ def test_what_one_of_them_did_not_write_is_left_out(comm, tmp_path):
     assert set(compare(tmp_path / "a", tmp_path / "b").parts) == {"series"}
 
 
+def test_a_series_without_rows_is_one_sentence(comm, tmp_path):
+    ran(tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    head, *_ = (tmp_path / "a" / "series.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "b" / "series.csv").write_text(head)
+    with pytest.raises(amrpic.InputError, match=r"series\.csv has no rows yet; let the run make its first step"):
+        compare(tmp_path / "a", tmp_path / "b")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -99,6 +99,12 @@ def test_losses_have_a_row_each(tmp_path):
     assert set(losses.species) == {"electron"}
 
 
+def test_a_checkpoint_that_a_killed_run_left_unfinished_is_none(tmp_path):
+    results = amrpic.Simulation(scene(tmp_path, write=["series", "checkpoint"])).run(log="silent")
+    (tmp_path / "checkpoint_00000009.tmp").mkdir()
+    assert list(results.fields) == [3] and len(results.particles()) == 3000
+
+
 @pytest.mark.mpi(ranks=(2,))
 def test_what_is_not_there_is_one_sentence_on_all_ranks(comm, tmp_path):
     with pytest.raises(amrpic.InputError, match="does not exist; give the folder of a run"):

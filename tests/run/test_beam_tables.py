@@ -166,6 +166,9 @@ def changes(state):
         (changes, 'the diagnostic "mine" gives other values at step 2 than before; give the same ones'),
         (lambda state: {"a": "text"}, r'the diagnostic "mine" failed \(ValueError: could not convert'),
         (lambda state: 3.0, r'the diagnostic "mine" failed \(AttributeError'),
+        (lambda state: {"a,b": 1.0}, r"failed \(ValueError: 'a,b' is no name of a column; leave commas"),
+        (lambda state: {"a": [1.0, 2.0], "a_0": 3.0}, r'failed \(ValueError: two columns are called "a_0"; give'),
+        (lambda state: {"step": 3.0}, r'failed \(ValueError: two columns are called "step"; give'),
     ],
 )
 def test_a_diagnostic_that_fails_is_one_sentence_on_all_ranks(comm, tmp_path, diagnostic, message):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import amrpic
 from amrpic.errors import InputError
@@ -125,9 +126,37 @@ def ended(comm: Any, simulation: amrpic.Simulation) -> str:
     return said.getvalue()
 
 
-@pytest.mark.mpi(ranks=(1, 3))
+# Shared out over ranks of which some have no particles; the other cases only in the long form.
+SHARED_OUT = (
+    "no bunch",
+    "no particle, the window follows",
+    "one particle",
+    "one particle in a periodic pipe",
+    "all lost in a window",
+    "lost one by one",
+    "a point",
+    "species that fly against each other",
+    "turned round in its window",
+    "steps across the whole domain",
+    "a single plane of cells",
+)
+
+
+@pytest.mark.mpi(ranks=1)
 @pytest.mark.parametrize("case", CASES)
 def test_degenerate_beams_run_to_their_end_and_again_from_the_middle(comm, tmp_path, case):
+    run_and_restart(comm, tmp_path, case)
+
+
+@pytest.mark.mpi(ranks=3)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=[] if case in SHARED_OUT else [pytest.mark.long]) for case in CASES]
+)
+def test_degenerate_beams_do_so_on_ranks_without_particles(comm, tmp_path, case):
+    run_and_restart(comm, tmp_path, case)
+
+
+def run_and_restart(comm: MPI.Comm, tmp_path: Path, case: str) -> None:
     with np.errstate(all="raise", under="ignore"):
         given = scene(tmp_path / "whole", case)
         whole = amrpic.Simulation(comm, given)

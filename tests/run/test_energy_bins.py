@@ -46,7 +46,7 @@ def frames(given: amrpic.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> Any:
     return amrpic.Simulation(comm, given).state.solution.frames
 
 
-@pytest.mark.mpi(ranks=(1, 3))
+@pytest.mark.mpi(ranks=(1, 2))
 def test_bins_are_as_many_as_the_energies_ask_for(comm):
     assert len(frames(scene([3.0]), comm).members) == 1
     two = frames(scene([3.0, 20.0]), comm)
@@ -73,7 +73,7 @@ def test_the_spread_within_bins_is_that_of_their_particles():
     assert spread(run.comm, particles, one) > 2 * spread(run.comm, particles, found)
 
 
-@pytest.mark.mpi(ranks=(1, 2, 4))
+@pytest.mark.mpi(ranks=3, more=(2, 4))
 def test_the_charge_and_the_motion_of_bins_are_the_same_on_any_ranks(comm):
     given = scene([3.0, 20.0], 7)
     run = amrpic.Simulation(comm, given)

@@ -65,7 +65,9 @@ def test_two_runs_into_one_folder_are_refused(comm, tmp_path):
         other.wait()
     with Claim(comm, tmp_path):
         pass
+    (tmp_path / "series.csv").write_text("of an earlier run")
     before.run(log="silent")
+    assert (tmp_path / "earlier_1" / "series.csv").read_text() == "of an earlier run"
 
 
 @pytest.mark.mpi(ranks=(1, 2))

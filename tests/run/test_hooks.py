@@ -76,7 +76,7 @@ ELEMENTS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.mpi(ranks=(1, 3), more=(2, 4))
 @pytest.mark.parametrize("name", ELEMENTS)
 def test_a_function_acts_as_the_element_of_the_same_field(comm, name):
     found = ended(amrpic.Simulation(comm, scene(), fields=[globals()[name]]), comm)

@@ -115,7 +115,7 @@ def test_a_round_aperture_cuts_a_gaussian_beam(comm, tmp_path):
     assert np.array_equal(np.sort(np.concatenate([alive, lost["id"]])), ids)
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 def test_files_of_losses_are_the_same_on_any_number_of_ranks(comm, tmp_path):
     """Openings of all kinds, faces of the domain, and space charge: the oracle is the record itself on one rank."""
     from mpi4py import MPI

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 import amrpic
 import mpi_batch
+from amrpic import failure
 from amrpic.errors import InputError, SceneError
 from amrpic.run.log import RunLog
 from amrpic.scene.units import to_metres
@@ -111,6 +116,15 @@ def test_closed_streams_do_no_harm(tmp_path, closed):
     assert end.returncode == 0
     check = subprocess.run([PROGRAM, "check", str(tmp_path / "run")], env=mpi_batch.ENVIRONMENT, timeout=60)
     assert check.returncode == 0
+
+
+def test_a_suspended_process_does_not_take_the_others_for_lost(monkeypatch):
+    """A clock that jumps by a minute, as where a batch system suspends a job for a while."""
+    minutes, looks = itertools.count(), iter([False, False, True])
+    clock = SimpleNamespace(monotonic=lambda: 60.0 * next(minutes), sleep=lambda seconds: None)
+    monkeypatch.setattr(failure, "time", clock)
+    others = cast(MPI.Request, SimpleNamespace(Test=lambda: next(looks)))
+    assert failure.is_over(others, failure.GRACE)
 
 
 @pytest.mark.parametrize("after", [0.15, 0.4, 0.8, 1.5])

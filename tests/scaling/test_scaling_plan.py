@@ -81,9 +81,10 @@ def test_virtual_ranks_send_what_real_ones_do(comm: MPI.Comm):
     assert sent["cycle"].traffic.messages > 0 and sent["migrate"].traffic.bytes > 0 and sent["regrid"].traffic.bytes > 0
 
     remote = comm.allgather(mine.sorted_on(real).remote.bricks)
-    rows, ranks = np.concatenate(remote), np.repeat(np.arange(comm.size), [len(of_rank) for of_rank in remote])
-    pairs = np.column_stack([np.arange(len(rows)), ranks])
-    between = exchange(real, rows, pairs, _native.brick_windows(real.native, rows, False)[1])
+    rows, brick = np.unique(np.concatenate(remote), axis=0, return_inverse=True)
+    pairs = np.column_stack([brick.ravel(), np.repeat(np.arange(comm.size), [len(of_rank) for of_rank in remote])])
+    places, parts = _native.brick_windows(real.native, rows.astype(np.int32), False)
+    between = exchange(real, rows, pairs, parts, np.searchsorted(servers[1:-1], places, side="right"))
     mine, _ = migrate(mine, real, servers)  # so that its bricks are announced anew
     before = traffic()
     deposit(mine, real)

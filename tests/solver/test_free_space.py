@@ -433,7 +433,7 @@ CASES = {
 }
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 @pytest.mark.parametrize("case", CASES)
 def test_walls_do_not_depend_on_the_ranks(comm, case):
     """Not in a single bit: whoever joins the moments of a block and evaluates a patch does it in the same order."""

@@ -54,13 +54,13 @@ def test_calls_run_on_as_many_ranks_as_asked_for_and_processes_live_on():
 
 
 @pytest.mark.parametrize(
-    ("function", "kind", "said"),
-    [("sleep_on_the_last_rank", "hang", "sleep_on_the_last_rank"), ("end_on_the_last_rank", "crash", "no more")],
+    ("function", "kind", "said", "timeout"),
+    [("sleep_on_the_last_rank", "hang", "sleep_on_the_last_rank", 1), ("end_on_the_last_rank", "crash", "no more", 60)],
 )
-def test_a_pool_survives_what_hangs_and_crashes(function, kind, said):
+def test_a_pool_survives_what_hangs_and_crashes(function, kind, said, timeout):
     with Pool(2) as pool:
         with pytest.raises(Broken, match=said) as broken:
-            pool.call(f"pool_calls:{function}", 2, timeout=1)
+            pool.call(f"pool_calls:{function}", 2, timeout=timeout)
         assert broken.value.kind == kind
         assert pool.call("pool_calls:ranks_and_sum", 2, 1) == (2, 2)
 

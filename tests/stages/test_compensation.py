@@ -151,7 +151,7 @@ def test_compensation_adds_no_force_on_itself_near_faces_where_clouds_are_matche
             assert np.abs(added(MPI.COMM_SELF, hierarchy, place, clouds)).max() < 1e-15 * scale
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4))
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 @pytest.mark.parametrize("matched", [False, True])
 @pytest.mark.parametrize(
     "boundary", ["open", "periodic", {"x": ("dirichlet", "neumann"), "y": "periodic", "z": "neumann"}], ids=str

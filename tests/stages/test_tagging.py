@@ -194,7 +194,7 @@ CASES: dict[str, tuple[dict[str, Any], Oracle]] = {
 BOX_CELLS = [[[0, 0, 8, 15, 19, 23]]]  # of level 1
 
 
-@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=120)
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,), timeout=120)
 @pytest.mark.parametrize("name", CASES)
 def test_rule_refines_the_cells_that_numpy_asks_for(comm, name):
     """With full boxes the refined region is that of the tags, their buffer and the room around finer levels, exactly."""

@@ -68,7 +68,7 @@ def blocks(page: Path) -> list[Block]:
 
 @dataclass
 class Reader:
-    """Follows a page in a folder: files, names of Python, and options that make runs of `amrpic` shorter."""
+    """Follows a page in a folder: files, names of Python, and options that make runs of `amrpic` shorter; previews are."""
 
     folder: Path
     shorter: str = ""
@@ -83,7 +83,10 @@ class Reader:
         binaries = Path(sys.executable).parent
         (tools / "python").symlink_to(sys.executable)
         (tools / "amrpic").write_text(
-            f'#!/bin/bash\n[ "$1" = run ] || exec {binaries}/amrpic "$@"\nexec {binaries}/amrpic "$@" {self.shorter}\n'
+            "#!/bin/bash\ncase $1 in\n"
+            f'run) exec {binaries}/amrpic "$@" {self.shorter};;\n'
+            f'preview) exec {binaries}/amrpic "$@" --seconds 1;;\n'
+            f'*) exec {binaries}/amrpic "$@";;\nesac\n'
         )
         (tools / "amrpic").chmod(0o755)
         (tools / "activate").touch()

@@ -62,18 +62,19 @@ class Pool:
         address = str(Path(self.folder.name) / "socket")
         self.log = Path(self.folder.name) / "output"
         command = ["mpiexec", "-n", str(self.ranks), sys.executable, "-m", "mpi4py", __file__, address]
-        with Listener(address) as listener, self.log.open("wb") as output:
-            self.process = subprocess.Popen(
-                command, env={**mpi_batch.ENVIRONMENT, **self.environment}, start_new_session=True,
-                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
-            )  # fmt: skip
-            listener._listener._socket.settimeout(START)  # type: ignore[attr-defined]
-            try:
+        try:
+            with Listener(address) as listener, self.log.open("wb") as output:
+                self.process = subprocess.Popen(
+                    command, env={**mpi_batch.ENVIRONMENT, **self.environment}, start_new_session=True,
+                    stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT,
+                )  # fmt: skip
+                listener._listener._socket.settimeout(START)  # type: ignore[attr-defined]
                 self.connection = listener.accept()
                 self.pids = self._answer(START)
-            except (OSError, EOFError) as error:
-                self.kill()
-                raise Broken("start", f"the processes did not start: {error}\n{self.output()}") from None
+        except (OSError, EOFError) as error:
+            said = self.output()
+            self.kill()  # and the folder, in which the listener's address was
+            raise Broken("start", f"the processes did not start: {error}\n{said}") from None
 
     def call(self, function: str, ranks: int, *arguments: Any, timeout: float = 60.0) -> Any:
         """What `module:function` returns on the first of so many ranks, called there with their communicator and the

@@ -20,7 +20,7 @@ from mpi_processes import Processes
 
 PATIENCE = float(os.environ.get("AMRPIC_TEST_PATIENCE", "1"))  # more on slow or emulated processors
 LONG = 20  # times what a short one may take
-TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes
+TIMEOUT = 60.0  # seconds for a test that does not say, and for start and end of the processes, which a busy machine makes long
 KEPT = 2 << 30  # bytes of memory of processes that wait for the next batch
 GRACE = 3.0  # seconds for the other ranks to end a test that failed on one, and for all to tell where they hang
 
@@ -123,7 +123,9 @@ class Batch:
         (folder / "batch.json").write_text(json.dumps(self.timeouts))
         option = self.config.option
         self.arguments = ["-q", "--color=no", "-m", ""]
-        self.arguments += ["-p", "no:cacheprovider", f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
+        # A batch ends with one search for garbage; that plugin would add five, which take longer than most tests.
+        self.arguments += ["-p", "no:cacheprovider", "-p", "no:unraisableexception"]
+        self.arguments += [f"--tb={option.tbstyle}", *["-l"] * bool(option.showlocals)]
         self.arguments += ["-o", f"verbosity_assertions={max(0, option.verbose)}", str(items[0].path)]
 
     def run(self) -> None:
@@ -334,7 +336,7 @@ class Launcher:
 
     def ended(self, batch: Batch) -> list[pytest.TestReport]:
         """End processes; a report if they end badly."""
-        status = batch.processes.close()
+        status = batch.processes.close(PATIENCE * TIMEOUT)
         return [] if status == 0 else [batch.bad_end(status)]
 
     @pytest.hookimpl(tryfirst=True)

@@ -11,8 +11,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-END = 10.0  # seconds for processes that have nothing left to do
-
 
 class Processes:
     """So many ranks; see `mpi_server`."""
@@ -25,6 +23,7 @@ class Processes:
             # Open for reading, too, so that it need not wait for the rank. No child inherits it.
             self._orders.append(os.open(folder / f"orders{rank}", os.O_RDWR))
         server = Path(__file__).with_name("mpi_server.py")
+        environment = {**environment, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # each batch would look for them anew
         self.output = folder / "output"
         with self.output.open("wb") as output:
             self._process = subprocess.Popen(
@@ -46,11 +45,11 @@ class Processes:
         """What they printed besides the batches' output."""
         return self.output.read_text(errors="replace")
 
-    def close(self) -> int | None:
-        """Let the processes end; the exit status, None if they had to be killed."""
+    def close(self, patience: float) -> int | None:
+        """Let the processes end within so many seconds; the exit status, None if they had to be killed."""
         self._hang_up()
         try:
-            return self._process.wait(END)
+            return self._process.wait(patience)
         except subprocess.TimeoutExpired:
             self.kill()
             return None

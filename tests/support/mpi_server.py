@@ -23,6 +23,8 @@ def serve(folder: Path) -> None:
     with (folder / f"orders{rank}").open() as orders:
         for line in orders:
             run(json.loads(line), rank)
+            if gc.get_freeze_count() == 0:
+                gc.freeze()  # modules stay; later searches for garbage pass them over
 
 
 def run(order: dict[str, Any], rank: int) -> None:

@@ -38,7 +38,7 @@ def test_emittances_of_what_passes_a_plane_are_normalised():
 
 
 @pytest.mark.mpi(ranks=(2,), timeout=120)
-@pytest.mark.parametrize("charge", CHARGES)
+@pytest.mark.parametrize("charge", ["with", pytest.param("without", marks=pytest.mark.long)])
 def test_a_bunch_passes_screens_as_in_impactx(comm: MPI.Comm, charge: str) -> None:
     found = beam_line.along(comm, CHARGES[charge], particles=2**14, steps=106)
     for name, path in screens().items():

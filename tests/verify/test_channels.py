@@ -68,7 +68,7 @@ def test_core_at_rest_drives_no_particle_and_a_breathing_one_does():
     assert 2 * beam.at(times, constant)[0].max() < 1.7 * RADIUS
 
 
-@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.mpi(ranks=2, more=(1,))
 def test_short_runs_follow_the_envelope_equation(comm, monkeypatch):
     for name, value in (("PARTICLES", 20_000), ("PERIODS", 1), ("LEVELS", 2)):
         monkeypatch.setattr(envelopes, name, value)

@@ -159,7 +159,7 @@ def some_of_conservation(comm):
     yield from itertools.islice(conservation.tables(comm), 1)
 
 
-@pytest.mark.mpi(ranks=(1, 3), timeout=200)
+@pytest.mark.mpi(ranks=3, more=(1,), timeout=200)
 def test_narrow_gaps_meet_their_goals(comm):
     assert all(table.met for table in gaps.tables(comm))
 
@@ -193,7 +193,7 @@ def test_tables_are_the_same_on_one_two_and_three_ranks(comm, topic, tables):
 # ---- backends ----
 
 
-@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.mpi(ranks=2, more=(1,))
 def test_backends_are_compared_as_soon_as_there_are_two(comm):
     found = list(backends.tables(comm))
     assert len(found) == len(get_args(solver_options.Backend)) - 1
@@ -314,7 +314,7 @@ def test_frontier_holds_what_nothing_beats():
     assert pareto.loss(measured(10, 2, 0.1), found) == 1  # one cycle is spared
 
 
-@pytest.mark.mpi(ranks=(1, 2), timeout=120)
+@pytest.mark.mpi(ranks=2, more=(1,), timeout=120)
 def test_speed_against_error_of_a_scene(comm, tmp_path):
     scene = Scene.from_toml(
         EXAMPLES / "drift.toml", ["bunches.0.particles=5000", "domain.cells=16", "refinement.levels=1"]

@@ -1,0 +1,374 @@
+"""Runs of material points: closed forms, patch test, a column under its own weight, energy of a press, restart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import mpm
+from ..mpm.state import State
+from ..parallel import from_rank_0
+from .chosen import in_brief
+from .draw import picture
+from .press import exact_stress
+from .table import Goal, Table
+
+RUBBER = mpm.NeoHookean(300e6, 0.25)
+LAWS: Mapping[str, Mapping[str, Any]] = {
+    "neo-hookean": {"law": "neo-hookean", "young": RUBBER.young, "poisson": RUBBER.poisson},
+    "ogden, one term": {"law": "ogden", "terms": [{"mu": RUBBER.mu, "alpha": 2}], "lame": RUBBER.lame},
+}
+HEIGHT = 0.6
+Row = list[str | float | Goal]
+
+
+def tables(comm: MPI.Comm) -> Iterator[Table]:
+    """The tables of this topic. Collective."""
+    yield Table(
+        "Material points: confined compression",
+        "Runs of a cube between walls without friction, E = 300 MPa, ν = 0.25, pressed to 0.6 of its height with a new mesh "
+        "for each step, jittered points. Axial and lateral Cauchy stress off -230.165 and -102.165 MPa, the worst point's; "
+        "force of the platen; work, by the mean of forces before and after a step, over the stored energy, less 1.",
+        ("law", "degree", "steps", "axial", "lateral", "force", "work - energy", "over that of twice the steps"),
+        [_confined(comm, law, degree) for law in LAWS for degree in (1, 2)],
+    )
+    yield Table(
+        "Material points: patch test",
+        "A cube of 3³ elements between six walls, pressed by a tenth along x, pulled by a fifth along y, pressed by three "
+        "tenths along z in 5 steps with a new mesh for each. Largest difference of F from its closed form, and of stress "
+        "between points, in parts of Young's modulus.",
+        ("degree", "points", "weights", "F", "stress"),
+        [_patch(comm, *case) for case in PATCHES if case[0] <= 2 or not in_brief()],
+    )
+    yield _column(comm)
+    yield _press_without_damage(comm)
+    yield _press(comm)
+    yield Table(
+        "Material points: restart",
+        "A press with damage, written to a checkpoint half-way and read back: columns of points and of the series that differ "
+        "in any bit at the end.",
+        ("ranks", "steps after it", "columns of points", "of the series"),
+        [_restart(comm)],
+    )
+
+
+def scene(changes: Mapping[str, Any]) -> mpm.Scene:
+    """A scene that writes nothing."""
+    return mpm.Scene.from_dict({"name": "verify", "output": {"write": []}, **changes})
+
+
+def states(comm: MPI.Comm, changes: Mapping[str, Any]) -> Iterator[State]:
+    """The states of a run after each step. Collective."""
+    yield from mpm.Simulation(comm, scene(changes))
+
+
+def _stress(state: State) -> np.ndarray:
+    """Cauchy's stress at this rank's points, without the floor's. Collective."""
+    rest = np.zeros((len(state.placed.mesh.nodes), 3))
+    return state.placed.solid.states(rest).cauchy[state.placed.body]
+
+
+def _largest(comm: MPI.Comm, values: np.ndarray) -> float:
+    return comm.allreduce(float(np.abs(values).max(initial=0.0)), MPI.MAX)
+
+
+# ---- closed forms ----
+
+
+def _confined(comm: MPI.Comm, law: str, degree: int) -> Row:
+    gaps, exact = [], exact_stress(RUBBER, HEIGHT)
+    for steps in (20, 10):
+        *_, last = states(
+            comm,
+            {
+                "domain": {"lower": 0, "upper": 1, "cells": [2, 2, 4], "degree": degree},
+                "faces": {"x": "slip", "y": "slip", "z": ["slip", {"press": 1 - HEIGHT}]},
+                "points": {"per_axis": 3 + degree},
+                "materials": {"rubber": LAWS[law]},
+                "schedule": {"steps": steps},
+                "solver": {"tolerance": 1e-11},
+            },
+        )
+        row, stress = last.measured, _stress(last)
+        gaps.append(abs(row["work"] / row["stored"] - 1))
+    return [
+        law,
+        degree,
+        steps,
+        *(Goal(_largest(comm, stress[:, a, a] / value - 1), 1e-8) for a, value in zip((2, 0), exact, strict=True)),
+        Goal(abs(row["force_z_upper"] / exact[0] - 1), 1e-8),
+        Goal(gaps[1], 0.01),
+        Goal(gaps[1] / gaps[0], 3.8, least=True),
+    ]
+
+
+# degree, layout, points along each axis, weights
+PATCHES = (
+    (1, "jittered", 4, "moments"),
+    (2, "jittered", 5, "moments"),
+    (3, "jittered", 8, "moments"),
+    (4, "uniform", 8, "moments"),
+    (1, "jittered", 4, "volume"),
+    (2, "jittered", 5, "volume"),
+)
+
+
+def _patch(comm: MPI.Comm, degree: int, layout: str, per_axis: int, weights: str) -> Row:
+    *_, last = states(
+        comm,
+        {
+            "domain": {"lower": 0, "upper": 1, "cells": 3, "degree": degree},
+            "faces": {
+                "x": ["slip", {"press": 0.1}],
+                "y": [{"pull": 0.2}, "slip"],
+                "z": ["slip", {"press": 0.3}],
+            },
+            "points": {"per_axis": per_axis, "layout": layout, "weights": weights},
+            "materials": {"rubber": LAWS["neo-hookean"]},
+            "schedule": {"steps": 5},
+            "solver": {"tolerance": 1e-12},
+        },
+    )
+    stress = _stress(last)
+    first = comm.allgather(stress[:1])
+    off = _largest(comm, last.placed.points.deformation - np.diag([0.9, 1.2, 0.7]))
+    uneven = _largest(comm, stress - np.concatenate(first)[0]) / RUBBER.young
+    found: Row = [Goal(off, 1e-10), Goal(uneven, 1e-10)] if weights == "moments" else [off, uneven]
+    return [degree, f"{layout} {per_axis}³", weights, *found]
+
+
+# ---- a column under its own weight ----
+
+DENSITY, GRAVITY, TALL = 2000.0, 9.81, 16.0
+COLUMNS = (16, 32, 64, 128)  # elements along the height
+POINTS_OF_COLUMNS = (("jittered", 2), ("jittered", 3), ("jittered", 4), ("uniform", 4))
+
+
+def column_error(comm: MPI.Comm, cells: int, layout: str, per_axis: int) -> float:
+    """Stress along z at the points of a column against the weight above them, L2 over points. Collective."""
+    run = mpm.Simulation(
+        comm,
+        scene(
+            {
+                "domain": {"lower": 0, "upper": [0.5, 0.5, TALL], "cells": [2, 2, cells], "degree": 1},
+                "faces": {"x": "slip", "y": "slip", "z": ["slip", "free"]},
+                "points": {"per_axis": per_axis, "layout": layout},
+                "materials": {"ground": {"law": "neo-hookean", "young": 1e6, "poisson": 0.3, "density": DENSITY}},
+                "schedule": {"steps": 5},
+                "gravity": [0, 0, -GRAVITY],
+                "floor_stiffness": 1e3,
+            }
+        ),
+    )
+    first = run.state.placed.points
+    ids, heights = (np.concatenate(comm.allgather(one)) for one in (first.id, first.position[:, 2]))
+    *_, last = run
+    points = last.placed.points
+    height = heights[np.argsort(ids)][np.searchsorted(np.sort(ids), points.id)]
+    exact = -DENSITY * GRAVITY * (TALL - height)
+    found = _stress(last)[:, 2, 2]
+    apart, size = comm.allreduce(np.array([points.volume @ (found - exact) ** 2, points.volume @ exact**2]))
+    return float(np.sqrt(apart / size))
+
+
+def _column(comm: MPI.Comm) -> Table:
+    cells = COLUMNS[:3] if in_brief() else COLUMNS
+    errors = {
+        f"{layout} {per_axis}³": [column_error(comm, n, layout, per_axis) for n in cells]
+        for layout, per_axis in POINTS_OF_COLUMNS
+    }
+    rows: list[Row] = []
+    for name, found in errors.items():
+        least = {n: 0.05 for n in cells if n >= 64} if name == "jittered 4³" else {}
+        rows.append([name, *(Goal(e, least[n]) if n in least else e for n, e in zip(cells, found, strict=True))])
+    return Table(
+        "Material points: column",
+        "Ground of 16 m that compacts under its own weight, by degree 1 with 2 × 2 elements across: stress along z against the "
+        "weight above, L2 over points, by points of an element and elements along the height.",
+        ("points", *(f"{n} elements" for n in cells)),
+        rows,
+        curves={name: (cells, found) for name, found in errors.items()},
+        across="elements along the height",
+        upwards="error of the stress along z",
+    )
+
+
+# ---- a press ----
+
+MOST_NEWTON, MOST_CG = 12, 120
+
+
+@dataclass(frozen=True)
+class Size:
+    """Of a press: elements, grains, and the length of damage in m, two distances of nodes."""
+
+    cells: tuple[int, int, int]
+    grains: int
+    length: float
+
+    def __str__(self) -> str:
+        return " × ".join(map(str, self.cells))
+
+
+SMALL, AS_EXAMPLE = Size((4, 3, 5), 12, 0.7e-3), Size((6, 5, 8), 30, 0.4e-3)
+
+
+def press(steps: int, breaks: bool, size: Size = SMALL, part: float = 0.3) -> dict[str, Any]:
+    """Grains in a binder with voids of sticky air, as in examples/press.toml. Without damage the laws are the same."""
+
+    def solid(young: float, toughness: float) -> dict[str, Any]:
+        damage = {"damage": {"toughness": toughness, "length": size.length}} if breaks else {}
+        return {"law": "neo-hookean", "young": young, "poisson": 0.25, **damage}
+
+    structure = {"kind": "voronoi", "grains": size.grains, "voids": 0.35, "seed": 7}
+    return {
+        "domain": {"lower": 0, "upper": [2.4e-3, 2e-3, 3e-3], "cells": list(size.cells), "degree": 2},
+        "faces": {"x": "slip", "y": "slip", "z": ["slip", {"press": part}]},
+        "structure": {**structure, "grain": "grain", "binder": "binder", "void": "air"},
+        "materials": {
+            "grain": solid(4e9, 60.0),
+            "binder": solid(300e6, 100.0),
+            "air": {"law": "neo-hookean", "young": 5e6, "poisson": 0.0},
+        },
+        "schedule": {"steps": steps, "smallest": 1e-4, "easy": 6},
+        "solver": {"damage_tolerance": 0.03, "turns": 30, "iterations": MOST_NEWTON},
+    }
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """Rows of the series of a run, and its points at the end."""
+
+    rows: Sequence[Mapping[str, float]]
+    last: State
+
+    @classmethod
+    def of(cls, comm: MPI.Comm, changes: Mapping[str, Any]) -> Pressed:
+        """Run a scene. Collective."""
+        rows = []
+        for state in states(comm, changes):
+            rows.append(state.measured)
+        return cls(rows, state)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return np.array([row[name] for row in self.rows])
+
+
+def _press_without_damage(comm: MPI.Comm) -> Table:
+    cases = [(1, 4), (2, 4)] if in_brief() else [(1, 4), (2, 4), (2, 6)]
+    runs: dict[tuple[int, int, int], Pressed] = {}
+    for degree, per_axis in cases:
+        for steps in (20, 40):
+            changes = press(steps, breaks=False)
+            domain = {**changes["domain"], "degree": degree}
+            runs[degree, per_axis, steps] = Pressed.of(
+                comm, {**changes, "domain": domain, "points": {"per_axis": per_axis}}
+            )
+    return Table(
+        "Material points: a press without damage",
+        f"Grains of 4 GPa and binder of 300 MPa with a third of sticky air, 5 MPa, in {SMALL} elements, pressed by three "
+        "tenths: work less stored energy, forces of platen and floor apart, over the largest values. Points that go over into "
+        "other elements take forces along at once, which costs energy, whatever the steps: more with degree 2, less with more "
+        "points.",
+        ("degree", "points", "steps", "work - stored", "forces apart", "Newton, most", "median", "CG, most", "least J"),
+        [
+            [
+                degree,
+                f"{per_axis}³",
+                steps,
+                Goal(gap, 0.4 / steps) if degree == 1 else gap,
+                Goal(_apart(run), 1e-6),
+                Goal(float(run["newton_most"].max()), MOST_NEWTON),
+                Goal(float(np.median(run["newton_most"])), 5),
+                Goal(float(run["cg_most"].max()), MOST_CG),
+                float(run["j_min"].min()),
+            ]
+            for (degree, per_axis, steps), run in runs.items()
+            for gap in [float(np.abs(run["gap"]).max() / run["stored"][-1])]
+        ],
+        picture=partial(_draw_energies, runs[2, 4, 20]),
+    )
+
+
+def _apart(run: Pressed) -> float:
+    upper, lower = run["force_z_upper"], run["force_z_lower"]
+    return float(np.abs(upper + lower).max() / np.abs(upper).max())
+
+
+def _press(comm: MPI.Comm) -> Table:
+    size = SMALL if in_brief() else AS_EXAMPLE
+    run = Pressed.of(comm, press(20, breaks=True, size=size))
+    points, names = run.last.placed.points, ("grain", "binder", "air")
+    worst = [_largest(comm, points.damage[points.material == n]) for n in range(len(names))]
+    balance = (run["stored"] + run["dissipated"]) / run["work"]
+    return Table(
+        "Material points: a press that breaks",
+        f"The same in {size} elements with grains of 60 J/m² and binder of 100 J/m². Energy: stored and dissipated over work, "
+        "at most; steps that break more than is allowed are cut.",
+        (
+            "steps",
+            "cuts",
+            "energy",
+            "forces apart",
+            "Newton, most",
+            "median",
+            "turns, median",
+            "CG, most",
+            "damage: grain",
+            "binder",
+            "air",
+        ),
+        [
+            [
+                len(run.rows),
+                float(run["cuts"].sum()),
+                Goal(float(balance.max()), 1.02),
+                Goal(_apart(run), 1e-6),
+                Goal(float(run["newton_most"].max()), MOST_NEWTON),
+                Goal(float(np.median(run["newton_most"])), 5),
+                Goal(float(np.median(run["turns"])), 10),
+                Goal(float(run["cg_most"].max()), MOST_CG),
+                *(Goal(one, 0.3, least=True) for one in worst[:2]),
+                Goal(worst[2], 0.0),
+            ]
+        ],
+        picture=partial(_draw_energies, run),
+    )
+
+
+def _draw_energies(run: Pressed, path: Path) -> None:
+    """Draw work, stored and dissipated energy over the travel of the platen."""
+    with picture(path, "Energy of a press", "travel / mm", "energy / mJ") as axes:
+        for name in ("work", "stored", "dissipated", "gap"):
+            if run[name].any():
+                axes.plot(1e3 * run["travel_z"], 1e3 * run[name], "o-", markersize=3, label=name)
+
+
+# ---- restart ----
+
+
+def _restart(comm: MPI.Comm) -> Row:
+    before, after = 2, 2
+    whole = mpm.Simulation(comm, scene(press(40, breaks=True)))
+    with TemporaryDirectory() as made:
+        path = Path(from_rank_0(comm, lambda: made)) / "checkpoint_00000002"
+        for _ in range(before):
+            whole.advance()
+        whole.checkpoint(path)
+        again = mpm.Simulation.restart(comm, path)
+        comm.Barrier()
+    for run in (whole, again):
+        for _ in range(after):
+            run.advance()
+    columns = [run.state.placed.points.columns() for run in (whole, again)]
+    other = [name for name, one in columns[0].items() if not np.array_equal(one, columns[1][name])]
+    series = [name for name, one in whole.state.measured.items() if again.state.measured[name] != one]
+    counts = [comm.allreduce(len(one), MPI.MAX) for one in (other, series)]
+    return [comm.size, after, *(Goal(count, 0) for count in counts)]

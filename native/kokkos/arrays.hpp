@@ -102,28 +102,6 @@ struct Worker {
       Kokkos::parallel_for(Kokkos::TeamVectorRange(*team, n), f);
     }
   }
-
-  /// Set here[i] to value(i, before, after) in the cells of one parity. Those of the other one keep their values.
-  template <class T, class Value>
-  KOKKOS_INLINE_FUNCTION void relax(int n, int parity, T* here, T left, T right, Value const& value) const {
-    if constexpr (on_host) {
-      // By way of a buffer: a vector that is stored over what the next one loads would make it wait.
-      T buffer[chunk];
-      for (int first = 0; first < n; first += chunk) {
-        int const last = n < first + chunk ? n : first + chunk;
-        along(first, last, n, here, left, right, [&](int i, T before, T after) {
-          T const relaxed = value(i, before, after);
-          buffer[i - first] = (i & 1) == parity ? relaxed : here[i];
-        });
-        for (int i = first; i < last; ++i) here[i] = buffer[i - first];
-      }
-    } else {
-      Kokkos::parallel_for(Kokkos::TeamVectorRange(*team, (n - parity + 1) / 2), [&](int half) {
-        int const i = 2 * half + parity;
-        here[i] = value(i, i > 0 ? here[i - 1] : left, i + 1 < n ? here[i + 1] : right);
-      });
-    }
-  }
 };
 
 namespace rows {

@@ -1,6 +1,7 @@
 #include "kokkos/coarsening.hpp"
 
 #include <unordered_map>
+#include <utility>
 
 #include "stencil/relaxation.hpp"
 
@@ -51,44 +52,44 @@ Array<float> const& Coarsening::target() const {
 
 namespace {
 
-/// What the children of a row of parents add up to, each weighed by that of its place.
+/// A row of children of which parents take residuals, or right-hand sides.
 template <bool of_residual>
 struct ChildRow {
-  Row row;
-  float const *e, *r, *diagonal;
-  RowsBeside<true> beside;
-  float before, after;
+  LevelTables const& level;
+  Row const& row;
+  float const *r, *diagonal;
+  matrixfree::CorrectionRow at;
 
-  KOKKOS_INLINE_FUNCTION ChildRow(LevelTables const& level, Row const& of, float const* all_e, float const* all_r)
-      : row(of),
-        e(all_e + of.place),
+  KOKKOS_INLINE_FUNCTION ChildRow(LevelTables const& tables, Row const& of, float* e, float const* all_r)
+      : level(tables),
+        row(of),
         r(all_r + of.place),
-        diagonal(&level.coefficients(of.coefficients)),
-        beside(level, of, all_e),
-        before(of.factor[0] * all_e[of.end[0]]),
-        after(of.factor[1] * all_e[of.end[1]]) {}
+        diagonal(&tables.coefficients(of.coefficients)),
+        at(tables.correction(of, e)) {}
 
-  template <bool composed>
-  KOKKOS_INLINE_FUNCTION float value(RowsBeside<composed> const& rows, int i, float x, float y) const {
-    return remaining(r[i], rows.sum(i, x, y), diagonal[i], e[i]);
-  }
   KOKKOS_INLINE_FUNCTION float operator()(int i) const {
-    if constexpr (!of_residual) return r[i];
-    return value(beside, i, i > 0 ? e[i - 1] : before, i + 1 < row.cells ? e[i + 1] : after);
+    return of_residual ? remaining(r[i], level.sum(row, at, i), diagonal[i], at.here[i]) : r[i];
   }
-  /// Those of cells [first, last).
-  KOKKOS_INLINE_FUNCTION void store(LevelTables const& level, float const* all_e, int first, int last,
-                                    float* out) const {
-    auto const run = [&](auto const& rows) {
-      along(first, last, row.cells, e, before, after,
-            [&](int i, float x, float y) { out[i - first] = value(rows, i, x, y); });
-    };
-    if constexpr (!of_residual)
-      for (int i = first; i < last; ++i) out[i - first] = r[i];
-    else if (row.is_composed)
-      run(beside);
-    else
-      run(RowsBeside<false>(level, row, all_e));
+  /// Add `weight` times the values of pairs of whole vectors to parents, or set these, part by part.
+  template <int lanes, bool isotropic>
+  void restrict_pairs(int ratio, float weight, bool set, float* parents) const {
+    if constexpr (!of_residual) {
+      matrixfree::restrict_row<lanes>(r, row.cells / ratio, ratio, weight, set, parents);
+    } else {
+      float left[chunk + 2 * widest];
+      for (int first = 0; first < row.cells; first += chunk) {
+        bool const is_last = first + chunk >= row.cells;
+        matrixfree::CorrectionRow part = at;
+        part.here += first;
+        for (float const*& beside : part.beside) beside += first;
+        if (first > 0) part.left = part.here[-1];
+        if (!is_last) part.right = part.here[chunk], part.last = lanes - 1;
+        part.vectors = is_last ? at.vectors - first / lanes : chunk / lanes;
+        matrixfree::residual<lanes, isotropic>(part, level.weight, r + first, diagonal + first, left);
+        matrixfree::restrict_row<lanes>(left, (is_last ? row.cells - first : chunk) / ratio, ratio, weight, set,
+                                        parents + first / ratio);
+      }
+    }
   }
 };
 
@@ -124,39 +125,27 @@ void Coarsening::restrict_rows() {
                 weight * parents.weight_of(1, j) * parents.weight_of(2, k));
             }
         };
-        if constexpr (on_host) {
-          constexpr int parents_at_once = chunk / 2;
-          float children[chunk], sums[parents_at_once];
-          for (int begin = 0; begin < count; begin += parents_at_once) {
-            int const end = least(begin + parents_at_once, count);
-            for (int p = begin; p < end; ++p) sums[p - begin] = 0;
-            for_each_child_row([&](ChildRow<of_residual> const& row, float of_row) {
-              int const origin = begin * ratio - odd;  // of the children, of which the first and the last may lack
-              int const first = most(origin, 0), last = least(end * ratio - odd, row.row.cells);
-              for (int i = origin; i < first; ++i) children[i - origin] = 0;
-              row.store(level, e.data(), first, last, children + (first - origin));
-              for (int i = last; i < end * ratio - odd; ++i) children[i - origin] = 0;
-              if (parents.last[0] >= 0)
-                for (int i = first; i < last; ++i) children[i - origin] *= parents.weight_of(0, i);
-              if (ratio == 1)
-                for (int p = 0; p < end - begin; ++p) sums[p] += of_row * children[p];
-              else
-                for (int p = 0; p < end - begin; ++p) sums[p] += of_row * (children[2 * p] + children[2 * p + 1]);
+        if constexpr (on_host)
+          if (Row const& first = level.rows(block.first_row);
+              parents.last[0] < 0 && odd == 0 && first.cells % ratio == 0) {
+            bool set = true;
+            matrixfree::with_kind(first.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
+              for_each_child_row([&](ChildRow<of_residual> const& row, float of_row) {
+                row.template restrict_pairs<lanes(), isotropic()>(ratio, of_row, std::exchange(set, false), to);
+              });
             });
-            for (int p = begin; p < end; ++p) to[p] = sums[p - begin];
+            return;
           }
-        } else {
-          worker.for_each(count, [&](int p) {
-            float sum = 0;
-            for_each_child_row([&](ChildRow<of_residual> const& row, float of_row) {
-              int const first = most(p * ratio - odd, 0), last = least((p + 1) * ratio - odd, row.row.cells);
-              float of_children = 0;
-              for (int i = first; i < last; ++i) of_children += parents.weight_of(0, i) * row(i);
-              sum += of_row * of_children;
-            });
-            to[p] = sum;
+        worker.for_each(count, [&](int p) {
+          float sum = 0;
+          for_each_child_row([&](ChildRow<of_residual> const& row, float of_row) {
+            int const first = most(p * ratio - odd, 0), last = least((p + 1) * ratio - odd, row.row.cells);
+            float of_children = 0;
+            for (int i = first; i < last; ++i) of_children += parents.weight_of(0, i) * row(i);
+            sum += of_row * of_children;
           });
-        }
+          to[p] = sum;
+        });
       });
 }
 
@@ -198,29 +187,22 @@ void Coarsening::refresh_gaps() {
 
 namespace {
 
-/// Up to four rows of parents, and what a fine row takes of each.
-struct RowsOfParents {
-  std::array<float const*, 4> row;
-  std::array<float, 4> weight;
-  int count;
-
-  KOKKOS_INLINE_FUNCTION RowsOfParents(Parents const& parents, RowPlace const& of, float const* values) : count(0) {
-    float const* const here = values + parents.cells.place(0, parents.parent(1, of.j), parents.parent(2, of.k));
-    int const y = parents.toward(1, of.j), z = parents.toward(2, of.k);
-    float const far_y = parents.far(1, of.j), far_z = parents.far(2, of.k);
-    for (int beyond_z = 0; beyond_z <= (z != 0); ++beyond_z)
-      for (int beyond_y = 0; beyond_y <= (y != 0); ++beyond_y, ++count) {
-        row[std::size_t(count)] = here + beyond_y * y * parents.cells.pitch_y + beyond_z * z * parents.cells.pitch_z;
-        weight[std::size_t(count)] = (beyond_y ? far_y : 1 - far_y) * (beyond_z ? far_z : 1 - far_z);
-      }
-  }
-  KOKKOS_INLINE_FUNCTION float mean(int place) const {
-    float sum = weight[0] * row[0][place];
-    if (count > 1) sum += weight[1] * row[1][place];
-    if (count > 2) sum += weight[2] * row[2][place], sum += weight[3] * row[3][place];
-    return sum;
-  }
-};
+/// The rows of parents of a fine row.
+KOKKOS_INLINE_FUNCTION matrixfree::CoarseRows rows_of_parents(Parents const& parents, RowPlace const& of,
+                                                              float const* values) {
+  matrixfree::CoarseRows out;
+  out.count = 0;
+  float const* const here = values + parents.cells.place(0, parents.parent(1, of.j), parents.parent(2, of.k));
+  int const y = parents.toward(1, of.j), z = parents.toward(2, of.k);
+  float const far_y = parents.far(1, of.j), far_z = parents.far(2, of.k);
+  for (int beyond_z = 0; beyond_z <= (z != 0); ++beyond_z)
+    for (int beyond_y = 0; beyond_y <= (y != 0); ++beyond_y, ++out.count) {
+      out.row[std::size_t(out.count)] =
+          here + beyond_y * y * parents.cells.pitch_y + beyond_z * z * parents.cells.pitch_z;
+      out.weight[std::size_t(out.count)] = (beyond_y ? far_y : 1 - far_y) * (beyond_z ? far_z : 1 - far_z);
+    }
+  return out;
+}
 
 }  // namespace
 
@@ -234,7 +216,7 @@ void Coarsening::prolong(matrixfree::Coarsening::Into into) {
   if (plan_.refines_) interface_.subtract_coarse(values, fine_.right_hand_side().array());
 
   bool const set = into == matrixfree::Coarsening::Into::place;
-  auto const e = fine_.correction().array();
+  auto const e = fine_.correction().array(), r = fine_.right_hand_side().array();
   auto const own = fine_.own_rows();
   auto const rows = fine_.tables().rows;
   auto const sources = sources_;
@@ -242,46 +224,21 @@ void Coarsening::prolong(matrixfree::Coarsening::Into into) {
       "prolong", own, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         RowPlace const& of = own(n);
         Parents const& parents = sources(of.block);
-        RowsOfParents const from(parents, of, values.data());
-        float* const to = &e(rows(n).place);
-        int const cells = rows(n).cells, ratio = parents.ratio[0], odd = parents.odd[0];
-        auto const put = [=](int i, float value) { to[i] = (set ? 0 : to[i]) + value; };
-        auto const one = [&](int i, auto const& mean) {
+        matrixfree::CoarseRows const from = rows_of_parents(parents, of, values.data());
+        Row const& row = rows(n);
+        float* const to = &e(row.place);
+        int const ratio = parents.ratio[0];
+        if constexpr (on_host)
+          if (parents.odd[0] == 0 && parents.seam[0] == 0)
+            return matrixfree::with_kind(row.lanes, true, [&](auto lanes, auto) {
+              matrixfree::prolong_row<lanes()>(from, ratio, row.pitch / row.lanes, set, &r(row.place), to);
+            });
+        worker.for_each(row.cells, [&](int i) {
           int const p = parents.parent(0, i);
-          return ratio == 1 ? mean(p) : prolonged(parents.far(0, i), mean(p), mean(p + parents.toward(0, i)));
-        };
-        if constexpr (on_host) {
-          constexpr float near = prolongation::near, far = prolongation::far;
-          constexpr int parents_at_once = chunk / 2;
-          float buffer[parents_at_once + 2];
-          int const count = (cells + odd + ratio - 1) / ratio;
-          for (int begin = 0; begin < count; begin += parents_at_once) {
-            int const end = least(begin + parents_at_once, count);
-            int const margin = ratio - 1;
-            float const* const mean = buffer + 1;  // counted from the first parent here, with one on either side
-            worker.for_each(end - begin + 2 * margin,
-                            [&](int m) { buffer[m + 1 - margin] = from.mean(begin - margin + m); });
-            int const first = most(begin * ratio - odd, 0), last = least(end * ratio - odd, cells);
-            if (ratio == 1) {
-              worker.for_each(last - first, [=](int m) { put(first + m, mean[m]); });
-            } else if (parents.seam[0] > 0) {
-              for (int i = first; i < last; ++i) put(i, one(i, [=](int p) { return mean[p - begin]; }));
-            } else {
-              int const whole = odd != 0 && begin == 0, pairs = (last + odd) / 2;  // parents with both children here
-              if (whole) put(0, near * mean[0] + far * mean[1]);
-              worker.for_each(pairs - (begin + whole), [=](int m) {
-                int const p = begin + whole + m, i = 2 * p - odd;
-                float const* const at = mean + (p - begin);
-                float const here = near * at[0];
-                put(i, here + far * at[-1]);
-                put(i + 1, here + far * at[1]);
-              });
-              if (2 * pairs - odd < last) put(last - 1, near * mean[pairs - begin] + far * mean[pairs - begin - 1]);
-            }
-          }
-        } else {
-          worker.for_each(cells, [&](int i) { put(i, one(i, [&](int p) { return from.mean(p); })); });
-        }
+          float const here = mean(from, p);
+          to[i] = (set ? 0 : to[i]) +
+                  (ratio == 1 ? here : prolonged(parents.far(0, i), here, mean(from, p + parents.toward(0, i))));
+        });
       });
   fine_.corrections_are_new();
   if (has_gaps()) update_gaps();

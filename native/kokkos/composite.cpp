@@ -345,36 +345,30 @@ struct Sizes {
   KOKKOS_INLINE_FUNCTION void join(Real& out, Real size) const {
     out = norm != Norm::max ? out + size : size > out ? size : out;
   }
-  /// Of the first `n` values of a row, value(i) each, which write(i, value) takes; `prepare(first, last, out)` finds
-  /// some of them.
-  template <class Prepare, class Value, class Write>
-  KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, Prepare const& prepare, Value const& value,
-                                   Write const& write) const {
-    Real out = 0;
-    if constexpr (on_host) {
-      constexpr int lanes = 8;
-      Real buffer[chunk], sums[lanes] = {};
-      for (int first = 0; first < n; first += chunk) {
-        int const count = n - first < chunk ? n - first : chunk;
-        prepare(first, first + count, buffer);
-        worker.for_each(count, [&](int i) { write(first + i, buffer[i]); });
-        int i = 0;
-        for (; i + lanes <= count; i += lanes)
-          for (int q = 0; q < lanes; ++q) join(sums[q], of(buffer[i + q]));
-        for (; i < count; ++i) join(sums[0], of(buffer[i]));
-      }
-      for (Real sum : sums) join(out, sum);
-    } else {
-      auto const add = [&](int i, Real& sum) {
-        Real const found = value(i);
-        write(i, found);
-        join(sum, of(found));
-      };
-      if (norm == Norm::max)
-        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
-      else
-        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
+  /// Of values that a thread of the host has found.
+  Real of_all(Real const* values, int n) const {
+    if (norm == Norm::max) {
+      Largest<Real> largest;
+      largest.add(values, n);
+      return of(largest.value());
     }
+    Real sums[8] = {}, out = 0;
+    int i = 0;
+    for (; i + 8 <= n; i += 8)
+      for (int q = 0; q < 8; ++q) sums[q] += of(values[i + q]);
+    for (; i < n; ++i) out += of(values[i]);
+    for (Real sum : sums) out += sum;
+    return out;
+  }
+  /// Of the values that value(i) finds in a row.
+  template <class Value>
+  KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, Value const& value) const {
+    Real out = 0;
+    auto const add = [&](int i, Real& sum) { join(sum, of(value(i))); };
+    if (norm == Norm::max)
+      Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
+    else
+      Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
     return out;
   }
 };
@@ -514,16 +508,25 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
           }
           return value;
         };
-        auto const prepare = [&](int first, int last, Real* values) {
-          along(first, last, nx, c, xm, xp, [=](int i, Real x, Real y) { values[i - first] = plain(i, x, y); });
-          if (row.special != all_plain)
-            for (int i = first; i < last; ++i) values[i - first] = special(i, values[i - first]);
-        };
-        auto const value = [&](int i) {
-          Real const found = plain(i, before(i), after(i));
-          return row.special == all_plain ? found : special(i, found);
-        };
-        return sizes.over(worker, nx, prepare, value, [=](int i, Real found) { out[i] = float(scale * found); });
+        if constexpr (on_host) {
+          Real size = 0, values[chunk];
+          for (int first = 0; first < nx; first += chunk) {
+            int const last = nx < first + chunk ? nx : first + chunk;
+            along(first, last, nx, c, xm, xp, [&](int i, Real x, Real y) { values[i - first] = plain(i, x, y); });
+            if (row.special != all_plain)
+              for (int i = first; i < last; ++i) values[i - first] = special(i, values[i - first]);
+            worker.for_each(last - first, [&](int i) { out[first + i] = float(scale * values[i]); });
+            sizes.join(size, sizes.of_all(values, last - first));
+          }
+          return size;
+        } else {
+          return sizes.over(worker, nx, [&](int i) {
+            Real const found = plain(i, before(i), after(i)),
+                       left = row.special == all_plain ? found : special(i, found);
+            out[i] = float(scale * left);
+            return left;
+          });
+        }
       });
 }
 
@@ -544,17 +547,23 @@ Real Composite::add(Real scale) {
                        CompositeBox const& box = boxes(row.box);
                        float const* const from = e.data() + box.origin + row.j * box.pitch_y + row.k * box.pitch_z;
                        Real* const to = phi.data() + box.first + box.extent[0] * (row.j + box.extent[1] * row.k);
-                       auto const add = [&](int i, Real value) {
-                         if (row.special == all_covered || (row.special >= 0 && covered(row.special + i))) return;
-                         to[i] = fused(scale, value, to[i]);
+                       int const nx = box.extent[0];
+                       auto const add = [=](int i) {
+                         if (row.special == all_plain || (row.special >= 0 && !covered(row.special + i)))
+                           to[i] = fused(scale, Real(from[i]), to[i]);
+                         return Real(from[i]);
                        };
-                       auto const value = [=](int i) { return Real(from[i]); };
-                       auto const prepare = [=](int first, int last, Real* values) {
-                         for (int i = first; i < last; ++i) values[i - first] = value(i);
-                       };
-                       if (row.special != all_plain) return sizes.over(worker, box.extent[0], prepare, value, add);
-                       return sizes.over(worker, box.extent[0], prepare, value,
-                                         [=](int i, Real given) { to[i] = fused(scale, given, to[i]); });
+                       if constexpr (on_host) {
+                         if (row.special == all_plain)
+                           worker.for_each(nx, [=](int i) { to[i] = fused(scale, Real(from[i]), to[i]); });
+                         else
+                           worker.for_each(nx, add);
+                         Largest<float> of_row;
+                         of_row.add(from, nx);
+                         return sizes.of(of_row.value());
+                       } else {
+                         return sizes.over(worker, nx, add);
+                       }
                      }));
   }
   for (int l = mesh_.levels() - 1; l > 0; --l) {

@@ -12,21 +12,20 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
   matrixfree::Stencil const& stencil = plan.stencil();
   std::vector<Row> rows;
   std::vector<RowPlace> own;
-  std::vector<ComposedCell> composed;
+  std::vector<matrixfree::ScaledRun> composition;
+  std::int32_t composed = 0;
   for (std::size_t b = 0; b < plan.faces().size(); ++b) {
     auto const& block = layout.blocks()[b];
     auto const& of_block = stencil.block(b);
     Box const& box = block.box;
     first_rows_.push_back(std::int32_t(rows.size()));
-    // Cells of composed rows, one row after the other.
-    std::vector<std::int32_t> first_cell;
-    for (std::size_t c = 0; c + 1 < of_block.first_run.size(); ++c) {
-      first_cell.push_back(std::int32_t(composed.size()));
-      for (std::int32_t n = of_block.first_run[c]; n < of_block.first_run[c + 1]; ++n)
-        for (int i = 0; i < of_block.runs[std::size_t(n)].count; ++i)
-          composed.push_back({of_block.runs[std::size_t(n)].factor == 0 ? 0 : of_block.runs[std::size_t(n)].source + i,
-                              of_block.runs[std::size_t(n)].factor});
-    }
+    std::int32_t const pitch = std::int32_t(block.cells.pitch_y), first_composed = composed;
+    std::int32_t const first_run = std::int32_t(composition.size());
+    for (std::size_t c = 0; c + 1 < of_block.first_run.size(); ++c, composed += pitch)
+      for (std::int32_t n = of_block.first_run[c]; n < of_block.first_run[c + 1]; ++n) {
+        composition.push_back(of_block.runs[std::size_t(n)]);
+        composition.back().place += composed;
+      }
     for (int k = 0; k < box.extent(2); ++k)
       for (int j = 0; j < box.extent(1); ++j) {
         auto const& at = of_block.rows[std::size_t(j + box.extent(1) * k)];
@@ -35,20 +34,27 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
                 at.end,
                 at.factor,
                 at.coefficients,
-                std::int32_t(block.cells.pitch_y),
+                pitch,
                 box.extent(0),
+                std::int8_t(block.lanes),
                 std::int8_t((box.lower[0] + box.lower[1] + j + box.lower[2] + k) & 1),
-                b < layout.own_blocks() ? std::int8_t(0) : layout.steps_to_own(b, box.lower[2] + k)[j],
-                false};
+                b < layout.own_blocks() ? std::int8_t(0) : layout.steps_to_own(b, box.lower[2] + k)[j]};
         for (std::int32_t& beside : row.beside)
-          if (beside < 0) beside = ~first_cell[std::size_t(~beside)], row.is_composed = true;
+          if (beside < 0) beside = ~(first_composed + ~beside * pitch);
         rows.push_back(row);
         if (b < layout.own_blocks()) own.push_back({std::int32_t(b), j, k});
       }
-    if (together_.empty() || plan.has_odd_ring()) together_.push_back({first_rows_.back(), 0});
-    together_.back().last = std::int32_t(rows.size());
+    if (together_.empty() || plan.has_odd_ring()) together_.push_back({{first_rows_.back(), 0}, {first_run, 0}});
+    together_.back().rows.last = std::int32_t(rows.size());
+    together_.back().composition.last = std::int32_t(composition.size());
   }
-  tables_ = {on_device(rows), on_device(composed), on_device(stencil.coefficients()), stencil.weight(), stencil.keep()};
+  tables_ = {on_device(rows),
+             on_device(composition),
+             Array<float>("composed rows", std::size_t(composed)),
+             on_device(stencil.coefficients()),
+             stencil.weight(),
+             stencil.isotropic(),
+             stencil.keep()};
   own_rows_ = on_device(own);
   if (plan.is_thin()) {
     for (std::size_t colour : {0, 1})
@@ -68,9 +74,25 @@ void SweptLevel::relax(int sweeps, bool from_zero, int further) {
   for (int half = 0; half < 2 * sweeps; ++half, --reach) {
     matrixfree::HalfSweep const h(half, from_zero);
     bring(h.reads);
-    for (Part const& rows : together_) half_sweep(rows, h.colour, h.is_fresh, reach);
+    for (Together const& part : together_) {
+      if (!h.is_fresh) compose(part.composition);
+      half_sweep(part.rows, h.colour, h.is_fresh, reach);
+    }
     stale_ |= h.changes;
   }
+}
+
+/// Set composed rows.
+void SweptLevel::compose(Part const& runs) {
+  LevelTables const level = tables_;
+  auto const e = e_.array();
+  for_each_row(
+      "compose rows", runs, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        matrixfree::ScaledRun const run = level.composition(n);
+        float const* const from = e.data() + run.source;
+        float* const to = level.composed.data() + run.place;
+        worker.for_each(run.count, [=](int i) { to[i] = run.factor * from[i]; });
+      });
 }
 
 /// One colour of some rows, at most `reach` steps from own cells.
@@ -86,7 +108,7 @@ void SweptLevel::half_sweep(Part const& rows, int colour, bool from_zero, int re
           float const *const right = &r(row.place), *const step = &level.coefficients(
                                                         row.coefficients +
                                                         (1 + ((row.parity + colour) & 1)) * row.pitch);
-          worker.for_each(row.cells, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
+          worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
         });
     return;
   }
@@ -95,19 +117,18 @@ void SweptLevel::half_sweep(Part const& rows, int colour, bool from_zero, int re
         Row const& row = level.rows(n);
         if (row.steps > reach) return;
         int const parity = (row.parity + colour) & 1;
-        float* const here = &e(row.place);
+        matrixfree::CorrectionRow const at = level.correction(row, e.data());
         float const *const right = &r(row.place), *const step =
                                                       &level.coefficients(row.coefficients + (1 + parity) * row.pitch);
-        float const before = row.factor[0] * e(row.end[0]), after = row.factor[1] * e(row.end[1]), keep = level.keep;
-        auto const run = [&](auto const& beside) {
-          worker.relax(row.cells, parity, here, before, after, [=](int i, float x, float y) {
-            return relaxed(keep, here[i], step[i], beside.sum(i, x, y), right[i]);
+        if constexpr (on_host)
+          matrixfree::with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
+            matrixfree::relax<lanes(), isotropic()>(at, level.weight, right, step, level.keep, parity);
           });
-        };
-        if (row.is_composed)
-          run(RowsBeside<true>(level, row, e.data()));
         else
-          run(RowsBeside<false>(level, row, e.data()));
+          worker.for_each((row.cells - parity + 1) / 2, [&](int half) {
+            int const i = 2 * half + parity;
+            at.here[i] = relaxed(level.keep, at.here[i], step[i], level.sum(row, at, i), right[i]);
+          });
       });
 }
 
@@ -123,6 +144,7 @@ void SweptLevel::bring(int colours) {
 void SweptLevel::prepare_residual() {
   bring(matrixfree::both_colours);
   if (plan_.has_odd_ring()) exchange_corrections(false);  // copies behind it have not been swept as their cells were
+  compose({0, std::int32_t(tables_.composition.extent(0))});
 }
 
 void SweptLevel::exchange_right_hand_sides() {
@@ -137,8 +159,9 @@ void SweptLevel::exchange_corrections(bool boundary_changed) {
 
 std::size_t SweptLevel::bytes() const {
   return tables_.rows.extent(0) * sizeof(Row) + own_rows_.extent(0) * sizeof(RowPlace) +
-         tables_.composed.extent(0) * sizeof(ComposedCell) + tables_.coefficients.extent(0) * sizeof(float) +
-         halo_.bytes() + edge_halo_.bytes() + halo_of_colour_[0].bytes() + halo_of_colour_[1].bytes();
+         tables_.composition.extent(0) * sizeof(matrixfree::ScaledRun) +
+         (tables_.composed.extent(0) + tables_.coefficients.extent(0)) * sizeof(float) + halo_.bytes() +
+         edge_halo_.bytes() + halo_of_colour_[0].bytes() + halo_of_colour_[1].bytes();
 }
 
 }  // namespace amrpic::kokkos

@@ -3,6 +3,7 @@
 #include <array>
 
 #include "kokkos/cell_copies.hpp"
+#include "matrixfree/row_kernels.hpp"
 #include "matrixfree/swept_level.hpp"
 #include "stencil/laplacian.hpp"
 
@@ -11,14 +12,14 @@ namespace amrpic::kokkos {
 /// A row of cells of a level, and where its neighbours are: a RowStencil with all that it leaves to the block.
 struct Row {
   std::int32_t place;
-  std::array<std::int32_t, 4> beside;  ///< as in RowStencil; ~(place among composed cells)
+  std::array<std::int32_t, 4> beside;  ///< as in RowStencil; ~(place among composed values)
   std::array<std::int32_t, 2> end;
   std::array<float, 2> factor;
   std::int32_t coefficients, pitch;
   std::int32_t cells;
+  std::int8_t lanes;   ///< cells in a vector of the host
   std::int8_t parity;  ///< of the places of colour 0
   std::int8_t steps;   ///< from own cells
-  bool is_composed;    ///< whether a row beside it is
 };
 
 /// Which row of which own block a row is.
@@ -27,45 +28,32 @@ struct RowPlace {
   std::int32_t j, k;  ///< counted from the block's first
 };
 
-/// A cell of a row that lies beside another one and is none in memory: factor * e[source].
-struct ComposedCell {
-  std::int32_t source;
-  float factor;
-};
-
 /// What kernels read of a level besides its values.
 struct LevelTables {
-  Array<Row> rows;  ///< of own blocks first
-  Array<ComposedCell> composed;
+  Array<Row> rows;                           ///< of own blocks first
+  Array<matrixfree::ScaledRun> composition;  ///< of rows beside rows that are none in memory
+  Array<float> composed;                     ///< what it gives, row after row, each of whole vectors
   Array<float> coefficients;
   std::array<float, 3> weight;
+  bool isotropic;
   float keep;
-};
 
-/// The rows beside a row. `composed`: some may be.
-template <bool composed>
-struct RowsBeside {
-  std::array<float const*, 4> row;
-  std::array<ComposedCell const*, 4> cells;
-  float const* e;
-  std::array<float, 3> weight;
-
-  KOKKOS_INLINE_FUNCTION RowsBeside(LevelTables const& level, Row const& of, float const* values)
-      : e(values), weight(level.weight) {
-    for (int side = 0; side < 4; ++side) {
-      std::int32_t const beside = of.beside[std::size_t(side)];
-      row[std::size_t(side)] = beside >= 0 ? values + beside : nullptr;
-      cells[std::size_t(side)] = beside >= 0 ? nullptr : &level.composed(~beside);
-    }
-  }
-  KOKKOS_INLINE_FUNCTION float value(std::size_t side, int i) const {
-    if constexpr (composed)
-      if (row[side] == nullptr) return cells[side][i].factor * e[cells[side][i].source];
-    return row[side][i];
+  /// A row's correction and its neighbours'.
+  KOKKOS_INLINE_FUNCTION matrixfree::CorrectionRow correction(Row const& row, float* e) const {
+    matrixfree::CorrectionRow out;
+    out.here = e + row.place;
+    for (std::size_t side = 0; side < 4; ++side)
+      out.beside[side] = row.beside[side] >= 0 ? e + row.beside[side] : composed.data() + ~row.beside[side];
+    out.left = row.factor[0] * e[row.end[0]];
+    out.right = row.factor[1] * e[row.end[1]];
+    out.vectors = row.pitch / row.lanes;
+    out.last = (row.cells - 1) % row.lanes;
+    return out;
   }
   /// The weighted sum over the neighbours of a cell.
-  KOKKOS_INLINE_FUNCTION float sum(int i, float before, float after) const {
-    return weighted_sum(weight, before + after, value(0, i) + value(1, i), value(2, i) + value(3, i));
+  KOKKOS_INLINE_FUNCTION float sum(Row const& row, matrixfree::CorrectionRow const& at, int i) const {
+    float const before = i > 0 ? at.here[i - 1] : at.left, after = i + 1 < row.cells ? at.here[i + 1] : at.right;
+    return weighted_sum(weight, before + after, at.beside[0][i] + at.beside[1][i], at.beside[2][i] + at.beside[3][i]);
   }
 };
 
@@ -93,7 +81,8 @@ class SweptLevel {
 
   std::size_t bytes() const;
 
-  /// Part of `relax`, public because CUDA wants members with kernels to be.
+  // Parts of `relax`, public because CUDA wants members with kernels to be.
+  void compose(Part const& runs);
   void half_sweep(Part const& rows, int colour, bool from_zero, int reach);
 
  private:
@@ -103,7 +92,10 @@ class SweptLevel {
   LevelTables tables_;
   Array<RowPlace> own_rows_;
   std::vector<std::int32_t> first_rows_;
-  std::vector<Part> together_;  ///< rows that may be relaxed at once
+  struct Together {
+    Part rows, composition;
+  };
+  std::vector<Together> together_;  ///< rows that may be relaxed at once, and what composes those beside them
   Mirrored<float> r_, e_;
   CellCopies halo_, edge_halo_;
   std::array<CellCopies, 2> halo_of_colour_;

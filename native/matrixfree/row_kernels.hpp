@@ -15,6 +15,16 @@ namespace amrpic::matrixfree {
 /// How far ahead the first stage of a pass prefetches.
 constexpr std::ptrdiff_t ahead = page<float> / 2;
 
+/// Call f(lanes, isotropic) with both as constants.
+template <class F>
+void with_kind(int lanes, bool isotropic, F&& f) {
+  using std::integral_constant;
+  auto choose = [&](auto n) {
+    isotropic ? f(n, integral_constant<bool, true>()) : f(n, integral_constant<bool, false>());
+  };
+  lanes == widest ? choose(integral_constant<int, widest>()) : choose(integral_constant<int, narrowest>());
+}
+
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
 struct CorrectionRow {
   float* here;
@@ -110,7 +120,7 @@ struct CoarseRows {
 };
 
 /// The weighted sum over coarse rows at one place.
-inline float mean(CoarseRows const& coarse, int place) {
+KOKKOS_INLINE_FUNCTION float mean(CoarseRows const& coarse, int place) {
   float sum = 0;
   for (int c = 0; c < coarse.count; ++c) sum += coarse.weight[std::size_t(c)] * coarse.row[std::size_t(c)][place];
   return sum;

@@ -59,16 +59,6 @@ void Sweep::for_each_row(std::size_t block, int k, RowChoice const& rows, float*
 
 namespace {
 
-/// Call f(lanes, isotropic) with both as constants.
-template <class F>
-void with_kind(int lanes, bool isotropic, F&& f) {
-  using std::integral_constant;
-  auto choose = [&](auto n) {
-    isotropic ? f(n, integral_constant<bool, true>()) : f(n, integral_constant<bool, false>());
-  };
-  lanes == widest ? choose(integral_constant<int, widest>()) : choose(integral_constant<int, narrowest>());
-}
-
 /// Parity of the places in a row whose cells have a colour.
 int parity(CellBlock const& b, int j, int k, int colour) {
   return (colour + b.box.lower[0] + b.box.lower[1] + j + k) & 1;

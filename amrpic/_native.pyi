@@ -294,12 +294,9 @@ class Krylov(enum.Enum):
 class Backend(enum.Enum):
     matrix_free = 0
 
-    crs = 1
+    kokkos = 1
 
-class Kernels(enum.Enum):
-    tuned = 0
-
-    portable = 1
+    crs = 2
 
 class CoveredField(enum.Enum):
     mean = 0
@@ -327,10 +324,6 @@ class SolverOptions:
     def backend(self) -> Backend: ...
     @backend.setter
     def backend(self, arg: Backend, /) -> None: ...
-    @property
-    def kernels(self) -> Kernels: ...
-    @kernels.setter
-    def kernels(self, arg: Kernels, /) -> None: ...
     @property
     def tolerance(self) -> float: ...
     @tolerance.setter

@@ -20,7 +20,7 @@ from particles import OWN_B, SOLENOID, record_name
 from pic_step import IMPACTX_WALLS, step_name
 from points import MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
 from points import record_name as product_name
-from solving import BESIDE_DST, BOXES, IN_TURNS, assembly_name, following_name, name
+from solving import BESIDE_DST, BOXES, EACH_BACKEND, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
 
 NAN = float("nan")
@@ -333,9 +333,14 @@ def backends(found: Found) -> Iterator[Goal]:
     worst = max((float(record.facts["difference"]) for record in compared), default=NAN)
     if not all(record.facts["converged"] for record in compared):
         worst = math.inf
-    yield Goal(f"matrix-free against CRS: φ on {len(compared)} meshes of the verification", worst, SAME)
+    yield Goal(f"Kokkos and CRS against matrix-free: φ on {len(compared)} meshes of the verification", worst, SAME)
     apart = max((float(record.facts["residuals apart"]) for record in compared), default=NAN)
-    yield Goal("matrix-free against CRS: residual of a rough φ on them", apart, ROUNDING)
+    yield Goal("Kokkos and CRS against matrix-free: residual of a rough φ on them", apart, ROUNDING)
+    cycles = [dict(zip(record.facts["backends"], record.facts["cycles of each"], strict=True)) for record in compared]
+    others = max((abs(each["kokkos"] - each["matrix-free"]) for each in cycles), default=NAN)
+    yield Goal("Kokkos against matrix-free: cycles on them", others, 0)
+    kernels, tuned = (name(*EACH_BACKEND, 1, f"by {backend}") for backend in ("kokkos", "matrix-free"))
+    yield Goal(f"{EACH_BACKEND[0]}: solve by Kokkos against matrix-free", found.ratio(kernels, tuned), 2.5, unit="×")
 
 
 def least(values: Iterable[float]) -> float:

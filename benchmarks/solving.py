@@ -28,6 +28,7 @@ from measuring import (
     write,
     yardstick,
 )
+from measuring import in_turns as turns_of
 from mpi4py import MPI
 
 import amrpic
@@ -40,6 +41,7 @@ IN_TURNS = f"{FULL:g}, in turns"
 BESIDE_DST = f"{FULL:g}, in turns with the sine transform"
 OVER_DST = (("uniform 128", 64), ("static 64", 64), ("static 64", 24), ("bunch 64", 24), ("static 128", 64))
 TURNS = 11
+EACH_BACKEND = "static 64", 24  # solved by all of them
 Tolerance = float | Literal["discretization"]
 BOXES = (16, 24, 32, 64)
 
@@ -121,6 +123,17 @@ def in_turns(comm: MPI.Comm, cases: list[str], boxes: int, backend: str, runs: i
         facts = {"cycles": report.cycles, "converged": report.converged, "residual": report.residuals[-1]}
         label = name(case, boxes, comm.size)
         yield Record(label, taken, facts=facts, **unit.record_fields(one.cells))
+
+
+def by_each_backend(comm: MPI.Comm, case: str, boxes: int, runs: int) -> Iterator[Record]:
+    """Yield solves from a zero guess by all backends, in turns with each other, in CPU time."""
+    given = problem(comm, case, boxes)
+    solvers = [PoissonSolver(given.hierarchy, tolerance=FULL, backend=backend) for backend in BACKENDS]
+    works = [partial(solver.solve, given.rho, boundary_values=given.walls) for solver in solvers]
+    reports = [work()[1] for work in works]
+    for backend, report, seconds in zip(BACKENDS, reports, turns_of(works, runs), strict=True):
+        facts = {"cycles": report.cycles, "converged": report.converged}
+        yield Record(name(case, boxes, 1, f"by {backend}"), seconds, cells=given.cells, facts=facts)
 
 
 def rank_by_rank(comm: MPI.Comm, case: str, boxes: int, backend: str, runs: int) -> Iterator[Record]:
@@ -328,6 +341,7 @@ def everything(comm: MPI.Comm, backend: str, quick: bool, runs: int) -> Iterator
         yield from in_turns(comm, [f"{cells} 64" for cells in STRETCHED], 32, backend, runs)
         yield from following(comm, "bunch 64", 24, backend, runs)
         yield assembly(comm, "bunch 64", 24, runs)
+        yield from by_each_backend(comm, *EACH_BACKEND, runs)
         if not quick:
             yield from growth(comm, backend, runs)
 

@@ -27,7 +27,8 @@ NATIVE = {
     "material": {"base"},
     "mpm": {"fem", "material", "mesh", "base"},
     "matrixfree": {"operators", "stencil", "mesh", "base"},
-    "solver": {"matrixfree", "operators", "freespace", "fem", "stencil", "mesh", "base"},
+    "kokkos": {"matrixfree", "operators", "stencil", "mesh", "base"},
+    "solver": {"kokkos", "matrixfree", "operators", "freespace", "fem", "stencil", "mesh", "base"},
     "external": {"base"},
     "particle": {"external", "mesh", "stencil", "base"},
     "processor": set(),
@@ -52,7 +53,7 @@ NATIVE = {
 CONFINED = {
     r'#include\s*[<"](nanobind|Python)': {"bind", "processor"},
     r"#include\s*<(MueLu|Belos|Ifpack2|Amesos2|Zoltan2|Xpetra)": {"solver"},
-    r"#include\s*<(Tpetra|Teuchos)": {"base", "matrixfree", "operators", "solver"},
+    r"#include\s*<(Tpetra|Teuchos)": {"base", "operators", "solver"},
     r"\bParameterList\b": {"solver", "operators"},  # there in tpetra.hpp, what differs between releases
     r"\bMPI_(?!Comm_f2c|Wtime)\w+\(": {"base"},  # `Communicator` and `Messages` send, and count
     r"#include\s*[<\"](hdf5|H5)": set(),  # h5py brings an HDF5 of its own, Trilinos another
@@ -199,16 +200,21 @@ def common_sources() -> list[str]:
     return listed("COMMON_SOURCES")
 
 
-TRILINOS = re.compile(r"#include <(Kokkos_Core|Tpetra|Teuchos|MueLu|Belos|Ifpack2|Amesos2|Trilinos)")
+TRILINOS = re.compile(r"#include <(Tpetra|Teuchos|MueLu|Belos|Ifpack2|Amesos2|Trilinos)")
+KOKKOS = re.compile(r"#include <Kokkos_Core")
 
 
-def test_a_build_without_trilinos_leaves_out_just_what_includes_it():
-    def includes_it(source: Path) -> bool:
-        guarded = ROOT / "native/base/for_rows.hpp"
-        return any(TRILINOS.search(path.read_text()) for path in {source, *own_headers(source)} - {guarded})
+def test_a_build_without_them_leaves_out_just_what_includes_trilinos_or_kokkos():
+    guarded = {ROOT / "native/base/for_rows.hpp"}
 
-    sources = [path for path in native_files() if path.suffix == ".cpp"]
-    assert {str(path.relative_to(ROOT)) for path in sources if includes_it(path)} == set(listed("OF_TRILINOS"))
+    def includes(library: re.Pattern[str], source: Path) -> bool:
+        return any(library.search(path.read_text()) for path in {source, *own_headers(source)} - guarded)
+
+    sources = {str(path.relative_to(ROOT)): path for path in native_files() if path.suffix == ".cpp"}
+    of_kokkos = set(listed("OF_KOKKOS"))
+    of_trilinos = {name for name, path in sources.items() if includes(TRILINOS, path)} - {"native/base/runtime.cpp"}
+    assert of_trilinos == set(listed("OF_TRILINOS"))
+    assert {name for name, path in sources.items() if includes(KOKKOS, path)} - of_trilinos == of_kokkos
 
 
 def test_what_is_compiled_once_knows_nothing_of_instruction_sets():

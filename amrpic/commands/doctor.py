@@ -114,7 +114,9 @@ def trilinos_and_backend() -> str:
     what was tried."""
     version = _native.trilinos_version()
     if not version:
-        return 'none: of the backends there is "matrix-free" alone, and no equations on scattered points'
+        kokkos = _native.kokkos_backend()
+        there = f'"matrix-free", and "kokkos" on {kokkos}' if kokkos else '"matrix-free" alone'
+        return f"none: of the backends there is {there}, and no equations on scattered points"
     if tuple(int(part) for part in version.split(".")[:2]) < OLDEST_TRILINOS:
         raise AmrpicError(f"Trilinos {version} is older than 13.2")
     return f"{version} on Kokkos' backend {_native.kokkos_backend()}"

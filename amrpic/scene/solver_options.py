@@ -16,8 +16,7 @@ from .complaints import complaint
 from .section import Section
 
 Norm = Literal["max", "l1", "l2"]
-Backend = Literal["matrix-free", "crs"]
-Kernels = Literal["tuned", "portable"]
+Backend = Literal["matrix-free", "kokkos", "crs"]
 Smoother = Literal["red-black", "jacobi", "gauss-seidel", "symmetric-gauss-seidel", "chebyshev"]
 Prolongation = Literal["trilinear", "constant"]
 Bottom = Literal["gmres", "cg", "bicgstab", "multigrid", "direct"]
@@ -42,7 +41,7 @@ LARGEST_SCREENING = 1e100  # 1/m, whose square is a number still
 SMALLEST = 1e-12  # tolerance that ends a solve to the discretization error, where the mesh makes none
 MOST_LEVELS = 100  # multigrid levels below the base: more than any number of cells allows
 
-# Of these the matrix-free backend has the default alone.
+# Of these the backends without compressed rows have the default alone.
 OF_COMPRESSED_ROWS = ("smoother", "prolongation", "coarse_levels", "bottom", "bottom_preconditioner", "krylov")
 
 
@@ -89,12 +88,9 @@ class SolverOptions(Section):
     backend: Backend = Field(
         default="matrix-free",
         description="How the stencils are executed. matrix-free: loops over the rows of boxes, by far the fastest and "
-        "smallest. crs: compressed rows (Tpetra's matrices), with the whole menu of smoothers, prolongation, coarse_levels, "
-        "bottoms and krylov, which matrix-free does not have.",
-    )
-    kernels: Kernels = Field(
-        default="tuned",
-        description="Loops of the matrix-free backend: tuned for vector registers, or portable (Kokkos), slower.",
+        "smallest on processors. kokkos: the same with kernels over all rows of a level, for whatever Kokkos was built for. "
+        "crs: compressed rows (Tpetra's matrices), with the whole menu of smoothers, prolongation, coarse_levels, "
+        "bottoms and krylov, which the others do not have.",
     )
     smoother: Smoother = Field(
         default="red-black",
@@ -179,11 +175,11 @@ class SolverOptions(Section):
         if self.tolerance == "discretization" and self.krylov != "none":
             what = 'does not know how much error is left, as tolerance "discretization" must know'
             self._refuse("krylov", what, 'use "none", or a number as tolerance')
-        for option in OF_COMPRESSED_ROWS if self.backend == "matrix-free" else ():
+        for option in OF_COMPRESSED_ROWS if self.backend != "crs" else ():
             if getattr(self, option) != type(self).model_fields[option].default:
                 what = "is a choice of the backend of compressed rows alone"
                 self._refuse(option, what, 'leave it out, or set backend to "crs"')
-        if self.order == 4 and self.backend == "crs":
+        if self.order == 4 and self.backend != "matrix-free":
             self._refuse(
                 "order", "is what the matrix-free backend has alone", 'set backend to "matrix-free", or order to 2'
             )

@@ -61,8 +61,8 @@ class PoissonSolver:
 
     A cycle is a V-cycle over the refined levels, and an F-cycle over the base and the multigrid levels below it, of which the
     coarsest is solved exactly, with `sweeps` (before, after) of a smoother. Backend "matrix-free" loops over the rows of
-    boxes, by `kernels` "tuned" for vector registers or "portable", Kokkos' team policies, slower on these processors; "crs"
-    holds the operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
+    boxes, tuned for vector registers; "kokkos" takes the same steps with kernels over all rows of a level; "crs" holds the
+    operators as compressed rows, many times slower and larger, and offers the menu of smoothers, `prolongation`,
     `coarse_levels`, `bottom` methods and `krylov` accelerations. `reuse` is the `base_setup` of the solver of an earlier
     hierarchy on the same domain.
 

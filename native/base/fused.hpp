@@ -1,11 +1,12 @@
 #pragma once
 
+#include "base/kokkos.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
 
 /// a b + c, rounded once where the processor can: both in the vector body and in the rest of a loop.
-inline Real fused(Real a, Real b, Real c) {
+KOKKOS_INLINE_FUNCTION Real fused(Real a, Real b, Real c) {
 #ifdef __FMA__
   return __builtin_fma(a, b, c);
 #else

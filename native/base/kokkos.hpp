@@ -1,19 +1,12 @@
-// Kokkos, where there is one.
+// Kokkos, where there is one: that of Trilinos, or one by itself.
 #pragma once
 
-namespace amrpic {
-
-/// Whether this is built with Trilinos, and with the Kokkos that belongs to it.
-#ifdef AMRPIC_WITHOUT_TRILINOS
-constexpr bool with_trilinos = false;
-#else
-constexpr bool with_trilinos = true;
+#ifndef AMRPIC_WITHOUT_TRILINOS
+#define AMRPIC_WITH_KOKKOS
 #endif
 
-}  // namespace amrpic
-
-#ifdef AMRPIC_WITHOUT_TRILINOS
-#define KOKKOS_INLINE_FUNCTION inline
-#else
+#ifdef AMRPIC_WITH_KOKKOS
 #include <Kokkos_Macros.hpp>
+#else
+#define KOKKOS_INLINE_FUNCTION inline
 #endif

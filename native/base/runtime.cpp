@@ -1,10 +1,16 @@
 #include "base/runtime.hpp"
 
-#include <Trilinos_version.h>
 #include <mpi.h>
+
+#include "base/kokkos.hpp"
+#ifdef AMRPIC_WITHOUT_TRILINOS
+#include <Kokkos_Core.hpp>
+#else
+#include <Trilinos_version.h>
 
 #include <Tpetra_Core.hpp>
 #include <Tpetra_Map.hpp>
+#endif
 #include <algorithm>
 #include <stdexcept>
 #include <utility>
@@ -27,12 +33,16 @@ void initialize() {
   int mpi_is_up = 0;
   MPI_Initialized(&mpi_is_up);
   if (!mpi_is_up) throw std::runtime_error("MPI is not initialised: import mpi4py.MPI before amrpic._native");
+#ifdef AMRPIC_WITHOUT_TRILINOS
+  Kokkos::initialize();
+#else
   // Tpetra reads argv even when there is nothing in it for Kokkos, so it gets a real one.
   static char name[] = "amrpic";
   static char* arguments[] = {name, nullptr};
   int argc = 1;
   char** argv = arguments;
   Tpetra::initialize(&argc, &argv);
+#endif
   initialized = true;
 }
 
@@ -45,7 +55,11 @@ void finalize() {
     std::exchange(*at, nullptr)();
   }
   initialized = false;
+#ifdef AMRPIC_WITHOUT_TRILINOS
+  Kokkos::finalize();
+#else
   Tpetra::finalize();
+#endif
 }
 
 AtFinalize::AtFinalize(std::function<void()> release)
@@ -53,8 +67,12 @@ AtFinalize::AtFinalize(std::function<void()> release)
 
 AtFinalize::~AtFinalize() { releases().erase(place_); }
 
+#ifdef AMRPIC_WITHOUT_TRILINOS
+std::string trilinos_version() { return ""; }
+std::string kokkos_backend() { return Kokkos::DefaultExecutionSpace::name(); }
+#else
 std::string trilinos_version() { return TRILINOS_VERSION_STRING; }
-
 std::string kokkos_backend() { return Tpetra::Map<>::node_type::execution_space::name(); }
+#endif
 
 }  // namespace amrpic

@@ -46,11 +46,10 @@ void bind_solver(nb::module_& m) {
       .value("fgmres", KrylovKind::fgmres)
       .value("bicgstab", KrylovKind::bicgstab);
 
-  nb::enum_<BackendKind>(m, "Backend").value("matrix_free", BackendKind::matrix_free).value("crs", BackendKind::crs);
-
-  nb::enum_<matrixfree::Kernels>(m, "Kernels")
-      .value("tuned", matrixfree::Kernels::tuned)
-      .value("portable", matrixfree::Kernels::portable);
+  nb::enum_<BackendKind>(m, "Backend")
+      .value("matrix_free", BackendKind::matrix_free)
+      .value("kokkos", BackendKind::kokkos)
+      .value("crs", BackendKind::crs);
 
   nb::enum_<CoveredField>(m, "CoveredField")
       .value("mean", CoveredField::mean)
@@ -67,7 +66,6 @@ void bind_solver(nb::module_& m) {
   nb::class_<SolverOptions>(m, "SolverOptions")
       .def(nb::init<>())
       .def_rw("backend", &SolverOptions::backend)
-      .def_rw("kernels", &SolverOptions::kernels)
       .def_rw("tolerance", &SolverOptions::tolerance)
       .def_rw("to_discretisation", &SolverOptions::to_discretisation)
       .def_rw("absolute_tolerance", &SolverOptions::absolute_tolerance)

@@ -6,6 +6,10 @@
 #include "matrixfree/interface_cells.hpp"
 #include "matrixfree/swept_level.hpp"
 
+namespace amrpic::kokkos {
+class Coarsening;  // the same on Kokkos, by the same lists
+}
+
 namespace amrpic::matrixfree {
 
 /// How prolongation and restriction treat the ends of the coarser level.
@@ -60,6 +64,7 @@ class Coarsening {
   std::size_t bytes() const;
 
  private:
+  friend class kokkos::Coarsening;
   struct Copy {
     std::int32_t from, to;
     float factor;

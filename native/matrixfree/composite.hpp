@@ -113,6 +113,7 @@ class CompositeLaplacian {
   Traffic of_add() const { return mesh_.plan().of_average(); }
 
   Hierarchy const& hierarchy() const { return mesh_.hierarchy(); }
+  CompositeMesh& mesh() { return mesh_; }  ///< in whose lists others may do the same
   /// Of lists and buffers on this rank.
   std::size_t bytes() const {
     std::size_t const of_order = means_ ? means_->ghosts.bytes() : points_->ghosts.bytes() + points_->field.bytes();

@@ -14,7 +14,7 @@ struct Residual {
   Equation equation;
   Background background;
 
-  Real operator()(Real rho, Real c, Real xm, Real xp, Real ym, Real yp, Real zm, Real zp) const {
+  KOKKOS_INLINE_FUNCTION Real operator()(Real rho, Real c, Real xm, Real xp, Real ym, Real yp, Real zm, Real zp) const {
     return background.right_hand_side(rho) - laplacian(equation, c, xm, xp, ym, yp, zm, zp);
   }
 };

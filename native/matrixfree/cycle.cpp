@@ -3,28 +3,12 @@
 #include <algorithm>
 #include <limits>
 
+#include "base/no_denormals.hpp"
 #include "operators/semicoarse.hpp"
-
-#ifdef __SSE2__
-#include <xmmintrin.h>
-#endif
 
 namespace amrpic::matrixfree {
 
 namespace {
-
-/// Numbers too small for full precision count as zero while this lives: far from all charge corrections fade to
-/// nothing, and the processor would take a hundred times as long with them.
-class NoDenormals {
- public:
-#ifdef __SSE2__
-  NoDenormals() : before_(_mm_getcsr()) { _mm_setcsr(before_ | 0x8040); }
-  ~NoDenormals() { _mm_setcsr(before_); }
-
- private:
-  unsigned before_;
-#endif
-};
 
 /// The ghost cells of corrections on multigrid level l.
 GhostRules ghost_rules_of(MultigridLevels const& multigrid, OpenWalls const& open_walls, std::size_t l) {

@@ -10,6 +10,10 @@
 #include "operators/multigrid_levels.hpp"
 #include "operators/open_walls.hpp"
 
+namespace amrpic::kokkos {
+class Cycle;  // the same on Kokkos, by the same lists
+}
+
 namespace amrpic::matrixfree {
 
 /// What one cycle takes of a rank on one level. It follows from the boxes, also for a virtual rank.
@@ -50,6 +54,7 @@ class Cycle {
   std::size_t bytes() const;  ///< of this rank's memory
 
  private:
+  friend class kokkos::Cycle;
   struct CycleLevel {
     std::unique_ptr<SweptLevel> swept;
     std::unique_ptr<Coarsening> coarsening;  ///< to the level below; none for the coarsest

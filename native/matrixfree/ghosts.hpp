@@ -79,6 +79,7 @@ class Stencil {
   float const* step(std::int32_t start, std::ptrdiff_t pitch, int parity) const {
     return &pool_[std::size_t(start)] + (1 + parity) * pitch;
   }
+  Vector const& coefficients() const { return pool_; }
   std::size_t bytes() const;
 
  private:

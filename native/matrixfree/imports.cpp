@@ -28,6 +28,7 @@ void Imports::plan(Communicator const& comm) {
     places_[{purpose, read.reader, read.region, read.owner, read.shift}] = {from, read.part};
     from += std::int32_t(read.part.cells());
   }
+  size_ = from;
   std::vector<Piece>().swap(wanted_);
 }
 

@@ -46,6 +46,13 @@ class Imports {
     exchange_.settle();
   }
 
+  /// Call f(purpose, read) for what is packed, in that order.
+  template <class F>
+  void for_each_asked(F&& f) const {
+    for (Piece const& piece : asked_) f(piece.purpose, piece.read);
+  }
+  std::int32_t size() const { return size_; }  ///< of `values()`
+
   Real const* values() const { return values_; }
 
   Traffic of_start() const { return sent_; }  ///< what this rank sends, as its counters will say
@@ -66,6 +73,7 @@ class Imports {
   std::map<Key, Place> places_;
   Exchange<Real> exchange_;
   Real const* values_ = nullptr;
+  std::int32_t size_ = 0;
   Traffic sent_;
 };
 

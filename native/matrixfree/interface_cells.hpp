@@ -5,6 +5,10 @@
 #include "matrixfree/layout.hpp"
 #include "mesh/faces.hpp"
 
+namespace amrpic::kokkos {
+class InterfaceCells;  // the same on Kokkos, by the same lists
+}
+
 namespace amrpic::matrixfree {
 
 /// A copy, in a Vector, of a block's parents and the coarser cells next to them, whichever ranks own these.
@@ -41,6 +45,7 @@ class InterfaceCells {
   std::size_t bytes() const;
 
  private:
+  friend class kokkos::InterfaceCells;
   /// A side of a block on which ghosts lie in coarser cells: nu x nv of these, the lower tangential axis first.
   struct InterfaceSide {
     int nu, nv;

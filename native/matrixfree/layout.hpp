@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "base/kokkos.hpp"
 #include "matrixfree/copies_across_ranks.hpp"
 #include "matrixfree/vector.hpp"
 #include "mesh/level.hpp"
@@ -14,7 +15,9 @@ namespace amrpic::matrixfree {
 struct Placement {
   std::ptrdiff_t origin = 0, pitch_y = 0, pitch_z = 0;
 
-  std::ptrdiff_t place(int i, int j, int k) const { return origin + i + j * pitch_y + k * pitch_z; }
+  KOKKOS_INLINE_FUNCTION std::ptrdiff_t place(int i, int j, int k) const {
+    return origin + i + j * pitch_y + k * pitch_z;
+  }
   std::ptrdiff_t stride(int axis) const { return axis == 0 ? 1 : axis == 1 ? pitch_y : pitch_z; }
 };
 
@@ -81,6 +84,8 @@ class Layout {
   RowChoice rows_by_copies(std::size_t block, int k, bool copied) const {
     return {rows(block, k), copied ? 1 : 0, copied ? 1 : 0};
   }
+  /// So many steps each row of a plane of a copied block is away from own cells.
+  std::int8_t const* steps_to_own(std::size_t block, int k) const { return rows(block, k); }
   std::vector<Image> const& images() const { return copied_images_; }      ///< that are copied
   CopiesAcrossRanks const& across_ranks() const { return across_ranks_; }  ///< what passes between ranks for the halo
 

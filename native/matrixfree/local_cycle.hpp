@@ -6,6 +6,10 @@
 #include "matrixfree/coarsening.hpp"
 #include "operators/semicoarse.hpp"
 
+namespace amrpic::kokkos {
+class Cycle;  // the same on Kokkos, by the same lists
+}
+
 namespace amrpic::matrixfree {
 
 /// Smooths a refinement level of long or flat cells by a V-cycle of its own, over copies of the level with fewer cells
@@ -32,6 +36,7 @@ class LocalCycle {
   std::size_t bytes() const { return swept_.bytes() + coarsening_.bytes() + (next_ ? next_->bytes() : 0); }
 
  private:
+  friend class kokkos::Cycle;
   SweptLevel& fine_;
   Relaxation relaxation_;
   SweptLevel swept_;

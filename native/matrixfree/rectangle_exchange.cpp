@@ -152,12 +152,39 @@ std::vector<RectangleExchange::Packed> RectangleExchange::packed(std::vector<Cop
     Packed& parts = out.emplace_back();
     parts.cells = std::size_t(box.cells());
     parts.extent = extent_of(box);
+    parts.parcel = {rectangle.rank, places(box)};
     parts.parity = (box.lower[0] + box.lower[1] + box.lower[2] + int(colours_)) & 1;
     for_each_part(box, [&](Box const& part, Placement const& at) {
       Index3 const first = steps(box.lower, part.lower);
       parts.parts.push_back({extent_of(part), at, from(message, first), first});
     });
   }
+  return out;
+}
+
+RectangleExchange::Lists RectangleExchange::lists() const {
+  Lists out;
+  for (Pair const& l : local_)
+    for_each_row(l.extent, l.at, l.packed, [&](auto at, auto copy, int length) {
+      for (int i = 0; i < length; ++i) out.local.emplace_back(at + i, copy + i);
+    });
+  auto const list = [&](std::vector<Packed> const& rectangles, Lists::Pairs& pairs, std::vector<Parcel>& parcels) {
+    std::ptrdiff_t first = 0;
+    for (Packed const& rectangle : rectangles) {
+      for (Pair const& p : rectangle.parts)
+        if (colours_ == Colours::all)
+          for_each_row(p.extent, p.at, p.packed, [&](auto at, auto packed, int length) {
+            for (int i = 0; i < length; ++i) pairs.emplace_back(at + i, first + packed + i);
+          });
+        else
+          for_each_of_colour(rectangle.extent, rectangle.parity, p.extent, p.first, p.at,
+                             [&](auto at, auto packed) { pairs.emplace_back(at, first + packed); });
+      parcels.push_back(rectangle.parcel);
+      first += rectangle.parcel.values;
+    }
+  };
+  list(asked_, out.asked, out.asked_parcels);
+  list(wanted_, out.wanted, out.wanted_parcels);
   return out;
 }
 

@@ -54,6 +54,16 @@ class RectangleExchange {
   /// Add the copies to the cells. Collective.
   void add(float const* copies, float* cells) const;
 
+  /// The plan cell by cell and without relays, for those who copy elsewhere.
+  struct Lists {
+    using Pairs = std::vector<std::pair<std::int32_t, std::int32_t>>;
+    Pairs local;   ///< places of a cell and of its copy
+    Pairs asked;   ///< places of a cell and in the message, all messages being one after the other
+    Pairs wanted;  ///< places of a copy and in the message
+    std::vector<Parcel> asked_parcels, wanted_parcels;
+  };
+  Lists lists() const;
+
   // What this rank sends in a call of either, as its counters will say; the ranks that it exchanges values with.
   Traffic of_update() const { return sent_by_update_; }
   Traffic of_add() const { return sent_by_add_; }
@@ -70,7 +80,8 @@ class RectangleExchange {
     std::vector<Pair> parts;
     std::size_t cells;
     Index3 extent;
-    int parity;  ///< of the cells that pass, counted from the first one
+    int parity;     ///< of the cells that pass, counted from the first one
+    Parcel parcel;  ///< what of it passes
   };
   std::vector<Packed> packed(std::vector<CopiedRectangle> const& rectangles, bool shifted,
                              ForEachPart const& for_each_part) const;

@@ -8,11 +8,22 @@
 #include "base/lanes.hpp"
 #include "stencil/intergrid.hpp"
 #include "stencil/laplacian.hpp"
+#include "stencil/relaxation.hpp"
 
 namespace amrpic::matrixfree {
 
 /// How far ahead the first stage of a pass prefetches.
 constexpr std::ptrdiff_t ahead = page<float> / 2;
+
+/// Call f(lanes, isotropic) with both as constants.
+template <class F>
+void with_kind(int lanes, bool isotropic, F&& f) {
+  using std::integral_constant;
+  auto choose = [&](auto n) {
+    isotropic ? f(n, integral_constant<bool, true>()) : f(n, integral_constant<bool, false>());
+  };
+  lanes == widest ? choose(integral_constant<int, widest>()) : choose(integral_constant<int, narrowest>());
+}
 
 /// A row of a correction and its neighbours: the rows beside it, and the cells before and after it.
 struct CorrectionRow {
@@ -56,7 +67,7 @@ inline void relax(CorrectionRow const& row, std::array<float, 3> const& weight, 
   using L = FloatLanes<N>;
   typename L::Type const keeps = (L::numbers & 1) == parity ? all<N>(keep) : all<N>(1);
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
-    store(row.here + v * N, keeps * e + load<N>(step + v * N) * (sum - load<N>(r + v * N)));
+    store(row.here + v * N, relaxed(keeps, e, load<N>(step + v * N), sum, load<N>(r + v * N)));
   });
 }
 
@@ -66,7 +77,7 @@ inline void relax_from_zero(float* e, float const* r, float const* step, int vec
   for (int v = 0; v < vectors; ++v) {
     fetch<Use::read>(r + v * N + ahead, N);
     fetch<Use::write>(e + v * N + ahead, N);
-    store(e + v * N, -load<N>(step + v * N) * load<N>(r + v * N));
+    store(e + v * N, relaxed_from_zero(load<N>(step + v * N), load<N>(r + v * N)));
   }
 }
 
@@ -75,7 +86,7 @@ template <int N, bool isotropic>
 inline void residual(CorrectionRow const& row, std::array<float, 3> const& weight, float const* r,
                      float const* diagonal, float* out) {
   for_each_vector<N, isotropic>(row, weight, [&](int v, auto const& e, auto const& sum) {
-    store(out + v * N, load<N>(r + v * N) - (sum - load<N>(diagonal + v * N) * e));
+    store(out + v * N, remaining(load<N>(r + v * N), sum, load<N>(diagonal + v * N), e));
   });
 }
 
@@ -109,7 +120,7 @@ struct CoarseRows {
 };
 
 /// The weighted sum over coarse rows at one place.
-inline float mean(CoarseRows const& coarse, int place) {
+KOKKOS_INLINE_FUNCTION float mean(CoarseRows const& coarse, int place) {
   float sum = 0;
   for (int c = 0; c < coarse.count; ++c) sum += coarse.weight[std::size_t(c)] * coarse.row[std::size_t(c)][place];
   return sum;

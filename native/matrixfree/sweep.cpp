@@ -2,7 +2,6 @@
 
 #include <algorithm>
 
-#include "matrixfree/portable_sweep.hpp"
 #include "matrixfree/row_kernels.hpp"
 
 namespace amrpic::matrixfree {
@@ -16,8 +15,7 @@ void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std:
   }
 }
 
-Sweep::Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels)
-    : layout_(layout), stencil_(stencil), kernels_(kernels) {
+Sweep::Sweep(Layout const& layout, Stencil const& stencil) : layout_(layout), stencil_(stencil) {
   std::ptrdiff_t pitch = 0;
   for (CellBlock const& b : layout.blocks()) pitch = std::max(pitch, b.cells.pitch_y);
   for (Vector& row : buffer_) row.resize(std::size_t(pitch) + 96);
@@ -61,16 +59,6 @@ void Sweep::for_each_row(std::size_t block, int k, RowChoice const& rows, float*
 
 namespace {
 
-/// Call f(lanes, isotropic) with both as constants.
-template <class F>
-void with_kind(int lanes, bool isotropic, F&& f) {
-  using std::integral_constant;
-  auto choose = [&](auto n) {
-    isotropic ? f(n, integral_constant<bool, true>()) : f(n, integral_constant<bool, false>());
-  };
-  lanes == widest ? choose(integral_constant<int, widest>()) : choose(integral_constant<int, narrowest>());
-}
-
 /// Parity of the places in a row whose cells have a colour.
 int parity(CellBlock const& b, int j, int k, int colour) {
   return (colour + b.box.lower[0] + b.box.lower[1] + j + k) & 1;
@@ -82,7 +70,6 @@ void Sweep::relax_from_zero(std::size_t block, int k, int colour, RowChoice cons
                             Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
   BlockStencil const& s = stencil_.block(block);
-  if (is_portable()) return portable::relax_from_zero({b, s, stencil_, k, rows}, colour, r.data(), e.data());
   int const plane = k - b.box.lower[2];
   int const ny = b.box.extent(1);
   RowStencil const* const at = &s.rows[std::size_t(ny * plane)];
@@ -99,7 +86,6 @@ void Sweep::relax_from_zero(std::size_t block, int k, int colour, RowChoice cons
 
 void Sweep::relax(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (is_portable()) return portable::relax({b, stencil_.block(block), stencil_, k, rows}, colour, r.data(), e.data());
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
     for_each_row(block, k, rows, e.data(), [&](CorrectionRow const& row, int j, RowStencil const& s) {
       int const odd = parity(b, j, k, colour);
@@ -141,9 +127,6 @@ void Sweep::restrict_row(CellBlock const& b, int j, int k, float const* fine, Pa
 void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector const& e, Parents const& parents,
                               float weight, Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (is_portable())
-    return portable::restrict_residual({b, stencil_.block(block), stencil_, k, {}}, r.data(), e.data(), parents, weight,
-                                       coarse.data());
   float* const left = line_of(parents);
   float* const values = const_cast<float*>(e.data());  // rows are read alone
   with_kind(b.lanes, stencil_.isotropic(), [&](auto n, auto isotropic) {
@@ -158,9 +141,6 @@ void Sweep::restrict_residual(std::size_t block, int k, Vector const& r, Vector 
 void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, Parents const& parents, float weight,
                                      Vector& coarse) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (is_portable())
-    return portable::restrict_right_hand_side({b, stencil_.block(block), stencil_, k, {}}, r.data(), parents, weight,
-                                              coarse.data());
   with_kind(b.lanes, true, [&](auto n, auto) {
     float* const line = line_of(parents);
     for (int j = 0; j < b.box.extent(1); ++j) {
@@ -177,8 +157,6 @@ void Sweep::restrict_right_hand_side(std::size_t block, int k, Vector const& r, 
 void Sweep::prolong(std::size_t block, int k, RowChoice const& rows, Parents const& parents, Vector const& coarse,
                     bool set, Vector const& r, Vector& e) const {
   CellBlock const& b = layout_.blocks()[block];
-  if (is_portable())
-    return portable::prolong({b, stencil_.block(block), stencil_, k, rows}, parents, coarse.data(), set, e.data());
   int const plane = k - b.box.lower[2], nx = b.box.extent(0), z = parents.toward(2, plane);
   // a fine row lies between its parents' row and the next one on its own side
   auto weight = [&](int axis, int i, int far) { return far ? parents.far(axis, i) : 1 - parents.far(axis, i); };

@@ -19,19 +19,21 @@ struct Parents {
   Index3 seam{0, 0, 0};                ///< parents around a periodic axis whose last one has a width of its own, else 0
   Real3 seam_width{1, 1, 1};
 
-  int parent(int axis, int i) const { return (i + odd[axis]) / ratio[axis]; }
+  KOKKOS_INLINE_FUNCTION int parent(int axis, int i) const { return (i + odd[axis]) / ratio[axis]; }
   bool is_first_child(int axis, int i) const { return i == 0 || (i + odd[axis]) % ratio[axis] == 0; }
   /// Where between parents a cell lies: its other parent along an axis is the next lower or higher one, or there is
   /// none.
-  int toward(int axis, int i) const { return ratio[axis] == 1 ? 0 : (i + odd[axis]) % 2 == 0 ? -1 : 1; }
+  KOKKOS_INLINE_FUNCTION int toward(int axis, int i) const {
+    return ratio[axis] == 1 ? 0 : (i + odd[axis]) % 2 == 0 ? -1 : 1;
+  }
   /// What it takes of that one.
-  float far(int axis, int i) const {
+  KOKKOS_INLINE_FUNCTION float far(int axis, int i) const {
     int const side = toward(axis, i);
     if (seam[axis] == 0 || side == 0) return side == 0 ? 0.0f : float(prolongation::far);
     return float(prolonged_far(first[axis] + parent(axis, i), (side + 1) / 2, seam[axis], seam_width[axis]));
   }
   /// What a child weighs in its parent's mean, over what others do.
-  float weight_of(int axis, int i) const {
+  KOKKOS_INLINE_FUNCTION float weight_of(int axis, int i) const {
     return i == last[axis] ? float(weight[axis].last) : i + 1 == last[axis] ? float(weight[axis].before) : 1.0f;
   }
 };
@@ -52,16 +54,10 @@ struct PlaneStage {
 /// before a stage reaches it.
 void wavefront(Layout const& layout, std::vector<PlaneStage> const& stages, std::function<void(int)> const& before);
 
-/// Which form of the kernels runs.
-enum class Kernels {
-  tuned,    ///< vector registers by the compiler's extension: the fastest on processors
-  portable  ///< Kokkos
-};
-
 /// The acts on one plane of a block (k in the level's indices), vectorised along x.
 class Sweep {
  public:
-  Sweep(Layout const& layout, Stencil const& stencil, Kernels kernels);
+  Sweep(Layout const& layout, Stencil const& stencil);
 
   /// One colour (0 or 1: the parity of i + j + k) relaxed from zero; the other becomes zero.
   void relax_from_zero(std::size_t block, int k, int colour, RowChoice const& rows, Vector const& r, Vector& e) const;
@@ -92,9 +88,6 @@ class Sweep {
 
   Layout const& layout_;
   Stencil const& stencil_;
-  bool is_portable() const { return with_trilinos && kernels_ == Kernels::portable; }
-
-  Kernels kernels_;
   mutable std::array<Vector, 5> buffer_;  ///< rows beside a row, and a residual or a correction
 };
 

@@ -6,18 +6,6 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-/// One of the halves of sweeps after each other.
-struct HalfSweep {
-  HalfSweep(int number, bool from_zero)
-      : colour(number % 2),
-        is_fresh(from_zero && number == 0),
-        reads(is_fresh ? 0 : colour_bit(1 - colour)),
-        changes(is_fresh ? both_colours : colour_bit(colour)) {}
-  int colour;
-  bool is_fresh;       ///< sets all corrections
-  int reads, changes;  ///< colours
-};
-
 /// Of the first so many blocks.
 LevelFaces faces_of_blocks(Level const& level, Layout const& layout, std::size_t count) {
   LevelFaces out;
@@ -37,7 +25,7 @@ SweptLevel::SweptLevel(Communicator const& comm, std::shared_ptr<Level const> le
       faces_(faces_of_blocks(*level_, layout_, is_thin_ ? layout_.own_blocks() : layout_.blocks().size())),
       stencil_(*level_, layout_, faces_, rules, scaled(equation_on(level_->spacing(), shift), scale_),
                relaxation.factor),
-      sweep_(layout_, stencil_, relaxation.kernels),
+      sweep_(layout_, stencil_),
       r_(layout_.size()),
       e_(layout_.size()) {
   std::vector<Copied> images, images_at_edges;

@@ -14,9 +14,20 @@ namespace amrpic::matrixfree {
 struct Relaxation {
   int pre_sweeps = 2, post_sweeps = 2;
   Real factor = 1.25;
-  Kernels kernels = Kernels::tuned;
 
   int halo() const { return 2 * std::max(pre_sweeps, post_sweeps); }  ///< each half-sweep reads one cell further
+};
+
+/// One of the halves of sweeps after each other.
+struct HalfSweep {
+  HalfSweep(int number, bool from_zero)
+      : colour(number % 2),
+        is_fresh(from_zero && number == 0),
+        reads(is_fresh ? 0 : colour_bit(1 - colour)),
+        changes(is_fresh ? both_colours : colour_bit(colour)) {}
+  int colour;
+  bool is_fresh;       ///< sets all corrections
+  int reads, changes;  ///< colours
 };
 
 /// A level with corrections e and right-hand sides r in single precision, r = h² (residual) for the smallest spacing h
@@ -63,6 +74,11 @@ class SweptLevel {
   Traffic of_sweeps(int sweeps, bool from_zero, bool with_residual) const;
   Real relaxed_cells(int sweeps, int further) const;
   std::set<int> const& neighbours() const { return is_thin_ ? halo_of_colour_[0].neighbours() : halo_.neighbours(); }
+
+  // How copies come: all of them, those of the level's boundary cells, and thin ones by colour.
+  RectangleExchange const& halo() const { return halo_; }
+  RectangleExchange const& edge_halo() const { return edge_halo_; }
+  RectangleExchange const& halo_of_colour(std::size_t colour) const { return halo_of_colour_[colour]; }
 
   Level const& level() const { return *level_; }
   Layout const& layout() const { return layout_; }

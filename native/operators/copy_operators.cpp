@@ -37,7 +37,7 @@ std::shared_ptr<LevelOperators> laplacian_of(Communicator const& comm, LevelCopy
   LocalIndex const regular = forms.number(regular_laplacian(equation, FormsNear(level, copy.walls)));
   for (int b = level.first_local_box(); b < level.last_local_box(); ++b) {
     StencilCells const n = stencil_cells_of(BoxFaces(level, level.box(b)), level, {}, seam_width);
-    places.add(out->cells->places(n.own.box()));
+    places.add(out->cells->places(n.own_box()));
     for_each_run(row_kinds(n, Execution::without_finer), level.local_offset(b),
                  [&](RowKind kind, Index3 const& first, RowRun const& run) {
                    if (kind == RowKind::regular) return rows.set(run, regular);

@@ -45,7 +45,7 @@ std::size_t count_entries(First const& first, FormOfRow const& form_of_row, T::R
   LocalIndex const rows = LocalIndex(form_of_row.extent(0));
   std::size_t entries = 0;
   Kokkos::parallel_scan(
-      "count entries", Kokkos::RangePolicy<T::Space>(0, rows),
+      "count entries", T::Rows(0, rows),
       KOKKOS_LAMBDA(LocalIndex row, std::size_t & sum, bool last) {
         LocalIndex const form = form_of_row(row);
         if (form != no_form) sum += std::size_t(first(form + 1) - first(form));

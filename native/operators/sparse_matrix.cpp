@@ -11,12 +11,12 @@ DeviceArray<LocalIndex> occupied_rows(T::LocalMatrix const& local) {
   LocalIndex const rows = local.numRows();
   LocalIndex count = 0;
   Kokkos::parallel_reduce(
-      "count occupied rows", Kokkos::RangePolicy<T::Space>(0, rows),
+      "count occupied rows", T::Rows(0, rows),
       KOKKOS_LAMBDA(LocalIndex row, LocalIndex & sum) { sum += start(row + 1) > start(row); }, count);
   DeviceArray<LocalIndex> const out("occupied rows", count == rows ? 0 : std::size_t(count));
   if (count < rows)
     Kokkos::parallel_scan(
-        "list occupied rows", Kokkos::RangePolicy<T::Space>(0, rows),
+        "list occupied rows", T::Rows(0, rows),
         KOKKOS_LAMBDA(LocalIndex row, LocalIndex & place, bool last) {
           if (start(row + 1) == start(row)) return;
           if (last) out(place) = row;
@@ -29,7 +29,7 @@ DeviceArray<LocalIndex> occupied_rows(T::LocalMatrix const& local) {
 void multiply_rows(DeviceArray<LocalIndex> const& rows, T::LocalMatrix const& a, Real alpha,
                    DeviceArray<Real const> const& x, Real beta, DeviceArray<Real> const& y) {
   Kokkos::parallel_for(
-      "multiply rows", Kokkos::RangePolicy<T::Space>(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
+      "multiply rows", T::Rows(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
         LocalIndex const row = rows(n);
         Real sum = 0;
         for (auto k = a.graph.row_map(row); k < a.graph.row_map(row + 1); ++k)

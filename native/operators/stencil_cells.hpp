@@ -24,9 +24,9 @@ struct StencilCells {
   Level const* finest;          ///< the next finer one than `finer`
   Real3 seam_width;             ///< of last cells along periodic axes, see `UpperEnd`
   ArrayOnBox<CellFaces> faces;  ///< of the box's cells
-  ArrayOnBox<GlobalIndex> own;  ///< box grown by 2
   // Empty where no covered cell lies beside an uncovered one:
-  ArrayOnBox<char> covered;      ///< by the next finer level, extent of `own`
+  ArrayOnBox<GlobalIndex> own;   ///< box grown by 2
+  ArrayOnBox<char> covered;      ///< by the next finer level, same extent
   ArrayOnBox<GlobalIndex> fine;  ///< children of the box grown by 1
   // Empty where no coarser cell lies beside the box:
   ArrayOnBox<GlobalIndex> coarse;   ///< parents of the box grown by 1, grown by 2
@@ -43,7 +43,7 @@ struct StencilCells {
     return *around_gaps_;
   }
   /// Where the cells of the level lie that rows read so far.
-  Box const& own_box() const { return around_gaps_ ? around_gaps_->own.box() : own.box(); }
+  Box own_box() const { return around_gaps_ ? around_gaps_->own.box() : faces.box().grow(2); }
 
   mutable std::shared_ptr<CellsAroundGaps const> around_gaps_ = nullptr;
 };
@@ -67,7 +67,7 @@ inline StencilCells stencil_cells_of(BoxFaces const& faces, Level const& level, 
           finest,
           seam_width,
           cell_faces(faces),
-          cell_numbers(level, wide),
+          has_finer ? cell_numbers(level, wide) : no_numbers,
           has_finer ? covered_cells(*finer, {2, 2, 2}, wide) : no_flags,
           has_finer ? cell_numbers(*finer, box.grow(1).refine({2, 2, 2})) : no_numbers,
           has_coarser ? cell_numbers(*coarser, parents) : no_numbers,

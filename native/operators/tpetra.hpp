@@ -36,6 +36,7 @@ struct TpetraTypes {
 
   using Device = Node::device_type;
   using Space = Node::execution_space;
+  using Rows = Kokkos::RangePolicy<Space>;  ///< of kernels, one call per row
 };
 
 /// An array in the memory of Tpetra's node.

@@ -227,14 +227,13 @@ struct Bottom::GatheredProblem {
 
 namespace {
 
-using Space = TpetraTypes::Space;
 
 /// Put gathered values times the volumes of their cells in the order of the domain; returns the largest magnitude.
 Real put_in_order(DeviceArray<LocalIndex> const& place, DeviceArray<Real> const& volume,
                   DeviceArray<Real> const& gathered, DeviceArray<Real> const& f) {
   Real largest = 0;
   Kokkos::parallel_reduce(
-      "order of the domain", Kokkos::RangePolicy<Space>(0, LocalIndex(place.extent(0))),
+      "order of the domain", TpetraTypes::Rows(0, LocalIndex(place.extent(0))),
       KOKKOS_LAMBDA(LocalIndex cell, Real & most) {
         LocalIndex const row = place(cell);
         f(row) = volume(row) * gathered(cell);
@@ -248,7 +247,7 @@ Real put_in_order(DeviceArray<LocalIndex> const& place, DeviceArray<Real> const&
 Real mean_of(DeviceArray<Real> const& values) {
   Real sum = 0;
   Kokkos::parallel_reduce(
-      "mean", Kokkos::RangePolicy<Space>(0, LocalIndex(values.extent(0))),
+      "mean", TpetraTypes::Rows(0, LocalIndex(values.extent(0))),
       KOKKOS_LAMBDA(LocalIndex n, Real & part) { part += values(n); }, sum);
   return sum / Real(values.extent(0));
 }
@@ -256,7 +255,7 @@ Real mean_of(DeviceArray<Real> const& values) {
 /// values = (values - less) / over.
 void shift_and_divide(DeviceArray<Real> const& values, Real less, Real over) {
   Kokkos::parallel_for(
-      "shift and divide", Kokkos::RangePolicy<Space>(0, LocalIndex(values.extent(0))),
+      "shift and divide", TpetraTypes::Rows(0, LocalIndex(values.extent(0))),
       KOKKOS_LAMBDA(LocalIndex n) { values(n) = (values(n) - less) / over; });
 }
 
@@ -264,7 +263,7 @@ void shift_and_divide(DeviceArray<Real> const& values, Real less, Real over) {
 void take_own(DeviceArray<LocalIndex> const& place, LocalIndex first, DeviceArray<Real> const& whole, Real less,
               Real factor, DeviceArray<Real> const& own) {
   Kokkos::parallel_for(
-      "own cells", Kokkos::RangePolicy<Space>(0, LocalIndex(own.extent(0))),
+      "own cells", TpetraTypes::Rows(0, LocalIndex(own.extent(0))),
       KOKKOS_LAMBDA(LocalIndex row) { own(row) = (whole(place(first + row)) - less) * factor; });
 }
 

@@ -12,8 +12,7 @@ namespace amrpic {
 
 namespace {
 
-using Space = TpetraTypes::Space;
-using Rows = Kokkos::RangePolicy<Space>;
+using Rows = TpetraTypes::Rows;
 
 Rows rows_of(DeviceArray<char> const& mask) { return Rows(0, LocalIndex(mask.extent(0))); }
 

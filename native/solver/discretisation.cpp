@@ -25,7 +25,7 @@ std::vector<char> rows_at_ends(Domain const& domain, Level const& level, Level c
   return out;
 }
 
-using Rows = Kokkos::RangePolicy<TpetraTypes::Space>;
+using Rows = TpetraTypes::Rows;
 
 /// What the wide Laplacian and the mean of f say of the truncation, in cells at no end whose children are all
 /// uncovered: those of which the mean of `uncovered` is one.

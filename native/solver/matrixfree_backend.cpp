@@ -14,8 +14,6 @@ namespace {
 
 /// The problem, if its cells find place. Collective.
 Problem const& checked(Problem const& problem) {
-  if (!with_trilinos && problem.options.kernels == matrixfree::Kernels::portable)
-    throw SolverError("kernels = \"portable\" needs Kokkos, and amrpic was built without it; set it to \"tuned\"");
   matrixfree::check_places(*problem.hierarchy, 2 * std::max(problem.options.pre_sweeps, problem.options.post_sweeps));
   return problem;
 }
@@ -50,11 +48,10 @@ MatrixFreeBackend::MatrixFreeBackend(Problem const& problem)
     : problem_(checked(problem)),
       composite_(problem.hierarchy, shift_of(problem.options), problem.options.stretch, problem.options.order),
       cycle_(problem.hierarchy->comm(), *problem.hierarchy, shift_of(problem.options),
-             {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation,
-              problem.options.kernels}),
+             {problem.options.pre_sweeps, problem.options.post_sweeps, problem.options.relaxation}),
+      scale_(std::size_t(levels())),
       residual_(blocks(&matrixfree::SweptLevel::right_hand_side)),
       correction_(blocks(&matrixfree::SweptLevel::correction)),
-      scale_(std::size_t(levels())),
       steps_(step_lengths(problem.options, problem.hierarchy->domain())) {}
 
 /// Where the boxes' cells lie in a vector of the cycle.
@@ -105,20 +102,22 @@ void MatrixFreeBackend::start(Field& phi, bool is_zero) {
 }
 
 Real MatrixFreeBackend::residual() {
-  stopwatch_.time("residual", [&] {
-    Norm const norm = problem_.options.norm;
-    latest_residual_ = phi_is_zero_ ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
-                                    : composite_.residual(*source_, *phi_, norm, scale_, residual_);
-  });
+  stopwatch_.time("residual", [&] { latest_residual_ = find_residual(); });
   return latest_residual_;
+}
+
+Real MatrixFreeBackend::find_residual() {
+  Norm const norm = problem_.options.norm;
+  return phi_is_zero_ ? composite_.residual_of_zero(*source_, norm, scale_, residual_)
+                      : composite_.residual(*source_, *phi_, norm, scale_, residual_);
 }
 
 void MatrixFreeBackend::improve() {
   MinimalResidual::Vectors before;
   for (int l = 0; l < levels() && accelerated_; ++l) before.push_back(cycle_.level(std::size_t(l)).right_hand_side());
-  stopwatch_.time("cycle", [&] { cycle_.run(); });
+  stopwatch_.time("cycle", [&] { run_cycle(); });
   Real const step = accelerated_ ? 1 : steps_[cycles_++ % steps_.size()];
-  stopwatch_.time("correction", [&] { latest_correction_ = composite_.add(correction_, step * unit_, *phi_); });
+  stopwatch_.time("correction", [&] { latest_correction_ = add_correction(step * unit_); });
   phi_is_zero_ = false;
   if (!accelerated_) return;
   relax_behind_gaps();
@@ -157,7 +156,7 @@ void MatrixFreeBackend::relax_behind_gaps() {
         total[l][place] += step[place];
       }
     }
-    composite_.add(correction_, unit_, *phi_);
+    add_correction(unit_);
   }
   for (std::size_t l = 0; l < total.size(); ++l)
     std::copy(total[l].begin(), total[l].end(), cycle_.level(l).correction().begin());
@@ -175,9 +174,11 @@ void MatrixFreeBackend::combine_corrections(MinimalResidual::Vectors const& befo
     corrections_.improve(
         correction, before, after, [this](auto const& a, auto const& b) { return dot(a, b); },
         problem_.hierarchy->comm());
-    for (int l = 0; l < levels(); ++l) cycle_.level(std::size_t(l)).correction().swap(correction[std::size_t(l)]);
-    correction_ = blocks(&matrixfree::SweptLevel::correction);
-    composite_.add(correction_, unit_, *phi_);
+    for (int l = 0; l < levels(); ++l) {
+      auto const& combined = correction[std::size_t(l)];
+      std::copy(combined.begin(), combined.end(), cycle_.level(std::size_t(l)).correction().begin());
+    }
+    add_correction(unit_);
   });
 }
 
@@ -239,7 +240,7 @@ Real MatrixFreeBackend::discretisation_error() {
   }
   Real error = 0;
   if (residual < 0.1 * composite_.truncation(*source_, *phi_, below, scale_, residual_)) {
-    cycle_.run();
+    run_cycle();
     error = largest(correction_, std::vector<Real>(std::size_t(levels()), 1 / unit_));
   }
   for (int l = 0; l < levels(); ++l) {

@@ -49,6 +49,18 @@ class MatrixFreeBackend : public Backend {
   std::int64_t assemblies() const override { return shown_ ? 1 : 0; }
   std::size_t bytes() const override;
 
+ protected:
+  // What a solve is made of, on the host here. All are collective.
+  virtual Real find_residual();
+  virtual void run_cycle() { cycle_.run(); }
+  virtual Real add_correction(Real scale) { return composite_.add(correction_, scale, *phi_); }
+
+  Problem problem_;
+  CompositeLaplacian composite_;
+  matrixfree::Cycle cycle_;
+  std::optional<Source> source_;
+  std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
+
  private:
   void relax_behind_gaps();
   void combine_corrections(MinimalResidual::Vectors const& before);
@@ -57,15 +69,10 @@ class MatrixFreeBackend : public Backend {
   Real largest(Blocks<float> const& blocks, std::vector<Real> const& scale);
   int levels() const { return problem_.hierarchy->level_count(); }
 
-  Problem problem_;
-  CompositeLaplacian composite_;
-  matrixfree::Cycle cycle_;
   Blocks<float> residual_, correction_;
   std::vector<matrixfree::Vector> kept_;  ///< residuals, while the error of the mesh is estimated
-  std::optional<Source> source_;
-  Real largest_source_ = 0;  ///< magnitude of f, V/m^2
-  Real unit_ = 1;            ///< what 1 stands for in the corrections of the cycle, V
-  std::vector<Real> scale_;  ///< [level]: from a residual to the cycle's
+  Real largest_source_ = 0;               ///< magnitude of f, V/m^2
+  Real unit_ = 1;                         ///< what 1 stands for in the corrections of the cycle, V
   bool accelerated_ = false;
   /// Of each level, places in the cycle's vectors; empty until first used, and where no rank has any.
   std::vector<std::vector<std::size_t>> behind_gaps_;

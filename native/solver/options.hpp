@@ -2,7 +2,6 @@
 
 #include <string>
 
-#include "matrixfree/sweep.hpp"
 #include "mesh/domain.hpp"
 #include "mesh/norm.hpp"
 #include "stencil/intergrid.hpp"
@@ -16,6 +15,7 @@ namespace amrpic {
 /// What executes the stencils.
 enum class BackendKind {
   matrix_free,  ///< loops over the rows of boxes; red-black relaxation, exact bottom
+  kokkos,       ///< the same as kernels over all rows of a level
   crs           ///< operators as compressed rows, and with them all that follows here
 };
 
@@ -49,7 +49,6 @@ struct SolverOptions {
   bool to_discretisation = false;  ///< stop where the error left is a tenth of the estimated one of the mesh
   Norm norm = Norm::max;
   BackendKind backend = BackendKind::matrix_free;  ///< the fastest
-  matrixfree::Kernels kernels = matrixfree::Kernels::tuned;
   int order = 2;  ///< 2: of values at the cells' centres; 4: of their means, matrix-free alone
   int max_cycles = 100;
   SmootherKind smoother = SmootherKind::red_black;  ///< the fastest measured, and the same on any decomposition

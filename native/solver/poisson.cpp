@@ -10,6 +10,7 @@
 #include "freespace/density.hpp"
 #include "operators/semicoarse.hpp"
 #include "solver/compressed_rows.hpp"
+#include "solver/kokkos_backend.hpp"
 #include "solver/matrixfree_backend.hpp"
 #include "solver/net_charge.hpp"
 
@@ -37,6 +38,8 @@ PoissonSolver::PoissonSolver(std::shared_ptr<Hierarchy const> hierarchy, SolverO
   Problem const problem{given_, hierarchy_, options_, walls_};
   if (options_.backend == BackendKind::crs)
     backend_ = make_crs_backend(problem, reusable_);
+  else if (options_.backend == BackendKind::kokkos)
+    backend_ = make_kokkos_backend(problem);
   else
     backend_ = std::make_unique<MatrixFreeBackend>(problem);
   if (hierarchy_->domain().has(Boundary::open)) plan_open_walls();

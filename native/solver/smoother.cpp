@@ -39,7 +39,7 @@ void relax(DeviceArray<LocalIndex> const& rows, TpetraTypes::LocalMatrix const& 
   auto const column = a.graph.entries;
   auto const value = a.values;
   Kokkos::parallel_for(
-      "relax", Kokkos::RangePolicy<TpetraTypes::Space>(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
+      "relax", TpetraTypes::Rows(0, LocalIndex(rows.extent(0))), KOKKOS_LAMBDA(LocalIndex n) {
         LocalIndex const row = rows(n);
         Real product = 0;
         for (auto k = start(row); k < start(row + 1); ++k) product += value(k) * x(column(k));

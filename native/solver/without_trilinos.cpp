@@ -1,5 +1,4 @@
 // In place of all that needs Trilinos, in a build without it.
-#include "base/runtime.hpp"
 #include "solver/compressed_rows.hpp"
 #include "solver/node_aggregates.hpp"
 
@@ -12,11 +11,6 @@ namespace {
 }
 
 }  // namespace
-
-void initialize() {}
-void finalize() {}
-std::string trilinos_version() { return ""; }
-std::string kokkos_backend() { return ""; }
 
 std::unique_ptr<Backend> make_crs_backend(Problem const&, Reusable&) { refuse("backend = \"crs\""); }
 std::shared_ptr<Assembled const> assemble_to_show(Problem const&) { refuse("an operator as compressed rows"); }

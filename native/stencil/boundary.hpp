@@ -1,5 +1,6 @@
 #pragma once
 
+#include "base/kokkos.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -12,7 +13,7 @@ struct WallGhost {
   Real first, second, datum;
 
   template <class Value>
-  Value operator()(Value const& phi_1, Value const& phi_2, Value const& given) const {
+  KOKKOS_INLINE_FUNCTION Value operator()(Value const& phi_1, Value const& phi_2, Value const& given) const {
     return first * phi_1 + second * phi_2 + datum * given;
   }
   /// With a datum of zero.

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "base/kokkos.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -10,7 +11,7 @@ struct Equation {
   Real3 weight;
   Real shift = 0;
 
-  Real diagonal() const { return 2 * (weight[0] + weight[1] + weight[2]) + shift; }
+  KOKKOS_INLINE_FUNCTION Real diagonal() const { return 2 * (weight[0] + weight[1] + weight[2]) + shift; }
 };
 
 inline Equation equation_on(Real3 const& spacing, Real shift) {

@@ -4,6 +4,7 @@
 #include <type_traits>
 #include <utility>
 
+#include "base/kokkos.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -18,13 +19,13 @@ constexpr Real second = -1.0 / 5.0;
 }  // namespace interface_ghost
 
 template <class Value>
-inline Value ghost_at_interface(Value const& star, Value const& phi_1, Value const& phi_2) {
+KOKKOS_INLINE_FUNCTION Value ghost_at_interface(Value const& star, Value const& phi_1, Value const& phi_2) {
   return interface_ghost::coarse * star + interface_ghost::first * phi_1 + interface_ghost::second * phi_2;
 }
 
 /// phi_1 less its ghost where phi* is zero.
 template <class Value>
-inline Value difference_at_interface(Value const& phi_1, Value const& phi_2) {
+KOKKOS_INLINE_FUNCTION Value difference_at_interface(Value const& phi_1, Value const& phi_2) {
   using Weight = std::conditional_t<std::is_arithmetic_v<Value>, Value, Real>;
   return Weight(1 - interface_ghost::first) * phi_1 + Weight(-interface_ghost::second) * phi_2;
 }

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstddef>
 
+#include "base/kokkos.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -17,12 +18,12 @@ constexpr Real near = 3.0 / 4, far = 1.0 / 4;
 
 /// A fine value between those of its parent and of the parent's neighbour on its side.
 template <class Value>
-inline Value prolonged(Value const& parent, Value const& neighbour) {
+KOKKOS_INLINE_FUNCTION Value prolonged(Value const& parent, Value const& neighbour) {
   return prolongation::near * parent + prolongation::far * neighbour;
 }
 /// The same where the neighbour's weight is another.
 template <class Weight, class Value>
-inline Value prolonged(Weight far, Value const& parent, Value const& neighbour) {
+KOKKOS_INLINE_FUNCTION Value prolonged(Weight far, Value const& parent, Value const& neighbour) {
   return (1 - far) * parent + far * neighbour;
 }
 
@@ -32,7 +33,7 @@ inline Real mean_weight(Index3 const& ratio) { return 1.0 / (ratio[0] * ratio[1]
 /// The mean of eight children, whose first one is `child`, with so much between rows and planes. It is rounded the same
 /// wherever it stands in a row.
 template <class Value>
-inline Value mean_of_children(Value const* child, std::ptrdiff_t y, std::ptrdiff_t z) {
+KOKKOS_INLINE_FUNCTION Value mean_of_children(Value const* child, std::ptrdiff_t y, std::ptrdiff_t z) {
   return ((child[0] + child[1]) + (child[y] + child[y + 1]) + (child[z] + child[z + 1]) +
           (child[y + z] + child[y + z + 1])) *
          0.125;

@@ -75,7 +75,7 @@ inline Real prolonged_wall_ghost(Boundary kind, UpperEnd const& end) {
 
 /// Factor of the difference to the neighbour of cell i on a side, along a periodic axis whose last of n cells has a
 /// width of its own: finite volumes, over that of ordinary cells. Indices outside the axis are those of images.
-inline Real seam_factor(int i, int side, int n, Real width) {
+KOKKOS_INLINE_FUNCTION Real seam_factor(int i, int side, int n, Real width) {
   auto const is_last = [n](int c) { return ((c + 1) % n + n) % n == 0; };
   Real const distance = (1 + width) / 2;
   if (is_last(i)) return 1 / (width * distance);
@@ -84,7 +84,7 @@ inline Real seam_factor(int i, int side, int n, Real width) {
 
 /// What a child of cell i takes of the neighbour on its side along such an axis: linear towards the last cell, constant
 /// in it.
-inline Real prolonged_far(int i, int side, int n, Real width) {
+KOKKOS_INLINE_FUNCTION Real prolonged_far(int i, int side, int n, Real width) {
   bool const in_last = width != 1 && ((i + 1) % n + n) % n == 0;
   return in_last ? 0 : prolongation::far * seam_factor(i, side, n, width);
 }

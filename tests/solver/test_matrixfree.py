@@ -76,16 +76,60 @@ def test_cycles_depend_neither_on_ranks_nor_on_boxes(comm, name):
             assert phi.sample(points) == pytest.approx(alone.sample(points), abs=1e-8 * alone.max_abs())
 
 
-@pytest.mark.mpi(ranks=(1, 2), timeout=300)
-@pytest.mark.parametrize("name", sorted(MESHES))
-def test_tuned_and_portable_kernels_give_the_same_answer(comm, name):
+def compare_with_kokkos(hierarchy: amrpic.Hierarchy, name: str, **options) -> None:
+    """Kernels over whole levels take the same steps as the tuned loops. Collective."""
+    expected, tuned = solved(hierarchy, **options)
+    phi, report = solved(hierarchy, backend="kokkos", **options)
+    assert report.cycles == tuned.cycles, name
+    assert report.residuals[0] == pytest.approx(tuned.residuals[0], rel=1e-12), name
+    assert report.residuals[1:3] == pytest.approx(tuned.residuals[1:3], rel=rounding(name)), name
+    assert apart(phi, expected) < 1e-8, name
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3, 4), timeout=300)
+@pytest.mark.parametrize("boundary", sorted(set(BOUNDARIES) - REFUSED))
+def test_kokkos_kernels_take_the_same_steps(comm, boundary):
+    for name, mesh in MESHES.items():
+        if mesh.size != (1.0, 1.0, 1.0) and boundary == "open":
+            continue  # as above
+        compare_with_kokkos(mesh.hierarchy(comm, 16, BOUNDARIES[boundary], max_grid_size=8), name)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize(
+    "options", [{"norm": "l1"}, {"norm": "l2"}, {"tolerance": "discretization"}, {"screening": 3.0}, {"sweeps": (1, 0)}]
+)
+def test_kokkos_kernels_take_the_same_steps_with_options(comm, options):
+    compare_with_kokkos(MESHES["L-shape"].hierarchy(comm, 16, "dirichlet", max_grid_size=16), "L-shape", **options)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+def test_kokkos_kernels_take_the_same_steps_around_narrow_gaps(comm):
+    places = [place for place in np.ndindex(8, 8, 8) if sum(place) % 2 == 0]
+    boxes = [(tuple(4 * i for i in place), tuple(4 * i + 3 for i in place)) for place in places]
     for boundary in ("dirichlet", "periodic"):
-        hierarchy = MESHES[name].hierarchy(comm, 16, boundary, max_grid_size=8)
-        phi, report = solved(hierarchy)
-        expected, portable = solved(hierarchy, kernels="portable")
-        assert report.cycles == portable.cycles
-        assert report.residuals[1:3] == pytest.approx(portable.residuals[1:3], rel=rounding(name))
-        assert apart(phi, expected) < 1e-8
+        domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), boundary)
+        compare_with_kokkos(amrpic.Hierarchy(comm, domain, [boxes], max_grid_size=16, blocking_factor=4), boundary)
+
+
+def test_kokkos_kernels_combine_corrections_where_cycles_are_slow():
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 40), (16, 16, 16), "dirichlet")
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, [[((8, 8, 8), (15, 15, 15))]], max_grid_size=16)
+    compare_with_kokkos(hierarchy, "cells 1:1:40")
+
+
+def test_kokkos_kernels_refuse_order_4():
+    domain = amrpic.Domain((0, 0, 0), (1, 1, 1), (16, 16, 16), "dirichlet")
+    with pytest.raises(SolverError, match="order"):
+        PoissonSolver(amrpic.Hierarchy(MPI.COMM_SELF, domain), backend="kokkos", order=4)
+
+
+@pytest.mark.mpi(ranks=(1, 2))
+@pytest.mark.parametrize("cells", [(10, 14, 22), (50, 4, 6), (36, 12, 20)])
+def test_kokkos_kernels_coarsen_odd_numbers_of_cells(comm, cells):
+    for boundary in ("dirichlet", "periodic", "neumann"):
+        domain = amrpic.Domain((0, 0, 0), tuple(n / 8 for n in cells), cells, boundary)
+        compare_with_kokkos(amrpic.Hierarchy(comm, domain, max_grid_size=16, blocking_factor=2), boundary)
 
 
 @pytest.mark.parametrize("cells", [(8, 8, 8), (10, 14, 22), (8, 8, 128), (50, 4, 6)])

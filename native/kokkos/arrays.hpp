@@ -1,0 +1,167 @@
+// Arrays and loops of Kokkos' default execution space.
+#pragma once
+
+#include <Kokkos_Core.hpp>
+#include <algorithm>
+#include <cstdint>
+#include <type_traits>
+#include <vector>
+
+namespace amrpic::kokkos {
+
+using Space = Kokkos::DefaultExecutionSpace;
+
+template <class T>
+using Array = Kokkos::View<T*, Kokkos::LayoutLeft, Space>;
+
+/// Whether kernels read and write the host's own memory: nothing is copied then, and a row belongs to one thread.
+constexpr bool on_host = std::is_same_v<Space::memory_space, Kokkos::HostSpace>;
+
+/// A host's values as kernels have them: themselves, or a copy, which is brought up to date where the caller says so.
+template <class T>
+class Mirrored {
+ public:
+  Mirrored() = default;
+  Mirrored(T* host, std::size_t n) : host_(host, n) {
+    if constexpr (on_host)
+      array_ = Array<T>(host, n);
+    else
+      array_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
+  }
+  Array<T> const& array() const { return array_; }
+  void to_device() const {
+    if constexpr (!on_host) Kokkos::deep_copy(array_, host_);
+  }
+  void to_host() const {
+    if constexpr (on_host)
+      Kokkos::fence();
+    else
+      Kokkos::deep_copy(host_, array_);
+  }
+
+ private:
+  Kokkos::View<T*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged> host_;
+  Array<T> array_;
+};
+
+/// A copy of a list in the kernels' memory.
+template <class T, class Allocator>
+Array<T> on_device(std::vector<T, Allocator> const& values) {
+  Array<T> out(Kokkos::view_alloc(Kokkos::WithoutInitializing, "list"), values.size());
+  Kokkos::deep_copy(out, Kokkos::View<T const*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>(
+                             values.data(), values.size()));
+  return out;
+}
+
+/// Elements [first, last) of a list.
+struct Part {
+  std::int32_t first = 0, last = 0;
+};
+
+/// Run f(n) for n of a part, in any order.
+template <class F>
+void for_each(char const* name, Part const& part, F const& f) {
+  if (part.first < part.last) Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(part.first, part.last), f);
+}
+template <class T, class F>
+void for_each(char const* name, Array<T> const& list, F const& f) {
+  for_each(name, Part{0, std::int32_t(list.extent(0))}, f);
+}
+
+// ---- rows: on the host each is a thread's, which vectorises along it; elsewhere a team's ----
+
+constexpr int chunk = 256;  ///< cells of a row that a thread of the host has in flight
+
+/// Call f(i, value before, value after) for the cells [first, last) of a row of n, whose ends have values beyond them.
+template <class T, class F>
+KOKKOS_INLINE_FUNCTION void along(int first, int last, int n, T const* here, T left, T right, F const& f) {
+  int i = first;
+  if (i == 0 && i < last) {
+    f(0, left, n > 1 ? here[1] : right);
+    i = 1;
+  }
+  int const end = last < n - 1 ? last : n - 1;
+#pragma GCC ivdep
+  for (int m = i; m < end; ++m) f(m, here[m - 1], here[m + 1]);
+  if (last == n && n > 1) f(n - 1, here[n - 2], right);
+}
+
+using Team = Kokkos::TeamPolicy<Space>::member_type;
+
+/// Whoever works on one row.
+struct Worker {
+  Team const* team;  ///< null on the host
+
+  /// Run f(i) for i of 0 .. n - 1, none of which reads what another writes.
+  template <class F>
+  KOKKOS_INLINE_FUNCTION void for_each(int n, F const& f) const {
+    if constexpr (on_host) {
+#pragma GCC ivdep
+      for (int i = 0; i < n; ++i) f(i);
+    } else {
+      Kokkos::parallel_for(Kokkos::TeamVectorRange(*team, n), f);
+    }
+  }
+};
+
+namespace rows {
+
+template <class F>
+struct Loop {
+  F f;
+  std::int32_t first;
+  KOKKOS_INLINE_FUNCTION void operator()(std::int32_t row) const { f(Worker{nullptr}, row); }
+  KOKKOS_INLINE_FUNCTION void operator()(Team const& team) const { f(Worker{&team}, first + team.league_rank()); }
+};
+
+/// The sum, or the largest, of what f gives for each row.
+template <class F>
+struct Reduction {
+  using value_type = double;
+  F f;
+  bool largest;
+  KOKKOS_INLINE_FUNCTION void init(double& out) const { out = 0; }
+  KOKKOS_INLINE_FUNCTION void join(volatile double& out, double const volatile& other) const { combine(out, other); }
+  KOKKOS_INLINE_FUNCTION void join(double& out, double const& other) const { combine(out, other); }
+  template <class A>
+  KOKKOS_INLINE_FUNCTION void combine(A& out, double value) const {
+    out = !largest ? out + value : value > out ? value : double(out);
+  }
+  KOKKOS_INLINE_FUNCTION void operator()(std::int32_t row, double& out) const { combine(out, f(Worker{nullptr}, row)); }
+  KOKKOS_INLINE_FUNCTION void operator()(Team const& team, double& out) const {
+    double const value = f(Worker{&team}, team.league_rank());
+    Kokkos::single(Kokkos::PerTeam(team), [&] { combine(out, value); });
+  }
+};
+
+}  // namespace rows
+
+/// Run f(worker, row) for the rows of a part.
+template <class F>
+void for_each_row(char const* name, Part const& part, F const& f) {
+  if (part.first >= part.last) return;
+  if constexpr (on_host)
+    Kokkos::parallel_for(name, Kokkos::RangePolicy<Space>(part.first, part.last), rows::Loop<F>{f, 0});
+  else
+    Kokkos::parallel_for(name, Kokkos::TeamPolicy<Space>(part.last - part.first, Kokkos::AUTO),
+                         rows::Loop<F>{f, part.first});
+}
+template <class T, class F>
+void for_each_row(char const* name, Array<T> const& list, F const& f) {
+  for_each_row(name, Part{0, std::int32_t(list.extent(0))}, f);
+}
+
+/// The sum, or the largest, of f(worker, row) over a list of rows.
+template <class T, class F>
+double reduced(char const* name, Array<T> const& list, bool largest, F const& f) {
+  double out = 0;
+  int const count = int(list.extent(0));
+  if (count == 0) return out;
+  if constexpr (on_host)
+    Kokkos::parallel_reduce(name, Kokkos::RangePolicy<Space>(0, count), rows::Reduction<F>{f, largest}, out);
+  else
+    Kokkos::parallel_reduce(name, Kokkos::TeamPolicy<Space>(count, Kokkos::AUTO), rows::Reduction<F>{f, largest}, out);
+  return out;
+}
+
+}  // namespace amrpic::kokkos

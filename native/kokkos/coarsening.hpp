@@ -1,0 +1,61 @@
+#pragma once
+
+#include "kokkos/interface_cells.hpp"
+#include "kokkos/swept_level.hpp"
+#include "matrixfree/coarsening.hpp"
+
+namespace amrpic::kokkos {
+
+/// What passes between a level and the next coarser one: the acts of a matrixfree::Coarsening, each one kernel over all
+/// rows.
+class Coarsening {
+ public:
+  /// All must outlive this. Collective.
+  Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse);
+
+  /// Leave the coarser level's right-hand side: see matrixfree::Coarsening. All are collective.
+  void restrict_residual();
+  void restrict_right_hand_side();
+
+  bool has_gaps() const { return plan_.has_gaps(); }
+  void start() { interface_.start(); }
+  void refresh_gaps();
+
+  /// Fetch the coarser correction, take its part of the ghosts into the finer right-hand side, and add it to the finer
+  /// correction, or put it in its place.
+  void prolong(matrixfree::Coarsening::Into into);
+
+  std::size_t bytes() const;
+
+  /// Part of the restrictions, public because CUDA wants members with kernels to be.
+  template <bool of_residual>
+  void restrict_rows();
+
+ private:
+  void update_gaps();
+  void add_to_coarse_level();
+  Array<float> const& target() const;
+
+  matrixfree::Coarsening& plan_;
+  SweptLevel& fine_;
+  SweptLevel& coarse_;
+  Mirrored<float> values_;
+  Array<matrixfree::Parents> sources_, taking_;
+  struct ParentRow {
+    std::int32_t block, y, z;
+  };
+  struct Block {
+    std::int32_t first_row, ny, nz;
+  };
+  Array<ParentRow> parent_rows_;
+  Array<Block> blocks_;
+  struct Ghost {
+    std::int32_t from, to;
+    float factor;
+  };
+  Array<Ghost> ghosts_;
+  CellCopies parents_, targets_of_residuals_;
+  InterfaceCells interface_;
+};
+
+}  // namespace amrpic::kokkos

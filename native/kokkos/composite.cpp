@@ -1,0 +1,579 @@
+#include "kokkos/composite.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "matrixfree/composite_kernels.hpp"
+#include "matrixfree/gap_window.hpp"
+#include "stencil/interface.hpp"
+#include "stencil/intergrid.hpp"
+
+namespace amrpic::kokkos {
+
+// ---- what passes between ranks ----
+
+ImportBuffers::ImportBuffers(Imports const& imports) {
+  std::size_t sent = 0;
+  imports.for_each_asked([&](int, Read const& read) { sent += std::size_t(read.part.cells()); });
+  sent_ = Array<Real>("sent", sent), received_ = Array<Real>("received", std::size_t(imports.size()));
+  host_sent_ = Kokkos::create_mirror_view(sent_), host_received_ = Kokkos::create_mirror_view(received_);
+}
+
+void ImportBuffers::pass(Imports& imports) const {
+  Kokkos::deep_copy(host_sent_, sent_);
+  Kokkos::fence();
+  Real const* from = host_sent_.data();
+  imports.start([&](int, Read const& read, Real* out) {
+    std::copy_n(from, read.part.cells(), out);
+    from += read.part.cells();
+  });
+  imports.finish();
+  std::copy_n(imports.values(), imports.size(), host_received_.data());
+  Kokkos::deep_copy(received_, host_received_);
+}
+
+// ---- lists ----
+
+namespace {
+
+/// Where an own cell lies among those of its level.
+std::int32_t place_of(CompositeMesh const& mesh, int l, int box, Index3 const& cell) {
+  return std::int32_t(mesh.level(l).local_offset(box) + mesh.level(l).box(box).offset(cell));
+}
+
+/// Runs from a rectangle to where it lies in a plane that begins at a place.
+void add_runs(Rectangle const& r, std::int32_t plane, int pitch, std::vector<CopiedRun>& out) {
+  for (int v = 0; v < r.nv; ++v) {
+    std::int32_t const from = r.from + v * r.pv;
+    out.push_back({r.here ? from : ~from, r.pu, plane + r.u + (r.v + v) * pitch, r.nu});
+  }
+}
+
+/// Places of the cells around gaps, ~(place) of what other ranks sent.
+GapWindow<std::int32_t> places_around(LevelPlan const& plan, Box const& box, Range const& parts,
+                                      std::vector<std::int32_t> const& own, std::vector<std::int32_t> const& received) {
+  GapWindow<std::int32_t> out;
+  out.set_box(box);
+  for (int p = parts.first; p < parts.last; ++p) {
+    WindowPart const& part = plan.window_parts[std::size_t(p)];
+    out.copy_in(part.part, (part.here ? own : received).data() + part.from, part.pitch_y, part.pitch_z);
+  }
+  return out;
+}
+
+std::vector<std::int32_t> numbers(std::size_t count, bool received) {
+  std::vector<std::int32_t> out(count);
+  for (std::size_t n = 0; n < count; ++n) out[n] = received ? ~std::int32_t(n) : std::int32_t(n);
+  return out;
+}
+
+}  // namespace
+
+Composite::Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels)
+    : mesh_(mesh), swept_(std::move(levels)), levels_(std::size_t(mesh.levels())), cells_(mesh.plan().cells) {
+  fits_ = NumberedFits<Real>::made();
+  for (int l = 0; l < mesh_.levels(); ++l) {
+    OnLevel& level = levels_[std::size_t(l)];
+    std::vector<CompositeBox> boxes;
+    for (int b = 0; b < mesh_.boxes(l); ++b) {
+      Box const& box = mesh_.box(l, b);
+      auto const at = swept_[std::size_t(l)]->plan().layout().box(mesh_.level(l).first_local_box() + b);
+      boxes.push_back({mesh_.offset(l, b),
+                       {box.extent(0), box.extent(1), box.extent(2)},
+                       {},
+                       std::int32_t(at.origin),
+                       std::int32_t(at.pitch_y),
+                       std::int32_t(at.pitch_z)});
+    }
+    plan_faces(l, level, boxes);
+    plan_rows(l, level, boxes);
+    plan_exchanges(l, level);
+    level.boxes = listed(boxes);
+  }
+  // Each message's values in the order in which they are packed.
+  std::vector<std::vector<CopiedRun>> sent(levels_.size());
+  std::int32_t to = 0;
+  mesh_.plan().cells.for_each_asked([&](int purpose, Read const& read) {
+    int const l = CompositePlan::level_of(purpose);
+    Box const part = read.cells();
+    for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+      for (int j = part.lower[1]; j <= part.upper[1]; ++j, to += part.extent(0))
+        sent[std::size_t(l)].push_back({place_of(mesh_, l, read.owner, {part.lower[0], j, k}), 1, to, part.extent(0)});
+  });
+  for (std::size_t l = 0; l < levels_.size(); ++l) levels_[l].sent_cells = listed(sent[l]);
+}
+
+/// Ghosts of the boxes with uncovered cells.
+void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& boxes) {
+  LevelPlan const& plan = mesh_.plan(l);
+  std::vector<CopiedRun> neighbours, coarse;
+  std::vector<WallRun> walls;
+  std::vector<FineSide> sides;
+  std::vector<CoarseFace> faces;
+  GapTerms<Real>::Lists gaps_coarse, gaps_fine;
+  std::vector<std::int32_t> own, own_coarse, received;
+  if (!plan.gaps.empty()) {
+    own = numbers(std::size_t(mesh_.level(l).local_cells()), false);
+    own_coarse = numbers(std::size_t(mesh_.level(l - 1).local_cells()), false);
+    received = numbers(std::size_t(mesh_.plan().cells.size()), true);
+  }
+  std::int32_t ghosts = 0, planes = 0, gap_count = 0;
+  for (int b = 0; b < mesh_.boxes(l); ++b) {
+    if (mesh_.plan(l, b).is_fully_covered) continue;
+    Box const& box = mesh_.box(l, b);
+    Index3 const pitch = pitches(box);
+    for (int f = 0; f < 6; ++f) {
+      int const axis = f / 2, side = f % 2;
+      auto const [u, v] = tangential_axes(axis);
+      FacePlan const& face = mesh_.plan(l, b).faces[std::size_t(f)];
+      int const nu = box.extent(u), nv = box.extent(v);
+      std::int32_t const first_ghost = ghosts, inward = side == 0 ? pitch[axis] : -pitch[axis];
+      std::int32_t const first = mesh_.offset(l, b) + (side == 0 ? 0 : (box.extent(axis) - 1) * pitch[axis]);
+      boxes[std::size_t(b)].ghosts[std::size_t(f)] = ghosts;
+      ghosts += nu * nv;
+      if (face.wall >= 0) {
+        for (int y = 0; y < nv; ++y)
+          walls.push_back({first + y * pitch[v], pitch[u], inward, first_ghost + y * nu, face.wall + y * nu, nu, f});
+        continue;
+      }
+      for (int r = face.neighbours.first; r < face.neighbours.last; ++r)
+        add_runs(plan.neighbours[std::size_t(r)], first_ghost, nu, neighbours);
+      if (face.interface < 0) continue;
+
+      Interface const& i = plan.interfaces[std::size_t(face.interface)];
+      int const plane_v = i.nu + 2 * i.margin;
+      std::int32_t const middle = planes + i.margin * (1 + plane_v);
+      for (int r = i.coarse.first; r < i.coarse.last; ++r)
+        add_runs(plan.coarse[std::size_t(r)], planes, plane_v, coarse);
+      planes += plane_v * (i.nv + 2 * i.margin);
+      GapWindow<std::int32_t> coarse_window, window;
+      if (i.gaps >= 0) {
+        Gaps const& gaps = plan.gaps[std::size_t(i.gaps)];
+        coarse_window = places_around(plan, gaps.coarse, gaps.coarse_parts, own_coarse, received);
+        window = places_around(plan, gaps.coarse.refine(refinement_ratio), gaps.parts, own, received);
+      }
+      auto const add_face = [&](int m, int row, std::int32_t fit) {
+        int const x = 2 * (i.u + m), y = 2 * (i.v + row);
+        faces.push_back({std::int32_t(sides.size()), first + x * pitch[u] + y * pitch[v], first_ghost + x + y * nu,
+                         middle + m + row * plane_v, i.fluxes + m + row * i.nu, fit});
+      };
+      for (int row = 0; row < i.nv; ++row)
+        for (int m = 0; m < i.nu; ++m)
+          if (FitNumber const fit = plan.fits[std::size_t(i.fits + m + row * i.nu)]; fit != no_fit && fit != fit_in_gap)
+            add_face(m, row, fit);
+      Index3 behind = box.coarsen(refinement_ratio).layer(axis, side, 1).lower;
+      plan.for_each_gap(i, [&, v = v, u = u](int m, int row, GapFit const& fit) {
+        Index3 cell = behind;
+        cell[u] += i.u + m, cell[v] += i.v + row;
+        for (auto const& term : fit.terms)
+          (term.fine ? gaps_fine : gaps_coarse)
+              .terms.push_back({term.fine ? window(first_child_of(cell), term) : coarse_window(cell, term),
+                                rounded<Real>(term.weight)});
+        gaps_fine.end_gap(), gaps_coarse.end_gap();
+        add_face(m, row, ~gap_count++);
+      });
+      sides.push_back({pitch[u], pitch[v], inward, nu, plane_v});
+    }
+  }
+  level.neighbours = listed(neighbours), level.coarse = listed(coarse), level.walls = listed(walls);
+  level.sides = listed(sides), level.faces = listed(faces);
+  level.gaps_coarse = GapTerms<Real>(gaps_coarse), level.gaps_fine = GapTerms<Real>(gaps_fine);
+  level.ghosts = Array<Real>("ghosts", std::size_t(ghosts)), level.planes = Array<Real>("planes", std::size_t(planes));
+  level.fluxes = Array<Real>("fluxes", std::size_t(plan.fluxes));
+  bytes_ += (std::size_t(ghosts) + std::size_t(planes) + std::size_t(plan.fluxes)) * sizeof(Real);
+}
+
+/// Rows, and what is special in some.
+void Composite::plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const& boxes) {
+  LevelPlan const& plan = mesh_.plan(l);
+  std::vector<CompositeRow> rows;
+  std::vector<std::int32_t> first_refined;
+  std::vector<char> covered;
+  std::vector<RefinedFace> refined;
+  for (std::size_t b = 0; b < boxes.size(); ++b) {
+    BoxPlan const& of_box = plan.boxes[b];
+    Index3 const& extent = boxes[b].extent;
+    bool const is_plain = of_box.covered.empty() && of_box.refined.empty();
+    std::size_t const cells = std::size_t(extent[0]) * std::size_t(extent[1]) * std::size_t(extent[2]);
+    std::vector<char> is_covered(is_plain || of_box.is_fully_covered ? 0 : cells, 0);
+    std::vector<std::vector<RefinedFace>> beside(is_covered.size());
+    auto const number = [&](Index3 const& c) { return std::size_t(c[0] + extent[0] * (c[1] + extent[1] * c[2])); };
+    for (int c = of_box.covered.first; c < of_box.covered.last && !is_covered.empty(); ++c)
+      for_each_cell(plan.covered[std::size_t(c)], [&](Index3 const& cell) { is_covered[number(cell)] = 1; });
+    for (int s = of_box.refined.first; s < of_box.refined.last && !is_covered.empty(); ++s) {
+      RefinedSide const& r = plan.refined[std::size_t(s)];
+      auto const [u, v] = tangential_axes(r.axis);
+      for_each_cell(r.cells, [&, u = u, v = v](Index3 const& cell) {
+        std::int32_t const flux =
+            r.fluxes.from + (cell[u] - r.cells.lower[u]) * r.fluxes.pu + (cell[v] - r.cells.lower[v]) * r.fluxes.pv;
+        beside[number(cell)].push_back({r.fluxes.here ? flux : ~flux, r.axis, r.side});
+      });
+    }
+    for (int k = 0; k < extent[2]; ++k)
+      for (int j = 0; j < extent[1]; ++j) {
+        CompositeRow row{std::int32_t(b), j, k, all_plain};
+        if (of_box.is_fully_covered) {
+          row.special = all_covered;
+        } else if (!is_plain) {
+          std::size_t const first = number({0, j, k}), last = first + std::size_t(extent[0]);
+          bool const whole = std::find(&is_covered[first], &is_covered[last - 1] + 1, 0) == &is_covered[last - 1] + 1;
+          bool any = false;
+          for (std::size_t n = first; n < last; ++n) any = any || is_covered[n] || !beside[n].empty();
+          if (whole)
+            row.special = all_covered;
+          else if (any)
+            row.special = std::int32_t(covered.size());
+          for (std::size_t n = first; n < last && any && !whole; ++n) {
+            first_refined.push_back(std::int32_t(refined.size()));
+            covered.push_back(is_covered[n]);
+            if (!is_covered[n]) refined.insert(refined.end(), beside[n].begin(), beside[n].end());
+          }
+        }
+        rows.push_back(row);
+      }
+  }
+  first_refined.push_back(std::int32_t(refined.size()));
+  level.rows = listed(rows), level.first_refined = listed(first_refined), level.covered = listed(covered);
+  level.refined = listed(refined);
+}
+
+/// Means of the level's cells for the coarser one, and what passes to and from the finer one.
+void Composite::plan_exchanges(int l, OnLevel& level) {
+  LevelPlan const& plan = mesh_.plan(l);
+  level.finer_fluxes = ImportBuffers(plan.finer_fluxes), level.finer_means = ImportBuffers(plan.finer_means);
+  std::vector<CopiedRun> received, fluxes;
+  for (RemoteMeans const& m : plan.remote_means)
+    for (int k = 0; k < m.parents[2]; ++k)
+      for (int j = 0; j < m.parents[1]; ++j)
+        received.push_back({~(m.from + m.parents[0] * (j + m.parents[1] * k)), 1,
+                            m.parent + j * m.pitch_y + k * m.pitch_z, m.parents[0]});
+  level.received_means = listed(received);
+  std::vector<ParentRun> families, sent;
+  if (l > 0) {
+    for (int b = 0; b < mesh_.boxes(l); ++b)
+      for (int f = mesh_.plan(l, b).families.first; f < mesh_.plan(l, b).families.last; ++f) {
+        Family const& family = plan.families[std::size_t(f)];
+        Index3 const pitch = pitches(mesh_.box(l, b));
+        std::int32_t const child =
+            mesh_.offset(l, b) + family.child[0] + family.child[1] * pitch[1] + family.child[2] * pitch[2];
+        for (int k = 0; k < family.parents[2]; ++k)
+          for (int j = 0; j < family.parents[1]; ++j)
+            families.push_back({family.parent + j * family.pitch_y + k * family.pitch_z,
+                                child + 2 * (j * pitch[1] + k * pitch[2]), pitch[1], pitch[2], family.parents[0]});
+      }
+    std::int32_t to = 0;
+    mesh_.plan(l - 1).finer_means.for_each_asked([&](int, Read const& read) {
+      Box const part = read.cells();
+      Index3 const pitch = pitches(mesh_.level(l).box(read.owner));
+      for (int k = part.lower[2]; k <= part.upper[2]; ++k)
+        for (int j = part.lower[1]; j <= part.upper[1]; ++j, to += part.extent(0))
+          sent.push_back({to, place_of(mesh_, l, read.owner, {2 * part.lower[0], 2 * j, 2 * k}), pitch[1], pitch[2],
+                          part.extent(0)});
+    });
+    to = 0;
+    mesh_.plan(l - 1).finer_fluxes.for_each_asked([&](int, Read const& read) {
+      int const face = read.region % 6, b = read.owner - mesh_.level(l).first_local_box();
+      auto const [u, v] = tangential_axes(face / 2);
+      Box const part = read.cells(), parents = mesh_.box(l, b).coarsen(refinement_ratio);
+      Interface const& i = plan.interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
+      for (int y = part.lower[v]; y <= part.upper[v]; ++y, to += part.extent(u))
+        fluxes.push_back({i.fluxes + (y - parents.lower[v] - i.v) * i.nu + part.lower[u] - parents.lower[u] - i.u, 1,
+                          to, part.extent(u)});
+    });
+  }
+  level.families = listed(families), level.sent_means = listed(sent), level.sent_fluxes = listed(fluxes);
+}
+
+// ---- potentials ----
+
+void Composite::start(Source const& source, Field& phi) {
+  auto const mirrored = [](auto const& values) {
+    Mirrored<Real> const out(const_cast<Real*>(values.data()), values.size());
+    out.to_device();
+    return out;
+  };
+  for (int l = 0; l < mesh_.levels(); ++l) {
+    OnLevel& level = levels_[std::size_t(l)];
+    level.phi = mirrored(phi.level(l)), level.rho = mirrored(source.rho.level(l));
+    level.datum = mirrored(source.walls[std::size_t(l)].datum);
+  }
+}
+
+void Composite::potential_to_host() const {
+  for (OnLevel const& level : levels_) level.phi.to_host();
+}
+void Composite::potential_to_device() const {
+  for (OnLevel const& level : levels_) level.phi.to_device();
+}
+
+namespace {
+
+/// Copy runs of a level's values, or of what other ranks sent.
+void copy(Array<CopiedRun> const& runs, Array<Real> const& own, Array<Real> const& received, Array<Real> const& to) {
+  for_each_row(
+      "copy rows", runs, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        CopiedRun const& run = runs(n);
+        Real const* const from = run.from >= 0 ? own.data() + run.from : received.data() + ~run.from;
+        Real* const out = to.data() + run.to;
+        worker.for_each(run.count, [=](int i) { out[i] = from[i * run.stride]; });
+      });
+}
+
+/// Set parents to the means of their children.
+void average(Array<ParentRun> const& runs, Array<Real> const& children, Array<Real> const& parents) {
+  for_each_row(
+      "means of children", runs, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        ParentRun const& run = runs(n);
+        Real const* const child = children.data() + run.child;
+        Real* const parent = parents.data() + run.parent;
+        worker.for_each(run.count,
+                        [=](int i) { parent[i] = mean_of_children(child + 2 * i, run.pitch_y, run.pitch_z); });
+      });
+}
+
+/// The numbers that a norm is made of, over the values of a row.
+struct Sizes {
+  Norm norm;
+  Real factor;
+
+  KOKKOS_INLINE_FUNCTION Real of(Real value) const {
+    Real const size = factor * value < 0 ? -factor * value : factor * value;
+    if (norm == Norm::max) return size <= std::numeric_limits<Real>::max() ? size : HUGE_VAL;  // not a number neither
+    return norm == Norm::l1 ? size : size * size;
+  }
+  KOKKOS_INLINE_FUNCTION void join(Real& out, Real size) const {
+    out = norm != Norm::max ? out + size : size > out ? size : out;
+  }
+  /// Of values that a thread of the host has found.
+  Real of_all(Real const* values, int n) const {
+    if (norm == Norm::max) {
+      Largest<Real> largest;
+      largest.add(values, n);
+      return of(largest.value());
+    }
+    Real sums[8] = {}, out = 0;
+    int i = 0;
+    for (; i + 8 <= n; i += 8)
+      for (int q = 0; q < 8; ++q) sums[q] += of(values[i + q]);
+    for (; i < n; ++i) out += of(values[i]);
+    for (Real sum : sums) out += sum;
+    return out;
+  }
+  /// Of the values that value(i) finds in a row.
+  template <class Value>
+  KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, Value const& value) const {
+    Real out = 0;
+    auto const add = [&](int i, Real& sum) { join(sum, of(value(i))); };
+    if (norm == Norm::max)
+      Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
+    else
+      Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
+    return out;
+  }
+};
+
+}  // namespace
+
+/// Around the boxes of a level, and the differences before coarser cells. Copies have come.
+void Composite::fill_ghosts(int l) {
+  OnLevel& level = levels_[std::size_t(l)];
+  auto const phi = level.phi.array(), ghosts = level.ghosts;
+  copy(level.neighbours, phi, cells_.received(), ghosts);
+
+  std::array<WallGhost, 6> of_face;
+  for (int f = 0; f < 6; ++f)
+    of_face[std::size_t(f)] = wall_ghost(mesh_.hierarchy().domain().boundary[std::size_t(f / 2)][std::size_t(f % 2)],
+                                         mesh_.level(l).spacing()[std::size_t(f / 2)]);
+  auto const walls = level.walls;
+  auto const datum = level.datum.array();
+  for_each_row(
+      "ghosts at walls", walls, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        WallRun const& run = walls(n);
+        WallGhost const rule = of_face[std::size_t(run.face)];
+        Real const *const cell = phi.data() + run.cell, *const given = datum.data() + run.datum;
+        Real* const out = ghosts.data() + run.ghost;
+        worker.for_each(run.count, [=](int i) {
+          Real const* const first = cell + i * run.stride;
+          out[i] = rule(first[0], first[run.inward], given[i]);
+        });
+      });
+
+  if (l == 0) return;
+  auto const coarser = levels_[std::size_t(l) - 1].phi.array(), received = cells_.received(), planes = level.planes,
+             fluxes = level.fluxes;
+  copy(level.coarse, coarser, received, planes);
+  auto const sides = level.sides;
+  auto const faces = level.faces;
+  auto const fits = fits_;
+  auto const gaps_coarse = level.gaps_coarse, gaps_fine = level.gaps_fine;
+  for_each(
+      "ghosts at coarser cells", faces, KOKKOS_LAMBDA(std::int32_t n) {
+        CoarseFace const& face = faces(n);
+        FineSide const& side = sides(face.side);
+        Four<Real> stars{};
+        if (face.fit >= 0) {
+          stars = fits.stars(face.fit, planes.data() + face.plane, 1, side.plane_v);
+        } else {
+          auto const value = [&](Array<Real> const& own, std::int32_t at) { return at >= 0 ? own(at) : received(~at); };
+          gaps_coarse.add(~face.fit, stars, [&](std::int32_t at) { return value(coarser, at); });
+          gaps_fine.add(~face.fit, stars, [&](std::int32_t at) { return value(phi, at); });
+        }
+        Real flux = 0;
+        for (int b = 0; b < 2; ++b) {
+          Real const *const p = phi.data() + face.cell + b * side.cell_v, *const q = p + side.cell_u;
+          Real const lower = ghost_at_interface(stars[std::size_t(b)][0], p[0], p[side.inward]);
+          Real const upper = ghost_at_interface(stars[std::size_t(b)][1], q[0], q[side.inward]);
+          Real* const ghost = ghosts.data() + face.ghost + b * side.ghost_v;
+          ghost[0] = lower, ghost[1] = upper;
+          flux += (p[0] - lower) + (q[0] - upper);
+        }
+        fluxes(face.flux) = flux;
+      });
+}
+
+Real Composite::residual(Background const& background, Norm norm, std::vector<Real> const& scale) {
+  for (OnLevel const& level : levels_) copy(level.sent_cells, level.phi.array(), level.phi.array(), cells_.sent());
+  cells_.pass(mesh_.plan().cells);
+  for (int l = mesh_.levels() - 1; l >= 0; --l) {
+    fill_ghosts(l);
+    if (l == 0) continue;
+    OnLevel const& coarser = levels_[std::size_t(l) - 1];
+    copy(levels_[std::size_t(l)].sent_fluxes, levels_[std::size_t(l)].fluxes, levels_[std::size_t(l)].fluxes,
+         coarser.finer_fluxes.sent());
+    coarser.finer_fluxes.pass(mesh_.plan(l - 1).finer_fluxes);
+  }
+  Magnitude magnitude(norm);
+  for (int l = 0; l < mesh_.levels(); ++l) {
+    auto const measured = [&](Norm by, Real factor) {
+      return residual_of_level(l, background, by, factor, scale[std::size_t(l)]);
+    };
+    magnitude.add_by([&] { return measured(Norm::max, 1); }, [&](Real factor) { return measured(norm, factor); },
+                     mesh_.volume(l));
+  }
+  return magnitude.over(mesh_.comm());
+}
+
+/// The residual of a level into the cycle's right-hand side, zero in covered cells; returns what a norm of `factor`
+/// times it is made of.
+Real Composite::residual_of_level(int l, Background const& background, Norm norm, Real factor, Real scale) {
+  OnLevel const& level = levels_[std::size_t(l)];
+  kernels::Residual const formula{mesh_.equation(l), background};
+  Sizes const sizes{norm, factor};
+  auto const rows = level.rows;
+  auto const boxes = level.boxes;
+  auto const phi = level.phi.array(), rho = level.rho.array(), ghosts = level.ghosts;
+  auto const r = swept_[std::size_t(l)]->right_hand_side().array();
+  auto const first_refined = level.first_refined;
+  auto const covered = level.covered;
+  auto const refined = level.refined;
+  bool const has_finer = l + 1 < mesh_.levels();
+  auto const fluxes = has_finer ? levels_[std::size_t(l) + 1].fluxes : Array<Real>(),
+             received = level.finer_fluxes.received();
+  return reduced(
+      "residual", rows, norm == Norm::max, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n)->double {
+        CompositeRow const& row = rows(n);
+        CompositeBox const& box = boxes(row.box);
+        int const nx = box.extent[0], ny = box.extent[1], nz = box.extent[2], j = row.j, k = row.k;
+        float* const out = r.data() + box.origin + j * box.pitch_y + k * box.pitch_z;
+        if (row.special == all_covered) {
+          worker.for_each(nx, [=](int i) { out[i] = 0; });
+          return 0;
+        }
+        std::int32_t const at = box.first + nx * (j + ny * k);
+        Real const *const c = phi.data() + at, *const charge = rho.data() + at;
+        auto const ghost = [&](int face, std::int32_t place) {
+          return ghosts.data() + box.ghosts[std::size_t(face)] + place;
+        };
+        Real const *const ym = j > 0 ? c - nx : ghost(2, k * nx), *const yp = j + 1 < ny ? c + nx : ghost(3, k * nx);
+        Real const *const zm = k > 0 ? c - nx * ny : ghost(4, j * nx), *const zp =
+                                                                           k + 1 < nz ? c + nx * ny : ghost(5, j * nx);
+        Real const xm = *ghost(0, j + k * ny), xp = *ghost(1, j + k * ny);
+        auto const plain = [=](int i, Real before, Real after) {
+          return formula(charge[i], c[i], before, after, ym[i], yp[i], zm[i], zp[i]);
+        };
+        auto const before = [=](int i) { return i > 0 ? c[i - 1] : xm; };
+        auto const after = [=](int i) { return i + 1 < nx ? c[i + 1] : xp; };
+        // With the fluxes of the finer level through the faces of refined cells, in place of the differences across.
+        auto const special = [&](int i, Real value) {
+          std::int32_t const cell = row.special + i;
+          if (covered(cell)) return Real(0);
+          for (std::int32_t f = first_refined(cell); f < first_refined(cell + 1); ++f) {
+            RefinedFace const& face = refined(f);
+            Real const flux = face.flux >= 0 ? fluxes(face.flux) : received(~face.flux);
+            Real const beyond = face.axis == 0   ? (face.side == 0 ? before(i) : after(i))
+                                : face.axis == 1 ? (face.side == 0 ? ym[i] : yp[i])
+                                                 : (face.side == 0 ? zm[i] : zp[i]);
+            value -= formula.equation.weight[std::size_t(face.axis)] * (fine_face_weight * flux - (beyond - c[i]));
+          }
+          return value;
+        };
+        if constexpr (on_host) {
+          Real size = 0, values[chunk];
+          for (int first = 0; first < nx; first += chunk) {
+            int const last = nx < first + chunk ? nx : first + chunk;
+            along(first, last, nx, c, xm, xp, [&](int i, Real x, Real y) { values[i - first] = plain(i, x, y); });
+            if (row.special != all_plain)
+              for (int i = first; i < last; ++i) values[i - first] = special(i, values[i - first]);
+            worker.for_each(last - first, [&](int i) { out[first + i] = float(scale * values[i]); });
+            sizes.join(size, sizes.of_all(values, last - first));
+          }
+          return size;
+        } else {
+          return sizes.over(worker, nx, [&](int i) {
+            Real const found = plain(i, before(i), after(i)),
+                       left = row.special == all_plain ? found : special(i, found);
+            out[i] = float(scale * left);
+            return left;
+          });
+        }
+      });
+}
+
+Real Composite::add(Real scale) {
+  Real largest = 0;
+  for (int l = mesh_.levels() - 1; l >= 0; --l) {
+    OnLevel const& level = levels_[std::size_t(l)];
+    auto const rows = level.rows;
+    auto const boxes = level.boxes;
+    auto const covered = level.covered;
+    auto const phi = level.phi.array();
+    auto const e = swept_[std::size_t(l)]->correction().array();
+    Sizes const sizes{Norm::max, 1};
+    largest = std::max(
+        largest, reduced(
+                     "add correction", rows, true, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n)->double {
+                       CompositeRow const& row = rows(n);
+                       CompositeBox const& box = boxes(row.box);
+                       float const* const from = e.data() + box.origin + row.j * box.pitch_y + row.k * box.pitch_z;
+                       Real* const to = phi.data() + box.first + box.extent[0] * (row.j + box.extent[1] * row.k);
+                       int const nx = box.extent[0];
+                       auto const add = [=](int i) {
+                         if (row.special == all_plain || (row.special >= 0 && !covered(row.special + i)))
+                           to[i] = fused(scale, Real(from[i]), to[i]);
+                         return Real(from[i]);
+                       };
+                       if constexpr (on_host) {
+                         if (row.special == all_plain)
+                           worker.for_each(nx, [=](int i) { to[i] = fused(scale, Real(from[i]), to[i]); });
+                         else
+                           worker.for_each(nx, add);
+                         Largest<float> of_row;
+                         of_row.add(from, nx);
+                         return sizes.of(of_row.value());
+                       } else {
+                         return sizes.over(worker, nx, add);
+                       }
+                     }));
+  }
+  for (int l = mesh_.levels() - 1; l > 0; --l) {
+    OnLevel const &level = levels_[std::size_t(l)], &coarser = levels_[std::size_t(l) - 1];
+    average(level.families, level.phi.array(), coarser.phi.array());
+    average(level.sent_means, level.phi.array(), coarser.finer_means.sent());
+    coarser.finer_means.pass(mesh_.plan(l - 1).finer_means);
+    copy(coarser.received_means, coarser.phi.array(), coarser.finer_means.received(), coarser.phi.array());
+  }
+  return std::abs(scale) * largest;
+}
+
+}  // namespace amrpic::kokkos

@@ -1,0 +1,130 @@
+#pragma once
+
+#include "kokkos/fits.hpp"
+#include "kokkos/swept_level.hpp"
+#include "matrixfree/composite_mesh.hpp"
+#include "matrixfree/composite_residual.hpp"
+
+namespace amrpic::kokkos {
+
+/// Values that are copied to places side by side: from those of a level, or, where `from` is ~(place), from what other
+/// ranks sent; `stride` apart there.
+struct CopiedRun {
+  std::int32_t from, stride, to, count;
+};
+
+/// Ghosts behind a wall: before them the first of the cells, and the next ones inwards.
+struct WallRun {
+  std::int32_t cell, stride, inward, ghost, datum, count;
+  std::int32_t face;  ///< 2 axis + side
+};
+
+/// A side of a box with coarser cells behind it: steps from cell to cell, and the rows of ghosts and coarse values.
+struct FineSide {
+  std::int32_t cell_u, cell_v, inward, ghost_v, plane_v;
+};
+/// One of its coarse faces: the first of the four cells and ghosts before it, the coarse value behind it, and where its
+/// flux belongs.
+struct CoarseFace {
+  std::int32_t side, cell, ghost, plane, flux;
+  std::int32_t fit;  ///< its number, or ~(that of the gap)
+};
+
+/// Where a box lies in a field, among the ghosts, and in a vector of the cycle.
+struct CompositeBox {
+  std::int32_t first;
+  Index3 extent;
+  std::array<std::int32_t, 6> ghosts;
+  std::int32_t origin, pitch_y, pitch_z;
+};
+constexpr std::int32_t all_plain = -1, all_covered = -2;
+struct CompositeRow {
+  std::int32_t box, j, k;
+  std::int32_t special;  ///< `all_plain`, `all_covered`, or where its cells begin among those of special rows
+};
+/// A face of an uncovered cell with a refined cell behind it; ~(place) of the flux: of what other ranks sent.
+struct RefinedFace {
+  std::int32_t flux;
+  std::int32_t axis, side;
+};
+/// Parents side by side, and the first child of the first one.
+struct ParentRun {
+  std::int32_t parent, child, pitch_y, pitch_z, count;
+};
+
+/// Cells that others sent, or that are sent to them.
+class ImportBuffers {
+ public:
+  ImportBuffers() = default;
+  explicit ImportBuffers(Imports const& imports);
+  Array<Real> const& sent() const { return sent_; }
+  Array<Real> const& received() const { return received_; }
+  /// Exchange them. Collective.
+  void pass(Imports& imports) const;
+
+ private:
+  Array<Real> sent_, received_;
+  Array<Real>::HostMirror host_sent_, host_received_;
+};
+
+/// The composite residual of a potential and its corrections, as SecondOrderResidual and CompositeAverage have them, by
+/// kernels over all rows of a level.
+class Composite {
+ public:
+  /// `levels`: those of the cycle, whose right-hand sides take residuals and whose corrections are added. All must
+  /// outlive this.
+  Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels);
+
+  /// Take a charge density, the data of walls, and a potential averaged down, from the host.
+  void start(Source const& source, Field& phi);
+  /// Between the host's potential and that of the kernels.
+  void potential_to_host() const;
+  void potential_to_device() const;
+
+  /// See CompositeLaplacian. Collective.
+  Real residual(Background const& background, Norm norm, std::vector<Real> const& scale);
+  Real add(Real scale);
+
+  std::size_t bytes() const { return bytes_; }
+
+  // Parts of `residual`, public because CUDA wants members with kernels to be.
+  void fill_ghosts(int l);
+  Real residual_of_level(int l, Background const& background, Norm norm, Real factor, Real scale);
+
+ private:
+  /// The lists of a level.
+  struct OnLevel {
+    Array<CompositeBox> boxes;
+    Array<CompositeRow> rows;
+    Array<std::int32_t> first_refined;  ///< of the cells of special rows, and the end
+    Array<char> covered;                ///< of these cells
+    Array<RefinedFace> refined;
+    Array<CopiedRun> neighbours, coarse;
+    Array<WallRun> walls;
+    Array<FineSide> sides;
+    Array<CoarseFace> faces;
+    GapTerms<Real> gaps_coarse, gaps_fine;
+    Array<CopiedRun> sent_cells, sent_fluxes, received_means;
+    Array<ParentRun> families, sent_means;  ///< of the coarser level
+    Array<Real> ghosts, planes, fluxes;
+    ImportBuffers finer_fluxes, finer_means;
+    Mirrored<Real> phi, rho, datum;
+  };
+  void plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& boxes);
+  void plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const& boxes);
+  void plan_exchanges(int l, OnLevel& level);
+  template <class T>
+  Array<T> listed(std::vector<T> const& values) {
+    bytes_ += values.size() * sizeof(T);
+    return on_device(values);
+  }
+
+  CompositeMesh& mesh_;
+  std::vector<SweptLevel*> swept_;
+  std::vector<OnLevel> levels_;
+  ImportBuffers cells_;
+  NumberedFits<Real> fits_;
+  std::size_t bytes_ = 0;
+};
+
+}  // namespace amrpic::kokkos

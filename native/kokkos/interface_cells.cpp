@@ -1,0 +1,136 @@
+#include "kokkos/interface_cells.hpp"
+
+#include <numeric>
+
+#include "stencil/interface.hpp"
+
+namespace amrpic::kokkos {
+
+InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout) {
+  std::vector<Side> sides;
+  std::vector<Face> faces;
+  GapTerms<float>::Lists coarse_terms, fine_terms;
+  std::vector<std::int32_t> places;  // of all cells, for windows
+  if (!plan.gaps_.empty()) {
+    places.resize(layout.size());
+    std::iota(places.begin(), places.end(), 0);
+  }
+  std::size_t gaps = 0;
+  for (int direction = 0; direction < 6; ++direction) {
+    of_direction_[std::size_t(direction)].first = std::int32_t(faces.size());
+    for (auto const& side : plan.faces_) {
+      if (2 * side.axis + side.side != direction) continue;
+      auto const [axis_u, axis_v] = tangential_axes(side.axis);
+      GapWindow<std::int32_t> window;
+      if (side.gaps > 0) window.set_box(side.window);
+      for (std::size_t p = side.first_part; p < side.first_part + side.parts; ++p)
+        window.copy_in(plan.parts_[p].part, &places[std::size_t(plan.parts_[p].from.origin)],
+                       plan.parts_[p].from.pitch_y, plan.parts_[p].from.pitch_z);
+      std::size_t gap = side.first_gap;
+      for (int v = 0; v < side.nv; ++v)
+        for (int u = 0; u < side.nu; ++u) {
+          FitNumber const fit = plan.fits_[side.fits + std::size_t(u + v * side.nu)];
+          if (fit == no_fit) continue;
+          Face face{std::int32_t(sides.size()), std::int32_t(side.cell + 2 * u * side.cell_u + 2 * v * side.cell_v),
+                    std::int32_t(side.parent + u * side.parent_u + v * side.parent_v), fit};
+          if (fit == fit_in_gap) {
+            face.fit = ~std::int32_t(gaps++);
+            Index3 child = side.first_child;
+            child[axis_u] += 2 * u, child[axis_v] += 2 * v;
+            for (auto const& term : plan.gaps_[gap]->terms) {
+              auto const& o = term.offset;
+              auto const place = term.fine ? window(child, term)
+                                           : std::int32_t(face.parent + o[std::size_t(axis_u)] * side.parent_u +
+                                                          o[std::size_t(axis_v)] * side.parent_v +
+                                                          o[std::size_t(side.axis)] * side.parent_normal);
+              (term.fine ? fine_terms : coarse_terms).terms.push_back({place, rounded<float>(term.weight)});
+            }
+            coarse_terms.end_gap(), fine_terms.end_gap();
+            ++gap;
+          }
+          faces.push_back(face);
+        }
+      sides.push_back({std::int32_t(side.cell_u), std::int32_t(side.cell_v), std::int32_t(side.inward),
+                       std::int32_t(side.parent_u), std::int32_t(side.parent_v), side.weight, side.flux_weight});
+    }
+    of_direction_[std::size_t(direction)].last = std::int32_t(faces.size());
+  }
+  sides_ = on_device(sides), faces_ = on_device(faces);
+  fits_ = NumberedFits<float>::made();
+  coarse_terms_ = GapTerms<float>(coarse_terms), fine_terms_ = GapTerms<float>(fine_terms);
+  taken_ = Array<Four<float>>("taken", gaps);
+}
+
+namespace {
+
+/// Take what the four ghosts before a coarse face have from the cells beside them.
+template <class Side>
+KOKKOS_INLINE_FUNCTION void subtract_stars(Side const& side, float* cell, Four<float> const& stars) {
+  for (int b = 0; b < 2; ++b)
+    for (int a = 0; a < 2; ++a)
+      cell[a * side.cell_u + b * side.cell_v] -= side.weight * stars[std::size_t(b)][std::size_t(a)];
+}
+
+}  // namespace
+
+void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const {
+  auto const sides = sides_;
+  auto const faces = faces_;
+  auto const fits = fits_;
+  auto const gaps = coarse_terms_;
+  for_each_face(
+      "take ghosts", KOKKOS_LAMBDA(std::int32_t n) {
+        Face const& face = faces(n);
+        Side const& side = sides(face.side);
+        Four<float> stars{};
+        if (face.fit >= 0)
+          stars = fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
+        else
+          gaps.add(~face.fit, stars, [&](std::int32_t place) { return coarse_values(place); });
+        subtract_stars(side, &r(face.cell), stars);
+      });
+}
+
+void InterfaceCells::subtract_in_gaps(Array<float> const& e, Array<float> const& r) const {
+  auto const sides = sides_;
+  auto const faces = faces_;
+  auto const gaps = fine_terms_;
+  auto const taken = taken_;
+  for_each_face(
+      "take ghosts in gaps", KOKKOS_LAMBDA(std::int32_t n) {
+        Face const& face = faces(n);
+        if (face.fit >= 0) return;
+        Four<float> stars{}, change;
+        gaps.add(~face.fit, stars, [&](std::int32_t place) { return e(place); });
+        for (std::size_t b = 0; b < 2; ++b)
+          for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - taken(~face.fit)[b][a];
+        subtract_stars(sides(face.side), &r(face.cell), change);
+        taken(~face.fit) = stars;
+      });
+}
+
+void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& coarse_values) const {
+  auto const sides = sides_;
+  auto const faces = faces_;
+  auto const taken = taken_;
+  for_each_face(
+      "take fluxes", KOKKOS_LAMBDA(std::int32_t n) {
+        Face const& face = faces(n);
+        Side const& side = sides(face.side);
+        float const* const cell = &e(face.cell);
+        auto const through = [&](std::int32_t at) { return difference_at_interface(cell[at], cell[at + side.inward]); };
+        float sum = through(0) + through(side.cell_u) + through(side.cell_v) + through(side.cell_u + side.cell_v);
+        if (face.fit < 0) {
+          auto const& ghosts = taken(~face.fit);
+          sum -= float(interface_ghost::coarse) * (ghosts[0][0] + ghosts[0][1] + ghosts[1][0] + ghosts[1][1]);
+        }
+        coarse_values(face.parent) -= side.flux_weight * sum;
+      });
+}
+
+std::size_t InterfaceCells::bytes() const {
+  return faces_.extent(0) * sizeof(Face) + sides_.extent(0) * sizeof(Side) + coarse_terms_.bytes() +
+         fine_terms_.bytes() + taken_.extent(0) * sizeof(Four<float>);
+}
+
+}  // namespace amrpic::kokkos

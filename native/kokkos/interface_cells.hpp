@@ -1,0 +1,45 @@
+#pragma once
+
+#include "kokkos/fits.hpp"
+#include "matrixfree/interface_cells.hpp"
+
+namespace amrpic::kokkos {
+
+/// A matrixfree::InterfaceCells as lists of coarse faces. Faces of one direction share no cell, so each act is a kernel
+/// for each of the six.
+class InterfaceCells {
+ public:
+  InterfaceCells() = default;
+  InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout);
+
+  /// See matrixfree::InterfaceCells.
+  void start() { Kokkos::deep_copy(taken_, Four<float>{}); }
+  void subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const;
+  void subtract_in_gaps(Array<float> const& e, Array<float> const& r) const;
+  void subtract_flux(Array<float> const& e, Array<float> const& coarse_values) const;
+
+  std::size_t bytes() const;
+
+ private:
+  struct Side {
+    std::int32_t cell_u, cell_v, inward, parent_u, parent_v;
+    float weight, flux_weight;
+  };
+  struct Face {
+    std::int32_t side, cell, parent;
+    std::int32_t fit;  ///< its number, or ~(that of the gap)
+  };
+  template <class F>
+  void for_each_face(char const* name, F const& f) const {
+    for (Part const& part : of_direction_) for_each(name, part, f);
+  }
+
+  Array<Side> sides_;
+  Array<Face> faces_;
+  std::array<Part, 6> of_direction_;
+  NumberedFits<float> fits_;
+  GapTerms<float> coarse_terms_, fine_terms_;
+  Array<Four<float>> taken_;
+};
+
+}  // namespace amrpic::kokkos

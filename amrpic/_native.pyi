@@ -825,6 +825,9 @@ class MpmSolid:
     def states(self, deformation: NDArray[numpy.float64]) -> tuple:
         """Kirchhoff's stress, energy and driving energy of each point."""
 
+def mpm_determinants(deformation: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
+    """Of each point's 9 numbers."""
+
 def mpm_damage(
     points: FemPoints,
     volume: NDArray[numpy.float64],

@@ -14,7 +14,7 @@ from ..fem.points import Weights
 from ..parallel import raise_together
 from ..particles.arrays import empty_columns
 from .materials import Material, NeoHookean
-from .solid import Solid
+from .solid import Solid, determinants
 
 AT_FACE = 1e-9  # parts of a mesh's size: so far outside points may be, by rounding and the solver's tolerance
 FULL = 0.05  # an element is full if the volumes of its points differ by no more from its own
@@ -40,7 +40,7 @@ class MaterialPoints:
     @property
     def j(self) -> np.ndarray:
         """det F, (n,)."""
-        return np.linalg.det(self.deformation)
+        return determinants(self.deformation)
 
     @property
     def volume(self) -> np.ndarray:
@@ -52,8 +52,8 @@ class MaterialPoints:
         return {name: getattr(self, name) for name in type(self).__dataclass_fields__}
 
     def take(self, order: np.ndarray) -> Self:
-        """Return some of the points, by a mask or by their places in the order wanted."""
-        return replace(self, **{name: column[order] for name, column in self.columns().items()})
+        """Return some of the points by their places, in the order wanted."""
+        return replace(self, **{name: column.take(order, axis=0) for name, column in self.columns().items()})
 
 
 def require_inside(points: MaterialPoints, mesh: Mesh, load: float) -> MaterialPoints:
@@ -63,7 +63,7 @@ def require_inside(points: MaterialPoints, mesh: Mesh, load: float) -> MaterialP
     """
     lower, upper = np.array(mesh.domain.lower), np.array(mesh.domain.upper)
     place = np.clip(points.position, lower, upper)
-    out = ~(np.abs(points.position - place).max(axis=1, initial=0.0) <= AT_FACE * float((upper - lower).max()))
+    out = ~(np.abs(points.position - place) <= AT_FACE * float((upper - lower).max())).all(axis=1)
     bad = np.flatnonzero(out | ~(points.j > 0))
     what = None
     if len(bad):

@@ -90,7 +90,7 @@ class Solid:
             self.deformation = _array(unit if deformation is None else deformation, (count, 3, 3), "deformation")
             self.damage = _array(np.zeros(count) if damage is None else damage, (count,), "damage")
             self.driving = _array(np.zeros(count) if driving is None else driving, (count,), "driving")
-            self.j = np.linalg.det(self.deformation)
+            self.j = determinants(self.deformation)
             if not (self.j > 0).all():
                 first = int(np.argmin(self.j > 0))
                 raise InputError(
@@ -141,7 +141,7 @@ class Solid:
         """Return what points have at a displacement, where all det F must be positive. Collective."""
         whole = (np.eye(3) + self.points.slopes(u)) @ self.deformation
         stress, energy, driving = self.native.states(whole.reshape(-1))
-        return States(whole, np.linalg.det(whole), stress.reshape(-1, 3, 3), energy, driving)
+        return States(whole, determinants(whole), stress.reshape(-1, 3, 3), energy, driving)
 
     def dissipation(self, damage_at_nodes: ArrayLike) -> np.ndarray:
         """Return G/(2ℓ) (d² + ℓ² |∇d|²) of each point, (n,) in J per initial m³: what breaking took. Collective."""
@@ -160,6 +160,11 @@ class Solid:
         ]
         surface, length = np.array(each)[self.material].T
         return np.ascontiguousarray(surface), np.ascontiguousarray(length)
+
+
+def determinants(deformation: np.ndarray) -> np.ndarray:
+    """Return det F of each point, (n,), for F (n, 3, 3). Local."""
+    return _native.mpm_determinants(np.ascontiguousarray(deformation).reshape(-1))
 
 
 def _array(values: ArrayLike, shape: tuple[int, ...], what: str) -> np.ndarray:

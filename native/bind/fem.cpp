@@ -31,8 +31,9 @@ nb::ndarray<nb::numpy, int> indices_of(Level const& level) {
   return bind::to_array(std::move(out), {std::size_t(level.local_cells()), 3});
 }
 
-/// The element of a place, which may lie on the domain's upper faces; -1 if another rank has it, or none.
-LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* reference) {
+/// The element of a place, which may lie on the domain's upper faces; -1 if another rank has it, or none. `b`: the box
+/// of the last place, where the next one mostly is too.
+LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* reference, int& b) {
   Domain const& domain = hierarchy.domain();
   Level const& level = hierarchy.level(0);
   Index3 cell;
@@ -42,7 +43,7 @@ LocalIndex element_at(Hierarchy const& hierarchy, Real const* place, Real* refer
     cell[d] = std::min(int(std::floor(at)), domain.cells[d] - 1);
     reference[d] = 2 * (at - cell[d]) - 1;
   }
-  int const b = level.find(cell);
+  if (!level.box(b).contains(cell)) b = level.find(cell);
   if (level.owner(b) != level.rank()) return -1;
   return level.local_offset(b) + LocalIndex(level.box(b).offset(cell));
 }
@@ -108,8 +109,9 @@ void bind_fem(nb::module_& m) {
           [](fem::Lattice const& l, bind::RealRows places) {
             std::vector<LocalIndex> element(places.shape(0));
             std::vector<Real> reference(places.size());
+            int box = 0;
             for (std::size_t p = 0; p < places.shape(0); ++p)
-              element[p] = element_at(l.hierarchy(), places.data() + 3 * p, &reference[3 * p]);
+              element[p] = element_at(l.hierarchy(), places.data() + 3 * p, &reference[3 * p], box);
             return nb::make_tuple(bind::to_array(std::move(element)),
                                   bind::to_array(std::move(reference), {places.shape(0), 3}));
           },

@@ -61,6 +61,12 @@ void bind_mpm(nb::module_& m) {
           },
           "deformation"_a, "Kirchhoff's stress, energy and driving energy of each point.");
   m.def(
+      "mpm_determinants",
+      [](bind::Reals deformation) {
+        return bind::to_array(mpm::determinants(deformation.data(), deformation.size() / 9));
+      },
+      "deformation"_a, "Of each point's 9 numbers.");
+  m.def(
       "mpm_damage",
       [](std::shared_ptr<fem::Points> const& points, bind::Reals volume, bind::Reals driving, bind::Reals surface,
          bind::Reals length) {

@@ -57,8 +57,9 @@ struct AtPoints {
   }
 
  private:
-  /// One element, whose coefficients are in a lane, and whose sums go there.
-  void element(LocalIndex element, int lane, GroupValues<P, C>& values) const {
+  /// One element, whose coefficients are in a lane, and whose sums go there. All that it calls is inlined: left alone,
+  /// the compiler passed the matrices of solids from call to call through memory, which took as long as all else.
+  __attribute__((flatten)) void element(LocalIndex element, int lane, GroupValues<P, C>& values) const {
     Real coefficients[C][nodes];  // side by side: those of all lanes take more than a first-level cache has
     if constexpr (reads)
       for (int c = 0; c < C; ++c)

@@ -8,6 +8,8 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <optional>
+#include <utility>
 
 #include "base/large_array.hpp"
 #include "base/native_lanes.hpp"
@@ -21,96 +23,130 @@ constexpr int most_steps = 60;
 
 using Array = LargeArray<Real>;
 
+/// Of numbers that fill whole vectors.
 Real dot(Real const* a, Real const* b, std::size_t count) {
   NativeLanes sums{};
-  std::size_t n = 0;
-  for (; n + native_lane_count <= count; n += native_lane_count)
+  for (std::size_t n = 0; n < count; n += native_lane_count)
     sums += load<NativeLanes>(a + n) * load<NativeLanes>(b + n);
   Real out = 0;
   for (int l = 0; l < native_lane_count; ++l) out += sums[l];
-  for (; n < count; ++n) out += a[n] * b[n];
   return out;
 }
 
-constexpr std::size_t tile = 4;
+constexpr std::size_t tile = native_lane_count;
 
 /// Products of so many rows with another one, which is read once for all.
-std::array<Real, tile> dots(Real const* rows, Real const* b, std::size_t count) {
+NativeLanes dots(Real const* rows, Real const* b, std::size_t count) {
   NativeLanes sums[tile] = {};
-  std::size_t n = 0;
-  for (; n + native_lane_count <= count; n += native_lane_count) {
+  for (std::size_t n = 0; n < count; n += native_lane_count) {
     auto const other = load<NativeLanes>(b + n);
     for (std::size_t r = 0; r < tile; ++r) sums[r] += load<NativeLanes>(rows + r * count + n) * other;
   }
-  std::array<Real, tile> out{};
-  for (std::size_t r = 0; r < tile; ++r) {
-    for (int l = 0; l < native_lane_count; ++l) out[r] += sums[r][l];
-    for (std::size_t rest = n; rest < count; ++rest) out[r] += rows[r * count + rest] * b[rest];
-  }
-  return out;
+  return sums_of_lanes(sums);
 }
 
-/// Square roots of positive definite matrices, rows of the lower triangle.
+/// The least whole vectors that hold so many numbers.
+std::size_t padded(std::size_t count) { return (count + tile - 1) / tile * tile; }
+
+/// Square roots of positive definite matrices U'U. Rows, as many as a multiple of a tile, and vectors fill whole
+/// vectors of the processor, up with zeros.
 class Cholesky {
  public:
-  /// Of `matrix`, which it overwrites; `shift` is added to its diagonal.
-  Cholesky(Array& matrix, std::size_t size, Real shift) : l_(matrix.data()), size_(size) {
-    for (std::size_t i = 0; i < size; ++i) {
-      for (std::size_t j = 0; j < i; ++j) at(i, j) = (at(i, j) - dot(row(i), row(j), j)) / at(j, j);
-      Real const pivot = at(i, i) + shift - dot(row(i), row(i), i);
-      smallest_pivot_ = std::min(smallest_pivot_, pivot);
-      at(i, i) = std::sqrt(std::max(pivot, shift));
+  /// Of the upper triangle of `matrix`, which it overwrites; `shift` is added to its diagonal.
+  Cholesky(Array& matrix, std::size_t size, Real shift) : u_(matrix.data()), size_(size), stride_(padded(size)) {
+    for (std::size_t first = 0; first < size; first += tile) {
+      for (std::size_t n = first; n < stride_; n += tile) subtract_rows_before(first, n);
+      for (std::size_t k = first; k < std::min(first + tile, size); ++k) {
+        Real* const of_pivot = row(k);
+        std::fill(of_pivot + first, of_pivot + k, Real(0));
+        Real const pivot = of_pivot[k] + shift;
+        smallest_pivot_ = std::min(smallest_pivot_, pivot);
+        of_pivot[k] = std::sqrt(std::max(pivot, shift));
+        Real const by = 1 / of_pivot[k];
+        for (std::size_t j = k + 1; j < size; ++j) of_pivot[j] *= by;
+        for (std::size_t i = k + 1; i < std::min(first + tile, size); ++i) subtract(row(i), of_pivot[i], of_pivot, i);
+      }
     }
   }
   Real smallest_pivot() const { return smallest_pivot_; }
 
   void solve(std::vector<Real>& b) const {
-    for (std::size_t i = 0; i < size_; ++i) b[i] = (b[i] - dot(row(i), b.data(), i)) / at(i, i);
+    for (std::size_t i = 0; i < size_; ++i) {
+      Real const own = b[i] / row(i)[i];
+      subtract(b.data(), own, row(i), i);
+      b[i] = own;
+    }
     for (std::size_t i = size_; i-- > 0;) {
-      b[i] /= at(i, i);
-      for (std::size_t j = 0; j < i; ++j) b[j] -= at(i, j) * b[i];
+      Real const own = std::exchange(b[i], 0);
+      std::size_t const from = i / tile * tile;
+      b[i] = (own - dot(row(i) + from, b.data() + from, stride_ - from)) / row(i)[i];
     }
   }
 
  private:
-  Real* row(std::size_t i) const { return l_ + i * size_; }
-  Real& at(std::size_t i, std::size_t j) const { return l_[i * size_ + j]; }
+  /// a -= by b, from `first` on, and from up to a vector before.
+  void subtract(Real* a, Real by, Real const* b, std::size_t first) const {
+    for (std::size_t n = first / tile * tile; n < stride_; n += tile)
+      store(a + n, load<NativeLanes>(a + n) - by * load<NativeLanes>(b + n));
+  }
+  /// From a tile of rows, in the columns of one vector, what all rows before have to do with it.
+  void subtract_rows_before(std::size_t first, std::size_t column) const {
+    NativeLanes left[tile];
+    for (std::size_t r = 0; r < tile; ++r) left[r] = load<NativeLanes>(row(first + r) + column);
+    for (std::size_t k = 0; k < first; ++k) {
+      auto const there = load<NativeLanes>(row(k) + column);
+      for (std::size_t r = 0; r < tile; ++r) left[r] -= row(k)[first + r] * there;
+    }
+    for (std::size_t r = 0; r < tile; ++r) store(row(first + r) + column, left[r]);
+  }
+  Real* row(std::size_t i) const { return u_ + i * stride_; }
 
-  Real* l_;
-  std::size_t size_;
+  Real* u_;
+  std::size_t size_, stride_;
   Real smallest_pivot_ = 1e300;
 };
 
-/// Legendre's polynomials at x, with mean square 1.
-void legendre_row(Real x, int highest, Real* out) {
-  Real before = 0, here = 1;
+/// Legendre's polynomials at points x, with mean square 1.
+void legendre_rows(NativeLanes const& x, int highest, NativeLanes* out) {
+  NativeLanes before{}, here = before + Real(1);
   for (int n = 0; n <= highest; ++n) {
     out[n] = here * std::sqrt(Real(2 * n + 1));
-    Real const next = ((2 * n + 1) * x * here - n * before) / (n + 1);
+    NativeLanes const next = (Real(2 * n + 1) * x * here - Real(n) * before) / Real(n + 1);
     before = here, here = next;
   }
 }
 
-/// The weights of one element's points, in parts of its volume, that are exact to one degree.
+/// The weights of one element's points, in parts of its volume, that are exact to one degree. Behind the points there
+/// are some without volume, where all polynomials are zero, up to whole vectors.
 class Fit {
  public:
-  Fit(Real const* reference, std::vector<Real> const& volume, int degree)
-      : points_(volume.size()), volume_(volume), moments_(std::size_t(degree + 1) * (degree + 1) * (degree + 1)) {
-    a_.resize(moments_ * points_);
-    Real rows[3][16];
-    for (std::size_t p = 0; p < points_; ++p) {
-      for (int d = 0; d < 3; ++d) legendre_row(reference[3 * p + std::size_t(d)], degree, rows[d]);
+  Fit(Real const* reference, std::vector<Real> const& volume, std::size_t count, int degree)
+      : count_(count),
+        points_(volume.size()),
+        volume_(volume),
+        moments_(std::size_t(degree + 1) * (degree + 1) * (degree + 1)),
+        rows_(padded(moments_)) {
+    a_.resize(rows_ * points_);
+    std::fill(a_.begin() + std::ptrdiff_t(moments_ * points_), a_.end(), Real(0));
+    NativeLanes rows[3][16];
+    for (std::size_t p = 0; p < count; p += tile) {
+      NativeLanes place[3] = {}, one{};  // 1 where there is a point
+      for (std::size_t l = 0; l < std::min(tile, count - p); ++l) {
+        one[l] = 1;
+        for (std::size_t d = 0; d < 3; ++d) place[d][l] = reference[3 * (p + l) + d];
+      }
+      for (std::size_t d = 0; d < 3; ++d) legendre_rows(place[d], degree, rows[d]);
       std::size_t m = 0;
       for (int k = 0; k <= degree; ++k)
         for (int j = 0; j <= degree; ++j)
-          for (int i = 0; i <= degree; ++i) a_[m++ * points_ + p] = rows[0][i] * rows[1][j] * rows[2][k];
+          for (int i = 0; i <= degree; ++i) store(&a_[m++ * points_ + p], one * rows[0][i] * rows[1][j] * rows[2][k]);
     }
   }
 
   /// Whether there are such weights: then `weight` holds them.
   bool find(std::vector<Real>& weight) {
     slope_.assign(points_, 0);
-    lambda_.assign(moments_, 0);
+    lambda_.assign(rows_, 0);
     set_weights();
     for (int step = 0; step < most_steps; ++step) {
       auto const residual = missing();
@@ -122,11 +158,12 @@ class Fit {
       }
       auto direction = residual;
       bool const determined = newton(direction);
-      if (step == 0 && points_ <= moments_) {  // then no other weights are exact but these, if any
-        if (determined && below_least(direction)) return false;
+      auto const change = at_points(direction);
+      if (step == 0 && count_ <= moments_) {  // then no other weights are exact but these, if any
+        if (determined && below_least(change)) return false;
       }
-      if (is_impossible(direction) || is_impossible(lambda_)) return false;
-      if (!advance(direction, residual)) return false;
+      if (is_impossible(direction, change) || is_impossible(lambda_, slope_)) return false;
+      if (!advance(direction, change, residual)) return false;
     }
     return false;
   }
@@ -141,8 +178,9 @@ class Fit {
 
   /// b - A w: of all means but that of 1 none is there.
   std::vector<Real> missing() const {
-    std::vector<Real> out(moments_);
-    for (std::size_t m = 0; m < moments_; ++m) out[m] = (m == 0 ? 1 : 0) - dot(row(m), weight_.data(), points_);
+    std::vector<Real> out(rows_);
+    for (std::size_t m = 0; m < moments_; m += tile) store(&out[m], -dots(row(m), weight_.data(), points_));
+    out[0] += 1;
     return out;
   }
 
@@ -150,40 +188,41 @@ class Fit {
   /// there.
   bool newton(std::vector<Real>& residual) {
     constexpr Real shift = 1e-12, independent = 1e-9;
-    h_.resize(moments_ * moments_);
-    std::vector<Real> scaled(tile * points_);
-    for (std::size_t i = 0; i < moments_; i += tile) {
-      std::size_t const rows = std::min(tile, moments_ - i);
-      for (std::size_t r = 0; r < rows; ++r)
-        for (std::size_t p = 0; p < points_; ++p)
-          scaled[r * points_ + p] = 1 + slope_[p] > least_weight ? volume_[p] * row(i + r)[p] : Real(0);
-      for (std::size_t j = 0; j < i + rows; ++j) {  // the lower triangle, and a little more
-        auto const products = dots(scaled.data(), row(j), points_);
-        for (std::size_t r = 0; r < rows; ++r) h_[(i + r) * moments_ + j] = products[r];
+    std::vector<Real> above(points_);
+    for (std::size_t p = 0; p < points_; ++p) above[p] = 1 + slope_[p] > least_weight ? volume_[p] : Real(0);
+    if (!root_ || above != above_) {
+      above_ = std::move(above);
+      h_.assign(rows_ * rows_, 0);
+      std::vector<Real> scaled(points_);
+      for (std::size_t i = 0; i < moments_; ++i) {
+        for (std::size_t p = 0; p < points_; ++p) scaled[p] = above_[p] * row(i)[p];
+        for (std::size_t j = i / tile * tile; j < moments_; j += tile)  // the upper triangle, and a little more
+          store(&h_[i * rows_ + j], dots(row(j), scaled.data(), points_));
       }
+      root_.emplace(h_, moments_, shift);
     }
-    Cholesky const root(h_, moments_, shift);
-    root.solve(residual);
-    return root.smallest_pivot() > independent;
+    root_->solve(residual);
+    return root_->smallest_pivot() > independent;
   }
 
   std::vector<Real> at_points(std::vector<Real> const& polynomial) const {
     std::vector<Real> out(points_, 0);
-    for (std::size_t m = 0; m < moments_; ++m)
-      for (std::size_t p = 0; p < points_; ++p) out[p] += polynomial[m] * row(m)[p];
+    for (std::size_t m = 0; m < moments_; ++m) {
+      Real const by = polynomial[m];
+      for (std::size_t p = 0; p < points_; ++p) out[p] += by * row(m)[p];
+    }
     return out;
   }
 
-  bool below_least(std::vector<Real> const& step) const {
-    auto const change = at_points(step);
+  static bool below_least(std::vector<Real> const& change) {
     return std::any_of(change.begin(), change.end(), [](Real c) { return 1 + c < least_weight - 1e-9; });
   }
 
-  /// Whether minus this polynomial, plus what makes it positive at points, shows that there are no such weights.
-  bool is_impossible(std::vector<Real> const& polynomial) const {
-    Real const size = std::sqrt(dot(polynomial.data(), polynomial.data(), moments_));
+  /// Whether minus this polynomial, of these values at points, plus what makes it positive there, shows that there are
+  /// no such weights.
+  bool is_impossible(std::vector<Real> const& polynomial, std::vector<Real> const& values) const {
+    Real const size = std::sqrt(dot(polynomial.data(), polynomial.data(), rows_));
     if (size == 0) return false;
-    auto const values = at_points(polynomial);
     Real const lift = std::max(Real(0), *std::max_element(values.begin(), values.end()));
     Real least_sum = 0;
     for (std::size_t p = 0; p < points_; ++p) {
@@ -202,10 +241,9 @@ class Fit {
     return out;
   }
 
-  /// λ goes along a direction, as far as F falls as it should. Whether it could.
-  bool advance(std::vector<Real> const& direction, std::vector<Real> const& residual) {
-    auto const change = at_points(direction);
-    Real const falls = dot(direction.data(), residual.data(), moments_);
+  /// λ goes along a direction, a `change` at points, as far as F falls as it should. Whether it could.
+  bool advance(std::vector<Real> const& direction, std::vector<Real> const& change, std::vector<Real> const& residual) {
+    Real const falls = dot(direction.data(), residual.data(), rows_);
     Real const before = objective(change, 0, direction[0]);
     for (Real step = 1; step > 1e-10; step /= 2) {
       if (objective(change, step, direction[0]) > before - 1e-4 * step * falls + 1e-15 * std::abs(before)) continue;
@@ -217,21 +255,26 @@ class Fit {
     return false;
   }
 
-  std::size_t points_;
+  std::size_t count_, points_;
   std::vector<Real> const& volume_;  ///< in parts of the element's
-  std::size_t moments_;
+  std::size_t moments_, rows_;
   Array a_, h_;                                ///< each moment's polynomial at points; second derivatives of F
+  std::vector<Real> above_;                    ///< those are of the volumes of points above their least weights
+  std::optional<Cholesky> root_;               ///< of h_
   std::vector<Real> slope_, lambda_, weight_;  ///< A'λ at points
 };
 
 /// The weights of one element, in parts of its volume, and to which degree they are exact.
-int fit(Real const* reference, std::vector<Real> const& volume, int highest, std::vector<Real>& weight) {
-  int reached = not_fitted;
-  weight = volume;
-  for (int degree = 0; degree <= highest; ++degree) {
-    if (!Fit(reference, volume, degree).find(weight)) break;
-    reached = degree;
+int fit(Real const* reference, std::vector<Real> const& volume, std::size_t count, int highest,
+        std::vector<Real>& weight) {
+  auto const found = [&](int degree) { return Fit(reference, volume, count, degree).find(weight); };
+  int reached = (highest + 1) / 2;  // of elements of this degree: most reach it, and few go far beyond
+  if (!found(reached)) {
+    while (--reached >= 0 && !found(reached)) continue;
+    if (reached < 0) weight = volume;
+    return reached;
   }
+  while (reached < highest && found(reached + 1)) ++reached;
   return reached;
 }
 
@@ -252,10 +295,11 @@ FittedWeights fit_moments(std::vector<std::int64_t> const& first, Real const* re
       parts.push_back(volume[p] / element_volume);
       sum += parts.back();
     }
+    parts.resize(padded(count), 0);
     out.degree.push_back(not_fitted);
     if (std::abs(sum - 1) > full_within) continue;
     bool const same = place_before && parts == before && std::equal(place, place + 3 * count, place_before);
-    if (!same) degree = fit(place, parts, highest, weight);
+    if (!same) degree = fit(place, parts, count, highest, weight);
     out.degree.back() = degree;
     before = parts, place_before = place;
     for (std::size_t p = 0; p < count; ++p) out.weight[std::size_t(first[e]) + p] = weight[p] * element_volume;

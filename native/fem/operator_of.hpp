@@ -100,7 +100,7 @@ class OperatorOf : public Operator {
     same.fill(element);
     for (int first = 0; first < all; first += native_lane_count) {
       int const count = std::min(native_lane_count, all - first);
-      GroupValues<P, C> values;
+      GroupValues<P, C> values{};
       for (int c = 0; c < C; ++c)
         for (int n = 0; n < nodes; ++n)
           for (int l = 0; l < native_lane_count; ++l) values.value[c][n][l] = first + l == c * nodes + n;

@@ -209,6 +209,12 @@ States states(Solid const& solid, Real const* deformation) {
   return out;
 }
 
+std::vector<Real> determinants(Real const* deformation, std::size_t points) {
+  std::vector<Real> out(points);
+  for (std::size_t p = 0; p < points; ++p) out[p] = det(tensor_at(deformation + 9 * p));
+  return out;
+}
+
 std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   Real3 const scale = fem::slope_scale(e.points->lattice());
   return made<Damage>(e.points, e.volume.size(), [&](std::vector<Real>& state) {

@@ -48,6 +48,9 @@ struct States {
 };
 States states(Solid const& solid, Real const* deformation);
 
+/// det F of each point. Local.
+std::vector<Real> determinants(Real const* deformation, std::size_t points);
+
 /// What damage is found from: 2 (1 - k) H (1 - d) = G/l (d - l² Laplacian d), in weak form over initial volumes with
 /// gradients in the mesh's configuration. Points whose toughness is zero have no part in it.
 struct DamageEquation {

@@ -89,11 +89,12 @@ def _facts(status: RunStatus) -> list[tuple[str, str]]:
         rest = datetime.fromisoformat(status.estimated_end) - datetime.now().astimezone()
         left = f", {max(timedelta(seconds=round(rest.total_seconds())), timedelta(0))} left"
     written = ", ".join(f"{kind} {step}" for kind, step in status.written.items())
-    of_method = _of_points(status) if status.method == MPM else _of_particles(status)
+    reached, *others = _of_points(status) if status.method == MPM else _of_particles(status)
     facts = [
         ("step", f"{status.step} of {status.of}, {done}"),
+        reached,
         ("pace", f"{_value(pace, 's')} per step on {status.ranks} rank{'s' * (status.ranks > 1)}{left}"),
-        *of_method,
+        *others,
         ("memory", f"{status.memory / 2**20:.0f} MiB on the largest rank"),
         ("written", f"steps: {written}" if written else "nothing yet"),
         ("updated", f"{status.updated}, process {status.process} on {status.host}"),

@@ -30,6 +30,7 @@ from .writer_ranks import one_line
 
 FORMAT = "amrpic checkpoint"
 FORMAT_VERSION = 3
+CONTENT, END = ', "content":\n', "}\n"  # around the content in the file
 MANIFEST = "manifest.json"
 REMEDY = "restart from another checkpoint"
 
@@ -123,8 +124,12 @@ class Manifest:
 
 def encode(manifest: Manifest) -> str:
     body = json.dumps(_plain(asdict(manifest)), sort_keys=True)
+    return _with_checksum(body)
+
+
+def _with_checksum(body: str) -> str:
     digest = hashlib.sha256(body.encode()).hexdigest()
-    return f'{{"format": "{FORMAT}", "format_version": {FORMAT_VERSION}, "sha256": "{digest}", "content":\n{body}}}\n'
+    return f'{{"format": "{FORMAT}", "format_version": {FORMAT_VERSION}, "sha256": "{digest}"{CONTENT}{body}{END}'
 
 
 def _plain(value: Any) -> Any:
@@ -144,10 +149,11 @@ def _plain(value: Any) -> Any:
 def decode(path: Path) -> Manifest:
     """Return the manifest of a checkpoint directory; raises UnreadableCheckpoint if it is not one or is damaged."""
     try:
-        envelope = json.loads((path / MANIFEST).read_text())
+        text = (path / MANIFEST).read_text()
+        envelope = json.loads(text)
         if envelope["format"] != FORMAT:
             raise KeyError("format")
-        version, content, digest = int(envelope["format_version"]), envelope["content"], envelope["sha256"]
+        version, content = int(envelope["format_version"]), envelope["content"]
     except (FileNotFoundError, NotADirectoryError):
         raise UnreadableCheckpoint(f"{path} is not a checkpoint: it has no {MANIFEST}; {REMEDY}") from None
     except OSError as error:
@@ -158,7 +164,7 @@ def decode(path: Path) -> Manifest:
         raise UnreadableCheckpoint(
             f"{path} has checkpoint format {version}, this version reads {FORMAT_VERSION}; use what wrote it"
         )
-    if hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest() != digest:
+    if text != _with_checksum(text.partition(CONTENT)[2].removesuffix(END)):
         raise UnreadableCheckpoint(f"{path / MANIFEST} is damaged: its checksum is wrong; {REMEDY}")
     return _manifest(content)
 

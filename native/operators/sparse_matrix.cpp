@@ -16,8 +16,7 @@ DeviceArray<LocalIndex> occupied_rows(T::LocalMatrix const& local) {
   DeviceArray<LocalIndex> const out("occupied rows", count == rows ? 0 : std::size_t(count));
   if (count < rows)
     Kokkos::parallel_scan(
-        "list occupied rows", T::Rows(0, rows),
-        KOKKOS_LAMBDA(LocalIndex row, LocalIndex & place, bool last) {
+        "list occupied rows", T::Rows(0, rows), KOKKOS_LAMBDA(LocalIndex row, LocalIndex & place, bool last) {
           if (start(row + 1) == start(row)) return;
           if (last) out(place) = row;
           ++place;

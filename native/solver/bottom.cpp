@@ -227,7 +227,6 @@ struct Bottom::GatheredProblem {
 
 namespace {
 
-
 /// Put gathered values times the volumes of their cells in the order of the domain; returns the largest magnitude.
 Real put_in_order(DeviceArray<LocalIndex> const& place, DeviceArray<Real> const& volume,
                   DeviceArray<Real> const& gathered, DeviceArray<Real> const& f) {

@@ -14,7 +14,9 @@ struct Background {
   Real mean = 0, rest = 0;
 
   /// f = -rho / eps0 - mean - rest.
-  KOKKOS_INLINE_FUNCTION Real right_hand_side(Real rho) const { return fused(-inverse_permittivity, rho, -mean) - rest; }
+  KOKKOS_INLINE_FUNCTION Real right_hand_side(Real rho) const {
+    return fused(-inverse_permittivity, rho, -mean) - rest;
+  }
 
   static constexpr Real inverse_permittivity = 1 / vacuum_permittivity;
 };

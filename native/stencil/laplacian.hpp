@@ -20,15 +20,16 @@ KOKKOS_INLINE_FUNCTION Value fused(Weight const& a, Value const& b, Value const&
 
 /// What a cell's neighbours add to L phi: the weighted sum of those along x, along y and along z.
 template <class Weight, class Value>
-KOKKOS_INLINE_FUNCTION Value weighted_sum(std::array<Weight, 3> const& weight, Value const& x, Value const& y, Value const& z) {
+KOKKOS_INLINE_FUNCTION Value weighted_sum(std::array<Weight, 3> const& weight, Value const& x, Value const& y,
+                                          Value const& z) {
   return fused(weight[2], z, fused(weight[1], y, weight[0] * x));
 }
 
 /// L phi of the value in a cell and those across its faces. Of forms the differences are taken first: terms that
 /// cancel, at walls that no flux passes, do so before any rounding.
 template <class Value>
-KOKKOS_INLINE_FUNCTION Value laplacian(Equation const& l, Value const& c, Value const& xm, Value const& xp, Value const& ym,
-                       Value const& yp, Value const& zm, Value const& zp) {
+KOKKOS_INLINE_FUNCTION Value laplacian(Equation const& l, Value const& c, Value const& xm, Value const& xp,
+                                       Value const& ym, Value const& yp, Value const& zm, Value const& zp) {
   auto across = [&](Value const& below, Value const& above) { return (below - c) + (above - c); };
   return weighted_sum(l.weight, across(xm, xp), across(ym, yp), across(zm, zp)) - l.shift * c;
 }

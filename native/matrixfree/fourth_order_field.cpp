@@ -10,13 +10,22 @@ namespace {
 
 using Ends = FourthOrderGhosts::Ends;
 
+Real central_difference(Real below, Real own, Real above) { return (below - own) + (above - own); }
+
+/// The sum of the second differences along all axes about a cell inside a box, not a number if one beside it is none.
+Real inner_second_differences(Real const* own, Index3 const& pitch) {
+  Real sum = 0;
+  for (std::ptrdiff_t step : pitch) sum += central_difference(own[-step], *own, own[step]);
+  return sum;
+}
+
 /// The second difference about a place of a line, where at(n) is the value n cells further, not a number where the line
 /// has none: one-sided at its ends, of four points or of three; zero where these do not exist.
 template <class At>
 Real second_difference(At&& at, bool four_points) {
   Real const own = at(0);
   Real const below = at(-1), above = at(1);
-  if (!std::isnan(below) && !std::isnan(above)) return (below - own) + (above - own);
+  if (!std::isnan(below) && !std::isnan(above)) return central_difference(below, own, above);
   for (int side : {-1, 1}) {
     Real const first = side < 0 ? below : above;
     if (std::isnan(first)) continue;
@@ -44,16 +53,22 @@ void FourthOrderField::add_second_differences(Field const& from, Real factor, bo
   ghosts_.visit(from, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
     Box const& own = mesh_.box(l, b);
     Real const* const cells = from.level(l).data() + mesh_.offset(l, b);
+    Index3 const pitch = pitches(own);
+    Box const inner = own.shift_back(own.lower).grow(-1);
     for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-      Real sum = 0;
-      for (int d = 0; d < 3; ++d) {
-        auto const at = ghosts_.in_line(own, cells, d, cell);
-        int const below = cell[d] + FourthOrderGhosts::layers,
-                  above = own.extent(d) - 1 - cell[d] + FourthOrderGhosts::layers;
-        auto const known = [&](int n) {
-          return n >= -below && n <= above ? at(n) : std::numeric_limits<Real>::quiet_NaN();
-        };
-        sum += second_difference(known, four_points);
+      Real sum = inner.contains(cell) ? inner_second_differences(from.level(l).data() + place, pitch)
+                                      : std::numeric_limits<Real>::quiet_NaN();
+      if (std::isnan(sum)) {
+        sum = 0;
+        for (int d = 0; d < 3; ++d) {
+          auto const at = ghosts_.in_line(own, cells, d, cell);
+          int const below = cell[d] + FourthOrderGhosts::layers,
+                    above = own.extent(d) - 1 - cell[d] + FourthOrderGhosts::layers;
+          auto const known = [&](int n) {
+            return n >= -below && n <= above ? at(n) : std::numeric_limits<Real>::quiet_NaN();
+          };
+          sum += second_difference(known, four_points);
+        }
       }
       to.level(l)[place] += factor * sum;
     });

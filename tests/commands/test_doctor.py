@@ -61,9 +61,13 @@ def test_h5py_writes_and_reads_beside_the_hdf5_that_trilinos_brings(comm, tmp_pa
         assert np.array_equal(file["values"], np.arange(10))
 
 
-def test_a_build_without_trilinos_passes_and_says_what_it_lacks(monkeypatch):
+@pytest.mark.parametrize(
+    ("kokkos", "there"), [("", '"matrix-free" alone'), ("Serial", '"matrix-free", and "kokkos" on Serial')]
+)
+def test_a_build_without_trilinos_passes_and_says_what_it_lacks(monkeypatch, kokkos, there):
     monkeypatch.setattr(doctor._native, "trilinos_version", lambda: "")
-    assert doctor.trilinos_and_backend().startswith('none: of the backends there is "matrix-free" alone')
+    monkeypatch.setattr(doctor._native, "kokkos_backend", lambda: kokkos)
+    assert doctor.trilinos_and_backend().startswith(f"none: of the backends there is {there}, and no equations")
 
 
 def fake_mpiexec(folder: Path, text: str) -> str:

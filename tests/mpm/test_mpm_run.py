@@ -144,7 +144,7 @@ def test_a_run_that_is_killed_goes_on_bit_by_bit(comm, tmp_path):
     assert whole.state.measured == again.state.measured and whole.state.load == again.state.load == 1
 
 
-@pytest.mark.mpi(ranks=(2, 3, 4))
+@pytest.mark.mpi(ranks=2, more=(3, 4))
 def test_ranks_press_a_structure_that_breaks_as_one_does(comm):
     """Steps and Newton's iterations are equal, CG's within one for each, displacements within 1e-6 of the largest."""
     small = mpm.Scene.from_dict({"name": "press", **press(3, breaks=True, part=0.006)})

@@ -23,7 +23,7 @@ SIZE = 8  # cells per axis of a brick
 FEWEST = 0.5  # particles of a brick that counts
 NUMBER = 8  # bytes
 HOME = 12  # bytes by which a brick is named in a message
-ANNOUNCED = 3  # messages with charge: how many bricks, which, and their values
+ANNOUNCED = 2  # messages with charge: which bricks, and their values
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Exchange:
     """What servers of particles and owners of cells send each other: of each brick its first server meets the owners of its
     cells, and its other servers meet that one.
 
-    Charge goes to the owner, behind a list of bricks and an announcement of it, the field to the server.
+    Charge goes to the owner, behind a list of bricks, the field to the server.
     """
 
     ranks: int
@@ -116,7 +116,7 @@ class Exchange:
 
     @property
     def _charge(self) -> Array:
-        return NUMBER + HOME * self.names + NUMBER * self.cells
+        return HOME * self.names + NUMBER * self.cells
 
     @property
     def _field(self) -> Array:

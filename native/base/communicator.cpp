@@ -112,34 +112,47 @@ std::vector<int> Communicator::counts(std::size_t mine) const {
   return out;
 }
 
+/// Of a list that is one message.
+static std::size_t checked_length(std::size_t count) {
+  if (count > longest)
+    throw std::length_error(std::to_string(count) + " elements in one message, more than MPI counts; use more ranks");
+  return count;
+}
+
 std::vector<std::pair<int, std::int64_t>> Communicator::announced(
     std::vector<std::pair<int, std::int64_t>> const& to) const {
+  std::vector<List> lists;
+  for (auto const& [rank, count] : to) lists.push_back({rank, &count, 1});
   std::vector<std::pair<int, std::int64_t>> out;
-  if (ranks_ == 1) return out;
-  if (is_virtual()) {
-    for (auto const& [rank, count] : to) count_sent(rank, sizeof count);
-    count_collective();
-    return out;
-  }
+  bring(lists, sizeof(std::int64_t), MPI_INT64_T,
+        [&](int rank, std::size_t) -> void* { return &out.emplace_back(rank, 0).second; });
+  std::sort(out.begin(), out.end());
+  return out;
+}
+
+void Communicator::bring(std::vector<List> const& to, std::size_t size, MPI_Datatype type,
+                         std::function<void*(int, std::size_t)> const& room) const {
+  if (ranks_ == 1) return;
+  for (List const& list : to) count_sent(list.rank, list.count * size);
+  count_collective();
+  if (is_virtual()) return;
   // A rank may be one round ahead of another, and must not be taken for one of the round before: two tags take turns.
   int const tag = tag_announcement + rounds_of(comm_)++ % 2;
   std::vector<MPI_Request> sending;
-  for (auto const& [rank, count] : to) {
-    MPI_Issend(&count, 1, MPI_INT64_T, rank, tag, comm_, &sending.emplace_back());
-    count_sent(rank, sizeof count);
-  }
-  count_collective();
-  // A rank whose announcements have all arrived waits for the others to say so too; until then more may come.
+  for (List const& list : to)
+    MPI_Issend(list.values, int(checked_length(list.count)), type, list.rank, tag, comm_, &sending.emplace_back());
+  // A rank whose lists have all arrived waits for the others to say so too; until then more may come.
   MPI_Request everyone = MPI_REQUEST_NULL;
   bool has_arrived = false;
   for (int done = 0; !done;) {
+    MPI_Message message;
     MPI_Status status;
     int waits = 0;
-    MPI_Iprobe(MPI_ANY_SOURCE, tag, comm_, &waits, &status);
+    MPI_Improbe(MPI_ANY_SOURCE, tag, comm_, &waits, &message, &status);
     if (waits) {
-      std::int64_t count = 0;
-      MPI_Recv(&count, 1, MPI_INT64_T, status.MPI_SOURCE, tag, comm_, MPI_STATUS_IGNORE);
-      out.emplace_back(status.MPI_SOURCE, count);
+      int count = 0;
+      MPI_Get_count(&status, type, &count);
+      MPI_Mrecv(room(status.MPI_SOURCE, std::size_t(count)), count, type, &message, MPI_STATUS_IGNORE);
     }
     if (has_arrived) {
       MPI_Test(&everyone, &done, MPI_STATUS_IGNORE);
@@ -150,16 +163,13 @@ std::vector<std::pair<int, std::int64_t>> Communicator::announced(
       has_arrived = sent != 0;
     }
   }
-  std::sort(out.begin(), out.end());
-  return out;
 }
 
 void Communicator::send_list(void const* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
                              MPI_Request& request) const {
-  if (count > longest)
-    throw std::length_error(std::to_string(count) + " elements in one message, more than MPI counts; use more ranks");
+  int const length = int(checked_length(count));
   request = MPI_REQUEST_NULL;
-  if (!is_virtual()) MPI_Isend(values, int(count), type, rank, tag_lists, comm_, &request);
+  if (!is_virtual()) MPI_Isend(values, length, type, rank, tag_lists, comm_, &request);
   count_sent(rank, count * size);
 }
 

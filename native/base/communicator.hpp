@@ -7,6 +7,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <map>
 #include <stdexcept>
@@ -135,6 +136,18 @@ class Communicator {
   /// Ranks that have nothing for each other do not meet (T. Hoefler et al., "Scalable communication protocols for
   /// dynamic sparse data exchange", PPoPP 2010). In the order of ranks.
   std::vector<std::pair<int, std::int64_t>> announced(std::vector<std::pair<int, std::int64_t>> const& to) const;
+  /// The same of lists themselves: `to` holds what this rank sends, by rank.
+  template <class T>
+  std::vector<std::pair<int, std::vector<T>>> brought(std::map<int, std::vector<T>> const& to) const {
+    std::vector<List> lists;
+    for (auto const& [rank, values] : to) lists.push_back({rank, values.data(), values.size()});
+    std::vector<std::pair<int, std::vector<T>>> out;
+    bring(lists, sizeof(T), datatype<T>(), [&](int rank, std::size_t count) -> void* {
+      return out.emplace_back(rank, std::vector<T>(count)).second.data();
+    });
+    std::sort(out.begin(), out.end(), [](auto const& a, auto const& b) { return a.first < b.first; });
+    return out;
+  }
 
   /// What each rank of `from` sends this one, in that order, where only the senders know how much; `to`: what this one
   /// sends, by rank. Empty lists travel too: whom a rank expects something from sends it.
@@ -173,6 +186,14 @@ class Communicator {
     if (is_virtual()) return;
     MPI_Allreduce(MPI_IN_PLACE, values, int(count), datatype<T>(), op, comm_);
   }
+  struct List {
+    int rank;
+    void const* values;
+    std::size_t count;
+  };
+  /// Send lists to ranks that need not expect them, and receive those of others where room(rank, count) says.
+  void bring(std::vector<List> const& to, std::size_t size, MPI_Datatype type,
+             std::function<void*(int, std::size_t)> const& room) const;
   std::vector<int> counts(std::size_t mine) const;
   void send_list(void const* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
                  MPI_Request& request) const;

@@ -37,20 +37,6 @@ std::vector<BrickWindows> windows_of(Hierarchy const& hierarchy, std::vector<Hom
   return out;
 }
 
-/// Send lists to other ranks, and return those that come from others, in the order of ranks. Collective.
-BricksOfRanks exchanged(Communicator const& comm, std::map<int, std::vector<Home>> const& to) {
-  std::vector<std::pair<int, std::int64_t>> counts;
-  for (auto const& [rank, list] : to) counts.emplace_back(rank, std::int64_t(list.size()));
-  BricksOfRanks from;
-  for (auto const& [rank, count] : comm.announced(counts))
-    from.emplace_back(rank, std::vector<Home>(std::size_t(count)));
-  Messages messages;
-  for (auto& [rank, list] : from) messages.receive(comm, list.data(), list.size(), rank);
-  for (auto const& [rank, list] : to) messages.send(comm, list.data(), list.size(), rank);
-  messages.wait_for_all();
-  return from;
-}
-
 /// Call f(place, count, row) for the rows of cells along x of a part of a box, places counted from the box's first
 /// cell.
 template <class F>
@@ -224,7 +210,7 @@ RemotePlan const& RemoteBricks::plan(bool matched, int reach) const {
   std::map<int, std::vector<Home>> to_servers, to_owners;
   for (std::size_t b = 0; b < bricks_.size(); ++b)
     if (servers_[b] != comm.rank()) to_servers[servers_[b]].push_back(bricks_[b]);
-  auto const of_servers = exchanged(comm, to_servers);
+  auto const of_servers = comm.brought(to_servers);
 
   auto bricks = bricks_;
   for (auto const& [rank, list] : of_servers) bricks.insert(bricks.end(), list.begin(), list.end());
@@ -241,7 +227,7 @@ RemotePlan const& RemoteBricks::plan(bool matched, int reach) const {
     auto& list = to_owners[owner];
     if (list.empty() || !(list.back() == bricks[b])) list.push_back(bricks[b]);
   });
-  auto const of_others = exchanged(comm, to_owners);
+  auto const of_others = comm.brought(to_owners);
   plan = std::make_unique<RemotePlan const>(*hierarchy_, std::move(windows), servers, of_servers, of_others, matched,
                                             reach);
   return *plan;

@@ -141,7 +141,8 @@ def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
     begin, stop = (np.clip(servers[rank + i], places[brick], places[brick] + _native.PLACES_PER_BRICK) for i in (0, 1))
     each = bricks.particles[brick] * ((stop - begin) / _native.PLACES_PER_BRICK)
     pairs = np.column_stack([brick, rank])
-    between = exchange(mesh, bricks.rows, pairs, parts, first)
+    home = _owners(mesh, bricks.rows[:, 0], bricks.rows[:, 1])
+    between = exchange(mesh, bricks.rows, pairs, parts, np.where(last - first < 2, home, first))
     return Served(bricks, servers, np.bincount(rank, each, ranks), pairs, between)
 
 

@@ -80,8 +80,12 @@ BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matc
 std::vector<int> first_servers(Hierarchy const& hierarchy, Servers const& servers, std::vector<Home> const& bricks) {
   std::vector<int> out;
   out.reserve(bricks.size());
-  for (Home const& brick : bricks)
-    out.push_back(servers.server(servers.curve().place(brick.level, cells_of(hierarchy, brick).lower)));
+  for (Home const& brick : bricks) {
+    auto const place = servers.curve().place(brick.level, cells_of(hierarchy, brick).lower);
+    int const first = servers.server(place);
+    bool const few = servers.server(place + BrickCurve::per_brick - 1) - first < 2;  // a sum of one or two at the owner, which has their cells
+    out.push_back(few ? hierarchy.level(brick.level).owner(brick.box) : first);
+  }
   return out;
 }
 

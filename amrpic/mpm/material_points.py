@@ -106,6 +106,7 @@ def migrate(points: MaterialPoints, mesh: Mesh) -> tuple[MaterialPoints, int]:
     raise_together(mesh.comm, None if finite and not len(plan.lost) else "points are not in the mesh", ParticleError)
     carried = np.empty((len(rest), count))
     plan.carry(np.ascontiguousarray(rest), carried)
+    del plan, position, first, rest  # so that not all is there three times
     deformation = np.concatenate([row, carried[:6].T], axis=1).reshape(-1, 3, 3)
     there = MaterialPoints(
         np.ascontiguousarray(place), number, carried[8].view(np.int64), deformation, volume, carried[6], carried[7]

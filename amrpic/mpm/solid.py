@@ -60,7 +60,7 @@ class Solid:
     `materials` are one or several, `material` (n,) says which each point has. Points carry their `deformation` F (n, 3, 3),
     1 if not given, `damage` (n,) from 0 to 1, and the largest `driving` energy they have seen, (n,) in J/m³. A displacement
     u (nodes, 3) in m is from the mesh as it is: F = (1 + ∇u) F of the point. A point's initial volume is its weight over its
-    det F.
+    det F. Arrays are kept, not copied: leave them as they are.
 
     InputError on all ranks for arrays of other shapes, a material that does not exist, and det F that is not positive.
     """

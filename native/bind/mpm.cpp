@@ -27,13 +27,10 @@ void bind_mpm(nb::module_& m) {
           "__init__",
           [](mpm::Solid* self, std::shared_ptr<fem::Points> const& points, std::vector<mpm::Law> laws, Numbers law,
              bind::Reals deformation, bind::Reals damage) {
-            new (self) mpm::Solid{points,
-                                  std::move(laws),
-                                  {law.data(), law.data() + law.size()},
-                                  values_of(deformation),
-                                  values_of(damage)};
+            new (self) mpm::Solid{points, std::move(laws), law.data(), deformation.data(), damage.data()};
           },
-          "points"_a, "laws"_a, "law"_a, "deformation"_a, "damage"_a)
+          "points"_a, "laws"_a, "law"_a.noconvert(), "deformation"_a.noconvert(), "damage"_a.noconvert(),
+          nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
       .def(
           "respond",
           [](mpm::Solid const& solid, bind::Reals u) {

@@ -1,5 +1,6 @@
 #include "fem/points.hpp"
 
+#include <algorithm>
 #include <utility>
 
 #include "base/native_lanes.hpp"
@@ -66,6 +67,16 @@ std::vector<Real> Points::blocked(Real const* values, int width) const {
   std::vector<Real> out(std::size_t(blocks() * width * width_of_block), 0);
   for_each_point(width, [&](std::int64_t p, std::int64_t at) {
     for (int c = 0; c < width; ++c) out[std::size_t(at + c * width_of_block)] = values[p * width + c];
+  });
+  return out;
+}
+
+std::vector<Real> Points::blocked_of(int width, WriteValues const& f) const {
+  std::vector<Real> out(std::size_t(blocks() * width * width_of_block), 0), own(std::size_t(width), 0);
+  for_each_point(width, [&](std::int64_t p, std::int64_t at) {
+    std::fill(own.begin(), own.end(), Real(0));
+    f(std::size_t(p), own.data());
+    for (int c = 0; c < width; ++c) out[std::size_t(at + c * width_of_block)] = own[std::size_t(c)];
   });
   return out;
 }

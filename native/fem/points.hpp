@@ -1,5 +1,6 @@
 #pragma once
 
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -42,6 +43,9 @@ class Points {
   /// Values of all points, `width` of each, as blocks: of each block the first value of all its lanes, and so on. Zeros
   /// in lanes without a point.
   std::vector<Real> blocked(Real const* values, int width) const;
+  /// The same of those that f(point, values) writes, zeros otherwise, without another array for them.
+  using WriteValues = std::function<void(std::size_t point, Real* values)>;
+  std::vector<Real> blocked_of(int width, WriteValues const& f) const;
   std::vector<Real> unblocked(std::vector<Real> const& values, int width) const;  ///< the opposite
 
   std::size_t bytes() const;  ///< on this rank

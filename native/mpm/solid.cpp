@@ -50,15 +50,16 @@ struct Moved {
   Real damage;
 };
 
-/// Call f(point, moved) for this rank's points. `slopes`: of u at points, (3, 3) each.
-template <class F>
-void for_each_point(Solid const& solid, std::vector<Real> const& slopes, std::vector<Real> const& weights, F&& f) {
-  for (std::size_t p = 0; p < solid.law.size(); ++p) {
-    Tensor const before = tensor_at(&solid.deformation[9 * p]);
-    Tensor const relative = material::sum(material::unit_tensor(), 1, tensor_at(&slopes[9 * p]));
-    f(p, Moved{before, relative, material::product(relative, before), weights[p] / material::determinant(before),
-               solid.laws[std::size_t(solid.law[p])], solid.damage[p]});
-  }
+/// `slopes`: of u at points, (3, 3) each.
+Moved moved(Solid const& solid, std::vector<Real> const& slopes, std::vector<Real> const& weights, std::size_t p) {
+  Tensor const before = tensor_at(&solid.deformation[9 * p]);
+  Tensor const relative = material::sum(material::unit_tensor(), 1, tensor_at(&slopes[9 * p]));
+  return {before,
+          relative,
+          material::product(relative, before),
+          weights[p] / material::determinant(before),
+          solid.laws[std::size_t(solid.law[p])],
+          solid.damage[p]};
 }
 
 std::vector<Real> weights_of(fem::Points const& points) {
@@ -118,10 +119,8 @@ void write_state(InitialNeoHookean const*, Moved const& at, Real3 const& scale, 
 }
 
 template <class D, class Write>
-std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, std::size_t count, Write&& write) {
-  std::vector<Real> state(count * D::width);
-  write(state);
-  Blocks blocks(points->blocked(state.data(), D::width), D::width);
+std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, Write&& write) {
+  Blocks blocks(points->blocked_of(D::width, write), D::width);
   constexpr int components = D::values ? 1 : 3;
   D d(std::move(blocks));
   return std::make_unique<fem::OperatorOf<D, components>>(std::move(points), std::move(d));
@@ -132,10 +131,8 @@ std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u) {
   auto const slopes = fem::slopes_at(*solid.points, 3, u);
   auto const weights = weights_of(*solid.points);
   Real3 const scale = fem::slope_scale(solid.points->lattice());
-  return made<D>(solid.points, solid.law.size(), [&](std::vector<Real>& state) {
-    for_each_point(solid, slopes, weights, [&](std::size_t p, Moved const& at) {
-      write_state(static_cast<D const*>(nullptr), at, scale, &state[p * D::width]);
-    });
+  return made<D>(solid.points, [&](std::size_t p, Real* state) {
+    write_state(static_cast<D const*>(nullptr), moved(solid, slopes, weights, p), scale, state);
   });
 }
 
@@ -149,8 +146,8 @@ struct Flux {
   }
 };
 
-std::vector<Real> forces_of(fem::Points const& points, std::vector<Real> const& flux) {
-  Flux const d{Blocks(points.blocked(flux.data(), 9), 9)};
+std::vector<Real> forces_of(fem::Points const& points, std::vector<Real> flux) {
+  Flux const d{Blocks(std::move(flux), 9)};
   std::vector<Real> out(std::size_t(points.lattice().own_nodes()) * 3);
   fem::with_degree(points.lattice().degree(), [&](auto nodes) {
     fem::AtPoints<nodes(), 3, Flux> const kernel{points, d};
@@ -170,19 +167,20 @@ bool any_of(Solid const& solid) {
 Response respond(Solid const& solid, Real const* u) {
   fem::Points const& points = *solid.points;
   auto const slopes = fem::slopes_at(points, 3, u);
+  auto const weights = weights_of(points);
   Real3 const scale = fem::slope_scale(points.lattice());
-  std::vector<Real> flux(9 * solid.law.size(), 0);
   Response out{{}, 0, std::numeric_limits<Real>::max()};
-  for_each_point(solid, slopes, weights_of(points), [&](std::size_t p, Moved const& at) {
+  auto flux = points.blocked_of(9, [&](std::size_t p, Real* own) {
+    Moved const at = moved(solid, slopes, weights, p);
     Real const j = det(at.whole);
     out.smallest_j = std::min(out.smallest_j, j);
     if (!(j > 0)) return;
     out.energy += at.volume * energy_of(at.law, at.whole, at.damage);
     Tensor const stress = material::scaled(at.volume, stress_of(at.law, at.whole, at.damage));
     Tensor const by = material::product(stress, material::transposed(material::inverse(at.relative)));
-    material::for_each_entry([&](std::size_t i, std::size_t k) { flux[9 * p + 3 * i + k] = by[i][k] * scale[k]; });
+    material::for_each_entry([&](std::size_t i, std::size_t k) { own[3 * i + k] = by[i][k] * scale[k]; });
   });
-  out.force = forces_of(points, flux);
+  out.force = forces_of(points, std::move(flux));
   Communicator const& comm = points.lattice().comm();
   out.energy = comm.sum(out.energy);
   out.smallest_j = comm.smallest(out.smallest_j);
@@ -198,7 +196,7 @@ std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form f
 
 States states(Solid const& solid, Real const* deformation) {
   States out;
-  for (std::size_t p = 0; p < solid.law.size(); ++p) {
+  for (std::size_t p = 0; p < solid.count(); ++p) {
     Law const& law = solid.laws[std::size_t(solid.law[p])];
     Tensor const f = tensor_at(deformation + 9 * p), stress = stress_of(law, f, solid.damage[p]);
     for (auto const& row : stress) out.stress.insert(out.stress.end(), row.begin(), row.end());
@@ -217,13 +215,11 @@ std::vector<Real> determinants(Real const* deformation, std::size_t points) {
 
 std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   Real3 const scale = fem::slope_scale(e.points->lattice());
-  return made<Damage>(e.points, e.volume.size(), [&](std::vector<Real>& state) {
-    for (std::size_t p = 0; p < e.volume.size(); ++p) {
-      bool const has_part = e.surface[p] > 0;
-      state[4 * p] = has_part ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0;
-      for (std::size_t d = 0; d < 3; ++d)
-        state[4 * p + 1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
-    }
+  return made<Damage>(e.points, [&](std::size_t p, Real* state) {
+    bool const has_part = e.surface[p] > 0;
+    state[0] = has_part ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0;
+    for (std::size_t d = 0; d < 3; ++d)
+      state[1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
   });
 }
 

@@ -19,9 +19,12 @@ using Law = std::variant<material::NeoHookean, material::Ogden, material::Damage
 struct Solid {
   std::shared_ptr<fem::Points const> points;
   std::vector<Law> laws;
-  std::vector<int> law;           ///< of each point
-  std::vector<Real> deformation;  ///< F~, 9 of each point, row after row
-  std::vector<Real> damage;       ///< of each point
+  // Arrays of whoever made this, which must last as long as it.
+  int const* law;           ///< of each point
+  Real const* deformation;  ///< F~, 9 of each point, row after row
+  Real const* damage;       ///< of each point
+
+  std::size_t count() const { return std::size_t(points->count()); }
 };
 
 /// What a displacement does. Integrals are over initial volumes: a point's is its weight over det F~.

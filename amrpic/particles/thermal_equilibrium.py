@@ -68,9 +68,8 @@ def squared_radius(depression: float) -> Callable[[np.ndarray], np.ndarray]:
         scipy.optimize.brentq(lambda d: line_density(d) - wanted, SMALLEST, math.log(2 / wanted), xtol=1e-10)
     )
     density = np.exp(-psi) * s
-    share = scipy.integrate.cumulative_simpson(density[::-1], x=-s[::-1])[
-        ::-1
-    ]  # from outside, so that small ones are exact too
+    inwards = scipy.integrate.cumulative_simpson(density[::-1], x=-s[::-1])  # so that small ones are exact too
+    share = inwards[::-1]
     mean_square = scipy.integrate.cumulative_simpson(density * s**2, x=s)[-1] / share[0]
     table = scipy.interpolate.PchipInterpolator(-np.log(share / share[0]), 2 * s[:-1] ** 2 / mean_square)
     return lambda beyond: table(-np.log(beyond))

@@ -21,9 +21,14 @@ from ..parallel import together
 from ..scene.scene import Scene
 
 
+def is_of_points(scene: Mapping[str, Any]) -> bool:
+    """Whether the scene of a run, as a file holds it, is of material points."""
+    return "method" in scene
+
+
 def scene_of(data: Mapping[str, Any], path: Path) -> Scene:
     """Return the scene of what a path of a run says of it. Raises InputError if that is not of particles in cells."""
-    if "method" in data:
+    if is_of_points(data):
         raise InputError(
             f"{path} is of material points, whose scene and fields are not read back; look at the tables, or use amrpic plot"
         )

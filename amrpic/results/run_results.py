@@ -25,7 +25,7 @@ from ..parallel import own, share, together, world_by_default
 from ..particles.particles import Particles
 from ..scene.scene import Scene
 from ..units import ELEMENTARY_CHARGE, SPEED_OF_LIGHT
-from .dumped_fields import DumpedFields, scene_of
+from .dumped_fields import DumpedFields, is_of_points, scene_of
 
 if TYPE_CHECKING:
     import pandas
@@ -74,7 +74,7 @@ class Results:
     @property
     def of_points(self) -> bool:
         """Whether the run was of material points, of which tables alone are read back here. Local."""
-        return self._scene().get("method") == "mpm"
+        return is_of_points(self._scene())
 
     def _scene(self) -> Mapping[str, Any]:
         if self.folder == self.path and (series := self.folder / SERIES).exists():

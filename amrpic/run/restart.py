@@ -168,9 +168,9 @@ def _state(plan: Plan, held: Snapshot, stored: Hierarchy, hierarchy: Hierarchy) 
     particles, _ = migrate(_particles(columns, species), hierarchy, servers if same_ranks and not another else None)
     units = {"rho": "C/m^3", "phi": "V", BEFORE: "V"}
     fields = {name: Field(stored, units.get(name, "V/m")) for name in held.fields}
-    order = held.header.about.scene["solver"].get("order", 2)
+    options = SolverOptions(order=held.header.about.scene["solver"].get("order", 2))
     for name, field in fields.items():
-        field.holds = SolverOptions(order=order).potential_holds if name.startswith("phi") else "points"
+        field.holds = options.potential_holds if name.startswith("phi") else "points"
         for level, values in enumerate(held.fields[name]):
             field.array(level)[:] = values
     if hierarchy is not stored and not another:

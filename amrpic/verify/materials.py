@@ -10,7 +10,7 @@ from mpi4py import MPI
 from .. import fem, mpm
 from .chosen import in_brief
 from .press import Pressed, confined, exact_stress, iterations, upper_face
-from .table import Goal, Table
+from .table import Cell, Goal, Table
 
 YOUNG = 300e6
 PLAIN = mpm.NeoHookean(YOUNG, 0.25)
@@ -35,7 +35,6 @@ PATCHES = (
     (2, "jittered", 5, False),
 )
 GRADIENT = np.array([[0.1, 0.05, -0.08], [0.02, -0.2, 0.1], [0.1, 0, 0.15]])
-Row = list[str | float | Goal]
 
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
@@ -99,7 +98,7 @@ def _slope(f: Callable[[float], np.ndarray]) -> np.ndarray:
     return (8 * (f(h) - f(-h)) - (f(2 * h) - f(-2 * h))) / (12 * h)
 
 
-def _derivatives(law: str, layout: str) -> Row:
+def _derivatives(law: str, layout: str) -> list[Cell]:
     mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 3, degree=2)
     points = LAYOUTS[layout](mesh)
     wave = np.sin(7 * points.position[:, :, None] + [[1, 2, 3], [4, 5, 6], [7, 8, 9]])
@@ -129,7 +128,7 @@ def _derivatives(law: str, layout: str) -> Row:
     ]
 
 
-def _patch(degree: int, kind: str, per_axis: int, fitted: bool) -> Row:
+def _patch(degree: int, kind: str, per_axis: int, fitted: bool) -> list[Cell]:
     mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 3, degree=degree)
     weights: fem.points.Weights = "moments" if fitted else "volume"
     make = fem.jittered if kind == "jittered" else fem.uniform
@@ -142,11 +141,11 @@ def _patch(degree: int, kind: str, per_axis: int, fitted: bool) -> Row:
     stress = solid.states(u).cauchy
     off, uneven = float(np.abs(u - exact).max()), float(np.abs(stress - stress[0]).max() / YOUNG)
     reached = str(min(points.exactness())) if fitted else ""
-    shown: Row = [Goal(off, 1e-10), Goal(uneven, 1e-10)] if fitted else [off, uneven]
+    shown: list[Cell] = [Goal(off, 1e-10), Goal(uneven, 1e-10)] if fitted else [off, uneven]
     return [degree, f"{kind} {per_axis}³", weights, reached, *shown, report.iterations]
 
 
-def _pressed(law: str, degree: int) -> Row:
+def _pressed(law: str, degree: int) -> list[Cell]:
     def pressed(steps: int) -> Pressed:
         return confined(MPI.COMM_SELF, LAWS[law], degree, lambda mesh: fem.jittered(mesh, 3 + degree), steps)
 
@@ -164,7 +163,7 @@ def _pressed(law: str, degree: int) -> Row:
     ]
 
 
-def _newton(law: str, degree: int) -> Row:
+def _newton(law: str, degree: int) -> list[Cell]:
     mesh = fem.Mesh(MPI.COMM_SELF, 0, (1, 1, 2), (3, 3, 6), degree=degree)
     top = upper_face(mesh)
     values, y = np.zeros((len(mesh.nodes), 3)), mesh.nodes[top, 1] - 0.5
@@ -190,7 +189,7 @@ def _newton(law: str, degree: int) -> Row:
     ]
 
 
-def _crack(degree: int) -> Row:
+def _crack(degree: int) -> list[Cell]:
     cells = {1: 80, 2: 40, 3: 24}[degree]
     mesh = fem.Mesh(MPI.COMM_SELF, (0, 0, 0), (1, 0.05, 0.05), (cells, 2, 2), degree=degree)
     length, toughness = 4 / (cells * degree), 60.0
@@ -218,7 +217,9 @@ MULTIGRID = (
 QUICK_MULTIGRID = ((1, 8), (2, 8))  # degrees and elements of those that take little
 
 
-def _multigrid(comm: MPI.Comm, degree: int, cells: int, per_axis: int, air: float | None, most: int | None) -> Row:
+def _multigrid(
+    comm: MPI.Comm, degree: int, cells: int, per_axis: int, air: float | None, most: int | None
+) -> list[Cell]:
     taken = iterations(comm, degree, cells, per_axis, air and air * 1e6)
     apart = abs(taken["aggregation"] - taken["geometric"])
     few: float | Goal = taken["geometric"] if most is None else Goal(taken["geometric"], most)

@@ -18,7 +18,7 @@ from ..parallel import from_rank_0
 from .chosen import in_brief
 from .draw import picture
 from .press import exact_stress
-from .table import Goal, Table
+from .table import Cell, Goal, Table
 
 RUBBER = mpm.NeoHookean(300e6, 0.25)
 LAWS: Mapping[str, Mapping[str, Any]] = {
@@ -26,7 +26,6 @@ LAWS: Mapping[str, Mapping[str, Any]] = {
     "ogden, one term": {"law": "ogden", "terms": [{"mu": RUBBER.mu, "alpha": 2}], "lame": RUBBER.lame},
 }
 HEIGHT = 0.6
-Row = list[str | float | Goal]
 
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
@@ -82,7 +81,7 @@ def _largest(comm: MPI.Comm, values: np.ndarray) -> float:
 # ---- closed forms ----
 
 
-def _confined(comm: MPI.Comm, law: str, degree: int) -> Row:
+def _confined(comm: MPI.Comm, law: str, degree: int) -> list[Cell]:
     gaps, exact = [], exact_stress(RUBBER, HEIGHT)
     for steps in (20, 10):
         *_, last = states(
@@ -120,7 +119,7 @@ PATCHES = (
 )
 
 
-def _patch(comm: MPI.Comm, degree: int, layout: str, per_axis: int, weights: str) -> Row:
+def _patch(comm: MPI.Comm, degree: int, layout: str, per_axis: int, weights: str) -> list[Cell]:
     *_, last = states(
         comm,
         {
@@ -140,7 +139,7 @@ def _patch(comm: MPI.Comm, degree: int, layout: str, per_axis: int, weights: str
     first = comm.allgather(stress[:1])
     off = _largest(comm, last.placed.points.deformation - np.diag([0.9, 1.2, 0.7]))
     uneven = _largest(comm, stress - np.concatenate(first)[0]) / RUBBER.young
-    found: Row = [Goal(off, 1e-10), Goal(uneven, 1e-10)] if weights == "moments" else [off, uneven]
+    found: list[Cell] = [Goal(off, 1e-10), Goal(uneven, 1e-10)] if weights == "moments" else [off, uneven]
     return [degree, f"{layout} {per_axis}³", weights, *found]
 
 
@@ -184,7 +183,7 @@ def _column(comm: MPI.Comm) -> Table:
         f"{layout} {per_axis}³": [column_error(comm, n, layout, per_axis) for n in cells]
         for layout, per_axis in POINTS_OF_COLUMNS
     }
-    rows: list[Row] = []
+    rows: list[list[Cell]] = []
     for name, found in errors.items():
         least = {n: 0.05 for n in cells if n >= 64} if name == "jittered 4³" else {}
         rows.append([name, *(Goal(e, least[n]) if n in least else e for n, e in zip(cells, found, strict=True))])
@@ -354,7 +353,7 @@ def _draw_energies(run: Pressed, path: Path) -> None:
 # ---- restart ----
 
 
-def _restart(comm: MPI.Comm) -> Row:
+def _restart(comm: MPI.Comm) -> list[Cell]:
     before, after = 2, 2
     whole = mpm.Simulation(comm, scene(press(40, breaks=True)))
     with TemporaryDirectory() as made:

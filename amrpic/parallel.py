@@ -192,6 +192,8 @@ def together(comm: MPI.Comm, error: type[Exception] = AmrpicError) -> Iterator[N
     kind: type[Exception] = type(failure) if isinstance(failure, AmrpicError) else error
     message = str(failure) if isinstance(failure, AmrpicError) else f"{type(failure).__name__}: {failure}"
     kind, message = comm.bcast((kind, message), root=failing)
+    if isinstance(failure, AmrpicError) and failing == comm.rank:
+        raise failure
     raise kind(message) from failure
 
 

@@ -22,6 +22,7 @@ from ..particles.particles import Particles
 from ..results.run_results import Results
 from ..scene.scene import Scene
 from ..stages.poisson import SolveReport
+from ..units import quantity
 from .beam_tables import Diagnostic
 from .clock import Clock
 from .course import Reference
@@ -88,6 +89,12 @@ class Simulation:
         run._hold(plan, state)
         run._begun = run._recorded = True
         return run
+
+    def __repr__(self) -> str:
+        levels = self.hierarchy.levels
+        cells = sum(self.hierarchy.cells(level) for level in range(levels))
+        at = f"step {self.step}, time {quantity(self.time, 's')}"
+        return f"Simulation({self.scene.name!r}: {at}, levels {levels}, cells {cells}, ranks {self.comm.size})"
 
     def on_step(self, callback: Callable[[Simulation], None]) -> None:
         """Have `callback` called with this simulation after each step, on all ranks, before that step is written."""

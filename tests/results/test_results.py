@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -119,3 +120,12 @@ def test_what_is_not_there_is_one_sentence_on_all_ranks(comm, tmp_path):
         found.fields[3]
     with pytest.raises(amrpic.InputError, match=r"holds no particles; see output\.write"):
         found.particles()
+
+
+def test_an_error_of_a_reading_rank_is_shown_once(tmp_path, monkeypatch):
+    amrpic.Simulation(scene(tmp_path)).run(log="silent")
+    results = amrpic.open(tmp_path)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(amrpic.InputError, match="tables need pandas") as raised:
+        _ = results.series
+    assert raised.value.__cause__ is None

@@ -51,3 +51,9 @@ def test_a_run_is_silent_or_logs_on_demand(tmp_path, capfd, caplog):
         amrpic.Simulation(scene(tmp_path)).run(log="logging")
     assert capfd.readouterr().out == ""
     assert sum(record.message.startswith("step ") for record in caplog.records) == 6
+
+
+def test_a_simulation_shows_where_it_is(tmp_path):
+    simulation = amrpic.Simulation(scene(tmp_path))
+    simulation.advance(2)
+    assert repr(simulation) == "Simulation('scene': step 2, time 100 ps, levels 1, cells 4096, ranks 1)"

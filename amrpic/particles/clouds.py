@@ -44,7 +44,9 @@ class Clouds:
     shape: Shape = "cloud-in-cell"
     matched: bool = False
     compensation: CompensationKind = "none"  # what gather takes back of their smoothing: E − κ∇ρ
-    kernels: Kernels = "vectors"  # what executes deposit, gather and push
+    kernels: Kernels = (
+        "vectors"  # of the processor, or Kokkos' kernels; push in the fields of elements is by vectors always
+    )
 
     def compensated(self, widths: np.ndarray) -> float:
         """Return ε₀κ in m² where cells have these widths (3,), in the frame where the field is electrostatic.

@@ -289,9 +289,7 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
 
 void Composite::start(Source const& source, Field& phi) {
   auto const mirrored = [](auto const& values) {
-    Mirrored<Real> const out(const_cast<Real*>(values.data()), values.size());
-    out.to_device();
-    return out;
+    return Mirrored<Real>(const_cast<Real*>(values.data()), values.size());
   };
   for (int l = 0; l < mesh_.levels(); ++l) {
     OnLevel& level = levels_[std::size_t(l)];

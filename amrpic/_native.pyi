@@ -53,7 +53,9 @@ def trilinos_version() -> str:
     """Version of the Trilinos headers, such as '13.2'."""
 
 def kokkos_backend() -> str:
-    """Name of the Kokkos execution space Tpetra runs on."""
+    """
+    Version of Kokkos, the execution space of its kernels, and how many threads that has; empty without it.
+    """
 
 def mpi_library() -> str:
     """Version line of the MPI library this module calls."""

@@ -119,7 +119,7 @@ def trilinos_and_backend() -> str:
         return f"none: of the backends there is {there}, and no equations on scattered points"
     if tuple(int(part) for part in version.split(".")[:2]) < OLDEST_TRILINOS:
         raise AmrpicError(f"Trilinos {version} is older than 13.2")
-    return f"{version} on Kokkos' backend {_native.kokkos_backend()}"
+    return f"{version} on {_native.kokkos_backend()}"
 
 
 def parabola(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:

@@ -69,10 +69,16 @@ AtFinalize::~AtFinalize() { releases().erase(place_); }
 
 #ifdef AMRPIC_WITHOUT_TRILINOS
 std::string trilinos_version() { return ""; }
-std::string kokkos_backend() { return Kokkos::DefaultExecutionSpace::name(); }
+using Space = Kokkos::DefaultExecutionSpace;
 #else
 std::string trilinos_version() { return TRILINOS_VERSION_STRING; }
-std::string kokkos_backend() { return Tpetra::Map<>::node_type::execution_space::name(); }
+using Space = Tpetra::Map<>::node_type::execution_space;
 #endif
+
+std::string kokkos_backend() {
+  std::string version = std::to_string(KOKKOS_VERSION / 10000);
+  for (int part : {KOKKOS_VERSION / 100 % 100, KOKKOS_VERSION % 100}) version += "." + std::to_string(part);
+  return "Kokkos " + version + " (" + Space::name() + ", concurrency " + std::to_string(Space().concurrency()) + ")";
+}
 
 }  // namespace amrpic

@@ -52,7 +52,7 @@ class UntilFinalize {
 /// "13.2": version of the Trilinos this was compiled with; empty if it was without one, as below.
 std::string trilinos_version();
 
-/// "Serial", "OpenMP", "Cuda": the Kokkos execution space of Tpetra's default node.
+/// "Kokkos 3.4.1 (Serial, concurrency 1)": the execution space of kernels, that of Tpetra's default node.
 std::string kokkos_backend();
 
 /// First line of what the MPI library says of itself.

@@ -27,6 +27,7 @@ class Mirrored {
       array_ = Array<T>(host, n);
     else
       array_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
+    to_device();
   }
   Array<T> const& array() const { return array_; }
   void to_device() const {

@@ -227,16 +227,18 @@ void Coarsening::prolong(matrixfree::Coarsening::Into into) {
         matrixfree::CoarseRows const from = rows_of_parents(parents, of, values.data());
         Row const& row = rows(n);
         float* const to = &e(row.place);
+        float const* const right = &r(row.place);
+        bool const sets = set;  // CUDA wants what branches read to be captured before them
         int const ratio = parents.ratio[0];
         if constexpr (on_host)
           if (parents.odd[0] == 0 && parents.seam[0] == 0)
             return matrixfree::with_kind(row.lanes, true, [&](auto lanes, auto) {
-              matrixfree::prolong_row<lanes()>(from, ratio, row.pitch / row.lanes, set, &r(row.place), to);
+              matrixfree::prolong_row<lanes()>(from, ratio, row.pitch / row.lanes, sets, right, to);
             });
         worker.for_each(row.cells, [&](int i) {
           int const p = parents.parent(0, i);
           float const here = mean(from, p);
-          to[i] = (set ? 0 : to[i]) +
+          to[i] = (sets ? 0 : to[i]) +
                   (ratio == 1 ? here : prolonged(parents.far(0, i), here, mean(from, p + parents.toward(0, i))));
         });
       });

@@ -27,9 +27,19 @@ class Coarsening {
 
   std::size_t bytes() const;
 
-  /// Part of the restrictions, public because CUDA wants members with kernels to be.
+  // Part of the restrictions, and what kernels read, public because CUDA wants it to be.
   template <bool of_residual>
   void restrict_rows();
+  struct ParentRow {
+    std::int32_t block, y, z;
+  };
+  struct Block {
+    std::int32_t first_row, ny, nz;
+  };
+  struct Ghost {
+    std::int32_t from, to;
+    float factor;
+  };
 
  private:
   void update_gaps();
@@ -41,18 +51,8 @@ class Coarsening {
   SweptLevel& coarse_;
   Mirrored<float> values_;
   Array<matrixfree::Parents> sources_, taking_;
-  struct ParentRow {
-    std::int32_t block, y, z;
-  };
-  struct Block {
-    std::int32_t first_row, ny, nz;
-  };
   Array<ParentRow> parent_rows_;
   Array<Block> blocks_;
-  struct Ghost {
-    std::int32_t from, to;
-    float factor;
-  };
   Array<Ghost> ghosts_;
   CellCopies parents_, targets_of_residuals_;
   InterfaceCells interface_;

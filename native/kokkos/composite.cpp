@@ -289,9 +289,7 @@ void Composite::plan_exchanges(int l, OnLevel& level) {
 
 void Composite::start(Source const& source, Field& phi) {
   auto const mirrored = [](auto const& values) {
-    Mirrored<Real> const out(const_cast<Real*>(values.data()), values.size());
-    out.to_device();
-    return out;
+    return Mirrored<Real>(const_cast<Real*>(values.data()), values.size());
   };
   for (int l = 0; l < mesh_.levels(); ++l) {
     OnLevel& level = levels_[std::size_t(l)];
@@ -508,6 +506,8 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
           }
           return value;
         };
+        auto const put = [=](int i, Real value) { out[i] = float(scale * value); };
+        Sizes const measure = sizes;  // CUDA wants what branches read to be captured before them
         if constexpr (on_host) {
           Real size = 0, values[chunk];
           for (int first = 0; first < nx; first += chunk) {
@@ -515,15 +515,15 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
             along(first, last, nx, c, xm, xp, [&](int i, Real x, Real y) { values[i - first] = plain(i, x, y); });
             if (row.special != all_plain)
               for (int i = first; i < last; ++i) values[i - first] = special(i, values[i - first]);
-            worker.for_each(last - first, [&](int i) { out[first + i] = float(scale * values[i]); });
-            sizes.join(size, sizes.of_all(values, last - first));
+            worker.for_each(last - first, [&](int i) { put(first + i, values[i]); });
+            measure.join(size, measure.of_all(values, last - first));
           }
           return size;
         } else {
-          return sizes.over(worker, nx, [&](int i) {
+          return measure.over(worker, nx, [&](int i) {
             Real const found = plain(i, before(i), after(i)),
                        left = row.special == all_plain ? found : special(i, found);
-            out[i] = float(scale * left);
+            put(i, left);
             return left;
           });
         }
@@ -553,6 +553,7 @@ Real Composite::add(Real scale) {
                            to[i] = fused(scale, Real(from[i]), to[i]);
                          return Real(from[i]);
                        };
+                       Sizes const measure = sizes;  // as above
                        if constexpr (on_host) {
                          if (row.special == all_plain)
                            worker.for_each(nx, [=](int i) { to[i] = fused(scale, Real(from[i]), to[i]); });
@@ -560,9 +561,9 @@ Real Composite::add(Real scale) {
                            worker.for_each(nx, add);
                          Largest<float> of_row;
                          of_row.add(from, nx);
-                         return sizes.of(of_row.value());
+                         return measure.of(of_row.value());
                        } else {
-                         return sizes.over(worker, nx, add);
+                         return measure.over(worker, nx, add);
                        }
                      }));
   }

@@ -20,7 +20,7 @@ class InterfaceCells {
 
   std::size_t bytes() const;
 
- private:
+  // What kernels read, public because CUDA wants it to be.
   struct Side {
     std::int32_t cell_u, cell_v, inward, parent_u, parent_v;
     float weight, flux_weight;
@@ -29,6 +29,8 @@ class InterfaceCells {
     std::int32_t side, cell, parent;
     std::int32_t fit;  ///< its number, or ~(that of the gap)
   };
+
+ private:
   template <class F>
   void for_each_face(char const* name, F const& f) const {
     for (Part const& part : of_direction_) for_each(name, part, f);

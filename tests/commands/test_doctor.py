@@ -62,7 +62,7 @@ def test_h5py_writes_and_reads_beside_the_hdf5_that_trilinos_brings(comm, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("kokkos", "there"), [("", '"matrix-free" alone'), ("Serial", '"matrix-free", and "kokkos" on Serial')]
+    ("kokkos", "there"), [("", '"matrix-free" alone'), ("Kokkos 4", '"matrix-free", and "kokkos" on Kokkos 4')]
 )
 def test_a_build_without_trilinos_passes_and_says_what_it_lacks(monkeypatch, kokkos, there):
     monkeypatch.setattr(doctor._native, "trilinos_version", lambda: "")

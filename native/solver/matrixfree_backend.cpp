@@ -35,7 +35,7 @@ Real product(float const* a, float const* b, int n) {
 /// fifth degree there, in an order in which no error grows on the way.
 std::vector<Real> step_lengths(SolverOptions const& options) {
   if (options.order == 2) return {1};
-  constexpr Real least = 0.97, largest = 1.36;
+  constexpr Real least = 0.97, largest = 1.355;
   std::vector<Real> out;
   for (Real cosine : {-0.9510565162951535, 0.9510565162951535, -0.5877852522924731, 0.5877852522924731, 0.0})
     out.push_back(2 / (least + largest + (largest - least) * cosine));

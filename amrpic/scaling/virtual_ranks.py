@@ -179,13 +179,13 @@ def counts(
 def cycle_work(scene: Scene, mesh: Hierarchy) -> list[_native.LevelWork]:
     """Return what a cycle takes of a rank, that of the mesh, by levels."""
     solver = scene.solver
-    return _native.cycle_work(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
+    return _native.cycle_work(mesh.native, *solver.both_sweeps, solver.screening, solver.stretch)
 
 
 def cycle_plans(scene: Scene, mesh: Hierarchy) -> _native.CyclePlans:
     """Return what gives the same of each rank, for the mesh of a virtual one."""
     solver = scene.solver
-    return _native.CyclePlans(mesh.native, *solver.sweeps, solver.screening, solver.stretch)
+    return _native.CyclePlans(mesh.native, *solver.both_sweeps, solver.screening, solver.stretch)
 
 
 def _moved(scene: Scene, particles: Particles, efield: VectorField, clouds: Clouds) -> Particles:

@@ -45,8 +45,10 @@ MOST_LEVELS = 100  # multigrid levels below the base: more than any number of ce
 OF_COMPRESSED_ROWS = ("smoother", "prolongation", "coarse_levels", "bottom", "bottom_preconditioner", "krylov")
 
 
-def _both(sweeps: int | Sequence[int]) -> Sequence[int]:
-    """Return the sweeps before and after: one number stands for both."""
+def _both(sweeps: int | Sequence[int] | None) -> Sequence[int] | None:
+    """Return the sweeps before and after: one number stands for both, none for the default."""
+    if sweeps is None:
+        return None
     both = (sweeps, sweeps) if isinstance(sweeps, int) else sweeps
     if not isinstance(both, Sequence) or len(both) != 2:
         raise complaint("is neither one number nor two", "give one number, or two, before and after")
@@ -107,10 +109,12 @@ class SolverOptions(Section):
         "Red-black takes it on refined levels of cubes; from the base down it takes 0.7, and where cells are long or flat "
         "0.55, of the part above 1. Refused for chebyshev, which has none.",
     )
-    sweeps: Annotated[tuple[int, int], BeforeValidator(_both, json_schema_input_type=int | tuple[int, int])] = Field(
-        default=(2, 2),
-        description="Smoothing sweeps before, and after, the coarse correction: one number for both, or two. For chebyshev "
-        "the degree of its polynomial.",
+    sweeps: Annotated[
+        tuple[int, int] | None, BeforeValidator(_both, json_schema_input_type=int | tuple[int, int] | None)
+    ] = Field(
+        default=None,
+        description="Smoothing sweeps before, and after, the coarse correction: one number for both, or two; by default two of "
+        "each, and in order 4 two before and one after. For chebyshev the degree of its polynomial.",
     )
     prolongation: Prolongation = Field(
         default="trilinear", description="Interpolation of coarse corrections; trilinear saves cycles."
@@ -163,7 +167,7 @@ class SolverOptions(Section):
             self._refuse("relaxation", "has no meaning for chebyshev, whose polynomial has no factor", "leave it out")
         if self.relaxation is not None and self.smoother == "jacobi" and self.relaxation > 1:
             self._refuse("relaxation", "makes jacobi diverge", "give a number up to 1, best about 0.86")
-        if min(self.sweeps) < 0 or sum(self.sweeps) == 0:
+        if min(self.both_sweeps) < 0 or sum(self.both_sweeps) == 0:
             remedy = "give two numbers, before and after, at least one of them positive"
             self._refuse("sweeps", "leaves nothing to smooth with", remedy)
         if self.bottom == "direct" and self.bottom_preconditioner is not None:
@@ -194,6 +198,14 @@ class SolverOptions(Section):
         raise complaint(what, remedy, path=option, found=getattr(self, option))
 
     @property
+    def both_sweeps(self) -> tuple[int, int]:
+        """The sweeps before and after the coarse correction. In order 4 the difference between the residual and the 7-point
+        cycle leaves more of an error than a second sweep would take."""
+        if self.sweeps is None:
+            return (2, 1) if self.order == 4 else (2, 2)
+        return self.sweeps
+
+    @property
     def potential_holds(self) -> Literal["points", "means"]:
         """What the values of a potential are, see `Field.holds`."""
         return "means" if self.order == 4 else "points"
@@ -210,7 +222,8 @@ class SolverOptions(Section):
     def native_values(self) -> dict[str, Any]:
         """Return the options by their names in the native struct; those that it has its own default for are left out."""
         values = {name: getattr(self, name) for name in SolverOptions.model_fields}
-        values["pre_sweeps"], values["post_sweeps"] = values.pop("sweeps")
+        del values["sweeps"]
+        values["pre_sweeps"], values["post_sweeps"] = self.both_sweeps
         values["to_discretisation"] = self.tolerance == "discretization"
         if self.tolerance == "discretization":
             values["tolerance"] = SMALLEST

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,6 +20,9 @@ from ..scene.complaints import mistakes
 from ..scene.solver_options import SolverOptions
 
 COVERED = ("mean", "difference")
+# Gauss's points on the face of a cell, two along each edge, from its centre: signs of the steps along x, y and z. Each pair
+# of axes has all four.
+FACE_POINTS = ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))
 DIRICHLET, NEUMANN = BOUNDARIES.index("dirichlet"), BOUNDARIES.index("neumann")
 
 
@@ -229,13 +231,11 @@ class PoissonSolver:
         over the faces, by Gauss's two points along each of their edges."""
         if self.options.order == 2:
             return function(*centres.T)
-        out, tangential = np.zeros(len(centres)), (axes[:, None] + [1, 2]) % 3
-        for shifts in product((-1, 1), repeat=2):
-            steps = np.zeros_like(centres)
-            np.put_along_axis(steps, tangential, np.broadcast_to(shifts, tangential.shape), axis=1)
-            at = centres + steps * self.hierarchy.spacing(level) / np.sqrt(12)
-            out += np.broadcast_to(function(*at.T), len(centres)) / 4
-        return out
+        half = self.hierarchy.spacing(level)[:, None] / np.sqrt(12)
+        out, steps = np.zeros(len(centres)), half * (np.arange(3)[:, None] != axes)
+        for signs in FACE_POINTS:
+            out += np.broadcast_to(function(*(centres.T + np.array(signs)[:, None] * steps)), len(centres))
+        return out / len(FACE_POINTS)
 
     def _set_walls(self, values: Function | None, flux: Function | None) -> None:
         if (values, flux) == (None, None) == self._walls:

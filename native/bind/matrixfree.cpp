@@ -4,6 +4,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include "base/error.hpp"
 #include "bind/bind.hpp"
 #include "bind/convert.hpp"
 #include "matrixfree/capacity.hpp"
@@ -26,6 +27,17 @@ std::vector<Walls> walls_of(Hierarchy const& hierarchy, Values const& data) {
     out.back().datum.assign(data[std::size_t(l)].data(), data[std::size_t(l)].data() + data[std::size_t(l)].size());
   }
   return out;
+}
+
+/// The same for a Laplacian that reads them. Raises SolverError where it reads more.
+std::vector<Walls> walls_of(CompositeLaplacian const& laplacian, Values const& data) {
+  Hierarchy const& hierarchy = laplacian.hierarchy();
+  if (laplacian.is_of_means() && hierarchy.domain().has(Boundary::open))
+    throw SolverError(
+        "behind open walls the Laplacian of order 4 reads two layers of potentials, which a PoissonSolver finds from "
+        "the "
+        "charge; close the walls, or take order 2");
+  return walls_of(hierarchy, data);
 }
 
 /// Numbers of all levels in blocks whose rows and planes have room to spare.
@@ -93,7 +105,7 @@ nb::tuple residual(CompositeLaplacian& laplacian, Field const& rho, Real mean, V
                    Norm norm, std::vector<Real> const& scale) {
   Padded<T> out(laplacian.hierarchy());
   Real size;
-  auto const data = walls_of(laplacian.hierarchy(), walls);
+  auto const data = walls_of(laplacian, walls);
   {
     nb::gil_scoped_release release;
     size = laplacian.residual({rho, data, mean}, phi, norm, scale, out.blocks());
@@ -104,7 +116,7 @@ nb::tuple residual(CompositeLaplacian& laplacian, Field const& rho, Real mean, V
 nb::tuple truncation(CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls, Field const& phi,
                      Index3 const& base_ratio, std::vector<Real> const& scale) {
   Padded<float> out(laplacian.hierarchy());
-  auto const data = walls_of(laplacian.hierarchy(), walls);
+  auto const data = walls_of(laplacian, walls);
   {
     nb::gil_scoped_release release;
     laplacian.truncation({rho, data, mean}, phi, base_ratio, scale, out.blocks());
@@ -201,7 +213,7 @@ void bind_matrixfree(nb::module_& m) {
       .def(
           "right_hand_side_norm",
           [](CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls, Norm norm) {
-            auto const data = walls_of(laplacian.hierarchy(), walls);
+            auto const data = walls_of(laplacian, walls);
             nb::gil_scoped_release release;
             return laplacian.right_hand_side_norm({rho, data, mean}, norm);
           },
@@ -209,7 +221,7 @@ void bind_matrixfree(nb::module_& m) {
       .def(
           "integrate_right_hand_side",
           [](CompositeLaplacian& laplacian, Field const& rho, Real mean, Values const& walls) {
-            auto const data = walls_of(laplacian.hierarchy(), walls);
+            auto const data = walls_of(laplacian, walls);
             nb::gil_scoped_release release;
             auto const sums = laplacian.integrate_right_hand_side({rho, data, mean});
             return std::pair<Real, Real>(sums.net, sums.magnitude);
@@ -221,7 +233,7 @@ void bind_matrixfree(nb::module_& m) {
           "electric_field",
           [](CompositeLaplacian& laplacian, std::shared_ptr<Field const> potential, Values const& walls,
              CoveredField covered) {
-            auto const data = walls_of(laplacian.hierarchy(), walls);
+            auto const data = walls_of(laplacian, walls);
             nb::gil_scoped_release release;
             return laplacian.electric_field(std::move(potential), data, covered);
           },

@@ -99,6 +99,8 @@ class CompositeLaplacian {
 
   // ---- in fourth order alone ----
 
+  bool is_of_means() const { return means_ != nullptr; }
+
   /// E as `electric_field`, its means or its values at the centres. Collective.
   ElectricField electric_field(Field const& potential, std::vector<Walls> const& walls, CoveredField covered,
                                Holds holds) {

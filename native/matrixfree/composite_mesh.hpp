@@ -103,11 +103,17 @@ class CompositeMesh {
   /// Round scale times a plane of cells into plane k of a block.
   template <class T>
   void write_plane(int l, int b, int k, Real const* plane, Real scale, Block<T> const& out) const {
+    write_plane(l, b, k, plane, scale, out, [](Real const*, int) {});
+  }
+  /// The same after take(cells, count) of each row.
+  template <class T, class Take>
+  void write_plane(int l, int b, int k, Real const* plane, Real scale, Block<T> const& out, Take&& take) const {
     int const nx = box(l, b).extent(0);
     for (int j = 0; j < box(l, b).extent(1); ++j) {
       Real const* __restrict from = plane + std::ptrdiff_t(j) * nx;
       T* __restrict to = out.origin + j * out.pitch_y + k * out.pitch_z;
       fetch<Use::write>(to + out.pitch_z, nx);  // rows of a box lie far apart in vectors of the cycle
+      take(from, nx);
       for (int i = 0; i < nx; ++i) to[i] = T(scale * from[i]);
     }
   }

@@ -190,8 +190,15 @@ Real CompositeResidual::residual(Source const& source, Field const& phi, Norm no
     std::ptrdiff_t const cells = std::ptrdiff_t(mesh_.box(l, b).extent(0)) * mesh_.box(l, b).extent(1);
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k) {
       residual_plane(l, b, k, source, phi);
+      auto const& out = residual[std::size_t(l)][std::size_t(b)];
+      Real const factor = scale[std::size_t(l)];
+      if (norm == Norm::max) {  // a plane may be more than the nearest cache holds
+        mesh_.write_plane(l, b, k, plane_.data(), factor, out,
+                          [&](Real const* row, int n) { magnitude.add(row, n, mesh_.volume(l)); });
+        continue;
+      }
       magnitude.add(plane_.data(), cells, mesh_.volume(l));
-      mesh_.write_plane(l, b, k, plane_.data(), scale[std::size_t(l)], residual[std::size_t(l)][std::size_t(b)]);
+      mesh_.write_plane(l, b, k, plane_.data(), factor, out);
     }
   });
   clear_fully_covered(residual);

@@ -70,8 +70,8 @@ WallGhosts walls_of_coarsest(MultigridLevels const& multigrid, GhostRules const&
 
 }  // namespace
 
-MultigridLevels Cycle::levels_of(Hierarchy const& hierarchy, Real shift) {
-  return coarsen_below(refinement_levels(hierarchy, shift), hierarchy.domain(),
+MultigridLevels Cycle::levels_of(Hierarchy const& hierarchy, Real shift, int order) {
+  return coarsen_below(refinement_levels(hierarchy, shift, order), hierarchy.domain(),
                        {hierarchy.max_grid_size(), whole_on_all_ranks}, std::numeric_limits<int>::max());
 }
 

@@ -31,14 +31,14 @@ struct LevelWork {
 /// precision and without matrices.
 class Cycle {
  public:
-  /// `shift`: of the Equation. Collective.
-  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation)
-      : Cycle(comm, levels_of(hierarchy, shift), hierarchy.max_grid_size(), relaxation) {}
+  /// `shift`: of the Equation. `order`: of the residual that corrections are for. Collective.
+  Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2)
+      : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation) {}
   /// On levels of `levels_of`. Collective.
   Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation);
 
   /// The levels of a hierarchy and those below the base. Local.
-  static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift);
+  static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift, int order = 2);
 
   /// The corrections from the finest level down; reads every refinement level's right-hand side. Collective.
   void run();

@@ -12,13 +12,6 @@ using Ends = FourthOrderGhosts::Ends;
 
 Real central_difference(Real below, Real own, Real above) { return (below - own) + (above - own); }
 
-/// The sum of the second differences along all axes about a cell inside a box, not a number if one beside it is none.
-Real inner_second_differences(Real const* own, Index3 const& pitch) {
-  Real sum = 0;
-  for (std::ptrdiff_t step : pitch) sum += central_difference(own[-step], *own, own[step]);
-  return sum;
-}
-
 /// The second difference about a place of a line, where at(n) is the value n cells further, not a number where the line
 /// has none: one-sided at its ends, of four points or of three; zero where these do not exist.
 template <class At>
@@ -48,54 +41,87 @@ void FourthOrderField::for_each_cell_of(int l, int b, F&& f) const {
   for_each_cell(own.shift_back(own.lower), [&](Index3 const& cell) { f(cell, place++); });
 }
 
-/// to += factor * the second differences of `from` along all axes.
-void FourthOrderField::add_second_differences(Field const& from, Real factor, bool four_points, Field& to) {
-  ghosts_.visit(from, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
-    Box const& own = mesh_.box(l, b);
-    Real const* const cells = from.level(l).data() + mesh_.offset(l, b);
-    Index3 const pitch = pitches(own);
-    Box const inner = own.shift_back(own.lower).grow(-1);
-    for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-      Real sum = inner.contains(cell) ? inner_second_differences(from.level(l).data() + place, pitch)
-                                      : std::numeric_limits<Real>::quiet_NaN();
-      if (std::isnan(sum)) {
-        sum = 0;
+/// The sums of second differences along all axes in a box under way.
+void FourthOrderField::second_differences(Box const& own, Real const* cells, bool four_points, Real* out) const {
+  std::ptrdiff_t const nx = own.extent(0), plane = nx * own.extent(1);
+  Index3 const end{own.extent(0) - 1, own.extent(1) - 1, own.extent(2) - 1};
+  for (Index3 cell{0, 0, 0}; cell[2] <= end[2]; ++cell[2])
+    for (cell[1] = 0; cell[1] <= end[1]; ++cell[1], cells += nx, out += nx) {
+      auto const beside = [&](int axis, int side, std::ptrdiff_t step) {
+        bool const inside = side == 0 ? cell[axis] > 0 : cell[axis] < end[axis];
+        int const row = axis == 1 ? cell[2] : cell[1];
+        return inside ? cells + (side == 0 ? -step : step) : ghosts_.ghosts(axis, side, 0) + row * nx;
+      };
+      Real const *const c = cells, *const ym = beside(1, 0, nx), *const yp = beside(1, 1, nx),
+                        *const zm = beside(2, 0, plane), *const zp = beside(2, 1, plane);
+      for (int i = 1; i < end[0]; ++i)
+        out[i] = central_difference(c[i - 1], c[i], c[i + 1]) + central_difference(ym[i], c[i], yp[i]) +
+                 central_difference(zm[i], c[i], zp[i]);
+      out[0] = out[end[0]] = std::numeric_limits<Real>::quiet_NaN();
+      bool some = false;
+      for (int i = 1; i < end[0]; ++i) some |= out[i] != out[i];
+      // Where a value beside a cell is not a number: at ends of what is known of the level, and of the box.
+      int const line = cell[1] + cell[2] * own.extent(1), step = some ? 1 : std::max(end[0], 1);
+      for (int i = 0; i <= end[0]; i += step) {
+        if (!std::isnan(out[i]) || std::isnan(c[i])) continue;
+        cell[0] = i;
+        Real3 const below{i > 0 ? c[i - 1] : ghosts_.ghosts(0, 0, 0)[line], ym[i], zm[i]};
+        Real3 const above{i < end[0] ? c[i + 1] : ghosts_.ghosts(0, 1, 0)[line], yp[i], zp[i]};
+        out[i] = 0;
         for (int d = 0; d < 3; ++d) {
-          auto const at = ghosts_.in_line(own, cells, d, cell);
-          int const below = cell[d] + FourthOrderGhosts::layers,
-                    above = own.extent(d) - 1 - cell[d] + FourthOrderGhosts::layers;
+          if (!std::isnan(below[d]) && !std::isnan(above[d])) {
+            out[i] += central_difference(below[d], c[i], above[d]);
+            continue;
+          }
+          auto const at = ghosts_.in_line(own, c - cell[1] * nx - cell[2] * plane, d, cell);
+          int const first = -cell[d] - FourthOrderGhosts::layers, last = end[d] - cell[d] + FourthOrderGhosts::layers;
           auto const known = [&](int n) {
-            return n >= -below && n <= above ? at(n) : std::numeric_limits<Real>::quiet_NaN();
+            return n >= first && n <= last ? at(n) : std::numeric_limits<Real>::quiet_NaN();
           };
-          sum += second_difference(known, four_points);
+          out[i] += second_difference(known, four_points);
         }
       }
-      to.level(l)[place] += factor * sum;
-    });
+    }
+}
+
+/// field += factor * its second differences along all axes, level by level: only ghosts of the level's own cells are
+/// read, and those of other ranks are at hand before the first level.
+void FourthOrderField::add_second_differences(Field& field, Real factor, bool four_points) {
+  std::vector<Real> differences;
+  int level = -1;
+  auto const add = [&] {
+    for (std::size_t i = 0; i < differences.size(); ++i) field.level(level)[i] += factor * differences[i];
+  };
+  ghosts_.visit(field, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
+    if (l != level) {
+      add();
+      level = l;
+      differences.assign(field.level(l).size(), 0.0);
+    }
+    second_differences(mesh_.box(l, b), field.level(l).data() + mesh_.offset(l, b), four_points,
+                       differences.data() + mesh_.offset(l, b));
   });
+  add();
 }
 
 void FourthOrderField::to_points(Field const& means, Field& points) {
   for (int l = 0; l < mesh_.levels(); ++l)
     std::copy(means.level(l).begin(), means.level(l).end(), points.level(l).begin());
-  add_second_differences(means, -fourth_order::mean_less_point, true, points);
+  add_second_differences(points, -fourth_order::mean_less_point, true);
 }
 
 void FourthOrderField::to_means(Field const& points, Field& means) {
-  Field uncovered(points.share_hierarchy(), false);
-  for (int l = 0; l < mesh_.levels(); ++l) {
-    std::copy(points.level(l).begin(), points.level(l).end(), uncovered.level(l).begin());
+  for (int l = 0; l < mesh_.levels(); ++l)
     std::copy(points.level(l).begin(), points.level(l).end(), means.level(l).begin());
-  }
   mesh_.for_each_box([&](int l, int b) {
     std::ptrdiff_t const plane = pitches(mesh_.box(l, b))[2];
     for (int k = 0; k < mesh_.box(l, b).extent(2); ++k)
       mesh_.for_each_covered_row(l, b, k, [&](std::ptrdiff_t at, int n) {
-        std::fill_n(uncovered.level(l).data() + mesh_.offset(l, b) + k * plane + at, n,
+        std::fill_n(means.level(l).data() + mesh_.offset(l, b) + k * plane + at, n,
                     std::numeric_limits<Real>::quiet_NaN());
       });
   });
-  add_second_differences(uncovered, fourth_order::mean_less_point, false, means);
+  add_second_differences(means, fourth_order::mean_less_point, false);
   average_.average_down(means);
 }
 

@@ -54,7 +54,8 @@ class FourthOrderField {
                   Blocks<T> const& truncation);
 
  private:
-  void add_second_differences(Field const& from, Real factor, bool four_points, Field& to);
+  void second_differences(Box const& own, Real const* cells, bool four_points, Real* out) const;
+  void add_second_differences(Field& field, Real factor, bool four_points);
   template <class F>
   void for_each_cell_of(int l, int b, F&& f) const;
 

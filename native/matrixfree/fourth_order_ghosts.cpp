@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <limits>
 
+#include "base/fetch.hpp"
+
 namespace amrpic {
 
 using fourth_order::MeansBlock;
@@ -122,8 +124,13 @@ std::array<Real const*, fourth_order::wall_cells> FourthOrderGhosts::cells_at(Bo
   for (int n = 0; n < fourth_order::wall_cells; ++n) {
     Real const* const from = first + n * inward;
     Real* const to = lines_[std::size_t(n)].data();
-    for (int x = 0; axis == 0 && x < count; ++x) to[x] = from[std::ptrdiff_t(x) * pitch[along]];
     out[std::size_t(n)] = axis == 0 ? to : from;
+  }
+  if (axis > 0) return out;
+  for (int x = 0; x < count; ++x) {
+    Real const* const cell = first + std::ptrdiff_t(x) * pitch[along];
+    fetch<Use::read>(cell + pitch[across], 1);  // each lies on a page of its own
+    for (int n = 0; n < fourth_order::wall_cells; ++n) lines_[std::size_t(n)][std::size_t(x)] = cell[n * inward];
   }
   return out;
 }
@@ -320,10 +327,10 @@ void FourthOrderGhosts::fill_in_front(int l, int b, int axis, int side, Interfac
     Real* __restrict const near = ghosts[0].data() + at, * __restrict const far = ghosts[1].data() + at;
     Real* __restrict const left = differences_.data();
     std::size_t const of_half = std::size_t(half) * 2 * std::size_t(i.nu) + 2 * std::size_t(begin);
-    Real const *const star = star_[0].data() + of_half, *const second = star_[1].data() + of_half;
+    Real const *const star = star_[0].data() + of_half, *const second = star_[deep ? 1 : 0].data() + of_half;
     auto const set = [=](fourth_order::InterfaceGhosts const& weights, int x, Real f0, Real f1, Real f2) {
       auto const ghost = [&](fourth_order::InterfaceGhosts::Layer const& w) {
-        Real const coarse = deep ? w.coarse[0] * star[x] + w.coarse[1] * second[x] : w.coarse[0] * star[x];
+        Real const coarse = w.coarse[0] * star[x] + w.coarse[1] * second[x];  // the latter zero unless `deep`
         return coarse + w.fine[0] * f0 + w.fine[1] * f1 + w.fine[2] * f2;
       };
       near[x] = ghost(weights.layer[0]), far[x] = ghost(weights.layer[1]);

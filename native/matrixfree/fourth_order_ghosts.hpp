@@ -58,7 +58,7 @@ class FourthOrderGhosts {
 
   /// Call f(place in the box, axis, excess) for each uncovered cell of a plane and each of its faces with a refined
   /// cell beyond: the difference of phi across the face, outwards, by the finer fluxes, less that by the level's cells,
-  /// which are value(cell), up to two cells away.
+  /// which are value(axis, cell), up to two cells away.
   template <class Value, class F>
   void for_each_refined(int l, int b, int k, Value&& value, F&& f) const {
     fluxes_.for_each_refined(
@@ -66,7 +66,7 @@ class FourthOrderGhosts {
           auto const at = [&](int n) {
             Index3 there = cell;
             there[std::size_t(r.axis)] += n;
-            return value(there);
+            return value(r.axis, there);
           };
           int const outward = r.side == 0 ? -1 : 1;
           f(place, r.axis,

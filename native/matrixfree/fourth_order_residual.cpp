@@ -12,46 +12,40 @@ namespace {
 
 constexpr int layers = FourthOrderGhosts::layers;
 
+using fourth_order::across;
+
 /// f - L phi of cells of equal size.
 struct Formula {
   Equation equation;
   Background background;
 
-  Real operator()(Real rho, Real c, Real x_near, Real x_far, Real y_near, Real y_far, Real z_near, Real z_far) const {
-    return background.right_hand_side(rho) -
-           fourth_order::laplacian(equation, c, {x_near, y_near, z_near}, {x_far, y_far, z_far});
+  /// `x`, `y`, `z`: what the cells in line along each axis add, see `across`.
+  Real operator()(Real rho, Real c, Real x, Real y, Real z) const {
+    return background.right_hand_side(rho) - fourth_order::laplacian(equation, c, x, y, z);
   }
 };
 
-/// A row of cells between its ghosts, and those in line with it along y and z: two below, one below, one above, two
-/// above.
-struct Rows {
-  Real const* own;
-  std::array<Real const*, 4> y, z;
-};
+/// Rows of cells in line along y or z: two below, one below, one above, two above.
+using Rows = std::array<Real const*, 4>;
 
-/// f - L phi of a row.
-void run(Formula const& formula, int count, Rows const& rows, Real const* __restrict rho, Real* __restrict out) {
-  Real const* const c = rows.own;
-  Real const *const ymm = rows.y[0], *const ym = rows.y[1], *const yp = rows.y[2], *const ypp = rows.y[3];
-  Real const *const zmm = rows.z[0], *const zm = rows.z[1], *const zp = rows.z[2], *const zpp = rows.z[3];
+/// f - L phi of a row between its ghosts, of which two stand before `c` and two behind.
+void run(Formula const& formula, int count, Real const* c, Rows const& y, Rows const& z, Real const* __restrict rho,
+         Real* __restrict out) {
+  Real const *const ymm = y[0], *const ym = y[1], *const yp = y[2], *const ypp = y[3];
+  Real const *const zmm = z[0], *const zm = z[1], *const zp = z[2], *const zpp = z[3];
   Formula const f = formula;
   fetch<Use::read>(rho + page<Real>, count);
+  fetch<Use::read>(zpp + page<Real>, count);
   for (int i = 0; i < count; ++i)
-    out[i] = f(rho[i], c[i], c[i - 1] + c[i + 1], c[i - 2] + c[i + 2], ym[i] + yp[i], ymm[i] + ypp[i], zm[i] + zp[i],
-               zmm[i] + zpp[i]);
+    out[i] = f(rho[i], c[i], across(c[i - 1] + c[i + 1], c[i - 2] + c[i + 2]), across(ym[i] + yp[i], ymm[i] + ypp[i]),
+               across(zm[i] + zp[i], zmm[i] + zpp[i]));
 }
 
 }  // namespace
 
 FourthOrderResidual::FourthOrderResidual(CompositeMesh& mesh, FourthOrderGhosts& ghosts)
-    : CompositeResidual(mesh), ghosts_(ghosts) {
-  std::size_t most = 0;
-  mesh_.for_each_box([&](int l, int b) {
-    Box const& own = mesh_.box(l, b);
-    most = std::max(most, std::size_t(own.extent(0) + 2 * layers) * std::size_t(own.extent(1) + 2 * layers));
-  });
-  for (auto& plane : planes_) plane.resize(most);
+    : CompositeResidual(mesh), ghosts_(ghosts), zeros_(mesh.largest_row()) {
+  for (auto& line : lines_) line.resize(mesh.largest_row() + 2 * layers);
 }
 
 bool FourthOrderResidual::has_wall(int l, int b) const {
@@ -63,52 +57,58 @@ void FourthOrderResidual::residual_plane(int l, int b, int k, Source const& sour
   plane_of(l, b, k, source, phi.level(l).data() + mesh_.offset(l, b));
 }
 
-/// Bring plane n of a box into `planes_`, with the ghosts around it; of a plane of ghosts those in front of cells.
-/// `cells`: of the box, null where they are zero.
-void FourthOrderResidual::fill_plane(Box const& own, int n, Real const* cells) {
-  int const nx = own.extent(0), ny = own.extent(1), nz = own.extent(2);
-  std::ptrdiff_t const pitch = nx + 2 * layers;
-  Real* const out = plane_around(own, n);
-  auto const set_row = [&](int j, Real const* from) {
-    from ? std::copy_n(from, nx, out + j * pitch) : std::fill_n(out + j * pitch, nx, Real(0));
-  };
-  if (n < 0 || n >= nz) {
-    Real const* const from = ghosts_.ghosts(2, n < 0 ? 0 : 1, n < 0 ? -n - 1 : n - nz);
-    for (int j = 0; j < ny; ++j) set_row(j, from + std::ptrdiff_t(j) * nx);
-    return;
-  }
-  for (int j = 0; j < ny; ++j) set_row(j, cells ? cells + (std::ptrdiff_t(n) * ny + j) * nx : nullptr);
-  for (int layer = 0; layer < layers; ++layer) {
-    set_row(-1 - layer, ghosts_.ghosts(1, 0, layer) + std::ptrdiff_t(n) * nx);
-    set_row(ny + layer, ghosts_.ghosts(1, 1, layer) + std::ptrdiff_t(n) * nx);
-    Real const* const below = ghosts_.ghosts(0, 0, layer) + std::ptrdiff_t(n) * ny;
-    Real const* const above = ghosts_.ghosts(0, 1, layer) + std::ptrdiff_t(n) * ny;
-    for (int j = 0; j < ny; ++j) out[j * pitch - 1 - layer] = below[j], out[j * pitch + nx + layer] = above[j];
-  }
+/// The rows of plane k of a box, or of a plane of ghosts beyond it. `cells`: of the box, null where they are zero.
+FourthOrderResidual::RowsOfPlane FourthOrderResidual::rows_of(Box const& own, int k, Real const* cells) const {
+  std::ptrdiff_t const nx = own.extent(0), plane = nx * own.extent(1);
+  int const nz = own.extent(2);
+  if (k < 0) return {ghosts_.ghosts(2, 0, -k - 1), nx};
+  if (k >= nz) return {ghosts_.ghosts(2, 1, k - nz), nx};
+  return cells ? RowsOfPlane{cells + k * plane, nx} : RowsOfPlane{zeros_.data(), 0};
 }
 
-/// f - L phi of a plane of cells of a box whose ghosts are at hand, into `plane_`; plane after plane, from the first
-/// on. `cells`: of the box, null where they are zero.
+/// Bring a row of cells between its ghosts into a line; returns where the cells begin. Vectors read across what is
+/// stored here, so it is done a row ahead.
+Real const* FourthOrderResidual::fill_line(Box const& own, int j, int k, Real const* row) {
+  int const nx = own.extent(0), end = j + k * own.extent(1);
+  Real* const line = lines_[std::size_t(j) % lines_.size()].data() + layers;
+  std::copy_n(row, nx, line);
+  for (int layer = 0; layer < layers; ++layer) {
+    line[-1 - layer] = ghosts_.ghosts(0, 0, layer)[end];
+    line[nx + layer] = ghosts_.ghosts(0, 1, layer)[end];
+  }
+  return line;
+}
+
+/// f - L phi of a plane of cells of a box whose ghosts are at hand, into `plane_`. `cells`: of the box, null where they
+/// are zero.
 void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Real const* cells) {
   Box const& own = mesh_.box(l, b);
-  std::ptrdiff_t const nx = own.extent(0), ny = own.extent(1), pitch = nx + 2 * layers;
-  for (int n = k == 0 ? -layers : k + layers; n <= k + layers; ++n) fill_plane(own, n, cells);
-  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * nx * ny;
+  int const nx = own.extent(0), ny = own.extent(1);
+  std::ptrdiff_t const plane = std::ptrdiff_t(nx) * ny;
+  Real const* const rho = source.rho.level(l).data() + mesh_.offset(l, b) + k * plane;
   Formula const formula{mesh_.equation(l), source.background};
-  Real const* const c = plane_around(own, k);
-  std::array<Real const*, 4> const z{plane_around(own, k - 2), plane_around(own, k - 1), plane_around(own, k + 1),
-                                     plane_around(own, k + 2)};
-  for (std::ptrdiff_t j = 0; j < ny; ++j) {
-    std::ptrdiff_t const at = j * pitch;
-    run(formula, int(nx),
-        {c + at,
-         {c + at - 2 * pitch, c + at - pitch, c + at + pitch, c + at + 2 * pitch},
-         {z[0] + at, z[1] + at, z[2] + at, z[3] + at}},
-        rho + j * nx, plane_.data() + j * nx);
+  RowsOfPlane const here = rows_of(own, k, cells);
+  std::array<RowsOfPlane, 4> const beside{rows_of(own, k - 2, cells), rows_of(own, k - 1, cells),
+                                          rows_of(own, k + 1, cells), rows_of(own, k + 2, cells)};
+  auto const row = [&](int j) {
+    if (j < 0) return ghosts_.ghosts(1, 0, -j - 1) + std::ptrdiff_t(k) * nx;
+    return j < ny ? here.row(j) : ghosts_.ghosts(1, 1, j - ny) + std::ptrdiff_t(k) * nx;
+  };
+  std::array<Real const*, 2 * layers + 1> y{nullptr, row(-2), row(-1), row(0), row(1)};
+  Real const* line = fill_line(own, 0, k, y[3]);
+  for (int j = 0; j < ny; ++j) {
+    y = {y[1], y[2], y[3], y[4], row(j + 2)};
+    Real const* const next = j + 1 < ny ? fill_line(own, j + 1, k, y[3]) : nullptr;
+    run(formula, nx, line, {y[0], y[1], y[3], y[4]},
+        {beside[0].row(j), beside[1].row(j), beside[2].row(j), beside[3].row(j)}, rho + std::ptrdiff_t(j) * nx,
+        plane_.data() + std::ptrdiff_t(j) * nx);
+    line = next;
   }
-  auto const value = [&](Index3 const& cell) { return plane_around(own, cell[2])[cell[0] + cell[1] * pitch]; };
+  auto const value = [&](int axis, Index3 const& cell) {
+    return cells || !own.shift_back(own.lower).contains(cell) ? ghosts_.value(own, cells, axis, cell) : 0;
+  };
   ghosts_.for_each_refined(l, b, k, value, [&](std::ptrdiff_t at, int axis, Real excess) {
-    plane_[std::size_t(at - k * nx * ny)] -= formula.equation.weight[axis] * excess;
+    plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
   });
   mesh_.clear_covered(l, b, k, plane_.data());
 }

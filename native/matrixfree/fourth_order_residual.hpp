@@ -21,11 +21,13 @@ class FourthOrderResidual : public CompositeResidual {
   }
 
   void plane_of(int l, int b, int k, Source const& source, Real const* cells);
-  void fill_plane(Box const& own, int n, Real const* cells);
-  /// The first cell of plane n of a box in `planes_`; rows lie a row and its four ghosts apart.
-  Real* plane_around(Box const& own, int n) {
-    return planes_[std::size_t(n + layers) % planes_.size()].data() + layers * (own.extent(0) + 2 * layers) + layers;
-  }
+  struct RowsOfPlane {
+    Real const* first;
+    std::ptrdiff_t pitch;
+    Real const* row(int j) const { return first + j * pitch; }
+  };
+  RowsOfPlane rows_of(Box const& own, int k, Real const* cells) const;
+  Real const* fill_line(Box const& own, int j, int k, Real const* row);
   void subtract_walls(int l, int b, int k);
   bool has_wall(int l, int b) const;
   bool has_walls_alone(int l, int b) const;
@@ -33,8 +35,9 @@ class FourthOrderResidual : public CompositeResidual {
   static constexpr int layers = FourthOrderGhosts::layers;
 
   FourthOrderGhosts& ghosts_;
-  std::array<std::vector<Real>, 3> across_;               ///< of the plane under way, by axis: what wall data add
-  std::array<std::vector<Real>, 2 * layers + 1> planes_;  ///< around the one under way, with the ghosts around each
+  std::array<std::vector<Real>, 3> across_;  ///< of the plane under way, by axis: what wall data add
+  std::array<std::vector<Real>, 2> lines_;   ///< the row under way and the next one, with the ghosts before and behind
+  std::vector<Real> zeros_;                  ///< a row of them
 };
 
 }  // namespace amrpic

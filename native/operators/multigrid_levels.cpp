@@ -5,6 +5,7 @@
 
 #include "mesh/box_set.hpp"
 #include "operators/open_walls.hpp"
+#include "stencil/cycle_ghost.hpp"
 
 namespace amrpic {
 
@@ -156,7 +157,7 @@ void put_below(MultigridLevels& multigrid, Domain const& domain, Index3 const& r
 
 }  // namespace
 
-MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
+MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift, int order) {
   MultigridLevels multigrid;
   multigrid.shift = shift;
   multigrid.boundary = hierarchy.domain().boundary;
@@ -169,7 +170,7 @@ MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift) {
     Real3 const h = hierarchy.level(l).spacing();
     WallGhosts& walls = multigrid.walls.emplace_back();
     for (int d = 0; d < 3; ++d)
-      for (int side = 0; side < 2; ++side) walls[d][side] = wall_ghost(multigrid.boundary[d][side], h[d]);
+      for (int side = 0; side < 2; ++side) walls[d][side] = cycle_ghost(multigrid.boundary[d][side], h[d], order);
   }
   return multigrid;
 }

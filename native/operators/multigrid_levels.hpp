@@ -45,8 +45,9 @@ struct MultigridLevels {
   }
 };
 
-/// The base and the refinement levels; `coarsen_below` adds coarser ones.
-MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift);
+/// The base and the refinement levels; `coarsen_below` adds coarser ones. `order`: of the residual that the corrections
+/// are for, which has its own walls.
+MultigridLevels refinement_levels(Hierarchy const& hierarchy, Real shift, int order = 2);
 
 /// How multigrid levels are distributed over ranks.
 struct CoarseBoxes {

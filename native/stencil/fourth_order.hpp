@@ -32,10 +32,9 @@ inline Value across(Value const& near, Value const& far) {
 /// -L phi 's weight of the cell itself.
 inline Real diagonal(Equation const& l) { return -own_cell * (l.weight[0] + l.weight[1] + l.weight[2]) + l.shift; }
 
-/// L phi of a cell's mean and, along each axis, the sums of the means one and two cells away.
-inline Real laplacian(Equation const& l, Real c, Real3 const& near, Real3 const& far) {
-  return fused(-diagonal(l), c,
-               weighted_sum(l.weight, across(near[0], far[0]), across(near[1], far[1]), across(near[2], far[2])));
+/// L phi of a cell's mean and, along each axis, what the cells in line with it add.
+inline Real laplacian(Equation const& l, Real c, Real x, Real y, Real z) {
+  return fused(-diagonal(l), c, weighted_sum(l.weight, x, y, z));
 }
 
 /// The mean over a cell of -h d phi/dx along an axis: the difference of the face means, which are
@@ -105,8 +104,8 @@ inline std::vector<Real> weights_of(std::vector<Functional> const& known, Functi
 
 constexpr int wall_cells = 4;  ///< that a ghost behind a wall takes at most
 
-/// How many it takes of a kind of wall. With four behind a Dirichlet wall the residual would have modes at the wall
-/// nearly twice as stiff as those of the seven-point operator, and cycles would be slow.
+/// How many it takes of a kind of wall. With four behind a Dirichlet wall the residual would have stiffer modes there
+/// than any ghost of the cycle makes, and a solve would take two cycles more.
 constexpr int cells_at_wall(Boundary kind) { return kind == Boundary::dirichlet ? 3 : wall_cells; }
 
 /// The means of the two ghost cells behind a wall, from the mean over the wall's face of its datum and the means of the

@@ -305,3 +305,8 @@ def test_what_order_4_cannot_do_is_refused():
         PoissonSolver(opened, order=4, reuse=PoissonSolver(opened).base_setup)
     with pytest.raises(SolverError, match="order"):
         PoissonSolver(hierarchy, order=3)
+    laplacian = _native.CompositeLaplacian(opened.native, [1.0] * 3, order=4)
+    data = [PoissonSolver(opened).native.wall_data(0)]
+    rho, phi = Field(opened), Field(opened)
+    with pytest.raises(_native.SolverError, match="behind open walls the Laplacian of order 4 reads two layers"):
+        laplacian.residual(rho.native, 0.0, data, phi.native, _native.Norm.max, [1.0])

@@ -139,6 +139,7 @@ def test_sweeps_are_one_number_or_two():
     one, two, none_before = (solve_static(MPI.COMM_SELF, 16, sweeps=sweeps)[2] for sweeps in (2, (2, 2), (0, 4)))
     assert one.residuals == two.residuals
     assert none_before.converged and none_before.residuals != one.residuals
+    assert [SolverOptions(order=order).both_sweeps for order in (2, 4)] == [(2, 2), (2, 1)]
 
 
 @pytest.mark.mpi(ranks=(1, 2))

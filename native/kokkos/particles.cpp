@@ -163,7 +163,8 @@ struct OverChunk {
     Real3 s = place(n);
     if (chunk.first_depth < 0 || !own.frame.enter(s)) return own;
     Index3 parent;
-    for (int d = 0; d < 3; ++d) parent[d] = floor_divide(own.frame.lower(d) + int(s[d]), 2) - chunk.parents.lower[d];
+    for (int d = 0; d < 3; ++d)
+      parent[d] = floor_divide(own.frame.box.lower[d] + int(s[d]), 2) - chunk.parents.lower[d];
     std::ptrdiff_t const place = parent[0] + chunk.parents.stride(1) * parent[1] + chunk.parents.stride(2) * parent[2];
     return tiles(chunk.tile + depths(std::size_t(chunk.first_depth + place)));
   }
@@ -176,7 +177,6 @@ class Columns {
   Real* read(Real const* column, bool is_one = false) {
     if (!column) return nullptr;
     read_.emplace_back(const_cast<Real*>(column) + (is_one ? 0 : first_), std::size_t(is_one ? 1 : count_));
-    read_.back().to_device();
     return read_.back().array().data() - (is_one ? 0 : first_);
   }
   Real* written(Real* column) {
@@ -217,7 +217,6 @@ std::int64_t run(char const* name, Shape shape, std::vector<OnTiles> const& on, 
     }
     for (OnTiles::Numbers tile : box.by_depth) {
       values.emplace_back(tile.values, std::size_t(tile.count));
-      values.back().to_device();
       tile.values = values.back().array().data();
       tiles.push_back(tile);
     }

@@ -1,6 +1,7 @@
 #include "kokkos/particles.hpp"
 
 #include <limits>
+#include <utility>
 
 #include "kokkos/arrays.hpp"
 
@@ -181,20 +182,24 @@ class Columns {
   }
   Real* written(Real* column) {
     if (!column) return nullptr;
-    written_.emplace_back(column + first_, std::size_t(count_));
-    return written_.back().array().data() - first_;
+    HostColumn const host(column + first_, std::size_t(count_));
+    written_.emplace_back(host, Kokkos::create_mirror_view(Space::memory_space(), host));
+    return written_.back().second.data() - first_;
   }
   std::array<Real*, 3> read(std::array<Real*, 3> const& of) { return {read(of[0]), read(of[1]), read(of[2])}; }
   std::array<Real*, 3> written(std::array<Real*, 3> const& of) {
     return {written(of[0]), written(of[1]), written(of[2])};
   }
   void to_host() const {
-    for (auto const& column : written_) column.to_host();
+    for (auto const& [host, column] : written_) Kokkos::deep_copy(host, column);
   }
 
  private:
   std::int64_t first_, count_;
-  std::vector<Mirrored<Real>> read_, written_;
+  using HostColumn = Kokkos::View<Real*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>;
+  using Column = decltype(Kokkos::create_mirror_view(Space::memory_space(), std::declval<HostColumn>()));
+  std::vector<Mirrored<Real>> read_;
+  std::vector<std::pair<HostColumn, Column>> written_;
 };
 
 /// Run an act over all particles; return the first that lies outside its box, or -1.

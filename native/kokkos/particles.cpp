@@ -1,6 +1,7 @@
 #include "kokkos/particles.hpp"
 
 #include <limits>
+#include <utility>
 
 #include "kokkos/arrays.hpp"
 
@@ -163,7 +164,8 @@ struct OverChunk {
     Real3 s = place(n);
     if (chunk.first_depth < 0 || !own.frame.enter(s)) return own;
     Index3 parent;
-    for (int d = 0; d < 3; ++d) parent[d] = floor_divide(own.frame.lower(d) + int(s[d]), 2) - chunk.parents.lower[d];
+    for (int d = 0; d < 3; ++d)
+      parent[d] = floor_divide(own.frame.box.lower[d] + int(s[d]), 2) - chunk.parents.lower[d];
     std::ptrdiff_t const place = parent[0] + chunk.parents.stride(1) * parent[1] + chunk.parents.stride(2) * parent[2];
     return tiles(chunk.tile + depths(std::size_t(chunk.first_depth + place)));
   }
@@ -176,25 +178,28 @@ class Columns {
   Real* read(Real const* column, bool is_one = false) {
     if (!column) return nullptr;
     read_.emplace_back(const_cast<Real*>(column) + (is_one ? 0 : first_), std::size_t(is_one ? 1 : count_));
-    read_.back().to_device();
     return read_.back().array().data() - (is_one ? 0 : first_);
   }
   Real* written(Real* column) {
     if (!column) return nullptr;
-    written_.emplace_back(column + first_, std::size_t(count_));
-    return written_.back().array().data() - first_;
+    HostColumn const host(column + first_, std::size_t(count_));
+    written_.emplace_back(host, Kokkos::create_mirror_view(Space::memory_space(), host));
+    return written_.back().second.data() - first_;
   }
   std::array<Real*, 3> read(std::array<Real*, 3> const& of) { return {read(of[0]), read(of[1]), read(of[2])}; }
   std::array<Real*, 3> written(std::array<Real*, 3> const& of) {
     return {written(of[0]), written(of[1]), written(of[2])};
   }
   void to_host() const {
-    for (auto const& column : written_) column.to_host();
+    for (auto const& [host, column] : written_) Kokkos::deep_copy(host, column);
   }
 
  private:
   std::int64_t first_, count_;
-  std::vector<Mirrored<Real>> read_, written_;
+  using HostColumn = Kokkos::View<Real*, Kokkos::LayoutLeft, Kokkos::HostSpace, Kokkos::MemoryUnmanaged>;
+  using Column = decltype(Kokkos::create_mirror_view(Space::memory_space(), std::declval<HostColumn>()));
+  std::vector<Mirrored<Real>> read_;
+  std::vector<std::pair<HostColumn, Column>> written_;
 };
 
 /// Run an act over all particles; return the first that lies outside its box, or -1.
@@ -217,7 +222,6 @@ std::int64_t run(char const* name, Shape shape, std::vector<OnTiles> const& on, 
     }
     for (OnTiles::Numbers tile : box.by_depth) {
       values.emplace_back(tile.values, std::size_t(tile.count));
-      values.back().to_device();
       tile.values = values.back().array().data();
       tiles.push_back(tile);
     }

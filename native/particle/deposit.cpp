@@ -9,7 +9,7 @@
 #include "particle/array_pool.hpp"
 #include "particle/charge_across_ranks.hpp"
 #include "particle/tile.hpp"
-#include "particle/tile_kernels.hpp"
+#include "particle/tile_batch.hpp"
 
 namespace amrpic {
 

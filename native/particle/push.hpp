@@ -6,11 +6,12 @@
 #include "mesh/electric_field.hpp"
 #include "particle/clouds.hpp"
 #include "particle/motion.hpp"
-#include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/view.hpp"
 
 namespace amrpic {
+
+class ParticleMesh;
 
 /// Fields at each particle that are added to those of the mesh; null where there are none.
 struct AddedFields {

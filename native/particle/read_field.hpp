@@ -14,7 +14,7 @@
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
-#include "particle/tile_kernels.hpp"
+#include "particle/tile_batch.hpp"
 #include "particle/view.hpp"
 #include "stencil/field_difference.hpp"
 #include "stencil/intergrid.hpp"

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "particle/box_frame.hpp"
 #include "particle/bricks.hpp"
 #include "particle/lane_groups.hpp"
 #include "particle/particle_mesh.hpp"
@@ -74,25 +75,12 @@ struct Chosen {
 /// One box's place in space, and what brings a particle's position into its tile.
 class TileFrame {
  public:
-  TileFrame() = default;
-  TileFrame(LevelCoordinates const& coordinates, Box const& box) : coordinates_(coordinates), box_(box) {}
+  TileFrame(LevelCoordinates const& coordinates, Box const& box) : frame_{coordinates, box} {}
 
-  /// Whether a place lies in the box; it becomes the coordinate in cell widths from the box's lower corner, in [0,
-  /// extent): the difference is exact, where adding the reach could round it up to the next cell.
-  KOKKOS_INLINE_FUNCTION bool enter(Real3& x) const {
-    bool in = true;
-    for (int d = 0; d < 3; ++d) {
-      x[d] = coordinates_.along(d, x[d]);
-      in &= (x[d] >= box_.lower[d]) & (x[d] < box_.upper[d] + 1);
-      x[d] -= box_.lower[d];
-    }
-    return in;
-  }
-
-  /// The same of a particle. Throws Stray if it lies outside the box.
+  /// Where a particle lies, as `BoxFrame` has it. Throws Stray if it lies outside the box.
   Real3 inside(ParticleView const& particles, std::int64_t n) const {
     Real3 s = particles.at(n);
-    if (!enter(s)) throw Stray{particles.id[n]};
+    if (!frame_.enter(s)) throw Stray{particles.id[n]};
     return s;
   }
 
@@ -102,11 +90,11 @@ class TileFrame {
     std::array<Lanes, 3> s;
     WideLanes in = WideLanes{} - 1;
     for (int d = 0; d < 3; ++d) {
-      s[d] = coordinates_.along(d, load(particles.position[d], group));
-      in &= (s[d] >= Real(box_.lower[d])) & (s[d] < Real(box_.upper[d] + 1));
+      s[d] = frame_.coordinates.along(d, load(particles.position[d], group));
+      in &= (s[d] >= Real(frame_.box.lower[d])) & (s[d] < Real(frame_.box.upper[d] + 1));
     }
     all_in &= in;
-    for (int d = 0; d < 3; ++d) s[d] = select(in, s[d] - Real(box_.lower[d]), Lanes{});
+    for (int d = 0; d < 3; ++d) s[d] = select(in, s[d] - Real(frame_.box.lower[d]), Lanes{});
     return s;
   }
 
@@ -122,15 +110,12 @@ class TileFrame {
   Index3 cell(ParticleView const& particles, std::int64_t n) const {
     Real3 const s = inside(particles, n);
     Index3 out;
-    for (int d = 0; d < 3; ++d) out[d] = int(s[d]) + box_.lower[d];
+    for (int d = 0; d < 3; ++d) out[d] = int(s[d]) + frame_.box.lower[d];
     return out;
   }
 
-  KOKKOS_INLINE_FUNCTION int lower(int axis) const { return box_.lower[std::size_t(axis)]; }
-
  private:
-  LevelCoordinates coordinates_;
-  Box box_;
+  BoxFrame frame_;
 };
 
 /// Planes of a box, along z, whose tiles together fill about a third of a second-level cache; whole bricks.

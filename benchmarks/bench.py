@@ -41,6 +41,7 @@ class Part:
     script: str
     ranks: int  # 0: not under mpiexec, it starts ranks of its own
     arguments: tuple[str, ...]
+    isa: str = ""  # the instruction set of the kernels, if not the best one
 
 
 def parts(backend: str, quick: bool, runs: int) -> list[Part]:
@@ -59,6 +60,7 @@ def parts(backend: str, quick: bool, runs: int) -> list[Part]:
         Part("peers", "peers.py", 0, (*options, *peers)),
         Part("particles", "particles.py", 1, (*repeats, "--particles", *counts, "--shape", "cloud-in-cell")),
         *(Part("particles", "particles.py", 1, (*repeats, "--particles", "1e6", "--shape", shape)) for shape in shapes),
+        Part("particles", "particles.py", 1, (*repeats, "--by-kokkos"), isa="v3" if "v3" in instructions() else ""),
         *(
             Part("step", "pic_step.py", ranks, (*options, *(("--walls", "dirichlet") if quick else ())))
             for ranks in (1, 2)
@@ -84,7 +86,7 @@ def measure(chosen: Sequence[Part]) -> tuple[list[Record], list[str]]:
     for part in chosen:
         start = time.perf_counter()
         try:
-            records += launch(HERE / part.script, part.ranks, part.arguments)
+            records += launch(HERE / part.script, part.ranks, part.arguments, isa=part.isa)
         except subprocess.CalledProcessError as ended:
             failed.append(
                 f"{part.script} {' '.join(part.arguments)} on {part.ranks} ranks ended with {ended.returncode}"

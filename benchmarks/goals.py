@@ -16,7 +16,7 @@ from measuring import Record
 from orders import CASES as CELLS_OF_ORDERS
 from orders import WALLS as WALLS_OF_ORDERS
 from orders import name as order_name
-from particles import OWN_B, SOLENOID, record_name
+from particles import BY_KOKKOS, OWN_B, SOLENOID, kernels_name, record_name
 from pic_step import IMPACTX_WALLS, step_name
 from points import MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
 from points import record_name as product_name
@@ -341,6 +341,10 @@ def backends(found: Found) -> Iterator[Goal]:
     yield Goal("Kokkos against matrix-free: cycles on them", others, 0)
     kernels, tuned = (name(*EACH_BACKEND, 1, f"by {backend}") for backend in ("kokkos", "matrix-free"))
     yield Goal(f"{EACH_BACKEND[0]}: solve by Kokkos against matrix-free", found.ratio(kernels, tuned), 2.5, unit="×")
+    for stage in BY_KOKKOS:
+        for count in (1_000_000, 10_000_000):
+            kernels, tuned = (kernels_name(stage, count, each) for each in ("kokkos", "vectors"))
+            yield Goal(f"{stage} by Kokkos against vectors, {count:.0e}", found.ratio(kernels, tuned), 2.5, unit="×")
 
 
 def least(values: Iterable[float]) -> float:

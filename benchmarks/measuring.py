@@ -192,8 +192,12 @@ def reset_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def launch(script: Path, ranks: int, arguments: Sequence[str], limit: float | None = None) -> list[Record]:
+def launch(
+    script: Path, ranks: int, arguments: Sequence[str], limit: float | None = None, isa: str = ""
+) -> list[Record]:
     """Return the records that a script writes, run on so many ranks with `arguments` and `--output FILE`.
+
+    `isa`: the instruction set of its kernels, if not the best one.
 
     A script that starts ranks of its own cannot be under mpiexec; it is run by itself for `ranks` = 0.
     Raises CalledProcessError if it fails; what it prints is seen. A script by itself is killed after `limit` seconds, with
@@ -203,7 +207,8 @@ def launch(script: Path, ranks: int, arguments: Sequence[str], limit: float | No
         found = Path(folder) / "records.json"
         worker = [sys.executable, str(script), *arguments, "--output", str(found)]
         command = ["mpiexec", "-n", str(ranks), *worker] if ranks else worker
-        subprocess.run(command, env={**os.environ, **ENVIRONMENT}, check=True, timeout=limit)
+        chosen = {"AMRPIC_ISA": isa} if isa else {}
+        subprocess.run(command, env={**os.environ, **ENVIRONMENT, **chosen}, check=True, timeout=limit)
         return read(found)
 
 

@@ -6,13 +6,13 @@ import argparse
 import importlib
 import importlib.util
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
 from typing import Any, TypeVar
 
 import numpy as np
-from measuring import Record, reset_peak, resident, watched, work_unit, write
+from measuring import Record, in_turns, reset_peak, resident, watched, work_unit, write
 from mpi4py import MPI
 
 import amrpic
@@ -33,6 +33,7 @@ ELECTRON = SpeciesTable((SPECIES["electron"],))
 DT = 1e-12  # s
 MOVE = 0.3  # cell widths
 OWN_B, SOLENOID = "gather+push with own B", "gather+push in a solenoid"
+BY_KOKKOS = ("deposit", "gather+push")  # are compared with the loops over vectors
 STAGES = ("deposit", "field", "gather", "gather+push", OWN_B, SOLENOID, "migrate", "moments")
 
 
@@ -49,8 +50,21 @@ def timings(
     return {name: _seconds(stage, repeats) for name, stage in stages(particles, cells, box, shape).items()}
 
 
-def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell") -> dict[str, Callable[[], object]]:
-    """Return the particle stages, ready to be run again and again, on this rank alone.
+def by_kokkos(particles: int, cells: int, box: int, repeats: int) -> Iterator[Record]:
+    """Yield what Kokkos' kernels take and the loops over vectors, in turns with each other, in CPU time."""
+    kinds = {kernels: stages(particles, cells, box, kernels=kernels) for kernels in ("kokkos", "vectors")}
+    for stage in BY_KOKKOS:
+        works = [of_kind[stage] for of_kind in kinds.values()]
+        for work in works:
+            work()
+        for kernels, seconds in zip(kinds, in_turns(works, repeats), strict=True):
+            yield Record(kernels_name(stage, particles, kernels), seconds, particles=particles)
+
+
+def stages(
+    particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell", **of_clouds: Any
+) -> dict[str, Callable[[], object]]:
+    """Return the particle stages, ready to be run again and again, on this rank alone; `of_clouds`: more of theirs.
 
     Equal particles fill a periodic cube of `cells`³ cells in boxes of `box`³ evenly and at random, and are sorted.
     Keys: "deposit"; "field", what the two next ones read, from the potential, which takes the same for any number of
@@ -66,7 +80,7 @@ def stages(particles: int, cells: int, box: int, shape: Shape = "cloud-in-cell")
     homes = _sorted_particles(rng, particles, hierarchy)
     solver, phi = amrpic.PoissonSolver(hierarchy, background="neutralizing"), _smooth_potential(hierarchy)
     efield = solver.deferred_field(phi)
-    clouds = Clouds(shape)
+    clouds = Clouds(shape, **of_clouds)
     step = rng.normal(size=(3, particles))
     step *= MOVE / cells / np.sqrt((step**2).sum(axis=0))
     moved = homes.replace(position=homes.position + step.T)
@@ -151,12 +165,19 @@ def main() -> None:
     parser.add_argument(
         "--memory", action="store_true", help="measure the memory of the first number of particles alone"
     )
+    parser.add_argument(
+        "--by-kokkos", action="store_true", help="compare Kokkos' kernels with the loops over vectors alone"
+    )
     options = parser.parse_args()
     if options.memory:
         write(options.output, [memory(int(options.particles[0]), options.cells, options.box)])
         return
     records = []
-    for count in map(int, options.particles):
+    for count in map(int, options.particles if options.by_kokkos else ()):
+        for record in by_kokkos(count, options.cells, options.box, options.repeats):
+            print(f"{record.name}: {1e9 * record.median / count:.1f} ns/particle", flush=True)
+            records.append(record)
+    for count in map(int, () if options.by_kokkos else options.particles):
         for shape in options.shape:
             facts: dict[str, Any] = {}
             with watched(facts):
@@ -170,6 +191,10 @@ def main() -> None:
             ]
     if options.output:
         write(options.output, records)
+
+
+def kernels_name(stage: str, particles: int, kernels: str) -> str:
+    return f"{stage} by {kernels}, {particles:.0e} particles"
 
 
 def record_name(stage: str, particles: int, shape: str) -> str:

@@ -11,6 +11,8 @@ from .. import _native
 
 Shape = Literal["nearest-grid-point", "cloud-in-cell", "triangular-shaped-cloud"]
 
+Kernels = Literal["vectors", "kokkos"]
+
 CompensationKind = Literal["none", "clouds", "clouds-and-mesh"]
 
 SHAPES: dict[Shape, _native.Shape] = {
@@ -42,6 +44,9 @@ class Clouds:
     shape: Shape = "cloud-in-cell"
     matched: bool = False
     compensation: CompensationKind = "none"  # what gather takes back of their smoothing: E − κ∇ρ
+    kernels: Kernels = (
+        "vectors"  # of the processor, or Kokkos' kernels; push in the fields of elements is by vectors always
+    )
 
     def compensated(self, widths: np.ndarray) -> float:
         """Return ε₀κ in m² where cells have these widths (3,), in the frame where the field is electrostatic.
@@ -56,9 +61,9 @@ class Clouds:
         return (2 * SMOOTHING[self.shape] + of_mesh) * float(widths.min()) ** 2
 
     @property
-    def native(self) -> tuple[_native.Shape, bool]:
+    def native(self) -> tuple[_native.Shape, bool, bool]:
         """The clouds as the native kernels take them."""
-        return SHAPES[self.shape], self.matched
+        return SHAPES[self.shape], self.matched, self.kernels == "kokkos"
 
     @property
     def covered(self) -> Literal["mean", "difference"]:

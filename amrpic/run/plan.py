@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -186,7 +187,9 @@ class Plan:
     @property
     def clouds(self) -> Clouds:
         """The clouds of the particles."""
-        return self.scene.particles.clouds
+        return replace(
+            self.scene.particles.clouds, kernels="kokkos" if self.scene.solver.backend == "kokkos" else "vectors"
+        )
 
     def compensate(self, efield: VectorField, rho: Field, frame: Frame) -> None:
         """Let particles feel the field of a density, solved for in a frame, without what their clouds smooth."""

@@ -88,7 +88,8 @@ class SolverOptions(Section):
     backend: Backend = Field(
         default="matrix-free",
         description="How the stencils are executed. matrix-free: loops over the rows of boxes, by far the fastest and "
-        "smallest on processors. kokkos: the same with kernels over all rows of a level, for whatever Kokkos was built for. "
+        "smallest on processors. kokkos: the same with kernels over all rows of a level, for whatever Kokkos was built for, "
+        "and particles too. "
         "crs: compressed rows (Tpetra's matrices), with the whole menu of smoothers, prolongation, coarse_levels, "
         "bottoms and krylov, which the others do not have.",
     )

@@ -7,7 +7,7 @@
 
 namespace amrpic {
 
-inline Real inverse_root(Real value) { return 1 / std::sqrt(value); }
+KOKKOS_INLINE_FUNCTION Real inverse_root(Real value) { return 1 / std::sqrt(value); }
 
 /// 1 / sqrt(value) of normal numbers, to two units in the last place: a first guess of the processor and a series, or
 /// one from the exponent and Newton's method. A library call per lane would take longer than the formulas that use it.
@@ -32,7 +32,7 @@ inline Vector inverse_root(Vector const& value) {
   }
 }
 
-inline Real reciprocal(Real value) { return 1 / value; }
+KOKKOS_INLINE_FUNCTION Real reciprocal(Real value) { return 1 / value; }
 
 /// 1 / value of normal numbers, to two units in the last place. Unlike quotients, many are under way at a time.
 template <class Vector>

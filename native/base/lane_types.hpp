@@ -8,6 +8,7 @@
 #include <type_traits>
 
 #include "base/intrinsics.hpp"
+#include "base/kokkos.hpp"
 #include "base/types.hpp"
 
 namespace amrpic {
@@ -45,8 +46,8 @@ void for_each_bit(Bits bits, F&& f) {
 }
 
 // Of one number, as of each of `Lanes`.
-inline Real select(bool which, Real yes, Real no) { return which ? yes : no; }
-inline Real square_root(Real x) { return std::sqrt(x); }
-inline Real round_down(Real x) { return std::floor(x); }
+KOKKOS_INLINE_FUNCTION Real select(bool which, Real yes, Real no) { return which ? yes : no; }
+KOKKOS_INLINE_FUNCTION Real square_root(Real x) { return std::sqrt(x); }
+KOKKOS_INLINE_FUNCTION Real round_down(Real x) { return std::floor(x); }
 
 }  // namespace amrpic

@@ -3,6 +3,8 @@
 #include <array>
 #include <cstdint>
 
+#include "base/kokkos.hpp"
+
 namespace amrpic {
 
 using Real = double;
@@ -22,6 +24,6 @@ constexpr std::array<int, 2> tangential_axes(int axis) {
 }
 
 /// Quotient rounded towards minus infinity; `b` > 0.
-constexpr int floor_divide(int a, int b) { return a >= 0 ? a / b : -((-a + b - 1) / b); }
+KOKKOS_INLINE_FUNCTION constexpr int floor_divide(int a, int b) { return a >= 0 ? a / b : -((-a + b - 1) / b); }
 
 }  // namespace amrpic

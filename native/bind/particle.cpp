@@ -10,6 +10,7 @@
 #include "bind/bind.hpp"
 #include "bind/communicator.hpp"
 #include "bind/convert.hpp"
+#include "kokkos/particles.hpp"
 #include "particle/apertures.hpp"
 #include "particle/arrange.hpp"
 #include "particle/array_pool.hpp"
@@ -49,6 +50,10 @@ template <class Vectors, class Ids>
 ParticleView view(Vectors const& position, Vectors const& momentum, OnePerParticle const& weight, Ids const& id) {
   return {std::int64_t(position.shape(0)),  columns(position),     columns(momentum),
           const_cast<Real*>(weight.data()), weight.stride(0) == 0, const_cast<std::int64_t*>(id.data())};
+}
+
+Clouds clouds_of(Shape shape, bool matched, bool by_kokkos) {
+  return {shape, matched, by_kokkos ? &kokkos::tile_kernels() : nullptr};
 }
 
 Flights flights(ConstColumns const& start, ConstColumns const& end, Real3 const& start_offset,
@@ -258,35 +263,36 @@ void bind_particle(nb::module_& m) {
 
   m.def(
       "deposit",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ConstColumns position,
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos, ConstColumns position,
          ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
          Real charge, Field& density) {
         nb::gil_scoped_release release;
-        deposit(mesh, remote, {shape, matched}, view(position, momentum, weight, id), starts.data(), charge, density);
+        deposit(mesh, remote, clouds_of(shape, matched, kokkos), view(position, momentum, weight, id), starts.data(),
+                charge, density);
       },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "starts"_a,
-      "charge"_a, "density"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
+      "starts"_a, "charge"_a, "density"_a);
 
   m.def(
       "gather",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field,
-         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         Row<std::int64_t const> starts, Columns out) {
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos,
+         ElectricField const& field, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, Row<std::int64_t const> starts, Columns out) {
         nb::gil_scoped_release release;
-        gather(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(),
-               columns(out));
+        gather(mesh, remote, clouds_of(shape, matched, kokkos), field, view(position, momentum, weight, id),
+               starts.data(), columns(out));
       },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
-      "starts"_a, "out"_a);
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
+      "id"_a, "starts"_a, "out"_a);
 
   nb::enum_<Pusher>(m, "Pusher").value("boris", Pusher::boris).value("higuera_cary", Pusher::higuera_cary);
 
   m.def(
       "push",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, ElectricField const& field,
-         ConstColumns position, ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id,
-         Row<std::int64_t const> starts, OnePerParticle charge, OnePerParticle inverse_mass, Real before, Real after,
-         Real flight, Pusher pusher, Real3 beta, std::optional<ConstColumns> electric,
+      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos,
+         ElectricField const& field, ConstColumns position, ConstColumns momentum, OnePerParticle weight,
+         Row<std::int64_t const> id, Row<std::int64_t const> starts, OnePerParticle charge, OnePerParticle inverse_mass,
+         Real before, Real after, Real flight, Pusher pusher, Real3 beta, std::optional<ConstColumns> electric,
          std::optional<ConstColumns> magnetic, Columns momentum_out, Columns position_out,
          std::optional<Columns> between, ExternalFields const* external, Real time, Real3 shift) {
         nb::gil_scoped_release release;
@@ -303,11 +309,11 @@ void bind_particle(nb::module_& m) {
                             external,
                             time,
                             shift};
-        push(mesh, remote, {shape, matched}, field, view(position, momentum, weight, id), starts.data(), motion,
-             {columns(momentum_out), columns(position_out), if_given(between)});
+        push(mesh, remote, clouds_of(shape, matched, kokkos), field, view(position, momentum, weight, id),
+             starts.data(), motion, {columns(momentum_out), columns(position_out), if_given(between)});
       },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
-      "starts"_a, "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a,
+      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "field"_a, "position"_a, "momentum"_a, "weight"_a,
+      "id"_a, "starts"_a, "charge"_a, "inverse_mass"_a, "before"_a, "after"_a, "flight"_a, "pusher"_a, "beta"_a,
       "electric"_a.none(), "magnetic"_a.none(), "momentum_out"_a, "position_out"_a, "between"_a.none(),
       "external"_a.none(), "time"_a, "shift"_a);
   m.def(

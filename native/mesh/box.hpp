@@ -13,7 +13,7 @@ struct Box {
   Index3 lower{0, 0, 0};
   Index3 upper{-1, -1, -1};
 
-  int extent(int axis) const { return upper[axis] - lower[axis] + 1; }
+  KOKKOS_INLINE_FUNCTION int extent(int axis) const { return upper[axis] - lower[axis] + 1; }
   bool empty() const { return extent(0) <= 0 || extent(1) <= 0 || extent(2) <= 0; }
   GlobalIndex cells() const { return empty() ? 0 : GlobalIndex(extent(0)) * extent(1) * extent(2); }
 
@@ -31,7 +31,7 @@ struct Box {
   }
 
   /// How far apart the places of neighbours along an axis are.
-  std::ptrdiff_t stride(int axis) const {
+  KOKKOS_INLINE_FUNCTION std::ptrdiff_t stride(int axis) const {
     return axis == 0 ? 1 : axis == 1 ? extent(0) : std::ptrdiff_t(extent(0)) * extent(1);
   }
 

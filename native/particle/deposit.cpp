@@ -1,6 +1,7 @@
 #include "particle/deposit.hpp"
 
 #include <algorithm>
+#include <optional>
 #include <type_traits>
 #include <utility>
 
@@ -8,6 +9,7 @@
 #include "particle/array_pool.hpp"
 #include "particle/charge_across_ranks.hpp"
 #include "particle/tile.hpp"
+#include "particle/tile_kernels.hpp"
 
 namespace amrpic {
 
@@ -276,48 +278,70 @@ void deposit(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cloud
   Scratch<Real> const ghost_sums(clear_empty_boxes(mesh, starts, density));
   Real* ghosts = ghost_sums.data();
   std::vector<BoxSums> box_sums;
-  std::vector<ChargeTile> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
+  std::vector<ChargeTile> reused(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
+  std::optional<TileBatch<ChargeTile, 1>> batch;
+  if (clouds.kernels)
+    batch.emplace(mesh, *clouds.kernels, particles, [&](TileKernels const& kernels, auto const& on) {
+      return kernels.deposit(clouds.shape, particles, on);
+    });
+  auto const add_slab = [&](int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
+    for_each_coarsening_depth(
+        mesh, level, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+          with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, reused[depth]); });
+        });
+  };
   auto const add_box = [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
     Level const& level = hierarchy.level(at.level);
     Box const& box = level.box(at.box);
     std::size_t const depths = buffer ? buffer->coarse.size() : 0;
+    std::vector<ChargeTile>& tiles = batch ? batch->next() : reused;
     for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
-    box_sums.emplace_back(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), ghosts);
+    BoxSums const sums(level, at, charge, own[at.level].cells(), own[std::max(0, at.level - 1)].cells(), ghosts);
+    box_sums.push_back(sums);
     ghosts += at.ghosts.cells();
-    for_each_slab(
-        mesh, at.level, box, planes_per_slab(box, 1), particles, first, last, [&](Box const& slab, auto from, auto to) {
-          slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-          for_each_coarsening_depth(mesh, at.level, slab, buffer, particles, from, to,
-                                    [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-                                      with_shape(clouds.shape, [&](auto s) {
-                                        add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]);
-                                      });
-                                    });
-          bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next slab too
-          box_sums.back().take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
-        });
-    for (std::size_t r = 1; r <= depths; ++r) {
-      CoarseCells const& c = buffer->coarse[r - 1];
-      add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());
+    auto const take_coarse = [=, &coarse, &tiles, &hierarchy] {
+      for (std::size_t r = 1; r <= depths; ++r) {
+        CoarseCells const& c = buffer->coarse[r - 1];
+        add_coarse_tile(tiles[r], c, charge / hierarchy.level(c.level).cell_volume(), coarse[c.level].cells());
+      }
+    };
+    if (batch) {
+      tiles[0].reset(box);
+      return batch->add(at.level, box, buffer, first, last, [=, &tiles] {
+        sums.take(box.lower[2] - tile_reach, box.upper[2] + tile_reach, tiles[0]);
+        take_coarse();
+      });
     }
+    for_each_slab(mesh, at.level, box, planes_per_slab(box, 1), particles, first, last,
+                  [&](Box const& slab, auto from, auto to) {
+                    slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
+                    add_slab(at.level, slab, buffer, from, to);
+                    bool const more = slab.upper[2] < box.upper[2];  // then the last planes are those of the next too
+                    sums.take(slab.lower[2] - tile_reach, slab.upper[2] + (more ? -tile_reach : tile_reach), tiles[0]);
+                  });
+    take_coarse();
   };
   RemoteCharge remote_charge(hierarchy, remote_plan, charge);
   auto const add_remote = [&](std::size_t n, std::int64_t first, std::int64_t last) {
     BrickWindows const& brick = remote_plan.bricks()[n];
-    BoxBuffer const* const buffer = brick.buffer.coarse.empty() ? nullptr : &brick.buffer;
+    std::size_t const depths = brick.buffer.coarse.size();
+    BoxBuffer const* const buffer = depths == 0 ? nullptr : &brick.buffer;
+    std::vector<ChargeTile>& tiles = batch ? batch->next() : reused;
     tiles[0].reset(brick.cells);
-    for (std::size_t r = 1; r <= brick.buffer.coarse.size(); ++r) tiles[r].reset(brick.buffer.coarse[r - 1].box);
-    for_each_coarsening_depth(
-        mesh, brick.home.level, brick.cells, buffer, particles, first, last,
-        [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-          with_shape(clouds.shape, [&](auto s) { add_clouds<decltype(s)>(frame, particles, chosen, tiles[depth]); });
-        });
-    for (std::size_t r = 0; r <= brick.buffer.coarse.size(); ++r) remote_charge.take(n, r, tiles[r]);
-    remote_charge.settle(n);
+    for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(brick.buffer.coarse[r - 1].box);
+    auto const take = [=, &remote_charge, &tiles] {
+      for (std::size_t r = 0; r <= depths; ++r) remote_charge.take(n, r, tiles[r]);
+      remote_charge.settle(n);
+    };
+    if (batch) return batch->add(brick.home.level, brick.cells, buffer, first, last, take);
+    add_slab(brick.home.level, brick.cells, buffer, first, last);
+    take();
   };
-  for_each_occupied(mesh, remote.bricks().size(), starts, add_box, add_remote);
+  for_each_occupied(mesh, remote.bricks().size(), starts, add_box, add_remote, [&] {
+    if (batch) batch->run();
+  });
   for (BoxSums const& sums : box_sums) sums.add_ghosts();
   for (ChargeAcrossRanks const& level : own) level.send();
   for (ChargeAcrossRanks const& level : coarse) level.send();

@@ -6,6 +6,11 @@ namespace amrpic {
 
 void gather(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
             ParticleView const& particles, std::int64_t const* starts, std::array<Real*, 3> const& at_particles) {
+  if (clouds.kernels)
+    return read_tiles(mesh, remote, clouds.matched, field, particles, starts,
+                      PortableReader(mesh, *clouds.kernels, particles, [&](TileKernels const& kernels, auto const& on) {
+                        return kernels.gather(clouds.shape, particles, on, at_particles);
+                      }));
   bool const far = are_far(particles.count, at_particles[0], at_particles[1], at_particles[2]);
   read_field(mesh, remote, clouds, field, particles, starts, [&](LaneGroup const& group, Components const& felt) {
     for (int d = 0; d < 3; ++d) store(at_particles[d], group, felt[d], far);

@@ -27,10 +27,12 @@ struct LevelCoordinates {
 
   /// Of one number or of several at a time.
   template <class T>
-  T along(int axis, T const& x) const {
+  KOKKOS_INLINE_FUNCTION T along(int axis, T const& x) const {
     return (x - lower[std::size_t(axis)]) * cells_per_metre[std::size_t(axis)];
   }
-  Real3 operator()(Real3 const& x) const { return {along(0, x[0]), along(1, x[1]), along(2, x[2])}; }
+  KOKKOS_INLINE_FUNCTION Real3 operator()(Real3 const& x) const {
+    return {along(0, x[0]), along(1, x[1]), along(2, x[2])};
+  }
 };
 
 /// Finds the homes of points.

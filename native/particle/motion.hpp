@@ -10,13 +10,13 @@ namespace amrpic {
 
 /// The square of the Lorentz factor of a momentum (kg m/s), with one over m c.
 template <class V>
-inline V gamma_square(Vector3<V> const& p, V const& per_mc) {
+KOKKOS_INLINE_FUNCTION V gamma_square(Vector3<V> const& p, V const& per_mc) {
   return 1 + per_mc * per_mc * dot(p, p);
 }
 
 /// One over the Lorentz factor.
 template <class V>
-inline V inverse_gamma(Vector3<V> const& p, V const& per_mc) {
+KOKKOS_INLINE_FUNCTION V inverse_gamma(Vector3<V> const& p, V const& per_mc) {
   return inverse_root(gamma_square(p, per_mc));
 }
 
@@ -38,8 +38,8 @@ struct Turned {
 /// Neither g changes by the turn. With w^2 = g^2 + tau^2 and f = g p + p x tau, half of the turn gives
 /// (f + tau (tau . p) / (g + w)) / w, the whole one p + 2 f x tau / w^2.
 template <class V>
-inline Turned<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b, V const& charge_over_mass_half,
-                        V const& per_mc) {
+KOKKOS_INLINE_FUNCTION Turned<V> turned(Pusher pusher, Vector3<V> const& p, Vector3<V> const& b,
+                                        V const& charge_over_mass_half, V const& per_mc) {
   Vector3<V> const tau = scaled(charge_over_mass_half, b);
   V const tau_square = dot(tau, tau), along = dot(tau, p);
   V g_square = gamma_square(p, per_mc);

@@ -2,50 +2,14 @@
 
 #include <algorithm>
 
+#include "particle/mover.hpp"
 #include "particle/read_field.hpp"
 
 namespace amrpic {
 
 namespace {
 
-/// The columns of a group.
-inline Components load_columns(std::array<Real*, 3> const& columns, LaneGroup const& group) {
-  return {load(columns[0], group), load(columns[1], group), load(columns[2], group)};
-}
-
-inline void add(Components& to, Components const& more) {
-  for (int d = 0; d < 3; ++d) to[d] += more[d];
-}
-
-/// Eight particles in fields.
-struct Group {
-  Components x, p;
-  Lanes charge, inverse_mass, per_mc;
-
-  Components velocity() const { return scaled(inverse_mass * inverse_gamma(p, per_mc), p); }
-  void kick(Components const& e, Real time) {
-    Lanes const impulse = charge * time;
-    for (std::size_t d = 0; d < 3; ++d) p[d] += impulse * e[d];
-  }
-  Turned<Lanes> turned(Pusher pusher, Components const& b, Lanes const& time) const {
-    return amrpic::turned(pusher, p, b, time * charge * inverse_mass, per_mc);
-  }
-  void turn(Pusher pusher, Components const& b, Lanes const& time) { p = turned(pusher, b, time).between; }
-};
-
-/// Both parts of a step in the same fields: a kick by E and a turn by B, and a turn and a kick. Return the momenta
-/// between them.
-inline Components act(Group& on, Components const& e, Components const& b, Motion const& motion) {
-  on.kick(e, motion.before);
-  auto [between, after] = on.turned(motion.pusher, b, motion.before + Lanes{});
-  if (motion.after != motion.before) {
-    on.p = between;
-    after = on.turned(motion.pusher, b, motion.after + Lanes{}).between;
-  }
-  on.p = after;
-  on.kick(e, motion.after);
-  return between;
-}
+using Group = InFields<Lanes>;
 
 inline Lanes or_one(Lanes const& divisor) { return select(divisor == 0, 1 + Lanes{}, divisor); }
 
@@ -95,11 +59,6 @@ inline Components act_along_flights(Group& on, Components const& e, Components c
 
 inline Real reach_of(Motion const& motion) { return speed_of_light * std::max(motion.before, motion.after); }
 
-/// What becomes of particles in a step.
-struct Moving {
-  Components between, p, x;
-};
-
 /// Those of `yes` where `which` is positive, else those of `no`.
 inline Components where(Lanes const& which, Components const& yes, Components const& no) {
   Components out;
@@ -107,69 +66,15 @@ inline Components where(Lanes const& which, Components const& yes, Components co
   return out;
 }
 
-/// Moves particles that feel a field of the mesh, a group at a time.
-struct Mover {
-  ParticleView particles;
-  Motion motion;
-  Moved out;
-  bool far;  ///< whether what is written is not wanted soon
-  bool has_own_b = motion.beta != Real3{};
-  Real3 beta_per_c{motion.beta[0] / speed_of_light, motion.beta[1] / speed_of_light, motion.beta[2] / speed_of_light};
-
-  Group load_group(LaneGroup const& group) const {
-    Lanes const inverse_mass = load(motion.inverse_mass, motion.same, group);
-    return {load_columns(particles.position, group), load_columns(particles.momentum, group),
-            load(motion.charge, motion.same, group), inverse_mass, inverse_mass * (1 / speed_of_light)};
-  }
-  Components flown(Group const& on) const {
-    Lanes const drift = motion.flight * on.inverse_mass * inverse_gamma(on.p, on.per_mc);
-    Components out;
-    for (std::size_t d = 0; d < 3; ++d) out[d] = on.x[d] + (drift * on.p[d] - motion.shift[d]);
-    return out;
-  }
-  void write(LaneGroup const& group, Moving const& moved) const {
-    for (std::size_t d = 0; d < 3; ++d) {
-      if (out.between[0]) store(out.between[d], group, moved.between[d], far);
-      store(out.momentum[d], group, moved.p[d], far);
-      store(out.position[d], group, moved.x[d], far);
-    }
-  }
-  /// By the field of the mesh alone.
-  void by_mesh(LaneGroup const& group, Components const& felt) const {
-    Group on = load_group(group);
-    on.kick(felt, motion.before);
-    Components const between = on.p;
-    on.kick(felt, motion.after);
-    write(group, {between, on.p, flown(on)});
-  }
-
-  /// The fields of charge that moves with beta, and those that are added.
-  std::array<Components, 2> fields(LaneGroup const& group, Components const& felt) const {
-    std::array<Components, 2> fields{felt, {}};
-    if (has_own_b) fields[1] = cross(beta_per_c, felt);
-    if (motion.added.electric[0]) add(fields[0], load_columns(motion.added.electric, group));
-    if (motion.added.magnetic[0]) add(fields[1], load_columns(motion.added.magnetic, group));
-    return fields;
-  }
-  /// By all fields at places.
-  void by_fields(LaneGroup const& group, Components const& felt) const {
-    auto const [e, b] = fields(group, felt);
-    write(group, moved(load_group(group), e, b));
-  }
-  Moving moved(Group on, Components const& e, Components const& b) const {
-    Components const between = act(on, e, b, motion);
-    return {between, on.p, flown(on)};
-  }
-  /// The same with those particles of a group that are near the end of a field moved along their flights.
-  [[gnu::noinline]] Moving along_flights(LaneGroup const& group, Components const& felt, Lanes const& near,
-                                         Moving const& others) const {
-    if (bits_of(near > 0) == 0) return others;
-    auto const [e, b] = fields(group, felt);
-    Group on = load_group(group);
-    Components const between = act_along_flights(on, e, b, motion);
-    return {where(near, between, others.between), where(near, on.p, others.p), where(near, flown(on), others.x)};
-  }
-};
+/// What a mover finds, with those particles of a group that are near the end of a field moved along their flights.
+[[gnu::noinline]] Moving<Lanes> along_flights(Mover const& mover, LaneGroup const& group, Components const& felt,
+                                              Lanes const& near, Moving<Lanes> const& others) {
+  if (bits_of(near > 0) == 0) return others;
+  auto const [e, b] = mover.fields(group, felt);
+  Group on = mover.load_group(group);
+  Components const between = act_along_flights(on, e, b, mover.motion);
+  return {where(near, between, others.between), where(near, on.p, others.p), where(near, mover.flown(on), others.x)};
+}
 
 /// Moves the particles of a block by all fields, of elements too: these are found for the block first.
 class BlockMover {
@@ -187,8 +92,8 @@ class BlockMover {
     auto [e, b] = mover_.fields(group, felt);
     add(e, at_.E[n]);
     add(b, at_.B[n]);
-    Moving moved = mover_.moved(mover_.load_group(group), e, b);
-    if (near_) moved = mover_.along_flights(group, felt, at_.near_end[n], moved);
+    Moving<Lanes> moved = mover_.moved(mover_.load_group(group), e, b);
+    if (near_) moved = along_flights(mover_, group, felt, at_.near_end[n], moved);
     mover_.write(group, moved);
   }
 
@@ -210,7 +115,12 @@ void push(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, 
   auto const move = [&](auto const& use) { read_field(mesh, remote, clouds, field, particles, starts, use); };
   if (motion.external && !motion.external->empty())
     move([&](LaneBlock const& block) { return BlockMover(mover, block); });
-  else if (mover.has_own_b || motion.added.electric[0] || motion.added.magnetic[0])
+  else if (clouds.kernels)
+    read_tiles(mesh, remote, clouds.matched, field, particles, starts,
+               PortableReader(mesh, *clouds.kernels, particles, [&](TileKernels const& kernels, auto const& tiles) {
+                 return kernels.push(clouds.shape, particles, tiles, mover);
+               }));
+  else if (mover.has_more())
     move([=](LaneGroup const& group, Components const& felt) { mover.by_fields(group, felt); });
   else
     move([=](LaneGroup const& group, Components const& felt) { mover.by_mesh(group, felt); });

@@ -14,6 +14,7 @@
 #include "particle/particle_mesh.hpp"
 #include "particle/remote_bricks.hpp"
 #include "particle/tile.hpp"
+#include "particle/tile_kernels.hpp"
 #include "particle/view.hpp"
 #include "stencil/field_difference.hpp"
 #include "stencil/intergrid.hpp"
@@ -376,35 +377,70 @@ class RemoteField {
   std::vector<Real> values_;
 };
 
-/// The same for all particles of this rank. Collective.
+/// Averages tiles over clouds slab by slab, by vectors; `use` as in `read_clouds`.
 template <class Use>
-void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
-                ParticleView const& particles, std::int64_t const* starts, Use const& use) {
+class SlabReader {
+ public:
+  SlabReader(ParticleMesh const& mesh, Shape shape, ParticleView const& particles, Use const& use)
+      : mesh_(mesh),
+        shape_(shape),
+        particles_(particles),
+        use_(use),
+        tiles_(std::size_t(mesh.hierarchy().level_count())) {}
+  std::vector<Tile<lanes>>& tiles() { return tiles_; }
+  int planes(Box const& box) const { return planes_per_slab(box, lanes); }
+  void read(int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
+    for_each_coarsening_depth(mesh_, level, slab, buffer, particles_, from, to,
+                              [&](int depth, TileFrame const& frame, Chosen const& chosen) {
+                                with_shape(shape_, [&](auto s) {
+                                  read_clouds<decltype(s)>(frame, particles_, chosen, tiles_[std::size_t(depth)], use_);
+                                });
+                              });
+  }
+  void finish() {}
+
+ private:
+  ParticleMesh const& mesh_;
+  Shape shape_;
+  ParticleView const& particles_;
+  Use const& use_;
+  std::vector<Tile<lanes>> tiles_;  ///< by how much coarser than their box
+};
+
+/// Leaves that to portable kernels, box by box.
+class PortableReader : TileBatch<Tile<lanes>, lanes> {
+ public:
+  using TileBatch::TileBatch;
+  std::vector<Tile<lanes>>& tiles() { return next(); }
+  int planes(Box const& box) const { return box.extent(2); }
+  void read(int level, Box const& box, BoxBuffer const* buffer, std::int64_t first, std::int64_t last) {
+    add(level, box, buffer, first, last);
+  }
+  void finish() { run(); }
+};
+
+/// Bring the field into tiles for all particles of this rank, and let them be read. Collective.
+template <class Reader>
+void read_tiles(ParticleMesh& mesh, RemoteBricks const& remote, bool matched, ElectricField const& field,
+                ParticleView const& particles, std::int64_t const* starts, Reader&& reader) {
   Hierarchy const& hierarchy = mesh.hierarchy();
-  BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
-  BoundaryPlaces const& places = mesh.boundary_places(clouds.matched);
+  BufferZone const* const zone = matched ? &mesh.buffer_zone() : nullptr;
+  BoundaryPlaces const& places = mesh.boundary_places(matched);
   std::vector<BoundaryField> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     own.push_back(with_halo(field, l, places.halo(l)));
     if (zone) coarse.push_back(with_halo(field, l, places.halo_of_matched(l)));
   }
 
-  RemotePlan const& plan = remote.plan(clouds.matched);
+  RemotePlan const& plan = remote.plan(matched);
   RemoteField const remote_field(field, plan);
   std::optional<Compensator> compensator;
-  if (field.compensation().density) compensator.emplace(field.compensation(), mesh, remote, clouds.matched);
+  if (field.compensation().density) compensator.emplace(field.compensation(), mesh, remote, matched);
 
-  std::vector<Tile<lanes>> tiles(std::size_t(hierarchy.level_count()));  // by how much coarser than their box
-  auto const read_tile = [&](int level, Box const& slab, BoxBuffer const* buffer, std::int64_t from, std::int64_t to) {
-    for_each_coarsening_depth(
-        mesh, level, slab, buffer, particles, from, to, [&](int depth, TileFrame const& frame, Chosen const& chosen) {
-          with_shape(clouds.shape,
-                     [&](auto s) { read_clouds<decltype(s)>(frame, particles, chosen, tiles[depth], use); });
-        });
-  };
   auto const read_box = [&](std::size_t slot, std::int64_t first, std::int64_t last) {
     BoxGhosts const& at = mesh.boxes()[slot];
     BoxBuffer const* const buffer = zone ? zone->box(slot) : nullptr;
+    std::vector<Tile<lanes>>& tiles = reader.tiles();
     for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
       CoarseCells const& c = buffer->coarse[r - 1];
       tiles[r].reset(c.box);
@@ -416,16 +452,17 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
     if (compensator) compensator->begin(slot, rows);
     Filler const filler(field, at, places.ghosts(slot), own, rows);
     bool precedes = false;  // whether tiles[0] is that of the slab before
-    for_each_slab(mesh, at.level, box, planes_per_slab(box, lanes), particles, first, last,
+    for_each_slab(mesh, at.level, box, reader.planes(box), particles, first, last,
                   [&](Box const& slab, auto from, auto to) {
                     if (from < to) filler.fill(slab, precedes, tiles[0]);
                     if (from < to && compensator) compensator->add_to_slab(slab, precedes, tiles[0]);
                     precedes = from < to;
-                    read_tile(at.level, slab, buffer, from, to);
+                    reader.read(at.level, slab, buffer, from, to);
                   });
   };
   auto const read_remote = [&](std::size_t n, std::int64_t first, std::int64_t last) {
     BrickWindows const& brick = plan.bricks()[n];
+    std::vector<Tile<lanes>>& tiles = reader.tiles();
     tiles[0].reset(brick.cells);
     remote_field.fill(n, 0, tiles[0]);
     if (compensator) compensator->add_to_remote(n, 0, tiles[0]);
@@ -434,9 +471,16 @@ void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cl
       remote_field.fill(n, r, tiles[r]);
       if (compensator) compensator->add_to_remote(n, r, tiles[r]);
     }
-    read_tile(brick.home.level, brick.cells, brick.buffer.coarse.empty() ? nullptr : &brick.buffer, first, last);
+    reader.read(brick.home.level, brick.cells, brick.buffer.coarse.empty() ? nullptr : &brick.buffer, first, last);
   };
-  for_each_occupied(mesh, remote.bricks().size(), starts, read_box, read_remote);
+  for_each_occupied(mesh, remote.bricks().size(), starts, read_box, read_remote, [&] { reader.finish(); });
+}
+
+/// Call use(group, field) for all particles of this rank, or as `read_clouds` has it. Collective.
+template <class Use>
+void read_field(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ElectricField const& field,
+                ParticleView const& particles, std::int64_t const* starts, Use const& use) {
+  read_tiles(mesh, remote, clouds.matched, field, particles, starts, SlabReader(mesh, clouds.shape, particles, use));
 }
 
 }  // namespace amrpic

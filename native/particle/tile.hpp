@@ -74,18 +74,25 @@ struct Chosen {
 /// One box's place in space, and what brings a particle's position into its tile.
 class TileFrame {
  public:
+  TileFrame() = default;
   TileFrame(LevelCoordinates const& coordinates, Box const& box) : coordinates_(coordinates), box_(box) {}
 
-  /// Coordinate in cell widths from the lower corner of the box, in [0, extent): the difference is exact, where adding
-  /// the reach could round it up to the next cell. Throws Stray if the particle lies outside the box.
-  Real3 inside(ParticleView const& particles, std::int64_t n) const {
-    Real3 s = coordinates_(particles.at(n));
+  /// Whether a place lies in the box; it becomes the coordinate in cell widths from the box's lower corner, in [0,
+  /// extent): the difference is exact, where adding the reach could round it up to the next cell.
+  KOKKOS_INLINE_FUNCTION bool enter(Real3& x) const {
     bool in = true;
     for (int d = 0; d < 3; ++d) {
-      in = in && s[d] >= box_.lower[d] && s[d] < box_.upper[d] + 1;
-      s[d] -= box_.lower[d];
+      x[d] = coordinates_.along(d, x[d]);
+      in &= (x[d] >= box_.lower[d]) & (x[d] < box_.upper[d] + 1);
+      x[d] -= box_.lower[d];
     }
-    if (!in) throw Stray{particles.id[n]};
+    return in;
+  }
+
+  /// The same of a particle. Throws Stray if it lies outside the box.
+  Real3 inside(ParticleView const& particles, std::int64_t n) const {
+    Real3 s = particles.at(n);
+    if (!enter(s)) throw Stray{particles.id[n]};
     return s;
   }
 
@@ -118,6 +125,8 @@ class TileFrame {
     for (int d = 0; d < 3; ++d) out[d] = int(s[d]) + box_.lower[d];
     return out;
   }
+
+  KOKKOS_INLINE_FUNCTION int lower(int axis) const { return box_.lower[std::size_t(axis)]; }
 
  private:
   LevelCoordinates coordinates_;
@@ -173,11 +182,11 @@ void for_each_coarsening_depth(ParticleMesh const& mesh, int level, Box const& s
 }
 
 /// Call of_box(slot, first, last) for each box of this rank that holds particles, [first, last) of them, then
-/// of_remote(n, first, last) for those of `remote` remote bricks. If they throw a Stray on some ranks, all throw
-/// std::out_of_range, so that none waits for another. Collective.
-template <class OfBox, class OfRemote>
+/// of_remote(n, first, last) for those of `remote` remote bricks, then at_end(). If they throw a Stray on some ranks,
+/// all throw std::out_of_range, so that none waits for another. Collective.
+template <class OfBox, class OfRemote, class AtEnd>
 void for_each_occupied(ParticleMesh const& mesh, std::size_t remote, std::int64_t const* starts, OfBox&& of_box,
-                       OfRemote&& of_remote) {
+                       OfRemote&& of_remote, AtEnd&& at_end) {
   constexpr std::int64_t none = std::numeric_limits<std::int64_t>::max();
   std::int64_t lowest = none;
   try {
@@ -185,6 +194,7 @@ void for_each_occupied(ParticleMesh const& mesh, std::size_t remote, std::int64_
       if (starts[0] < starts[1]) of_box(s, starts[0], starts[1]);
     for (std::size_t n = 0; n < remote; ++n, ++starts)
       if (starts[0] < starts[1]) of_remote(n, starts[0], starts[1]);
+    at_end();
   } catch (Stray const& stray) {
     lowest = stray.id;
   }

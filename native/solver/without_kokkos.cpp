@@ -1,5 +1,8 @@
 // In place of all that needs Kokkos, in a build without it.
+#include <stdexcept>
+
 #include "base/runtime.hpp"
+#include "kokkos/particles.hpp"
 #include "solver/kokkos_backend.hpp"
 
 namespace amrpic {
@@ -8,6 +11,8 @@ void initialize() {}
 void finalize() {}
 std::string trilinos_version() { return ""; }
 std::string kokkos_backend() { return ""; }
+
+TileKernels const& kokkos::tile_kernels() { throw std::invalid_argument("particles by Kokkos need a build with it"); }
 
 std::unique_ptr<Backend> make_kokkos_backend(Problem const&) {
   throw SolverError(

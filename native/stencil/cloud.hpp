@@ -23,7 +23,7 @@ struct CloudWeights {
 struct NearestGridPoint {
   static constexpr int width = 1;
   template <class Value>
-  static CloudWeights<1, Value> at(Value const& x) {
+  KOKKOS_INLINE_FUNCTION static CloudWeights<1, Value> at(Value const& x) {
     return {round_down(x), {Value{} + 1}};
   }
 };
@@ -32,7 +32,7 @@ struct NearestGridPoint {
 struct CloudInCell {
   static constexpr int width = 2;
   template <class Value>
-  static CloudWeights<2, Value> at(Value const& x) {
+  KOKKOS_INLINE_FUNCTION static CloudWeights<2, Value> at(Value const& x) {
     Value const s = x - Real(0.5);  // in cell widths from the centre of cell 0
     Value const left = round_down(s);
     Value const upper = s - left;
@@ -44,7 +44,7 @@ struct CloudInCell {
 struct TriangularCloud {
   static constexpr int width = 3;
   template <class Value>
-  static CloudWeights<3, Value> at(Value const& x) {
+  KOKKOS_INLINE_FUNCTION static CloudWeights<3, Value> at(Value const& x) {
     Value const own = round_down(x);
     Value const s = x - own;  // in [0, 1), from the lower face of the particle's own cell
     Value const left = Real(0.5) * (1 - s) * (1 - s), right = Real(0.5) * s * s;

@@ -176,7 +176,6 @@ class Columns {
   Real* read(Real const* column, bool is_one = false) {
     if (!column) return nullptr;
     read_.emplace_back(const_cast<Real*>(column) + (is_one ? 0 : first_), std::size_t(is_one ? 1 : count_));
-    read_.back().to_device();
     return read_.back().array().data() - (is_one ? 0 : first_);
   }
   Real* written(Real* column) {
@@ -217,7 +216,6 @@ std::int64_t run(char const* name, Shape shape, std::vector<OnTiles> const& on, 
     }
     for (OnTiles::Numbers tile : box.by_depth) {
       values.emplace_back(tile.values, std::size_t(tile.count));
-      values.back().to_device();
       tile.values = values.back().array().data();
       tiles.push_back(tile);
     }

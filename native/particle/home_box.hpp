@@ -66,7 +66,8 @@ class HomeBox {
       // `lower_` is a whole number no larger than s, so that the difference is exact, as is an eighth of it.
       number = number * Real(bricks_.count(d)) + round_down((s - lower_[d]) / Real(brick_shape[d]));
     }
-    auto out = to_index(select(in, number, Lanes{} - 1));
+    Lanes const none = Lanes{} - 1;  // by name: nvcc ends on a sum as an argument
+    auto out = to_index(select(in, number, none));
     for (int i = 0; i < lane_count && !refined_.empty(); ++i)
       if (out[i] >= 0 && refined_[std::size_t(out[i])]) out[i] = -1;
     return out;

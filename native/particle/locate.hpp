@@ -25,9 +25,9 @@ struct Home {
 struct LevelCoordinates {
   Real3 lower, cells_per_metre;
 
-  /// Of one number or of several at a time.
+  /// Of one number, or on the host of several at a time: no function of a device, which constant ones are as needed.
   template <class T>
-  KOKKOS_INLINE_FUNCTION T along(int axis, T const& x) const {
+  constexpr T along(int axis, T const& x) const {
     return (x - lower[std::size_t(axis)]) * cells_per_metre[std::size_t(axis)];
   }
   KOKKOS_INLINE_FUNCTION Real3 operator()(Real3 const& x) const {

@@ -25,6 +25,11 @@ bool in_order(LeafPart const& a, LeafPart const& b) {
 
 }  // namespace
 
+int& fewest_sharing_ranks() {
+  static int fewest = 33;  // fewer messages than that take no longer than a sum over all
+  return fewest;
+}
+
 WallGeometry::WallGeometry(WallMesh const& given, Options const& options)
     : mesh(given),
       grids(mesh.lattice, int(mesh.levels.size()) - 1),
@@ -42,8 +47,34 @@ int WallGeometry::home(Block const& block) const {
   return box < 0 ? -1 : level.owner(box);
 }
 
+std::vector<Block> WallGeometry::top_blocks() const {
+  Cell const extent = grids.extent(top);
+  std::vector<Block> out;
+  Cell place;
+  for (place[2] = 0; place[2] < extent[2]; ++place[2])
+    for (place[1] = 0; place[1] < extent[1]; ++place[1])
+      for (place[0] = 0; place[0] < extent[0]; ++place[0]) out.push_back({top, place});
+  return out;
+}
+
+int WallGeometry::below_top(int grid) const {
+  int out = 0;
+  for (; grid != top; grid = grids[grid].parent) ++out;
+  return out;
+}
+
+std::vector<Block> WallGeometry::shared_children(std::vector<Block> const& blocks) const {
+  std::vector<Block> out;
+  if (mesh.ranks() < fewest_sharing_ranks()) return out;
+  for (Block const& block : blocks) grids.for_each_child(block, [&](Block const& child) { out.push_back(child); });
+  if (int(out.size()) > most_known_blocks) out.clear();
+  return out;
+}
+
 WallPlan::WallPlan(std::shared_ptr<WallGeometry const> geometry, int rank)
     : geometry_(std::move(geometry)), rank_(rank) {
+  for (int grid = 0; grid <= geometry_->top; ++grid)
+    family_ranks.resize(std::max(family_ranks.size(), std::size_t(geometry_->below_top(grid)) + 1));
   plan_parts();
   if (geometry_->mesh.ranks() > 1)
     for (int grid = 0; grid <= geometry_->top; ++grid) own_blocks_.push_back(own_blocks(grid));
@@ -223,14 +254,16 @@ void WallPlan::for_each_seen(std::function<bool(Block const&)> const& f) const {
 void WallPlan::plan_sources() {
   auto const others = std::size_t(geometry_->mesh.ranks() - 1);
   if (others == 0) return;
-  std::set<int> nodes, charges;
+  std::vector<std::set<int>> nodes(family_ranks.size());
+  std::set<int> charges;
+  auto const is_full = [&](std::set<int> const& ranks) { return ranks.size() == others; };
   for_each_seen([&](Block const& block) {
     bool const is_leaf = geometry_->grids[block.grid].is_leaf();
     int const home = is_leaf || block.grid <= geometry_->top ? geometry_->home(block) : rank_;
-    if (home != rank_) (is_leaf ? charges : nodes).insert(home);
-    return nodes.size() == others && charges.size() == others;
+    if (home != rank_) (is_leaf ? charges : nodes[std::size_t(geometry_->below_top(block.grid))]).insert(home);
+    return is_full(charges) && std::all_of(nodes.begin(), nodes.end(), is_full);
   });
-  family_ranks.from.assign(nodes.begin(), nodes.end());
+  for (std::size_t n = 0; n < nodes.size(); ++n) family_ranks[n].from.assign(nodes[n].begin(), nodes[n].end());
   leaf_ranks.from.assign(charges.begin(), charges.end());
 }
 
@@ -238,7 +271,8 @@ void WallPlan::plan_sources() {
 void WallPlan::plan_gifts() {
   auto const others = std::size_t(geometry_->mesh.ranks() - 1);
   if (others == 0) return;
-  std::set<int> family_to, leaf_to;
+  std::vector<std::set<int>> family_to(family_ranks.size());
+  std::set<int> leaf_to;
   for (int grid = 0; grid <= geometry_->top; ++grid) {
     bool const are_leaves = geometry_->grids[grid].is_leaf();
     for (Block const& block : own_blocks_[std::size_t(grid)]) {
@@ -252,11 +286,22 @@ void WallPlan::plan_gifts() {
       else
         geometry_->sight.for_each_that_opens(block, add);
       for (int rank : ranks) (are_leaves ? leaves : families).push_back({block, rank});
-      (are_leaves ? leaf_to : family_to).insert(ranks.begin(), ranks.end());
+      auto& to = are_leaves ? leaf_to : family_to[std::size_t(geometry_->below_top(grid))];
+      to.insert(ranks.begin(), ranks.end());
     }
   }
-  family_ranks.to.assign(family_to.begin(), family_to.end());
+  for (std::size_t n = 0; n < family_to.size(); ++n)
+    family_ranks[n].to.assign(family_to[n].begin(), family_to[n].end());
   leaf_ranks.to.assign(leaf_to.begin(), leaf_to.end());
+}
+
+Senders WallPlan::family_ranks_from(int below) const {
+  std::set<int> to, from;
+  for (std::size_t n = std::size_t(below); n < family_ranks.size(); ++n) {
+    to.insert(family_ranks[n].to.begin(), family_ranks[n].to.end());
+    from.insert(family_ranks[n].from.begin(), family_ranks[n].from.end());
+  }
+  return senders(to, from);
 }
 
 void WallPlan::plan_walls() {

@@ -197,7 +197,7 @@ std::vector<NodeRecord> FreeSpace::children_of_others(WallPlan const& plan, Octr
     }
     ++below;
   }
-  Senders const ranks = plan.family_ranks_from(below);
+  Senders const ranks = plan.family_ranks_below(known, below);
   auto to = lists_for<NodeRecord>(ranks.to);
   for_each_gift(builder, plan.families, [&](auto const& found, Gift const& gift) {
     if (geometry.below_top(gift.block.grid) >= below) builder.append_children(gift.block.grid, found, to[gift.rank]);

@@ -143,11 +143,13 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
   if (geometry.mesh.ranks() > 1)
     out.collectives = {std::int64_t(sizeof(double)) * (octaves + most_levels), bytes_of(geometry.top_blocks().size())};
   int below = 0;
-  for (auto children = geometry.shared_children(full.charged(geometry.top_blocks())); !children.empty(); ++below) {
+  std::vector<Block> known = full.charged(geometry.top_blocks());
+  for (auto children = geometry.shared_children(known); !children.empty(); children = geometry.shared_children(known)) {
     out.collectives.push_back(bytes_of(children.size()));
-    children = geometry.shared_children(full.charged(children));
+    known = full.charged(children);
+    ++below;
   }
-  Senders const family_ranks = plan.family_ranks_from(below);
+  Senders const family_ranks = plan.family_ranks_below(known, below);
   out.families.messages = count_of(family_ranks.to);
   for (std::size_t n = 0; n < plan.families.size();) {
     Block const block = plan.families[n].block;

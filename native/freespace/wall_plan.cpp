@@ -57,6 +57,8 @@ std::vector<Block> WallGeometry::top_blocks() const {
   return out;
 }
 
+bool WallGeometry::is_shared() const { return mesh.ranks() > 1 && mesh.ranks() >= fewest_sharing_ranks(); }
+
 int WallGeometry::below_top(int grid) const {
   int out = 0;
   for (; grid != top; grid = grids[grid].parent) ++out;
@@ -65,7 +67,7 @@ int WallGeometry::below_top(int grid) const {
 
 std::vector<Block> WallGeometry::shared_children(std::vector<Block> const& blocks) const {
   std::vector<Block> out;
-  if (mesh.ranks() < fewest_sharing_ranks()) return out;
+  if (!is_shared()) return out;
   for (Block const& block : blocks) grids.for_each_child(block, [&](Block const& child) { out.push_back(child); });
   if (int(out.size()) > most_known_blocks) out.clear();
   return out;
@@ -73,8 +75,6 @@ std::vector<Block> WallGeometry::shared_children(std::vector<Block> const& block
 
 WallPlan::WallPlan(std::shared_ptr<WallGeometry const> geometry, int rank)
     : geometry_(std::move(geometry)), rank_(rank) {
-  for (int grid = 0; grid <= geometry_->top; ++grid)
-    family_ranks.resize(std::max(family_ranks.size(), std::size_t(geometry_->below_top(grid)) + 1));
   plan_parts();
   if (geometry_->mesh.ranks() > 1)
     for (int grid = 0; grid <= geometry_->top; ++grid) own_blocks_.push_back(own_blocks(grid));
@@ -254,16 +254,18 @@ void WallPlan::for_each_seen(std::function<bool(Block const&)> const& f) const {
 void WallPlan::plan_sources() {
   auto const others = std::size_t(geometry_->mesh.ranks() - 1);
   if (others == 0) return;
-  std::vector<std::set<int>> nodes(family_ranks.size());
-  std::set<int> charges;
-  auto const is_full = [&](std::set<int> const& ranks) { return ranks.size() == others; };
+  std::set<int> nodes, charges;
+  std::set<Gift> parents;
   for_each_seen([&](Block const& block) {
     bool const is_leaf = geometry_->grids[block.grid].is_leaf();
     int const home = is_leaf || block.grid <= geometry_->top ? geometry_->home(block) : rank_;
-    if (home != rank_) (is_leaf ? charges : nodes[std::size_t(geometry_->below_top(block.grid))]).insert(home);
-    return is_full(charges) && std::all_of(nodes.begin(), nodes.end(), is_full);
+    if (home == rank_) return false;
+    (is_leaf ? charges : nodes).insert(home);
+    if (!is_leaf && geometry_->is_shared()) parents.insert({block, home});
+    return !geometry_->is_shared() && nodes.size() == others && charges.size() == others;
   });
-  for (std::size_t n = 0; n < nodes.size(); ++n) family_ranks[n].from.assign(nodes[n].begin(), nodes[n].end());
+  seen.assign(parents.begin(), parents.end());
+  family_ranks.from.assign(nodes.begin(), nodes.end());
   leaf_ranks.from.assign(charges.begin(), charges.end());
 }
 
@@ -271,8 +273,7 @@ void WallPlan::plan_sources() {
 void WallPlan::plan_gifts() {
   auto const others = std::size_t(geometry_->mesh.ranks() - 1);
   if (others == 0) return;
-  std::vector<std::set<int>> family_to(family_ranks.size());
-  std::set<int> leaf_to;
+  std::set<int> family_to, leaf_to;
   for (int grid = 0; grid <= geometry_->top; ++grid) {
     bool const are_leaves = geometry_->grids[grid].is_leaf();
     for (Block const& block : own_blocks_[std::size_t(grid)]) {
@@ -286,21 +287,27 @@ void WallPlan::plan_gifts() {
       else
         geometry_->sight.for_each_that_opens(block, add);
       for (int rank : ranks) (are_leaves ? leaves : families).push_back({block, rank});
-      auto& to = are_leaves ? leaf_to : family_to[std::size_t(geometry_->below_top(grid))];
-      to.insert(ranks.begin(), ranks.end());
+      (are_leaves ? leaf_to : family_to).insert(ranks.begin(), ranks.end());
     }
   }
-  for (std::size_t n = 0; n < family_to.size(); ++n)
-    family_ranks[n].to.assign(family_to[n].begin(), family_to[n].end());
+  family_ranks.to.assign(family_to.begin(), family_to.end());
   leaf_ranks.to.assign(leaf_to.begin(), leaf_to.end());
 }
 
-Senders WallPlan::family_ranks_from(int below) const {
+Senders WallPlan::family_ranks_below(std::vector<Block> known, int below) const {
+  if (!geometry_->is_shared()) return family_ranks;
+  std::sort(known.begin(), known.end());
+  auto const may_have_charge = [&](Block block) {
+    int above = geometry_->below_top(block.grid) - below;
+    if (above < 0) return false;  // known already
+    for (; above > 0; --above) block = geometry_->grids.parent(block);
+    return std::binary_search(known.begin(), known.end(), block);
+  };
   std::set<int> to, from;
-  for (std::size_t n = std::size_t(below); n < family_ranks.size(); ++n) {
-    to.insert(family_ranks[n].to.begin(), family_ranks[n].to.end());
-    from.insert(family_ranks[n].from.begin(), family_ranks[n].from.end());
-  }
+  for (Gift const& gift : families)
+    if (may_have_charge(gift.block)) to.insert(gift.rank);
+  for (Gift const& gift : seen)
+    if (may_have_charge(gift.block)) from.insert(gift.rank);
   return senders(to, from);
 }
 

@@ -60,6 +60,7 @@ struct WallGeometry {
   int home(Block const& block) const;
 
   std::vector<Block> top_blocks() const;  ///< all of the top, with charge or not
+  bool is_shared() const;                 ///< whether the ranks do
   /// How many grids below the top one this is.
   int below_top(int grid) const;
   /// The children that blocks known on all ranks may have, if the ranks share these too; else none.
@@ -83,8 +84,8 @@ class WallPlan {
   std::vector<std::vector<Gift>> upwards;     ///< by grid: this rank's blocks whose parent is another rank's
   std::vector<Senders> joins;                 ///< by grid, of the children's nodes
   std::vector<Gift> families, leaves;         ///< whose children, and whose charges, other ranks may need; ascending
-  std::vector<Senders> family_ranks;          ///< by how many grids below the top the parents are
-  Senders leaf_ranks;
+  std::vector<Gift> seen;  ///< parents of families that this rank may need, with their ranks, if they share; ascending
+  Senders family_ranks, leaf_ranks;
   std::vector<GhostPatch> patches;              ///< of this rank, and all around them; children before parents
   std::vector<char> is_own;                     ///< each of them
   std::vector<Transfer> down;                   ///< from parents, a step per generation
@@ -93,8 +94,9 @@ class WallPlan {
   std::vector<int> wall_blocks;                 ///< this rank's, by number in the geometry, ascending
   std::vector<std::array<int, 2>> kept_blocks;  ///< patch and wall block of those that it evaluates itself
 
-  /// Of families whose parents are at least so many grids below the top.
-  Senders family_ranks_from(int below) const;
+  /// Of families whose parents are at least so many grids below the top, where the blocks that are known on all ranks
+  /// are the ones with charge; without any, if ranks do not share, of all.
+  Senders family_ranks_below(std::vector<Block> known, int below) const;
 
   /// Call f(block) for the blocks that patches of this rank may open, and for the leaves that they may sum, several
   /// times for some; until f returns true.

@@ -40,7 +40,6 @@ namespace {
 
 constexpr int smallest_piece = 8;     ///< cells along an axis: thinner boxes cost more than they balance
 constexpr Real most_imbalance = 1.1;  ///< cells of the fullest rank over the mean
-constexpr GlobalIndex few = 1024;     ///< cells of a rank that are not worth the messages of two
 
 GlobalIndex cells_of(std::vector<Box> const& boxes) {
   return std::accumulate(boxes.begin(), boxes.end(), GlobalIndex(0),
@@ -229,8 +228,7 @@ bool relieve(std::vector<Box>& boxes, std::vector<int> const& first, int blockin
   GlobalIndex end = 0;  // cells up to the box
   for (std::size_t r = 0; r + 1 < first.size(); ++r) {
     std::vector<Box> const run(boxes.begin() + first[r], boxes.begin() + first[r + 1]);
-    GlobalIndex const cells = cells_of(run);
-    bool const is_overfull = cells > few && Real(cells) * Real(ranks) > most_imbalance * Real(total);
+    bool const is_overfull = Real(cells_of(run)) * Real(ranks) > most_imbalance * Real(total);
     for (Box const& box : run) {
       GlobalIndex const border = end * ranks / total + 1;  // the next one, in parts
       end += box.cells();

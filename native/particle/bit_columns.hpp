@@ -42,12 +42,20 @@ class BitColumns {
     BitColumns const format(rows);
     std::vector<std::int64_t> out(header + (rows.size() * format.row_bits() + 63) / 64, 0);
     format.write(out.data());
-    std::size_t at = 64 * header;
+    std::int64_t* to = out.data() + header;
+    std::uint64_t word = 0;
+    unsigned filled = 0;  // bits of it
     for (Row const& row : rows)
       for (std::size_t c = 0; c < columns; ++c) {
-        put(out.data(), at, row[c] - format.least_[c], format.bits_[c]);
-        at += format.bits_[c];
+        std::uint64_t const value = row[c] - format.least_[c];
+        word |= value << filled;
+        filled += format.bits_[c];
+        if (filled < 64) continue;
+        *to++ = std::int64_t(word);
+        filled -= 64;
+        word = filled > 0 ? value >> (format.bits_[c] - filled) : 0;
       }
+    if (filled > 0) *to = std::int64_t(word);
     return out;
   }
 
@@ -91,13 +99,7 @@ class BitColumns {
   }
   std::size_t row_bits() const { return std::accumulate(bits_.begin(), bits_.end(), std::size_t(0)); }
 
-  /// A number of so many bits from a bit on, where there are zeros so far.
-  static void put(std::int64_t* words, std::size_t at, std::uint64_t value, unsigned bits) {
-    if (bits == 0) return;
-    std::size_t const word = at / 64, shift = at % 64;
-    words[word] = std::int64_t(std::uint64_t(words[word]) | value << shift);
-    if (shift + bits > 64) words[word + 1] = std::int64_t(value >> (64 - shift));
-  }
+  /// The number of so many bits from a bit on.
   static std::uint64_t get(std::int64_t const* words, std::size_t at, unsigned bits) {
     if (bits == 0) return 0;
     std::size_t const word = at / 64, shift = at % 64;

@@ -46,6 +46,7 @@ void pack_rows(ParticleMesh const& mesh, ParticleView const& particles,
   for (std::size_t rank = 0; rank < leavers.size(); ++rank) {
     if (leavers[rank].empty()) continue;
     rows.clear();
+    rows.reserve(leavers[rank].size());
     for (auto const& [n, home] : leavers[rank]) {
       Real3 const before = particles.at(n);
       Real3 x = before;

@@ -621,6 +621,11 @@ class FreeSpace:
         Potential behind the open walls of this rank's cells, by a charge density / eps0. Per level: faces, 2 axis + side; cells (n, 3); and values (n,), all of free space; in order 4 (n, 2), of both ghosts. Collective.
         """
 
+def set_fewest_sharing_ranks(fewest: int) -> int:
+    """
+    So many ranks and more let all know the nodes right below the top of the tree of charge while they are few. Returns what it was. The same on all ranks.
+    """
+
 class OpenWallPlans:
     def __init__(self, hierarchy: Hierarchy, first_boxes: Sequence[Sequence[int]] = []) -> None:
         """

@@ -21,9 +21,7 @@ from .sent import Sent
 
 SIZE = 8  # cells per axis of a brick
 FEWEST = 0.5  # particles of a brick that counts
-NUMBER = 8  # bytes
-HOME = 12  # bytes by which a brick is named in a message
-ANNOUNCED = 3  # messages with charge: how many bricks, which, and their values
+WORD = 8  # bytes of a number, or of a brick's name
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class Exchange:
     """What servers of particles and owners of cells send each other: of each brick its first server meets the owners of its
     cells, and its other servers meet that one.
 
-    Charge goes to the owner, behind a list of bricks and an announcement of it, the field to the server.
+    Charge goes to the owner, behind a list of the bricks in the same message, the field to the server.
     """
 
     ranks: int
@@ -94,19 +92,17 @@ class Exchange:
     @property
     def messages(self) -> Array:
         """Those that each rank sends, (ranks,)."""
-        return ANNOUNCED * np.bincount(self.server, minlength=self.ranks) + np.bincount(
-            self.owner, minlength=self.ranks
-        )
+        return np.bincount(self.server, minlength=self.ranks) + np.bincount(self.owner, minlength=self.ranks)
 
     def deposit(self, rank: int) -> Sent:
         """Return what a rank sends of charge; the collective of the announcement is counted elsewhere."""
         mine = self.server == rank
-        return _sent(ANNOUNCED, self.owner[mine], self._charge[mine])
+        return _sent(self.owner[mine], self._charge[mine])
 
     def gather(self, rank: int) -> Sent:
         """Return what a rank sends of the field."""
         mine = self.owner == rank
-        return _sent(1, self.server[mine], self._field[mine])
+        return _sent(self.server[mine], self._field[mine])
 
     def leaving(self, call: str, ranks_per_node: int) -> float:
         """Return the most bytes that leave a node by "deposit" or "gather"."""
@@ -116,15 +112,15 @@ class Exchange:
 
     @property
     def _charge(self) -> Array:
-        return NUMBER + HOME * self.names + NUMBER * self.cells
+        return WORD * (1 + self.names + self.cells)
 
     @property
     def _field(self) -> Array:
-        return 3 * NUMBER * self.cells
+        return 3 * WORD * self.cells
 
 
-def _sent(messages: int, to: Array, size: Array) -> Sent:
-    traffic = Traffic(messages * len(to), int(size.sum()), 0)
+def _sent(to: Array, size: Array) -> Sent:
+    traffic = Traffic(len(to), int(size.sum()), 0)
     return Sent(traffic, dict(zip(to.tolist(), size.tolist(), strict=True)))
 
 

@@ -108,7 +108,7 @@ def _spread_over(
         np.array(mesh.domain.lower) + cell * _spacings(mesh)[bricks.rows[which, 0]],
         like.momentum[taken],
         np.broadcast_to(like.weight[0], len(which)) if equal else like.weight[taken],
-        rng.integers(0, max(int(like.id.max(initial=0)), 1), len(which), endpoint=True),
+        rng.integers(0, max(round(bricks.total), 1), len(which)),
         like.species,
     )
     return made, which

@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <cstdlib>
 
+#include "base/brought.hpp"
 #include "base/destinations.hpp"
 
 namespace amrpic {
@@ -112,54 +113,88 @@ std::vector<int> Communicator::counts(std::size_t mine) const {
   return out;
 }
 
-std::vector<std::pair<int, std::int64_t>> Communicator::announced(
-    std::vector<std::pair<int, std::int64_t>> const& to) const {
-  std::vector<std::pair<int, std::int64_t>> out;
-  if (ranks_ == 1) return out;
-  if (is_virtual()) {
-    for (auto const& [rank, count] : to) count_sent(rank, sizeof count);
-    count_collective();
-    return out;
-  }
+namespace {
+
+/// A list that is one message.
+struct List {
+  int rank;
+  std::int64_t const* values;
+  std::size_t count;
+};
+
+/// Of a list that is one message.
+std::size_t checked_length(std::size_t count) {
+  if (count > longest)
+    throw std::length_error(std::to_string(count) + " elements in one message, more than MPI counts; use more ranks");
+  return count;
+}
+
+/// Send lists to ranks that need not expect them, and receive those of others where room(rank, count) says. Collective.
+template <class Room>
+void bring(Communicator const& comm, std::vector<List> const& to, Room const& room) {
+  if (comm.ranks() == 1) return;
+  for (List const& list : to) comm.count_sent(list.rank, list.count * sizeof *list.values);
+  ++traffic().collectives;
+  if (comm.is_virtual()) return;
   // A rank may be one round ahead of another, and must not be taken for one of the round before: two tags take turns.
-  int const tag = tag_announcement + rounds_of(comm_)++ % 2;
+  int const tag = tag_announcement + rounds_of(comm.handle())++ % 2;
   std::vector<MPI_Request> sending;
-  for (auto const& [rank, count] : to) {
-    MPI_Issend(&count, 1, MPI_INT64_T, rank, tag, comm_, &sending.emplace_back());
-    count_sent(rank, sizeof count);
-  }
-  count_collective();
-  // A rank whose announcements have all arrived waits for the others to say so too; until then more may come.
+  for (List const& list : to)
+    MPI_Issend(list.values, int(checked_length(list.count)), MPI_INT64_T, list.rank, tag, comm.handle(),
+               &sending.emplace_back());
+  // A rank whose lists have all arrived waits for the others to say so too; until then more may come.
   MPI_Request everyone = MPI_REQUEST_NULL;
   bool has_arrived = false;
   for (int done = 0; !done;) {
+    MPI_Message message;
     MPI_Status status;
     int waits = 0;
-    MPI_Iprobe(MPI_ANY_SOURCE, tag, comm_, &waits, &status);
+    MPI_Improbe(MPI_ANY_SOURCE, tag, comm.handle(), &waits, &message, &status);
     if (waits) {
-      std::int64_t count = 0;
-      MPI_Recv(&count, 1, MPI_INT64_T, status.MPI_SOURCE, tag, comm_, MPI_STATUS_IGNORE);
-      out.emplace_back(status.MPI_SOURCE, count);
+      int count = 0;
+      MPI_Get_count(&status, MPI_INT64_T, &count);
+      MPI_Mrecv(room(status.MPI_SOURCE, std::size_t(count)), count, MPI_INT64_T, &message, MPI_STATUS_IGNORE);
     }
     if (has_arrived) {
       MPI_Test(&everyone, &done, MPI_STATUS_IGNORE);
     } else {
       int sent = 0;
       MPI_Testall(int(sending.size()), sending.data(), &sent, MPI_STATUSES_IGNORE);
-      if (sent) MPI_Ibarrier(comm_, &everyone);
+      if (sent) MPI_Ibarrier(comm.handle(), &everyone);
       has_arrived = sent != 0;
     }
   }
+}
+
+}  // namespace
+
+std::vector<std::pair<int, std::int64_t>> Communicator::announced(
+    std::vector<std::pair<int, std::int64_t>> const& to) const {
+  std::vector<List> lists;
+  for (auto const& [rank, count] : to) lists.push_back({rank, &count, 1});
+  std::vector<std::pair<int, std::int64_t>> out;
+  bring(*this, lists, [&](int rank, std::size_t) { return &out.emplace_back(rank, 0).second; });
   std::sort(out.begin(), out.end());
+  return out;
+}
+
+std::vector<std::pair<int, std::vector<std::int64_t>>> brought(Communicator const& comm,
+                                                               std::map<int, std::vector<std::int64_t>> const& to) {
+  std::vector<List> lists;
+  for (auto const& [rank, values] : to) lists.push_back({rank, values.data(), values.size()});
+  std::vector<std::pair<int, std::vector<std::int64_t>>> out;
+  bring(comm, lists, [&](int rank, std::size_t count) {
+    return out.emplace_back(rank, std::vector<std::int64_t>(count)).second.data();
+  });
+  std::sort(out.begin(), out.end(), [](auto const& a, auto const& b) { return a.first < b.first; });
   return out;
 }
 
 void Communicator::send_list(void const* values, std::size_t count, std::size_t size, MPI_Datatype type, int rank,
                              MPI_Request& request) const {
-  if (count > longest)
-    throw std::length_error(std::to_string(count) + " elements in one message, more than MPI counts; use more ranks");
+  int const length = int(checked_length(count));
   request = MPI_REQUEST_NULL;
-  if (!is_virtual()) MPI_Isend(values, int(count), type, rank, tag_lists, comm_, &request);
+  if (!is_virtual()) MPI_Isend(values, length, type, rank, tag_lists, comm_, &request);
   count_sent(rank, count * size);
 }
 

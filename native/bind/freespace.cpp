@@ -180,6 +180,10 @@ void bind_freespace(nb::module_& m) {
           "+ "
           "side; cells (n, 3); and values (n,), all of free space; in order 4 (n, 2), of both ghosts. Collective.");
 
+  m.def(
+      "set_fewest_sharing_ranks", [](int fewest) { return std::exchange(fewest_sharing_ranks(), fewest); }, "fewest"_a,
+      "So many ranks and more let all know the nodes right below the top of the tree of charge while they are few. "
+      "Returns what it was. The same on all ranks.");
   nb::class_<WallGeometry>(m, "OpenWallPlans")
       .def(
           "__init__",

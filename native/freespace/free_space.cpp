@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <map>
+#include <set>
 
 namespace amrpic::freespace {
 
@@ -151,35 +152,59 @@ void FreeSpace::join_upwards(WallPlan const& plan, OctreeBuilder& builder) const
 
 /// The nodes of all blocks of the top.
 std::vector<NodeRecord> FreeSpace::known_on_all(WallGeometry const& geometry, OctreeBuilder const& builder) const {
+  std::vector<NodeRecord> own;
+  for (auto const& found : builder.found(geometry.top))
+    own.push_back({{geometry.top, found.place}, packed(builder.member(found))});
+  return united(geometry.top_blocks(), own);
+}
+
+/// The nodes of those of some blocks that any rank has one of, in their order; each rank has its own ones.
+std::vector<NodeRecord> FreeSpace::united(std::vector<Block> const& blocks, std::vector<NodeRecord> const& own) const {
   constexpr std::size_t words = sizeof(NodeRecord::Content) / sizeof(std::int64_t);
-  int const top = geometry.top;
-  Cell const extent = geometry.grids.extent(top);
-  auto const number = [&](Cell const& p) { return std::size_t(p[0] + extent[0] * (p[1] + extent[1] * p[2])); };
-  std::vector<std::int64_t> all(std::size_t(extent[0] * extent[1] * extent[2]) * words, 0);
-  for (auto const& found : builder.found(top)) {
-    auto const content = packed(builder.member(found));
-    std::memcpy(all.data() + words * number(found.place), &content, sizeof content);
-  }
+  std::map<Block, std::size_t> number;
+  for (std::size_t n = 0; n < blocks.size(); ++n) number[blocks[n]] = n;
+  std::vector<std::int64_t> all(blocks.size() * words, 0);
+  for (NodeRecord const& record : own)
+    std::memcpy(all.data() + words * number.at(record.block), &record.content, sizeof record.content);
   comm_.unite_each(all);
   std::vector<NodeRecord> out;
-  Cell place;
-  for (place[2] = 0; place[2] < extent[2]; ++place[2])
-    for (place[1] = 0; place[1] < extent[1]; ++place[1])
-      for (place[0] = 0; place[0] < extent[0]; ++place[0]) {
-        NodeRecord record{{top, place}, {}};
-        std::memcpy(&record.content, all.data() + words * number(place), sizeof record.content);
-        if (record.content.magnitude > 0) out.push_back(record);
-      }
+  for (std::size_t n = 0; n < blocks.size(); ++n) {
+    NodeRecord record{blocks[n], {}};
+    std::memcpy(&record.content, all.data() + words * n, sizeof record.content);
+    if (record.content.magnitude > 0) out.push_back(record);
+  }
   return out;
 }
 
-/// The children of blocks of other ranks that patches of this one may look into.
+/// The children of blocks of other ranks that patches of this one may look into: those right below the top from all to
+/// all while they are few, others from rank to rank.
 std::vector<NodeRecord> FreeSpace::children_of_others(WallPlan const& plan, OctreeBuilder const& builder) const {
-  auto to = lists_for<NodeRecord>(plan.family_ranks.to);
+  WallGeometry const& geometry = plan.geometry();
+  std::vector<NodeRecord> out;
+  std::vector<Block> known;
+  for (auto const& found : builder.found(geometry.top)) known.push_back({geometry.top, found.place});
+  int below = 0;
+  for (auto children = geometry.shared_children(known); !children.empty(); children = geometry.shared_children(known)) {
+    std::set<int> grids;
+    for (Block const& block : known) grids.insert(block.grid);
+    std::vector<NodeRecord> own;
+    for (int grid : grids)
+      for (auto const& found : builder.found(grid)) builder.append_children(grid, found, own);
+    known.clear();
+    for (NodeRecord const& record : united(children, own)) {
+      known.push_back(record.block);
+      if (geometry.home(geometry.grids.parent(record.block)) != plan.rank()) out.push_back(record);
+    }
+    ++below;
+  }
+  Senders const ranks = plan.family_ranks_below(known, below);
+  auto to = lists_for<NodeRecord>(ranks.to);
   for_each_gift(builder, plan.families, [&](auto const& found, Gift const& gift) {
-    builder.append_children(gift.block.grid, found, to[gift.rank]);
+    if (geometry.below_top(gift.block.grid) >= below) builder.append_children(gift.block.grid, found, to[gift.rank]);
   });
-  return comm_.swapped(to, plan.family_ranks.from);
+  auto const received = comm_.swapped(to, ranks.from);
+  out.insert(out.end(), received.begin(), received.end());
+  return out;
 }
 
 /// The charges of leaves of other ranks that patches of this one may have to sum one by one.

@@ -24,7 +24,7 @@ class FreeSpace {
   std::shared_ptr<WallPlan const> plan(WallMesh const& mesh) const;
 
   /// Potential at the ghost centres behind this rank's open walls, on all levels: see `WallPlan::place`. `local`: the
-  /// boxes of this rank, level by level. Results do not depend on the ranks. Collective: two small reductions, else
+  /// boxes of this rank, level by level. Results do not depend on the ranks. Collective: a few small reductions, else
   /// messages between the ranks of the plan.
   std::vector<double> walls(WallPlan const& plan, std::vector<ChargeBox> const& local);
 
@@ -33,6 +33,7 @@ class FreeSpace {
   OctreeBuilder leaves_of(WallPlan const& plan, ChargeBlocks const& blocks);
   void join_upwards(WallPlan const& plan, OctreeBuilder& builder) const;
   std::vector<NodeRecord> known_on_all(WallGeometry const& geometry, OctreeBuilder const& builder) const;
+  std::vector<NodeRecord> united(std::vector<Block> const& blocks, std::vector<NodeRecord> const& own) const;
   std::vector<NodeRecord> children_of_others(WallPlan const& plan, OctreeBuilder const& builder) const;
   std::vector<LeafRecord> leaves_of_others(WallPlan const& plan, OctreeBuilder const& builder,
                                            ChargeBlocks const& blocks) const;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <set>
 
 #include "freespace/tree_potential.hpp"
@@ -32,6 +33,11 @@ class FullBlocks {
     bool any = false;
     geometry_.grids.for_each_child(block, [&](Block const& child) { any = any || has_charge(child); });
     return any;
+  }
+  std::vector<Block> charged(std::vector<Block> const& blocks) const {
+    std::vector<Block> out;
+    std::copy_if(blocks.begin(), blocks.end(), std::back_inserter(out), [&](Block const& b) { return has_charge(b); });
+    return out;
   }
   std::vector<NodeRecord> children(Block const& block) const {
     std::vector<NodeRecord> out;
@@ -107,6 +113,8 @@ WallCounts::Sent operator+(WallCounts::Sent const& a, WallCounts::Sent const& b)
   return {a.messages + b.messages, a.bytes + b.bytes};
 }
 
+std::int64_t bytes_of(std::size_t nodes) { return std::int64_t(nodes * sizeof(NodeRecord::Content)); }
+
 template <class T>
 std::int64_t count_of(T const& list) {
   return std::int64_t(list.size());
@@ -132,29 +140,35 @@ WallCounts count(WallPlan const& plan, Options const& options, std::vector<Charg
     for (Gift const& gift : plan.upwards[grid])
       if (full.has_charge(gift.block)) out.joins.bytes += std::int64_t(sizeof(NodeRecord));
   }
-  out.families.messages = count_of(plan.family_ranks.to);
+  if (geometry.mesh.ranks() > 1)
+    out.collectives = {std::int64_t(sizeof(double)) * (octaves + most_levels), bytes_of(geometry.top_blocks().size())};
+  int below = 0;
+  std::vector<Block> known = full.charged(geometry.top_blocks());
+  for (auto children = geometry.shared_children(known); !children.empty(); children = geometry.shared_children(known)) {
+    out.collectives.push_back(bytes_of(children.size()));
+    known = full.charged(children);
+    ++below;
+  }
+  Senders const family_ranks = plan.family_ranks_below(known, below);
+  out.families.messages = count_of(family_ranks.to);
   for (std::size_t n = 0; n < plan.families.size();) {
     Block const block = plan.families[n].block;
     std::size_t const first = n;
     while (n < plan.families.size() && plan.families[n].block == block) ++n;
+    if (geometry.below_top(block.grid) < below) continue;
     std::int64_t const children = full.has_charge(block) ? count_of(full.children(block)) : 0;
     out.families.bytes += children * std::int64_t((n - first) * sizeof(NodeRecord));
   }
   out.leaves.messages = count_of(plan.leaf_ranks.to);
   for (Gift const& gift : plan.leaves)
     if (full.has_charge(gift.block)) out.leaves.bytes += std::int64_t(sizeof(LeafRecord));
-  out.received_messages += count_of(plan.family_ranks.from) + count_of(plan.leaf_ranks.from);
+  out.received_messages += count_of(family_ranks.from) + count_of(plan.leaf_ranks.from);
   for (Transfer const& step : plan.down) {
     out.down = out.down + sent(step.asked);
     out.received_messages += sent(step.wanted).messages;
   }
   out.walls = sent(plan.blocks.asked);
   out.received_messages += sent(plan.blocks.wanted).messages;
-  if (geometry.mesh.ranks() > 1) {
-    Cell const top = grids.extent(geometry.top);
-    out.collectives = {std::int64_t(sizeof(double)) * (octaves + most_levels),
-                       std::int64_t(top[0]) * top[1] * top[2] * std::int64_t(sizeof(NodeRecord::Content))};
-  }
 
   // What this rank sees, and what it makes of it.
   std::set<Block> opened, summed;

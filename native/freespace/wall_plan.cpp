@@ -25,6 +25,11 @@ bool in_order(LeafPart const& a, LeafPart const& b) {
 
 }  // namespace
 
+int& fewest_sharing_ranks() {
+  static int fewest = 33;  // fewer messages than that take no longer than a sum over all
+  return fewest;
+}
+
 WallGeometry::WallGeometry(WallMesh const& given, Options const& options)
     : mesh(given),
       grids(mesh.lattice, int(mesh.levels.size()) - 1),
@@ -40,6 +45,32 @@ int WallGeometry::home(Block const& block) const {
   int box = level.find(middle);
   if (box < 0) level.for_each_overlap(cells, [&](int b, Box const&, Index3 const&) { box = box < 0 ? b : box; });
   return box < 0 ? -1 : level.owner(box);
+}
+
+std::vector<Block> WallGeometry::top_blocks() const {
+  Cell const extent = grids.extent(top);
+  std::vector<Block> out;
+  Cell place;
+  for (place[2] = 0; place[2] < extent[2]; ++place[2])
+    for (place[1] = 0; place[1] < extent[1]; ++place[1])
+      for (place[0] = 0; place[0] < extent[0]; ++place[0]) out.push_back({top, place});
+  return out;
+}
+
+bool WallGeometry::is_shared() const { return mesh.ranks() > 1 && mesh.ranks() >= fewest_sharing_ranks(); }
+
+int WallGeometry::below_top(int grid) const {
+  int out = 0;
+  for (; grid != top; grid = grids[grid].parent) ++out;
+  return out;
+}
+
+std::vector<Block> WallGeometry::shared_children(std::vector<Block> const& blocks) const {
+  std::vector<Block> out;
+  if (!is_shared()) return out;
+  for (Block const& block : blocks) grids.for_each_child(block, [&](Block const& child) { out.push_back(child); });
+  if (int(out.size()) > most_known_blocks) out.clear();
+  return out;
 }
 
 WallPlan::WallPlan(std::shared_ptr<WallGeometry const> geometry, int rank)
@@ -224,12 +255,16 @@ void WallPlan::plan_sources() {
   auto const others = std::size_t(geometry_->mesh.ranks() - 1);
   if (others == 0) return;
   std::set<int> nodes, charges;
+  std::set<Gift> parents;
   for_each_seen([&](Block const& block) {
     bool const is_leaf = geometry_->grids[block.grid].is_leaf();
     int const home = is_leaf || block.grid <= geometry_->top ? geometry_->home(block) : rank_;
-    if (home != rank_) (is_leaf ? charges : nodes).insert(home);
-    return nodes.size() == others && charges.size() == others;
+    if (home == rank_) return false;
+    (is_leaf ? charges : nodes).insert(home);
+    if (!is_leaf && geometry_->is_shared()) parents.insert({block, home});
+    return !geometry_->is_shared() && nodes.size() == others && charges.size() == others;
   });
+  seen.assign(parents.begin(), parents.end());
   family_ranks.from.assign(nodes.begin(), nodes.end());
   leaf_ranks.from.assign(charges.begin(), charges.end());
 }
@@ -257,6 +292,23 @@ void WallPlan::plan_gifts() {
   }
   family_ranks.to.assign(family_to.begin(), family_to.end());
   leaf_ranks.to.assign(leaf_to.begin(), leaf_to.end());
+}
+
+Senders WallPlan::family_ranks_below(std::vector<Block> known, int below) const {
+  if (!geometry_->is_shared()) return family_ranks;
+  std::sort(known.begin(), known.end());
+  auto const may_have_charge = [&](Block block) {
+    int above = geometry_->below_top(block.grid) - below;
+    if (above < 0) return false;  // known already
+    for (; above > 0; --above) block = geometry_->grids.parent(block);
+    return std::binary_search(known.begin(), known.end(), block);
+  };
+  std::set<int> to, from;
+  for (Gift const& gift : families)
+    if (may_have_charge(gift.block)) to.insert(gift.rank);
+  for (Gift const& gift : seen)
+    if (may_have_charge(gift.block)) from.insert(gift.rank);
+  return senders(to, from);
 }
 
 void WallPlan::plan_walls() {

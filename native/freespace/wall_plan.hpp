@@ -42,6 +42,10 @@ struct LeafPart {
   int box;    ///< this rank's, counted from its first one over all levels; -1: of the other rank
 };
 
+/// So many ranks and more let all know the nodes right below the top, should that take no larger message than the top
+/// does: else each that has one sends it to most of the others. Tests change it.
+int& fewest_sharing_ranks();
+
 /// What all ranks know of the walls of a mesh.
 struct WallGeometry {
   WallGeometry(WallMesh const& given, Options const& options);
@@ -54,6 +58,13 @@ struct WallGeometry {
 
   /// The rank of a block, or -1 if the mesh has no cells in it.
   int home(Block const& block) const;
+
+  std::vector<Block> top_blocks() const;  ///< all of the top, with charge or not
+  bool is_shared() const;                 ///< whether the ranks do
+  /// How many grids below the top one this is.
+  int below_top(int grid) const;
+  /// The children that blocks known on all ranks may have, if the ranks share these too; else none.
+  std::vector<Block> shared_children(std::vector<Block> const& blocks) const;
 };
 
 constexpr int lowest_octave = -1100, octaves = 2200;  ///< of doubles
@@ -73,6 +84,7 @@ class WallPlan {
   std::vector<std::vector<Gift>> upwards;     ///< by grid: this rank's blocks whose parent is another rank's
   std::vector<Senders> joins;                 ///< by grid, of the children's nodes
   std::vector<Gift> families, leaves;         ///< whose children, and whose charges, other ranks may need; ascending
+  std::vector<Gift> seen;  ///< parents of families that this rank may need, with their ranks, if they share; ascending
   Senders family_ranks, leaf_ranks;
   std::vector<GhostPatch> patches;              ///< of this rank, and all around them; children before parents
   std::vector<char> is_own;                     ///< each of them
@@ -81,6 +93,10 @@ class WallPlan {
   Transfer blocks;                              ///< values of blocks of ghosts to the owners of the cells before them
   std::vector<int> wall_blocks;                 ///< this rank's, by number in the geometry, ascending
   std::vector<std::array<int, 2>> kept_blocks;  ///< patch and wall block of those that it evaluates itself
+
+  /// Of families whose parents are at least so many grids below the top, where the blocks that are known on all ranks
+  /// are the ones with charge; without any, if ranks do not share, of all.
+  Senders family_ranks_below(std::vector<Block> known, int below) const;
 
   /// Call f(block) for the blocks that patches of this rank may open, and for the leaves that they may sum, several
   /// times for some; until f returns true.

@@ -218,7 +218,7 @@ void add_coarse_tile(ChargeTile& tile, CoarseCells const& at, Real per_cell, Cha
 /// Collects the charge of remote bricks in their windows.
 class RemoteCharge {
  public:
-  RemoteCharge(Hierarchy const& hierarchy, RemotePlan const& plan, Real charge)
+  RemoteCharge(Hierarchy const& hierarchy, RemotePlan& plan, Real charge)
       : hierarchy_(hierarchy), plan_(plan), charge_(charge), values_(plan.cells(), Real(0)) {}
 
   /// Take the sums of a window out of a tile on the same cells.
@@ -257,7 +257,7 @@ class RemoteCharge {
 
  private:
   Hierarchy const& hierarchy_;
-  RemotePlan const& plan_;
+  RemotePlan& plan_;
   Real charge_;
   std::vector<Real> values_;
 };
@@ -268,7 +268,7 @@ void deposit(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& cloud
              std::int64_t const* starts, Real charge, Field& density) {
   Hierarchy const& hierarchy = mesh.hierarchy();
   BufferZone const* const zone = clouds.matched ? &mesh.buffer_zone() : nullptr;
-  RemotePlan const& remote_plan = remote.plan(clouds.matched);
+  RemotePlan& remote_plan = remote.own_plan(clouds.matched);
   std::vector<ChargeAcrossRanks> own, coarse;
   for (int l = 0; l < hierarchy.level_count(); ++l) {
     own.emplace_back(mesh.halo(l), density.level(l));

@@ -48,7 +48,8 @@ class Migration {
   ParticleView particles_;
   Destinations destinations_;
   std::int64_t staying_ = 0;
-  PackedParticles leaving_, arrivals_;
+  LeavingParticles leaving_;
+  PackedParticles arrivals_;
   Places places_;
 };
 

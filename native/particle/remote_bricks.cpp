@@ -1,7 +1,10 @@
 #include "particle/remote_bricks.hpp"
 
 #include <algorithm>
-#include <tuple>
+#include <cstring>
+
+#include "base/brought.hpp"
+#include "particle/home_word.hpp"
 
 namespace amrpic {
 
@@ -19,36 +22,47 @@ Window window_of(Hierarchy const& hierarchy, int l, Box const& cells) {
   return out;
 }
 
-/// Call f(brick, window, part, owner) for the parts of the windows of some bricks, in the order of messages.
+/// Call f(window, part, owner) for the parts of the windows of a brick, in the order of messages.
 template <class F>
-void for_each_part(Hierarchy const& hierarchy, std::vector<BrickWindows> const& bricks, F&& f) {
-  for (std::size_t b = 0; b < bricks.size(); ++b)
-    for (std::size_t w = 0; w < bricks[b].windows.size(); ++w) {
-      Window const& window = bricks[b].windows[w];
-      for (Window::Part const& part : window.parts) f(b, w, part, hierarchy.level(window.level).owner(part.box));
-    }
+void for_each_part(Hierarchy const& hierarchy, BrickWindows const& brick, F&& f) {
+  for (std::size_t w = 0; w < brick.windows.size(); ++w) {
+    Window const& window = brick.windows[w];
+    for (Window::Part const& part : window.parts) f(w, part, hierarchy.level(window.level).owner(part.box));
+  }
 }
 
-std::vector<BrickWindows> windows_of(Hierarchy const& hierarchy, std::vector<Home> const& bricks, bool matched,
-                                     int reach) {
-  std::vector<BrickWindows> out;
-  out.reserve(bricks.size());
-  for (Home const& brick : bricks) out.push_back(windows_of(hierarchy, brick, matched, reach));
+/// What a rank sends of bricks: which, and values of their cells, if any.
+struct OfRank {
+  int rank;
+  std::vector<Home> bricks;
+  std::vector<Real> values;
+};
+
+/// Send bricks to other ranks, with the values that pack(rank, values) appends, and return what comes from others, in
+/// the order of ranks. Collective.
+template <class Pack>
+std::vector<OfRank> exchanged(Communicator const& comm, std::map<int, std::vector<Home>> const& to, Pack&& pack) {
+  std::map<int, std::vector<std::int64_t>> words;
+  for (auto const& [rank, bricks] : to) {
+    std::vector<Real> values;
+    pack(rank, values);
+    auto& out = words[rank];
+    out.reserve(1 + bricks.size() + values.size());
+    out.push_back(std::int64_t(bricks.size()));
+    for (Home const& brick : bricks) out.push_back(std::int64_t(word_of(brick)));
+    out.resize(out.size() + values.size());
+    std::memcpy(out.data() + out.size() - values.size(), values.data(), values.size() * sizeof(Real));
+  }
+  std::vector<OfRank> out;
+  for (auto const& [rank, in] : brought(comm, words)) {
+    OfRank& of = out.emplace_back();
+    of.rank = rank;
+    std::size_t const count = std::size_t(in.front());
+    for (std::size_t n = 1; n <= count; ++n) of.bricks.push_back(home_of(std::uint64_t(in[n])));
+    of.values.resize(in.size() - 1 - count);
+    std::memcpy(of.values.data(), in.data() + 1 + count, of.values.size() * sizeof(Real));
+  }
   return out;
-}
-
-/// Send lists to other ranks, and return those that come from others, in the order of ranks. Collective.
-BricksOfRanks exchanged(Communicator const& comm, std::map<int, std::vector<Home>> const& to) {
-  std::vector<std::pair<int, std::int64_t>> counts;
-  for (auto const& [rank, list] : to) counts.emplace_back(rank, std::int64_t(list.size()));
-  BricksOfRanks from;
-  for (auto const& [rank, count] : comm.announced(counts))
-    from.emplace_back(rank, std::vector<Home>(std::size_t(count)));
-  Messages messages;
-  for (auto& [rank, list] : from) messages.receive(comm, list.data(), list.size(), rank);
-  for (auto const& [rank, list] : to) messages.send(comm, list.data(), list.size(), rank);
-  messages.wait_for_all();
-  return from;
 }
 
 /// Call f(place, count, row) for the rows of cells along x of a part of a box, places counted from the box's first
@@ -85,32 +99,37 @@ std::vector<int> first_servers(Hierarchy const& hierarchy, Servers const& server
   return out;
 }
 
-RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<BrickWindows> bricks, std::vector<int> const& servers,
-                       BricksOfRanks const& of_servers, BricksOfRanks const& of_others, bool matched, int reach)
-    : bricks_(std::move(bricks)) {
-  int const me = hierarchy.comm().rank();
-  auto const own_part = [&](int l, Window::Part const& part) {
-    return OwnPart{l, part.box - hierarchy.level(l).first_local_box(), part.in_box()};
-  };
-  std::map<Home, std::size_t> place;
-  for (std::size_t b = 0; b < bricks_.size(); ++b) {
-    place[bricks_[b].home] = b;
-    first_.emplace_back();
-    for (Window const& window : bricks_[b].windows) {
-      first_.back().push_back(cells_);
-      cells_ += std::size_t(window.cells.cells());
-    }
+RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& bricks, std::vector<int> const& servers,
+                       bool matched, int reach)
+    : hierarchy_(&hierarchy), matched_(matched), reach_(reach) {
+  for (std::size_t b = 0; b < bricks.size(); ++b) append(windows_of(hierarchy, bricks[b], matched, reach), servers[b]);
+}
+
+void RemotePlan::append(BrickWindows brick, int server) {
+  auto& first = first_.emplace_back();
+  for (Window const& window : brick.windows) {
+    first.push_back(cells_);
+    cells_ += std::size_t(window.cells.cells());
   }
-  std::map<int, std::vector<WindowPart>> wanted_of, brought_by;
-  for_each_part(hierarchy, bricks_, [&](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
-    if (servers[b] != me)
-      brought_by[servers[b]].push_back(part_of(b, w, part));
-    else if (owner == me)
-      local_.push_back({own_part(bricks_[b].windows[w].level, part), part_of(b, w, part)});
-    else
-      wanted_of[owner].push_back(part_of(b, w, part));
-  });
-  auto const parcels = [](std::map<int, std::vector<WindowPart>> const& of_ranks, std::vector<WindowPart>& parts) {
+  bricks_.push_back(std::move(brick));
+  servers_.push_back(server);
+}
+
+void RemotePlan::announce_with(std::vector<Real>* values, Field* density) {
+  is_announced_ = true;
+  Communicator const& comm = hierarchy_->comm();
+  int const me = comm.rank();
+  using PartsOfRanks = std::map<int, std::vector<WindowPart>>;
+  auto const packed = [&](PartsOfRanks const& of_ranks) {
+    return [&](int rank, std::vector<Real>& out) {
+      if (!values) return;
+      for (WindowPart const& part : of_ranks.at(rank)) {
+        out.resize(out.size() + std::size_t(part.cells.cells()));
+        pack(*values, part, out.data() + out.size() - part.cells.cells());
+      }
+    };
+  };
+  auto const parcels = [](PartsOfRanks const& of_ranks, std::vector<WindowPart>& parts) {
     std::vector<Parcel> out;
     for (auto const& [rank, list] : of_ranks)
       for (WindowPart const& part : list) {
@@ -119,27 +138,77 @@ RemotePlan::RemotePlan(Hierarchy const& hierarchy, std::vector<BrickWindows> bri
       }
     return out;
   };
-  std::vector<Parcel> asked, passed_on;
-  for (auto const& [rank, list] : of_others) {
-    auto const windows = windows_of(hierarchy, list, matched, reach);
-    for_each_part(hierarchy, windows,
-                  [&, reader = rank](std::size_t b, std::size_t w, Window::Part const& part, int owner) {
-                    if (owner != me) return;
-                    asked.push_back({reader, part.cells.cells()});
-                    asked_.push_back(own_part(windows[b].windows[w].level, part));
-                  });
+
+  // To the first servers.
+  std::map<Home, std::size_t> place;
+  std::map<int, std::vector<Home>> to_servers, to_owners;
+  PartsOfRanks brought_by, wanted_of;
+  for (std::size_t b = 0; b < bricks_.size(); ++b) {
+    place[bricks_[b].home] = b;
+    if (servers_[b] == me) continue;
+    to_servers[servers_[b]].push_back(bricks_[b].home);
+    auto& parts = brought_by[servers_[b]];
+    for_each_part(*hierarchy_, bricks_[b],
+                  [&](std::size_t w, Window::Part const& part, int) { parts.push_back(part_of(b, w, part)); });
   }
-  for (auto const& [rank, list] : of_servers)
-    for (Home const& brick : list) {
+  auto const of_servers = exchanged(comm, to_servers, packed(brought_by));
+
+  std::vector<Home> more;
+  for (OfRank const& of : of_servers)
+    for (Home const& brick : of.bricks)
+      if (place.emplace(brick, 0).second) more.push_back(brick);
+  std::sort(more.begin(), more.end());
+  for (Home const& brick : more) {
+    place[brick] = bricks_.size();
+    append(windows_of(*hierarchy_, brick, matched_, reach_), me);
+  }
+  std::vector<Parcel> passed_on;
+  if (values) values->resize(cells_, 0);
+  for (OfRank const& of : of_servers) {
+    Real const* in = of.values.data();
+    for (Home const& brick : of.bricks) {
       std::size_t const b = place.at(brick);
-      for (std::size_t w = 0; w < bricks_[b].windows.size(); ++w)
-        for (Window::Part const& part : bricks_[b].windows[w].parts) {
-          passed_on.push_back({rank, part.cells.cells()});
-          passed_on_.push_back(part_of(b, w, part));
-        }
+      for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Window::Part const& part, int) {
+        passed_on.push_back({of.rank, part.cells.cells()});
+        passed_on_.push_back(part_of(b, w, part));
+        if (values) in = add_to_window(in, passed_on_.back(), *values);
+      });
     }
-  exchange_ = Exchange<Real>(hierarchy.comm(), asked, parcels(wanted_of, wanted_));
-  between_servers_ = Exchange<Real>(hierarchy.comm(), passed_on, parcels(brought_by, brought_));
+  }
+
+  // To the owners.
+  auto const own_part = [&](int l, Window::Part const& part) {
+    return OwnPart{l, part.box - hierarchy_->level(l).first_local_box(), part.in_box()};
+  };
+  for (std::size_t b = 0; b < bricks_.size(); ++b) {
+    if (servers_[b] != me) continue;
+    for_each_part(*hierarchy_, bricks_[b], [&](std::size_t w, Window::Part const& part, int owner) {
+      if (owner == me) {
+        local_.push_back({own_part(bricks_[b].windows[w].level, part), part_of(b, w, part)});
+        return;
+      }
+      wanted_of[owner].push_back(part_of(b, w, part));
+      auto& list = to_owners[owner];
+      if (list.empty() || !(list.back() == bricks_[b].home)) list.push_back(bricks_[b].home);
+    });
+  }
+  auto const of_others = exchanged(comm, to_owners, packed(wanted_of));
+  if (values) add_local(*values, *density);
+  std::vector<Parcel> asked;
+  for (OfRank const& of : of_others) {
+    Real const* in = of.values.data();
+    for (Home const& home : of.bricks) {
+      BrickWindows const brick = windows_of(*hierarchy_, home, matched_, reach_);
+      for_each_part(*hierarchy_, brick, [&](std::size_t w, Window::Part const& part, int owner) {
+        if (owner != me) return;
+        asked.push_back({of.rank, part.cells.cells()});
+        asked_.push_back(own_part(brick.windows[w].level, part));
+        if (values) in = add_to_cells(in, asked_.back(), *density);
+      });
+    }
+  }
+  exchange_ = Exchange<Real>(comm, asked, parcels(wanted_of, wanted_));
+  between_servers_ = Exchange<Real>(comm, passed_on, parcels(brought_by, brought_));
 }
 
 template <class Write>
@@ -185,66 +254,62 @@ std::vector<Real> RemotePlan::read(Field const& density) const {
   });
 }
 
-void RemotePlan::add(std::vector<Real> values, Field& density) const {
-  Hierarchy const& hierarchy = density.hierarchy();
-  auto const pack = [&](WindowPart const& from, Real* out) {
-    for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
-      out = std::copy_n(values.data() + from.first + place, count, out);
-    });
-  };
-  auto const add_to = [&](OwnPart const& to, Real const* in) {
-    Level const& level = hierarchy.level(to.level);
-    int const box = level.first_local_box() + to.box;
-    Real* const own = density.level(to.level).data() + level.local_offset(box);
-    for_each_row_of(level.box(box), to.cells, [&](std::size_t place, std::size_t count) {
-      for (std::size_t n = 0; n < count; ++n) own[place + n] += *in++;
-    });
-  };
-  auto const add_to_window = [&](WindowPart const& to, Real const* in) {
-    for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
-      for (std::size_t n = 0; n < count; ++n) values[to.first + place + n] += *in++;
-    });
-  };
-  between_servers_.fold([&](std::size_t n, Real* out) { pack(brought_[n], out); },
-                        [&](std::size_t n, Real const* in) { add_to_window(passed_on_[n], in); });
+/// Write the values of a part of a window to `out`. Returns where the next ones go.
+Real* RemotePlan::pack(std::vector<Real> const& values, WindowPart const& from, Real* out) {
+  for_each_row_of(from.window, from.cells, [&](std::size_t place, std::size_t count) {
+    out = std::copy_n(values.data() + from.first + place, count, out);
+  });
+  return out;
+}
+
+/// Add to those of a part of a window. Returns the values behind, as `add_to_cells` does.
+Real const* RemotePlan::add_to_window(Real const* in, WindowPart const& to, std::vector<Real>& values) {
+  for_each_row_of(to.window, to.cells, [&](std::size_t place, std::size_t count) {
+    for (std::size_t n = 0; n < count; ++n) values[to.first + place + n] += *in++;
+  });
+  return in;
+}
+
+/// Add to cells of this rank.
+Real const* RemotePlan::add_to_cells(Real const* in, OwnPart const& to, Field& density) const {
+  Level const& level = hierarchy_->level(to.level);
+  int const box = level.first_local_box() + to.box;
+  Real* const own = density.level(to.level).data() + level.local_offset(box);
+  for_each_row_of(level.box(box), to.cells, [&](std::size_t place, std::size_t count) {
+    for (std::size_t n = 0; n < count; ++n) own[place + n] += *in++;
+  });
+  return in;
+}
+
+void RemotePlan::add_local(std::vector<Real> const& values, Field& density) const {
   std::vector<Real> cells;
   for (LocalPart const& part : local_) {
     cells.resize(std::size_t(part.own.cells.cells()));
-    pack(part.window, cells.data());
-    add_to(part.own, cells.data());
+    pack(values, part.window, cells.data());
+    add_to_cells(cells.data(), part.own, density);
   }
-  exchange_.fold([&](std::size_t n, Real* out) { pack(wanted_[n], out); },
-                 [&](std::size_t n, Real const* in) { add_to(asked_[n], in); });
+}
+
+void RemotePlan::add(std::vector<Real> values, Field& density) {
+  if (!is_announced_) return announce_with(&values, &density);
+  values.resize(cells_, 0);
+  between_servers_.fold([&](std::size_t n, Real* out) { pack(values, brought_[n], out); },
+                        [&](std::size_t n, Real const* in) { add_to_window(in, passed_on_[n], values); });
+  add_local(values, density);
+  exchange_.fold([&](std::size_t n, Real* out) { pack(values, wanted_[n], out); },
+                 [&](std::size_t n, Real const* in) { add_to_cells(in, asked_[n], density); });
+}
+
+RemotePlan& RemoteBricks::own_plan(bool matched, int reach) const {
+  auto const at = plans_.find({matched, reach});
+  if (at != plans_.end()) return at->second;
+  return plans_.try_emplace({matched, reach}, *hierarchy_, bricks_, servers_, matched, reach).first->second;
 }
 
 RemotePlan const& RemoteBricks::plan(bool matched, int reach) const {
-  auto& plan = plans_[{matched, reach}];
-  if (plan) return *plan;
-  Communicator const& comm = hierarchy_->comm();
-  std::map<int, std::vector<Home>> to_servers, to_owners;
-  for (std::size_t b = 0; b < bricks_.size(); ++b)
-    if (servers_[b] != comm.rank()) to_servers[servers_[b]].push_back(bricks_[b]);
-  auto const of_servers = exchanged(comm, to_servers);
-
-  auto bricks = bricks_;
-  for (auto const& [rank, list] : of_servers) bricks.insert(bricks.end(), list.begin(), list.end());
-  auto const passed_on = bricks.begin() + std::ptrdiff_t(bricks_.size());
-  std::sort(passed_on, bricks.end());
-  auto const is_mine = [&](Home const& brick) { return std::binary_search(bricks_.begin(), bricks_.end(), brick); };
-  bricks.erase(std::remove_if(passed_on, std::unique(passed_on, bricks.end()), is_mine), bricks.end());
-  auto servers = servers_;
-  servers.resize(bricks.size(), comm.rank());
-
-  auto windows = windows_of(*hierarchy_, bricks, matched, reach);
-  for_each_part(*hierarchy_, windows, [&](std::size_t b, std::size_t, Window::Part const&, int owner) {
-    if (owner == comm.rank() || servers[b] != comm.rank()) return;
-    auto& list = to_owners[owner];
-    if (list.empty() || !(list.back() == bricks[b])) list.push_back(bricks[b]);
-  });
-  auto const of_others = exchanged(comm, to_owners);
-  plan = std::make_unique<RemotePlan const>(*hierarchy_, std::move(windows), servers, of_servers, of_others, matched,
-                                            reach);
-  return *plan;
+  RemotePlan& out = own_plan(matched, reach);
+  if (!out.is_announced()) out.announce();
+  return out;
 }
 
 }  // namespace amrpic

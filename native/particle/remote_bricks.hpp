@@ -61,10 +61,6 @@ BrickWindows windows_of(Hierarchy const& hierarchy, Home const& brick, bool matc
 /// The lowest of the ranks that serve particles of each of some bricks. Local.
 std::vector<int> first_servers(Hierarchy const& hierarchy, Servers const& servers, std::vector<Home> const& bricks);
 
-/// Bricks that each of some other ranks has asked for, in ascending order of ranks and in the order in which it has
-/// them.
-using BricksOfRanks = std::vector<std::pair<int, std::vector<Home>>>;
-
 /// The plan of what passes between this rank and others because of bricks that one serves and the other owns. Of
 /// several ranks that serve the same brick the first alone meets the owners of its cells: it passes on what it reads to
 /// the others, and sums what they add.
@@ -72,14 +68,16 @@ using BricksOfRanks = std::vector<std::pair<int, std::vector<Home>>>;
 /// The values of all windows of a rank's bricks are stored one window after the other, x fastest.
 class RemotePlan {
  public:
-  /// `bricks`: remote ones of this rank, then those that it passes on alone; `servers`: the first of each;
-  /// `of_servers`: bricks that pass through this rank; `of_others`: those of first servers, with cells of this rank.
+  /// `bricks`: remote ones of this rank, ascending; `servers`: the first of each. Other ranks do not know of them yet.
   /// Local.
-  RemotePlan(Hierarchy const& hierarchy, std::vector<BrickWindows> bricks, std::vector<int> const& servers,
-             BricksOfRanks const& of_servers, BricksOfRanks const& of_others, bool matched, int reach);
+  RemotePlan(Hierarchy const& hierarchy, std::vector<Home> const& bricks, std::vector<int> const& servers, bool matched,
+             int reach);
 
-  std::vector<BrickWindows> const& bricks() const { return bricks_; }
-  std::size_t cells() const { return cells_; }  ///< of all windows
+  bool is_announced() const { return is_announced_; }
+  void announce() { announce_with(nullptr, nullptr); }  ///< let others know. Collective; before `read`
+
+  std::vector<BrickWindows> const& bricks() const { return bricks_; }  ///< then those that this rank passes on alone
+  std::size_t cells() const { return cells_; }                         ///< of all windows
   std::size_t first(std::size_t brick, std::size_t window) const { return first_[brick][window]; }
 
   /// The electric field in the cells of all windows, three components for each. Collective.
@@ -87,8 +85,9 @@ class RemotePlan {
   /// A density there. Collective.
   std::vector<Real> read(Field const& density) const;
 
-  /// Add densities in the cells of all windows to those of the owners. Collective.
-  void add(std::vector<Real> values, Field& density) const;
+  /// Add densities in the cells of all windows, or of those of this rank's own bricks, to those of the owners, who need
+  /// not know of the bricks yet: then they learn of them by the same messages. Collective.
+  void add(std::vector<Real> values, Field& density);
 
  private:
   /// Cells of this rank's box, numbered from its first one of the level, that another rank reads or this one itself.
@@ -109,11 +108,24 @@ class RemotePlan {
   template <class Write>
   std::vector<Real> read(std::size_t per_cell, Write const& write) const;
 
+  void append(BrickWindows brick, int server);
+  /// Let others know, and give them what is to be added, if anything.
+  void announce_with(std::vector<Real>* values, Field* density);
+  static Real* pack(std::vector<Real> const& values, WindowPart const& from, Real* out);
+  static Real const* add_to_window(Real const* in, WindowPart const& to, std::vector<Real>& values);
+  Real const* add_to_cells(Real const* in, OwnPart const& to, Field& density) const;
+  void add_local(std::vector<Real> const& values, Field& density) const;
+
   WindowPart part_of(std::size_t brick, std::size_t window, Window::Part const& part) const {
     return {bricks_[brick].windows[window].cells, part.cells, first_[brick][window]};
   }
 
+  Hierarchy const* hierarchy_;
+  bool matched_;
+  int reach_;
+  bool is_announced_ = false;
   std::vector<BrickWindows> bricks_;
+  std::vector<int> servers_;                     ///< the first of each
   std::vector<std::vector<std::size_t>> first_;  ///< of each window of each brick
   std::size_t cells_ = 0;
   std::vector<OwnPart> asked_;      ///< by other ranks
@@ -136,15 +148,17 @@ class RemoteBricks {
   Hierarchy const& hierarchy() const { return *hierarchy_; }
   std::vector<Home> const& bricks() const { return bricks_; }
 
-  /// What passes because of them. The first call, for clouds that are matched or not and each reach, lets others know:
-  /// collective.
+  /// What passes because of them, for clouds that are matched or not and each reach. The first call, unless charge was
+  /// added before, lets others know: collective.
   RemotePlan const& plan(bool matched, int reach = tile_reach) const;
+  /// The same, of which others may not know yet. Local.
+  RemotePlan& own_plan(bool matched, int reach = tile_reach) const;
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
   std::vector<Home> bricks_;
   std::vector<int> servers_;
-  mutable std::map<std::pair<bool, int>, std::unique_ptr<RemotePlan const>> plans_;
+  mutable std::map<std::pair<bool, int>, RemotePlan> plans_;
 };
 
 }  // namespace amrpic

@@ -202,3 +202,38 @@ def test_particles_of_other_servers_cannot_be_arranged(comm):
     none_here = np.array([0, 0, servers[-1]] if comm.rank == 0 else [0, servers[-1], servers[-1]])
     with pytest.raises(ValueError, match="must be with their servers"):
         arranged([here], hierarchy, none_here)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.mpi(ranks=(2, 3))
+def test_particles_arrive_unchanged_to_the_last_bit(comm, weighted):
+    domain = amrpic.Domain((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5), (32, 32, 32), "dirichlet")
+    hierarchy = amrpic.Hierarchy(comm, domain, [], max_grid_size=16)
+    rng, n = np.random.default_rng(4), 5000
+    momentum = rng.integers(0, 2**64, (n, 3), dtype=np.uint64).view(float)  # of any sign and size
+    momentum[~np.isfinite(momentum)] = -0.0
+    weight = 10.0 ** rng.uniform(-300, 300, n) if weighted else np.broadcast_to(2.5, n)
+    ids = rng.permutation(np.concatenate([np.arange(n - 2), [2**62, 2**63 - 1]]))
+    made = Particles(rng.uniform(-0.5, 0.5, (n, 3)), momentum, weight, ids, ONE_KIND)
+    here, _ = migrate(made.select(slice(comm.rank, None, comm.size)), hierarchy)
+
+    def columns(of: Particles) -> np.ndarray:
+        rows = np.column_stack([of.position, of.momentum, of.weight]).view(np.int64)
+        return np.column_stack([of.id, rows])[np.argsort(of.id)]
+
+    found = np.concatenate(comm.allgather(columns(here)))
+    assert np.array_equal(found[np.argsort(found[:, 0])], columns(made))
+
+
+@pytest.mark.mpi(ranks=(4,))
+def test_particles_travel_in_few_bytes(comm):
+    hierarchy, particles = one_cell(comm)
+    particles = Particles(
+        particles.position, particles.momentum, np.broadcast_to(1.0, len(particles)), particles.id, ONE_KIND
+    )
+    servers = share_out(comm, *weights(particles, hierarchy))
+    before = traffic()
+    here, _ = migrate(particles, hierarchy, servers)
+    sent = comm.allreduce((traffic() - before).bytes)
+    arrived = len(set(here.id.tolist()) - set(particles.id.tolist()))
+    assert 30 < sent / comm.allreduce(arrived) < 50  # position, momentum and id alone take 56

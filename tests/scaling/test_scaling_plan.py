@@ -186,7 +186,7 @@ def test_the_model_is_its_formula():
     assert times["deposit"].work == pytest.approx(7e-8 + 7 * 2e-9) and times["open walls"].work == pytest.approx(
         6.07e-7
     )
-    assert plan.exchange.leaving("deposit", 4) == 8 + 12 + 800 and plan.exchange.leaving("gather", 4) == 2400
+    assert plan.exchange.leaving("deposit", 4) == 8 + 8 + 800 and plan.exchange.leaving("gather", 4) == 2400
     assert plan.exchange.leaving("deposit", 8) == 0
     assert total(step_time(plan, machine().scaled("latency", 2), 2)) > total(times)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from amrpic import Domain, Field, Hierarchy
+from amrpic import Domain, Field, Hierarchy, _native
 from amrpic._native import FreeSpace, OpenWallPlans, traffic
 
 RANKS = (720, 2880, 13824)
@@ -92,3 +92,33 @@ def test_counts_are_those_of_a_solve(comm):
     expected = OpenWallPlans(hierarchy.native).counts(comm.rank)
     assert (messages, collectives) == (expected["messages"], len(expected["collectives"]))
     assert sent == expected["bytes"]
+
+
+@pytest.mark.mpi(ranks=(2, 3, 4))
+def test_nodes_below_the_top_are_shared_where_they_are_few(comm):
+    domain = Domain((0, 0, 0), (1, 1, 1), (64,) * 3, "open")
+    hierarchy = Hierarchy(comm, domain, [[((32, 64, 64), (63, 95, 95))]], max_grid_size=16, blocking_factor=8)
+    regions = [((0, 0, 0), (16, 8, 8)), ((48, 48, 48), (64, 64, 64))]  # in cells
+
+    def density(x, y, z):
+        inside = [np.ones(np.broadcast(x, y, z).shape, dtype=bool) for _ in regions]
+        for of_region, (lower, upper) in zip(inside, regions, strict=True):
+            for values, low, high in zip((x, y, z), lower, upper, strict=True):
+                of_region &= (64 * values > low) & (64 * values < high)
+        return (inside[0] | inside[1]).astype(float)
+
+    rho, space, found = Field(hierarchy).fill(density), FreeSpace(hierarchy.native), {}
+    for fewest in (2, 33):
+        before_set = _native.set_fewest_sharing_ranks(fewest)
+        try:
+            before = traffic()
+            values = space.walls(rho.native)
+            sent = tuple(b - a for a, b in zip(before, traffic(), strict=True))
+            expected = OpenWallPlans(hierarchy.native).counts(comm.rank, regions)
+        finally:
+            _native.set_fewest_sharing_ranks(before_set)
+        assert sent == (expected["messages"], expected["bytes"], len(expected["collectives"]))
+        found[fewest] = values, len(expected["collectives"])
+    assert found[33][1] == 2 < found[2][1]
+    for shared, sent_alone in zip(found[2][0], found[33][0], strict=True):  # faces, cells and values of a level
+        assert all(np.array_equal(a, b) for a, b in zip(shared, sent_alone, strict=True))

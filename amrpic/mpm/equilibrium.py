@@ -83,6 +83,7 @@ def equilibrium(
         )
         if linear.iterations == 0 and not linear.converged:  # no positive direction was found: down the slope
             step = np.where(held, jump, residual / np.maximum(np.abs(tangent.diagonal()), 1e-300))
+        del tangent  # what it holds, 17 numbers a point, is not to be there beside the next one
         before = linear.residuals[0]
         found = _searched(solid, u, step, state, force, held, moving)
         gradients.append(linear.iterations)

@@ -26,6 +26,8 @@ class Points {
   std::shared_ptr<Lattice const> share_lattice() const { return lattice_; }
   bool gauss() const { return gauss_; }
   std::int64_t count() const { return sorted_->first_point.back(); }
+  /// Points of a block: [first_point(b), first_point(b + 1)).
+  std::int64_t first_point(std::int64_t block) const { return sorted_->first_point[std::size_t(block)]; }
 
   /// Blocks of an element: [first_block(e), first_block(e + 1)).
   std::int64_t first_block(LocalIndex element) const { return sorted_->first_block[std::size_t(element)]; }
@@ -42,18 +44,20 @@ class Points {
   /// Values of all points, `width` of each, as blocks: of each block the first value of all its lanes, and so on. Zeros
   /// in lanes without a point.
   std::vector<Real> blocked(Real const* values, int width) const;
-  std::vector<Real> unblocked(std::vector<Real> const& values, int width) const;  ///< the opposite
+  std::vector<Real> unblocked(Real const* values, int width) const;  ///< the opposite
 
   std::size_t bytes() const;  ///< on this rank
 
  private:
   struct Sorted {
-    std::vector<std::int64_t> first_point, first_block;  ///< elements + 1 values
+    std::vector<std::int64_t> first_point;  ///< blocks + 1 values
+    std::vector<std::int64_t> first_block;  ///< elements + 1 values
     LargeArray<Real> place, weight;
   };
   /// Call f(point, place of its first value among blocks of so many values).
   template <class F>
   void for_each_point(int width, F&& f) const;
+  void copy_to_blocks(Real const* values, int width, Real* out) const;
 
   std::shared_ptr<Lattice const> lattice_;
   bool gauss_;

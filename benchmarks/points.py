@@ -16,6 +16,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -181,7 +182,7 @@ def load_step(degree: int, runs: int) -> list[Record]:
         force = solid.respond(u).force
         fem.solve(solid.tangent(u), force, fixed=walls, tolerance=1e-2)
 
-    calls: dict[str, Callable[[], Any]] = {"points": lambda: put(points.columns(), plan, 0.0), "Newton": newton}
+    calls: dict[str, Callable[[], Any]] = {"points": lambda: put(deepcopy(points.columns()), plan, 0.0), "Newton": newton}
     facts = {name: {"points": len(points)} for name in calls}
     return timed(points_step_name(degree, "{who}"), calls, runs, facts)
 

@@ -81,24 +81,24 @@ def require_inside(columns: Columns, mesh: Mesh, load: float) -> None:
 def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
     """Return the points of this rank's elements, by element and id, and how many came from other ranks. Collective.
 
-    Nothing is left in `columns`: each is freed as soon as its values are in their places, so that not all are there twice.
+    Nothing is left in `columns`: each is freed as soon as its values are in their places, so that not all are there twice, and F
+    is written over where it has room for what comes.
     """
-    position, deformation = columns.pop("position"), columns.pop("deformation")
+    given = np.asfortranarray(columns.pop("position"))
     plan = _native.Migration(
         mesh.hierarchy.particle_mesh,
         OWNERS,
-        np.asfortranarray(position),
-        np.asfortranarray(deformation[:, 0]),
+        given,
+        given,  # in place of momenta, which these points do not have
         np.ascontiguousarray(columns.pop("initial_volume")),
         np.ascontiguousarray(columns.pop("id")),
         NONE,
         has_weights=True,
     )
-    del position
+    del given
     count, came = plan.arriving, plan.from_others
-    place, row = (np.empty((3, count)).T for _ in range(2))
-    volume, number = np.empty(count), np.empty(count, dtype=np.int64)
-    finite = plan.finish(place, row, volume, number)
+    place, volume, number = np.empty((3, count)).T, np.empty(count), np.empty(count, dtype=np.int64)
+    finite = plan.finish(place, place, volume, number)
     raise_together(mesh.comm, None if finite and not len(plan.lost) else "points are not in the mesh", ParticleError)
     place = np.ascontiguousarray(place)
     order = np.lexsort((number, mesh.native.locate(place)[0]))
@@ -109,12 +109,11 @@ def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
         plan.carry(np.ascontiguousarray(column, dtype=np.float64)[None], there)
         return there[0, order]
 
-    there = np.empty((count, 3, 3))
-    there[:, 0] = row[order]
-    del row
-    for i, j in np.ndindex(2, 3):
-        there[:, 1 + i, j] = carried(deformation[:, 1 + i, j])
-    del deformation
+    before = np.ascontiguousarray(columns.pop("deformation"))
+    there = before[:count] if count <= len(before) else np.empty((count, 3, 3))
+    for i, j in np.ndindex(3, 3):
+        there[:, i, j] = carried(before[:, i, j])
+    del before
     material = carried(columns.pop("material")).astype(np.int32)
     damage, driving = (
         carried(column) if mesh.comm.allreduce(column.any(), MPI.LOR) else np.zeros(count)

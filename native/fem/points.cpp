@@ -49,10 +49,7 @@ Points::Points(std::shared_ptr<Lattice const> lattice, std::vector<LocalIndex> c
     first_block.push_back(std::int64_t(first_point.size()) - 1);
   }
   sorted_ = sorted;
-  places.assign(std::size_t(blocks() * 3 * width_of_block), 0);
-  weights.assign(std::size_t(blocks() * width_of_block), 0);
-  copy_to_blocks(reference, 3, places.data());
-  copy_to_blocks(weight, 1, weights.data());
+  places = blocked(reference, 3), weights = blocked(weight, 1);
   for (auto const& part : lattice_->parts()) filled_.push_back(filled_of(*this, part));
 }
 
@@ -63,16 +60,12 @@ Points::Points(std::shared_ptr<Lattice const> lattice, Points const& same)
   for (auto const& part : lattice_->parts()) filled_.push_back(filled_of(*this, part));
 }
 
-std::vector<Real> Points::blocked(Real const* values, int width) const {
-  std::vector<Real> out(std::size_t(blocks() * width * width_of_block), 0);
-  copy_to_blocks(values, width, out.data());
-  return out;
-}
-
-void Points::copy_to_blocks(Real const* values, int width, Real* out) const {
+BlockValues Points::blocked(Real const* values, int width) const {
+  BlockValues out(std::size_t(blocks() * width * width_of_block), 0);
   for_each_point(width, [&](std::int64_t p, std::int64_t at) {
-    for (int c = 0; c < width; ++c) out[at + c * width_of_block] = values[p * width + c];
+    for (int c = 0; c < width; ++c) out[std::size_t(at + c * width_of_block)] = values[p * width + c];
   });
+  return out;
 }
 
 std::vector<Real> Points::unblocked(Real const* values, int width) const {

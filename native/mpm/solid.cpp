@@ -177,7 +177,7 @@ void write(Real const* values, Place const& at, int width, Real* blocks) {
 }
 
 template <class D>
-std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, std::vector<Real> state) {
+std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, fem::BlockValues state) {
   constexpr int components = D::values ? 1 : 3;
   D d(Blocks(std::move(state), D::width));
   return std::make_unique<fem::OperatorOf<D, components>>(std::move(points), std::move(d));
@@ -186,7 +186,7 @@ std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, s
 template <class D>
 std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u) {
   Real3 const scale = fem::slope_scale(solid.points->lattice());
-  std::vector<Real> state(std::size_t(solid.points->blocks() * D::width * native_lane_count), 0);
+  fem::BlockValues state(std::size_t(solid.points->blocks() * D::width * native_lane_count), 0);
   sum_point_by_point<false>(*solid.points, u, [&](Place const& at, Tensor const& slopes) {
     Real own[D::width];
     write_state(static_cast<D const*>(nullptr), moved(solid, at, slopes), scale, own);
@@ -266,7 +266,7 @@ std::vector<Real> determinants(Real const* deformation, std::size_t points) {
 
 std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   Real3 const scale = fem::slope_scale(e.points->lattice());
-  std::vector<Real> state(std::size_t(e.points->blocks() * Damage::width * native_lane_count), 0);
+  fem::BlockValues state(std::size_t(e.points->blocks() * Damage::width * native_lane_count), 0);
   for (std::int64_t block = 0; block < e.points->blocks(); ++block)
     for_each_place(*e.points, block, [&](Place const& at) {
       std::size_t const p = at.point;

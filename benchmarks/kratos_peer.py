@@ -1,11 +1,12 @@
 """A load step of Kratos's material points, a peer of amrpic.mpm that may not be there. A worker of points.py.
 
-A block of degree 1 between walls without friction under its own weight, its top free: points at Gauss's places with their volumes
-as weights. Kratos runs in a process of its own, on one thread.
+A block of degree 1 between walls without friction under its own weight, its top free: points at Gauss's places with their
+volumes as weights. Kratos runs in a process of its own, on one thread.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import itertools
 import json
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -79,10 +80,16 @@ def _nodes(block: Block) -> np.ndarray:
     return np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
 
 
-def _model_part(block: Block, kind: str, properties: int, parts: dict[str, Sequence[int]]) -> str:
+def _model_part(block: Block, kind: str, properties: int, parts: Mapping[str, Sequence[int]]) -> str:
     """A mesh as Kratos reads it; `parts` are the numbers of nodes of submodel parts, of all elements where there are none."""
     nx, ny, nz = block.cells
-    lines = ["Begin ModelPartData", "End ModelPartData", f"Begin Properties {properties}", "End Properties", "Begin Nodes"]
+    lines = [
+        "Begin ModelPartData",
+        "End ModelPartData",
+        f"Begin Properties {properties}",
+        "End Properties",
+        "Begin Nodes",
+    ]
     lines += [f"{n + 1} {x!r} {y!r} {z!r}" for n, (x, y, z) in enumerate(_nodes(block).tolist())]
     lines += ["End Nodes", f"Begin Elements {kind}"]
     row, layer = nx + 1, (nx + 1) * (ny + 1)
@@ -144,7 +151,10 @@ def _settings(block: Block) -> dict[str, Any]:
             "processes_sub_model_part_list": [f"across_{axis}" for axis in range(3)],
             "linear_solver_settings": {"solver_type": "amgcl", "tolerance": block.tolerance, "max_iteration": 1000},
         },
-        "processes": {"constraints_process_list": [fixed(axis) for axis in range(3)], "list_other_processes": [gravity]},
+        "processes": {
+            "constraints_process_list": [fixed(axis) for axis in range(3)],
+            "list_other_processes": [gravity],
+        },
         "output_processes": {},
     }
 
@@ -162,9 +172,9 @@ def _materials(block: Block) -> dict[str, Any]:
 
 
 def _run(block: Block, out: Path) -> None:
-    import KratosMultiphysics as kratos
-    from KratosMultiphysics import MPMApplication as of_points
-    from KratosMultiphysics.MPMApplication.mpm_analysis import MpmAnalysis
+    kratos: Any = importlib.import_module("KratosMultiphysics")
+    of_points: Any = importlib.import_module("KratosMultiphysics.MPMApplication")
+    analyses: Any = importlib.import_module("KratosMultiphysics.MPMApplication.mpm_analysis")
 
     places = _nodes(block)
     walls = {
@@ -177,7 +187,7 @@ def _run(block: Block, out: Path) -> None:
     Path("body.mdpa").write_text(_model_part(block, "MPMUpdatedLagrangian3D8N", 1, {"body": []}))
     Path("materials.json").write_text(json.dumps(_materials(block)))
 
-    analysis = MpmAnalysis(kratos.Model(), kratos.Parameters(json.dumps(_settings(block))))
+    analysis = analyses.MpmAnalysis(kratos.Model(), kratos.Parameters(json.dumps(_settings(block))))
     analysis.Initialize()
     solver = analysis._GetSolver()
     grid, material = solver.GetGridModelPart(), solver.GetComputingModelPart()

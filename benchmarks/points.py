@@ -182,7 +182,10 @@ def load_step(degree: int, runs: int) -> list[Record]:
         force = solid.respond(u).force
         fem.solve(solid.tangent(u), force, fixed=walls, tolerance=1e-2)
 
-    calls: dict[str, Callable[[], Any]] = {"points": lambda: put(deepcopy(points.columns()), plan, 0.0), "Newton": newton}
+    calls: dict[str, Callable[[], Any]] = {
+        "points": lambda: put(deepcopy(points.columns()), plan, 0.0),
+        "Newton": newton,
+    }
     facts = {name: {"points": len(points)} for name in calls}
     return timed(points_step_name(degree, "{who}"), calls, runs, facts)
 
@@ -212,10 +215,11 @@ def beside_kratos(quick: bool) -> list[Record]:
 
 
 def run_memory() -> Record:
-    """Return the record of a load step and what memory it takes at its fullest, made in this process."""
+    """Return the record of a load step and what memory it takes at its fullest, made in this process: of so many points that
+    what does not grow with them is little."""
     before = resident("VmRSS")
     reset_peak()
-    run = mpm.Simulation(MPI.COMM_SELF, pressed(12, 2))
+    run = mpm.Simulation(MPI.COMM_SELF, pressed(20, 2))
     start = time.thread_time()
     run.advance()
     taken, count = time.thread_time() - start, len(run.state.placed.points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,13 +21,14 @@ HIGHEST_DEGREE = 63  # that any weights are exact to: of Gauss's rule with the m
 class Points:
     """This rank's integration points: those of its elements, sorted by element. Made by `fem.jittered` and the like.
 
-    Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `volume` (n,) in m³, `number` (n,) that of
-    the point among those of all ranks; `reference`, `weight` and `position` are made when they are asked for.
+    Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `number` (n,) that of the point among
+    those of all ranks. `volume` and `weight` (n,) in m³, `reference`, `position` (n, 3) are made when they are asked for.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
     exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `rough`:
-    elements (elements,) that keep volumes in any case. `gauss`: they are so many of Gauss's points along each axis of all
-    elements, x fastest, and have his weights. `weight`: those that they have instead.
+    elements (elements,) that keep volumes in any case. `volume` may be what returns them when they are asked for. `gauss`: they
+    are so many of Gauss's points along each axis of all elements, x fastest, and have his weights. `weight`: those that they
+    have instead.
     """
 
     def __init__(
@@ -34,7 +36,7 @@ class Points:
         mesh: Mesh,
         element: np.ndarray,
         reference: np.ndarray,
-        volume: np.ndarray,
+        volume: np.ndarray | Callable[[], np.ndarray],
         number: np.ndarray,
         weights: Weights = "moments",
         gauss: int = 0,
@@ -43,8 +45,7 @@ class Points:
     ) -> None:
         self.mesh = mesh
         self.element = np.ascontiguousarray(element, dtype=np.int32)
-        self.volume = np.ascontiguousarray(volume, dtype=np.float64)
-        self.number = number
+        self._volume, self.number = volume, number
         self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1 if gauss else -1, dtype=np.int32)
         places = np.ascontiguousarray(reference, dtype=np.float64)
         if weight is None:
@@ -66,6 +67,12 @@ class Points:
 
     def __len__(self) -> int:
         return len(self.element)
+
+    @property
+    def volume(self) -> np.ndarray:
+        """Volumes of the points, (n,) in m³."""
+        given = self._volume
+        return np.ascontiguousarray(given() if callable(given) else given, dtype=np.float64)
 
     @property
     def reference(self) -> np.ndarray:
@@ -145,9 +152,9 @@ def mask_of(fixed: ArrayLike, count: int, components: int, shapes: str) -> np.nd
 
 
 def held_of(values: ArrayLike | float, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the values of fixed unknowns, an array of that shape. InputError for what does not fit. Local."""
+    """Return the values of fixed unknowns, of that shape, to be read. InputError for what does not fit. Local."""
     try:
-        return np.array(np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape))
+        return np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape)
     except ValueError:
         raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
 

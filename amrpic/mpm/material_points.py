@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 
 import numpy as np
 from mpi4py import MPI
@@ -81,8 +82,8 @@ def require_inside(columns: Columns, mesh: Mesh, load: float) -> None:
 def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
     """Return the points of this rank's elements, by element and id, and how many came from other ranks. Collective.
 
-    Nothing is left in `columns`: each is freed as soon as its values are in their places, so that not all are there twice, and F
-    is written over where it has room for what comes.
+    Nothing is left in `columns`: each is freed as soon as its values are in their places, so that not all are there twice, and
+    F is written over where it has room for what comes.
     """
     given = np.asfortranarray(columns.pop("position"))
     plan = _native.Migration(
@@ -116,10 +117,15 @@ def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
     del before
     material = carried(columns.pop("material")).astype(np.int32)
     damage, driving = (
-        carried(column) if mesh.comm.allreduce(column.any(), MPI.LOR) else np.zeros(count)
+        carried(column) if mesh.comm.allreduce(column.any(), MPI.LOR) else _zeros(count)
         for column in (columns.pop("damage"), columns.pop("driving"))
     )
     return MaterialPoints(place, number, material, there, volume, damage, driving), came
+
+
+def _zeros(count: int) -> np.ndarray:
+    """Zeros (count,) that take no memory until they are written: no page of them is there. Local."""
+    return np.frombuffer(mmap(-1, max(8 * count, 1), flags=MAP_PRIVATE | MAP_ANONYMOUS), count=count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +161,9 @@ def placed(
     """
     element, reference = mesh.native.locate(points.position)
     held = np.bincount(element, minlength=len(mesh.elements))
-    rough, volume = _several(element, points.material, len(mesh.elements)), points.volume
-    weighed = Points(mesh, element, reference, volume, points.id, weights, rough=rough)
-    volume = np.bincount(element, volume, len(mesh.elements))
+    rough = _several(element, points.material, len(mesh.elements))
+    weighed = Points(mesh, element, reference, lambda: points.volume, points.id, weights, rough=rough)
+    volume = np.bincount(element, points.volume, len(mesh.elements))
     poor = held < enough(mesh.degree)
     if floor_stiffness == 0:
         _require_enough(mesh, held, poor)

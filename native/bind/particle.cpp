@@ -164,8 +164,7 @@ void bind_particle(nb::module_& m) {
             ParticleList const without{gone.data(), gone.data() + gone.shape(0)};
             std::vector<std::int64_t> first(servers.data(), servers.data() + servers.shape(0));
             Hierarchy const& hierarchy = mesh.hierarchy();
-            new (self) BoundMigration(mesh,
-                                      Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
+            new (self) BoundMigration(mesh, Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
                                       {position, momentum, weight, id}, without, has_weights);
           },
           "mesh"_a, "servers"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, "has_weights"_a,

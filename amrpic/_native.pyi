@@ -135,6 +135,7 @@ def fem_fit_moments(
     first: NDArray[numpy.int64],
     reference: NDArray[numpy.float64],
     volume: NDArray[numpy.float64],
+    rough: NDArray[numpy.bool_],
     element_volume: float,
     highest: int,
 ) -> tuple:
@@ -168,6 +169,12 @@ class FemPoints:
     ) -> None: ...
     @property
     def bytes(self) -> int: ...
+    def reference(self) -> NDArray[numpy.float64]:
+        """Where points lie in their elements."""
+
+    def weight(self) -> NDArray[numpy.float64]:
+        """Weights of points."""
+
     def values(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
     def slopes(self, components: int, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
     def integrals(self, components: int, values: NDArray[numpy.float64]) -> NDArray[numpy.float64]: ...
@@ -829,8 +836,14 @@ class MpmSolid:
         """Internal forces, energy, and the smallest det F."""
 
     def tangent(self, u: NDArray[numpy.float64], initial: bool) -> FemOperator: ...
-    def states(self, deformation: NDArray[numpy.float64]) -> tuple:
-        """Kirchhoff's stress, energy and driving energy of each point."""
+    def deformation(self, u: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
+        """F of each point, 9 numbers."""
+
+    def energies(self, u: NDArray[numpy.float64]) -> tuple:
+        """Energy and driving energy of each point."""
+
+    def stresses(self, deformation: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
+        """Kirchhoff's stress of each point, 9 numbers."""
 
 def mpm_determinants(deformation: NDArray[numpy.float64]) -> NDArray[numpy.float64]:
     """Of each point's 9 numbers."""
@@ -914,6 +927,8 @@ class Migration:
     def lost(self) -> NDArray[numpy.int64]: ...
     @property
     def arriving(self) -> int: ...
+    @property
+    def from_others(self) -> int: ...
     @property
     def bricks(self) -> int: ...
     def finish(

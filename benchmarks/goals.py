@@ -18,7 +18,7 @@ from orders import WALLS as WALLS_OF_ORDERS
 from orders import name as order_name
 from particles import BY_KOKKOS, OWN_B, SOLENOID, kernels_name, record_name
 from pic_step import IMPACTX_WALLS, step_name
-from points import MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
+from points import COLUMN_OF_KRATOS, MEMORY, beyond_cache_name, layout_name, points_step_name, solve_name, tangent_name
 from points import record_name as product_name
 from solving import BESIDE_DST, BOXES, EACH_BACKEND, IN_TURNS, assembly_name, following_name, name
 from walls import walls_name
@@ -84,6 +84,9 @@ class Found:
 
     def unknowns_per_second(self, name: str) -> float:
         return self.fact(name, "unknowns") / self.seconds(name)
+
+    def points_per_second(self, name: str) -> float:
+        return self.fact(name, "points") / self.seconds(name)
 
     def ratio(self, name: str, other: str) -> float:
         """How many times as long one takes as another. Of runs in turns the median of the ratios."""
@@ -176,6 +179,11 @@ def elements(found: Found) -> Iterator[Goal]:
         share = found.ratio(points_step_name(degree, "points"), points_step_name(degree, "Newton"))
         what = f"locate, migrate, sort and weigh, degree {degree}, over a Newton iteration"
         yield Goal(what, share, 0.5, 0.15, "×")
+    ours, theirs = points_step_name(1, "Newton"), points_step_name(1, "Kratos")
+    faster = found.points_per_second(ours) / found.points_per_second(theirs)
+    yield Goal("a Newton iteration, degree 1, 64 points, against Kratos", faster, 8, 30, "×", at_least=True)
+    apart = found.fact(COLUMN_OF_KRATOS, "difference")
+    yield Goal("displacements of a column's first step beside Kratos's", apart, 1e-6)
     yield Goal(
         "memory of a run, degree 2, 64 points an element", found.fact(MEMORY, "bytes per point"), 400, 300, " B/point"
     )

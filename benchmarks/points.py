@@ -3,22 +3,26 @@
 Each product with an operator beside the machine's peak of fused products and sums, measured in turns with it, and beside
 libCEED 0.12 where it can be had: its operators at Gauss's points, and its basis at points, which has the gradient there and
 back alone. Tangents of solids beside BP4 at the same points; what a load step does to points beside an iteration of
-Newton's method; multigrid beside the diagonal on grains, binder and air; memory of a run.
+Newton's method, and that beside Kratos's material points; multigrid beside the diagonal on grains, binder and air; memory of a
+run.
 Thread time on one rank; on two ranks wall time of the slower one.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import statistics
 import sys
 import time
 from collections.abc import Callable
+from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import ceed_peer
+import kratos_peer
 import numpy as np
 from measuring import Record, reset_peak, resident, watched, write
 from mpi4py import MPI
@@ -74,6 +78,9 @@ def solve_name(cells: int, preconditioner: str) -> str:
 
 
 MEMORY = "load step, p = 2, 64 points, memory"
+COLUMN_OF_KRATOS = "column, p = 1, 64 points, first step, Kratos"
+COLUMN = kratos_peer.Block((0.5, 0.5, 16.0), (2, 2, 64), 4, 1e6, 0.3, 2000.0, 9.81 / 5)  # examples/column.toml
+BLOCK = kratos_peer.Block((1.0, 1.0, 1.0), (16, 16, 16), 4, 300e6, 0.25, 2000.0, 9.81)
 
 
 def seconds(call: Callable[[], Any], least: float = 0.02) -> float:
@@ -175,16 +182,44 @@ def load_step(degree: int, runs: int) -> list[Record]:
         force = solid.respond(u).force
         fem.solve(solid.tangent(u), force, fixed=walls, tolerance=1e-2)
 
-    calls: dict[str, Callable[[], Any]] = {"points": lambda: put(points, plan, 0.0), "Newton": newton}
+    calls: dict[str, Callable[[], Any]] = {
+        "points": lambda: put(deepcopy(points.columns()), plan, 0.0),
+        "Newton": newton,
+    }
     facts = {name: {"points": len(points)} for name in calls}
     return timed(points_step_name(degree, "{who}"), calls, runs, facts)
 
 
+def beside_kratos(quick: bool) -> list[Record]:
+    """Return the records of Newton's iterations of Kratos: of a column, with how far its displacements are from ours at its
+    points, over the largest; and of as many points as `load_step` has."""
+    step = kratos_peer.first_step(COLUMN)
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, COLUMN.size, COLUMN.cells)
+    points = fem.given(mesh, step.position, step.volume, weights="volume")
+    solid = mpm.Solid(points, mpm.NeoHookean(COLUMN.young, COLUMN.poisson))
+    walls = (mesh.node_indices == 0) | ((mesh.node_indices == mesh.node_counts - 1) & [True, True, False])
+    weight = np.zeros((len(points), 3))
+    weight[:, 2] = -COLUMN.density * COLUMN.gravity
+    u, report = mpm.equilibrium(solid, fixed=walls, load=points.integrate(weight), tolerance=1e-12)
+    assert report.converged, report.reason
+    order, theirs = np.lexsort(np.round(mesh.nodes, 9).T), np.lexsort(np.round(step.nodes, 9).T)
+    apart = float(np.abs(u[order] - step.displacement[theirs]).max() / np.abs(u).max())
+    block = dataclasses.replace(BLOCK, cells=(8, 8, 8)) if quick else BLOCK
+    large = kratos_peer.first_step(block)
+    return [
+        Record(COLUMN_OF_KRATOS, [step.seconds / step.iterations], facts={"points": len(points), "difference": apart}),
+        Record(
+            points_step_name(1, "Kratos"), [large.seconds / large.iterations], facts={"points": len(large.position)}
+        ),
+    ]
+
+
 def run_memory() -> Record:
-    """Return the record of a load step and what memory it takes at its fullest, made in this process."""
+    """Return the record of a load step and what memory it takes at its fullest, made in this process: of so many points that
+    what does not grow with them is little."""
     before = resident("VmRSS")
     reset_peak()
-    run = mpm.Simulation(MPI.COMM_SELF, pressed(12, 2))
+    run = mpm.Simulation(MPI.COMM_SELF, pressed(20, 2))
     start = time.thread_time()
     run.advance()
     taken, count = time.thread_time() - start, len(run.state.placed.points)
@@ -249,12 +284,12 @@ def printed(record: Record) -> str:
     if record.name == MEMORY:
         return f"{record.name}: {facts['bytes per point']:.0f} B a point"
     rate = f"{1e-6 * facts['points'] / record.median:.3g} million points/s"
+    apart = f", {facts['difference']:.0e} apart" if "difference" in facts else ""
     if "unknowns" not in facts:
-        return f"{record.name}: {rate}"
+        return f"{record.name}: {rate}{apart}"
     peak = (
         f", {facts['nominal flops'] / record.median / facts['peak']:.0%} of the peak" if facts["nominal flops"] else ""
     )
-    apart = f", {facts['difference']:.0e} apart" if "difference" in facts else ""
     return f"{record.name}: {1e-6 * facts['unknowns'] / record.median:.3g} MDoF/s, {rate}{peak}{apart}"
 
 
@@ -281,6 +316,10 @@ def main() -> int:
             records += tangents(given.runs)
             for degree in STEP_CELLS:
                 records += load_step(degree, given.runs)
+            if kratos_peer.there_is():
+                records += beside_kratos(given.quick)
+            else:
+                print("without Kratos, which cannot be imported: rows beside it are left out", flush=True)
             for cells in (8,) if given.quick else (16, 32):
                 records += solves(cells)
         records[0].facts.update(core)

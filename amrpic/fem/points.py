@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
 from typing import Literal, get_args
 
 import numpy as np
@@ -21,13 +21,14 @@ HIGHEST_DEGREE = 63  # that any weights are exact to: of Gauss's rule with the m
 class Points:
     """This rank's integration points: those of its elements, sorted by element. Made by `fem.jittered` and the like.
 
-    Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `reference` (n, 3) where it lies in that,
-    from -1 to 1, `volume` and `weight` (n,) in m³, `number` (n,) that of the point among those of all ranks.
+    Arrays have an entry for each point: `element` (n,) its place in `mesh.elements`, `number` (n,) that of the point among
+    those of all ranks. `volume` and `weight` (n,) in m³, `reference`, `position` (n, 3) are made when they are asked for.
 
     `exact_to` (elements,) is the highest m to which an element's weights integrate all products x^i y^j z^k, i, j, k ≤ m,
     exactly; -1 where the weights are the volumes: because they are to be, or because it has no points or is not full. `rough`:
-    elements (elements,) that keep volumes in any case. `gauss`: they are so many of Gauss's points along each axis of all
-    elements, x fastest, and have his weights. `weight`: those that they have instead.
+    elements (elements,) that keep volumes in any case. `volume` may be what returns them when they are asked for. `gauss`: they
+    are so many of Gauss's points along each axis of all elements, x fastest, and have his weights. `weight`: those that they
+    have instead.
     """
 
     def __init__(
@@ -35,7 +36,7 @@ class Points:
         mesh: Mesh,
         element: np.ndarray,
         reference: np.ndarray,
-        volume: np.ndarray,
+        volume: np.ndarray | Callable[[], np.ndarray],
         number: np.ndarray,
         weights: Weights = "moments",
         gauss: int = 0,
@@ -44,39 +45,56 @@ class Points:
     ) -> None:
         self.mesh = mesh
         self.element = np.ascontiguousarray(element, dtype=np.int32)
-        self.reference = np.ascontiguousarray(reference, dtype=np.float64)
-        self.volume = np.ascontiguousarray(volume, dtype=np.float64)
-        self.number = number
-        self.weight, self.exact_to = self.volume, np.full(len(mesh.elements), -1, dtype=np.int32)
-        if gauss:
-            self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1, dtype=np.int32)
-        elif weight is not None:
-            self.weight = np.ascontiguousarray(weight, dtype=np.float64)
-        elif weights == "moments":
-            self._fit(np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
+        self._volume, self.number = volume, number
+        self.exact_to = np.full(len(mesh.elements), 2 * gauss - 1 if gauss else -1, dtype=np.int32)
+        places = np.ascontiguousarray(reference, dtype=np.float64)
+        if weight is None:
+            weight = self.volume
+            if weights == "moments" and not gauss:
+                weight = self._fit(places, np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
         self.native = _native.FemPoints(
-            mesh.native, self.element, self.reference, self.weight, gauss == mesh.degree + 1
+            mesh.native, self.element, places, np.ascontiguousarray(weight), gauss == mesh.degree + 1
         )
 
-    def _fit(self, rough: np.ndarray) -> None:
-        """Give points of elements that are not rough the weights that are exact to the highest degree there is."""
-        mesh, fits = self.mesh, ~rough
-        some = fits[self.element]
-        counts = np.bincount(self.element[some], minlength=len(rough))[fits]
+    def _fit(self, places: np.ndarray, rough: np.ndarray) -> np.ndarray:
+        """The weights of points: in elements that are not rough, those exact to the highest degree there is."""
+        counts = np.bincount(self.element, minlength=len(rough))
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        self.weight = self.volume.copy()
-        self.weight[some], self.exact_to[fits] = _native.fem_fit_moments(
-            first, self.reference[some], self.volume[some], mesh.element_volume, 2 * mesh.degree - 1
+        weight, self.exact_to = _native.fem_fit_moments(
+            first, places, self.volume, rough, self.mesh.element_volume, 2 * self.mesh.degree - 1
         )
+        return weight
 
     def __len__(self) -> int:
         return len(self.element)
 
-    @cached_property
+    @property
+    def volume(self) -> np.ndarray:
+        """Volumes of the points, (n,) in m³."""
+        given = self._volume
+        return np.ascontiguousarray(given() if callable(given) else given, dtype=np.float64)
+
+    @property
+    def reference(self) -> np.ndarray:
+        """Where the points lie in their elements, (n, 3) from -1 to 1."""
+        return self.native.reference()
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Weights of the points, (n,) in m³."""
+        return self.native.weight()
+
+    @property
     def position(self) -> np.ndarray:
         """Places of the points, (n, 3) in m."""
-        lower, at = np.array(self.mesh.domain.lower), self.mesh.elements[self.element]
-        return lower + (at + (self.reference + 1) / 2) * self.mesh.spacing
+        out = self.reference
+        out += 1
+        out /= 2
+        for d in range(3):
+            out[:, d] += self.mesh.elements[:, d][self.element]
+        out *= self.mesh.spacing
+        out += np.array(self.mesh.domain.lower)
+        return out
 
     def exactness(self) -> dict[int, int]:
         """Return how many elements of all ranks have each value of `exact_to`, the lowest first. Collective."""
@@ -134,9 +152,9 @@ def mask_of(fixed: ArrayLike, count: int, components: int, shapes: str) -> np.nd
 
 
 def held_of(values: ArrayLike | float, shape: tuple[int, ...]) -> np.ndarray:
-    """Return the values of fixed unknowns, an array of that shape. InputError for what does not fit. Local."""
+    """Return the values of fixed unknowns, of that shape, to be read. InputError for what does not fit. Local."""
     try:
-        return np.array(np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape))
+        return np.broadcast_to(reals(values, "values", f"a number or an array {shape} on this rank"), shape)
     except ValueError:
         raise InputError(f"values do not fit nodes; give a number or an array {shape} on this rank") from None
 

@@ -141,4 +141,4 @@ def _mask(operator: Operator, fixed: ArrayLike | None) -> np.ndarray:
 
 def _held(operator: Operator, values: ArrayLike | float) -> np.ndarray:
     count, components = len(operator.mesh.node_indices), operator.components
-    return held_of(values, (count,) if components == 1 else (count, components)).reshape(-1)
+    return np.ascontiguousarray(held_of(values, (count,) if components == 1 else (count, components))).reshape(-1)

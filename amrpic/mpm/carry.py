@@ -10,18 +10,22 @@ from .material_points import MaterialPoints, migrate, placed, require_inside
 from .solid import Solid
 
 
-def moved(solid: Solid, u: np.ndarray, body: np.ndarray | slice = slice(None)) -> MaterialPoints:
+def moved(
+    solid: Solid, u: np.ndarray, body: np.ndarray | slice = slice(None), initial_volume: np.ndarray | None = None
+) -> MaterialPoints:
     """Return the points of a solid, or some of them, after a displacement (nodes, 3) in m: x + u, (1 + ∇u) F. Collective.
 
     Damage and driving energy are those that the solid has.
     """
-    points, states = solid.points, solid.states(u)
+    points = solid.points
+    position = points.position
+    position += points.values(u)
     return MaterialPoints(
-        (points.position + points.values(u))[body],
-        points.number[body].astype(np.int64),
-        solid.material[body].astype(np.int64),
-        states.deformation[body],
-        (points.volume / solid.j)[body],
+        position[body],
+        points.number[body].astype(np.int64, copy=False),
+        solid.material[body],
+        solid.displaced(u)[body],
+        (points.volume / solid.j)[body] if initial_volume is None else initial_volume,
         solid.damage[body],
         solid.driving[body],
     )
@@ -33,5 +37,6 @@ def carried(solid: Solid, u: np.ndarray, mesh: Mesh, *, weights: Weights = "mome
     Points move by u to the ranks of their elements, and have F and volumes from there on; damage and driving energy stay.
     Raises on all ranks ParticleError for points that are outside the mesh, InputError for elements with too few.
     """
-    inside = require_inside(moved(solid, u), mesh, 1.0)
-    return placed(migrate(inside, mesh)[0], mesh, list(solid.materials), weights).solid
+    columns = moved(solid, u).columns()
+    require_inside(columns, mesh, 1.0)
+    return placed(migrate(columns, mesh)[0], mesh, list(solid.materials), weights).solid

@@ -41,6 +41,8 @@ def held_by(scene: Scene, mesh: Mesh, begin: float, end: float) -> tuple[np.ndar
 def body_force(there: Placed, densities: Sequence[float], gravity: Sequence[float], load: float) -> np.ndarray:
     """Return the forces of gravity on nodes at a part of the load, (nodes, 3) in N: of points' masses. Collective."""
     points, whole = there.points, there.solid.points
+    if not any(gravity):
+        return np.zeros((len(there.mesh.node_indices), 3))
     density = np.array(densities)[points.material]
     force = np.zeros((len(whole), 3))
     mass_per_weight = density * points.initial_volume / whole.weight[there.body]

@@ -120,7 +120,7 @@ def settle(
         if not report.converged:
             residuals.append(report.residuals[-1] / (report.size or 1))
             break
-        driving = np.maximum(solid.driving, now.states(u).driving)
+        driving = np.maximum(solid.driving, now.energies(u)[1])
         nodes = damage_field(solid, driving)
         now = solid.with_damage(breaks * np.clip(solid.points.values(nodes), 0, 1), driving)
         residuals.append(_apart(now, u, fixed, conditions.get("load")) / (report.size or 1))
@@ -132,7 +132,7 @@ def settle(
     if converged and residuals[-1] > tolerance:
         u, report = equilibrium(now, fixed=fixed, tolerance=tolerance, start=u, **conditions)
         reports.append(report)
-        now = now.with_damage(now.damage, np.maximum(solid.driving, now.states(u).driving))
+        now = now.with_damage(now.damage, np.maximum(solid.driving, now.energies(u)[1]))
         converged = report.converged
     return Settled(u, nodes, now), DamageReport(converged, len(residuals), residuals, reports, growth)
 

@@ -60,17 +60,18 @@ def equilibrium(
     What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
-    u = np.zeros_like(target) if start is None else _vector(solid, start, "start").copy()
+    u = np.zeros(target.shape) if start is None else _vector(solid, start, "start").copy()
     state, size = solid.respond(u), 0.0
     residuals: list[float] = []
     gradients: list[int] = []
     lengths: list[float] = []
     before, reason = None, "it took the most iterations"
     for iteration in range(most_iterations + 1):
-        residual, jump = force - state.force, np.where(held, target - u, 0.0)
+        residual, jump, energy = force - state.force, np.where(held, target - u, 0.0), state.energy
         moving = _norm(solid, jump) > 0
         residuals.append(_norm(solid, np.where(held, 0.0, residual)))
         size = max(size, _norm(solid, state.force) + _norm(solid, force))
+        del state
         if residuals[-1] <= tolerance * size and not moving:
             reason = "the tolerance was met"
             break
@@ -83,8 +84,9 @@ def equilibrium(
         )
         if linear.iterations == 0 and not linear.converged:  # no positive direction was found: down the slope
             step = np.where(held, jump, residual / np.maximum(np.abs(tangent.diagonal()), 1e-300))
+        del tangent  # what it holds, 17 numbers a point, is not to be there beside the next one
         before = linear.residuals[0]
-        found = _searched(solid, u, step, state, force, held, moving)
+        found = _searched(solid, u, step, residual, energy, force, held, moving)
         gradients.append(linear.iterations)
         if found is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
@@ -94,7 +96,7 @@ def equilibrium(
             u[held] = target[held]
         lengths.append(length)
     converged = reason == "the tolerance was met"
-    return u, EquilibriumReport(converged, reason, residuals, size, gradients, lengths, state.energy)
+    return u, EquilibriumReport(converged, reason, residuals, size, gradients, lengths, energy)
 
 
 def _forcing(residual: float, before: float | None, enough: float) -> float:
@@ -106,15 +108,21 @@ def _forcing(residual: float, before: float | None, enough: float) -> float:
 
 
 def _searched(
-    solid: Solid, u: np.ndarray, step: np.ndarray, state: Response, force: np.ndarray, held: np.ndarray, moving: bool
+    solid: Solid,
+    u: np.ndarray,
+    step: np.ndarray,
+    residual: np.ndarray,
+    energy: float,
+    force: np.ndarray,
+    held: np.ndarray,
+    moving: bool,
 ) -> tuple[np.ndarray, Response, float] | None:
     """Where a step or a part of it leads that is good enough; None if there is none. Collective.
 
     While walls move, potentials and residuals of both ends are not comparable, and det F alone decides.
     """
-    free = np.where(held, 0.0, force - state.force)
-    norm, slope = _norm(solid, free), _dot(solid, force - state.force, step)
-    potential = state.energy - _dot(solid, force, u)
+    norm, slope = _norm(solid, np.where(held, 0.0, residual)), _dot(solid, residual, step)
+    potential = energy - _dot(solid, force, u)
     length = 1.0
     for _ in range(MOST_CUTS):
         there = u + length * step

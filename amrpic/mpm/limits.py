@@ -11,9 +11,11 @@ from ..parallel import from_rank_0
 from ..run.limits import available_memory, machine_memory
 from .scene import Scene
 
-POINT_COLUMNS = 18  # of eight bytes, that a point has; twice while it migrates
-KERNEL_COLUMNS = 2 * 18  # of the point kernels and of the tangent, which is made anew while the last one is there
-MOST_STATES = 60  # of stresses, gradients and the like, while a step is measured
+POINT_COLUMNS = 17  # of eight bytes, that a point has
+PLACE_COLUMNS = 6  # its element, place in that, weight and volume
+MOVED_COLUMNS = 24  # while it moves and migrates: those of the next step beside those of the last
+TANGENT_COLUMNS = {"neo-hookean": 18, "ogden": 36}  # while a system is solved
+OUTPUT_COLUMNS = 36  # while stresses are written
 NODE_COLUMNS = 3 * 16  # vectors of Newton, conjugate gradients and the cycle, three components each
 ROWS_OF_BLOCKS = 27 * 9 * 1.2  # of degree 1 and the levels below it
 
@@ -21,9 +23,12 @@ ROWS_OF_BLOCKS = 27 * 9 * 1.2  # of degree 1 and the levels below it
 def memory(scene: Scene) -> dict[str, float]:
     """Return about how many bytes a run takes at its fullest, all ranks together, by what takes them."""
     degree, cells = scene.domain.degree, scene.domain.cells
+    most = max(MOVED_COLUMNS, *(TANGENT_COLUMNS[section.law] for section in scene.materials.values()))
+    if scene.output.write:
+        most = max(most, OUTPUT_COLUMNS)
     nodes, corners = (math.prod(n * p + 1 for n in cells) for p in (degree, 1))
     return {
-        "points": 8.0 * scene.point_count() * (2 * POINT_COLUMNS + KERNEL_COLUMNS + MOST_STATES),
+        "points": 8.0 * scene.point_count() * (POINT_COLUMNS + PLACE_COLUMNS + most),
         "vectors of nodes": 8.0 * nodes * NODE_COLUMNS,
         "multigrid": 8.0 * corners * ROWS_OF_BLOCKS,
     }

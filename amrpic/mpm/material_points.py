@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
+from mmap import MAP_ANONYMOUS, MAP_PRIVATE, mmap
 
 import numpy as np
+from mpi4py import MPI
 
 from .. import _native
 from ..errors import InputError, ParticleError
 from ..fem import Mesh, Points, gauss
 from ..fem.points import Weights
 from ..parallel import raise_together
-from ..particles.arrays import empty_columns
 from .materials import Material, NeoHookean
 from .solid import Solid, determinants
 
@@ -20,6 +20,7 @@ AT_FACE = 1e-9  # parts of a mesh's size: so far outside points may be, by round
 FULL = 0.05  # an element is full if the volumes of its points differ by no more from its own
 OWNERS = np.zeros(0, dtype=np.int64)  # in place of servers: points go to the ranks of their elements
 NONE = np.zeros(0, dtype=np.int64)
+Columns = dict[str, np.ndarray]  # of points, by their names in MaterialPoints
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class MaterialPoints:
 
     position: np.ndarray  # (n, 3) m
     id: np.ndarray  # (n,) int64, the number of the point at the start
-    material: np.ndarray  # (n,) int64, an index of the scene's materials
+    material: np.ndarray  # (n,) int32, an index of the scene's materials
     deformation: np.ndarray  # (n, 3, 3) F, since the start
     initial_volume: np.ndarray  # (n,) m³
     damage: np.ndarray  # (n,) from 0 to 1
@@ -47,72 +48,84 @@ class MaterialPoints:
         """Present volumes, (n,) in m³."""
         return self.j * self.initial_volume
 
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return the arrays by their names, as checkpoints hold them."""
+    def columns(self) -> Columns:
+        """Return the arrays by their names, as checkpoints hold them and as they migrate."""
         return {name: getattr(self, name) for name in type(self).__dataclass_fields__}
 
-    def take(self, order: np.ndarray) -> Self:
-        """Return some of the points by their places, in the order wanted."""
-        return replace(self, **{name: column.take(order, axis=0) for name, column in self.columns().items()})
 
-
-def require_inside(points: MaterialPoints, mesh: Mesh, load: float) -> MaterialPoints:
-    """Return the points with those on its faces, to rounding, in the mesh. Collective.
+def require_inside(columns: Columns, mesh: Mesh, load: float) -> None:
+    """Put points on the mesh's faces, to rounding, into it. Collective.
 
     ParticleError on all ranks for one that is farther outside, or whose det F is not positive.
     """
     lower, upper = np.array(mesh.domain.lower), np.array(mesh.domain.upper)
-    place = np.clip(points.position, lower, upper)
-    out = ~(np.abs(points.position - place) <= AT_FACE * float((upper - lower).max())).all(axis=1)
-    bad = np.flatnonzero(out | ~(points.j > 0))
+    given, j = columns["position"], determinants(columns["deformation"])
+    place = np.clip(given, lower, upper)
+    far = AT_FACE * float((upper - lower).max())
+    out = np.zeros(len(given), dtype=bool)
+    for d in range(3):
+        out |= ~(np.abs(given[:, d] - place[:, d]) <= far)
+    bad = np.flatnonzero(out | ~(j > 0))
     what = None
     if len(bad):
         n = bad[0]
         why = "lies outside the mesh" if out[n] else "is turned inside out"
-        at = ", ".join(f"{x:.6g}" for x in points.position[n])
+        at = ", ".join(f"{x:.6g}" for x in place[n])
         what = (
-            f"point {points.id[n]} at ({at}) m with det F = {points.j[n]:.4g} {why} at {load:.4g} of the load, as "
-            f"{len(bad)} do on a rank; take smaller steps, or enlarge the domain"
+            f"point {columns['id'][n]} at ({at}) m with det F = {j[n]:.4g} {why} at {load:.4g} of the load, as {len(bad)} do "
+            "on a rank; take smaller steps, or enlarge the domain"
         )
     raise_together(mesh.comm, what, ParticleError)
-    return replace(points, position=place)
+    columns["position"] = place
 
 
-def migrate(points: MaterialPoints, mesh: Mesh) -> tuple[MaterialPoints, int]:
-    """Return the points of this rank's elements, by element and id, and how many came from other ranks. Collective."""
-    position, first = empty_columns(len(points)), empty_columns(len(points))
-    position[...], first[...] = points.position, points.deformation[:, 0]
+def migrate(columns: Columns, mesh: Mesh) -> tuple[MaterialPoints, int]:
+    """Return the points of this rank's elements, by element and id, and how many came from other ranks. Collective.
+
+    Nothing is left in `columns`: each is freed as soon as its values are in their places, so that not all are there twice, and
+    F is written over where it has room for what comes.
+    """
+    given = np.asfortranarray(columns.pop("position"))
     plan = _native.Migration(
         mesh.hierarchy.particle_mesh,
         OWNERS,
-        position,
-        first,
-        np.ascontiguousarray(points.initial_volume),
-        points.id,
+        given,
+        given,  # in place of momenta, which these points do not have
+        np.ascontiguousarray(columns.pop("initial_volume")),
+        np.ascontiguousarray(columns.pop("id")),
         NONE,
         has_weights=True,
     )
-    count = plan.arriving
-    rest = np.stack(
-        [*points.deformation[:, 1:].reshape(-1, 6).T, points.damage, points.driving, points.material.view(np.float64)]
-    )
-    place, row, volume, number = (
-        empty_columns(count),
-        empty_columns(count),
-        np.empty(count),
-        np.empty(count, dtype=np.int64),
-    )
-    finite = plan.finish(place, row, volume, number)
+    del given
+    count, came = plan.arriving, plan.from_others
+    place, volume, number = np.empty((3, count)).T, np.empty(count), np.empty(count, dtype=np.int64)
+    finite = plan.finish(place, place, volume, number)
     raise_together(mesh.comm, None if finite and not len(plan.lost) else "points are not in the mesh", ParticleError)
-    carried = np.empty((len(rest), count))
-    plan.carry(np.ascontiguousarray(rest), carried)
-    deformation = np.concatenate([row, carried[:6].T], axis=1).reshape(-1, 3, 3)
-    there = MaterialPoints(
-        np.ascontiguousarray(place), number, carried[8].view(np.int64), deformation, volume, carried[6], carried[7]
+    place = np.ascontiguousarray(place)
+    order = np.lexsort((number, mesh.native.locate(place)[0]))
+    place, volume, number = place[order], volume[order], number[order]
+
+    def carried(column: np.ndarray) -> np.ndarray:
+        there = np.empty((1, count))
+        plan.carry(np.ascontiguousarray(column, dtype=np.float64)[None], there)
+        return there[0, order]
+
+    before = np.ascontiguousarray(columns.pop("deformation"))
+    there = before[:count] if count <= len(before) else np.empty((count, 3, 3))
+    for i, j in np.ndindex(3, 3):
+        there[:, i, j] = carried(before[:, i, j])
+    del before
+    material = carried(columns.pop("material")).astype(np.int32)
+    damage, driving = (
+        carried(column) if mesh.comm.allreduce(column.any(), MPI.LOR) else _zeros(count)
+        for column in (columns.pop("damage"), columns.pop("driving"))
     )
-    element, _ = mesh.native.locate(there.position)
-    came = int(count - np.isin(number, points.id).sum())
-    return there.take(np.lexsort((number, element))), came
+    return MaterialPoints(place, number, material, there, volume, damage, driving), came
+
+
+def _zeros(count: int) -> np.ndarray:
+    """Zeros (count,) that take no memory until they are written: no page of them is there. Local."""
+    return np.frombuffer(mmap(-1, max(8 * count, 1), flags=MAP_PRIVATE | MAP_ANONYMOUS), count=count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +162,7 @@ def placed(
     element, reference = mesh.native.locate(points.position)
     held = np.bincount(element, minlength=len(mesh.elements))
     rough = _several(element, points.material, len(mesh.elements))
-    weighed = Points(mesh, element, reference, points.volume, points.id, weights, rough=rough)
+    weighed = Points(mesh, element, reference, lambda: points.volume, points.id, weights, rough=rough)
     volume = np.bincount(element, points.volume, len(mesh.elements))
     poor = held < enough(mesh.degree)
     if floor_stiffness == 0:

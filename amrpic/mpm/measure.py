@@ -102,7 +102,7 @@ def measure(
     sums += [(mean[on, axis] * values[on, axis]).sum() for axis, on in faces.values()]
     sums += [((loaded[0] + loaded[1]) / 2 * u).sum()]
     materials = len(scene.materials)
-    sums += list(_per_material(solid, solid.states(u).energy, materials))
+    sums += list(_per_material(solid, solid.energies(u)[0], materials))
     sums += list(_per_material(solid, solid.dissipation(settled.damage), materials))
     total = plan.comm.allreduce(np.array(sums, dtype=np.float64))
     force, sizes, floors, work, (by_gravity, *energies) = total[:6], total[6:12], total[12:18], total[18:24], total[24:]

@@ -14,7 +14,6 @@ from ..io.checkpoint_reader import read, read_manifest
 from ..io.checkpoint_writer import Snapshot
 from ..run.restart import about
 from ..scene.differences import differences
-from .material_points import MaterialPoints
 from .scene import Scene
 from .state import Plan, State
 from .step import put
@@ -60,7 +59,7 @@ def load(comm: MPI.Comm, path: Path, scene: Scene | None = None) -> tuple[State,
     plan = Plan(comm, scene)
     held, extra = read(comm, path, manifest=manifest), header.extra
     loads = scene.schedule.loads(extra["begin"], extra["length"])
-    there, _ = put(MaterialPoints(**held.tables["points"]), plan, loads.begin)
+    there, _ = put(dict(held.tables["points"]), plan, loads.begin)
     return State(header.step, loads, there, extra["totals"]), plan
 
 

@@ -46,7 +46,7 @@ def sample(scene: Scene, mesh: Mesh) -> MaterialPoints:
     return MaterialPoints(
         place[some],
         drawn.number[some].astype(np.int64),
-        material[some].astype(np.int64),
+        material[some].astype(np.int32),
         np.tile(np.eye(3), (count, 1, 1)),
         drawn.volume[some],
         np.zeros(count),

@@ -60,7 +60,7 @@ class Solid:
     `materials` are one or several, `material` (n,) says which each point has. Points carry their `deformation` F (n, 3, 3),
     1 if not given, `damage` (n,) from 0 to 1, and the largest `driving` energy they have seen, (n,) in J/m³. A displacement
     u (nodes, 3) in m is from the mesh as it is: F = (1 + ∇u) F of the point. A point's initial volume is its weight over its
-    det F.
+    det F. Arrays are kept, not copied: leave them as they are.
 
     InputError on all ranks for arrays of other shapes, a material that does not exist, and det F that is not positive.
     """
@@ -79,9 +79,10 @@ class Solid:
         self.points, self.mesh = points, points.mesh
         with together(self.mesh.comm, InputError):
             self.materials = tuple(materials) if isinstance(materials, Sequence) else (materials,)
-            which = np.zeros(count) if material is None else np.asarray(material)
+            which = np.zeros(count, dtype=np.int32) if material is None else np.asarray(material)
             self.material = np.ascontiguousarray(which, dtype=np.int32)
-            if self.material.shape != (count,) or not np.isin(self.material, range(len(self.materials))).all():
+            unknown = (self.material < 0) | (self.material >= len(self.materials))
+            if self.material.shape != (count,) or unknown.any():
                 raise InputError(
                     f"material has shape {self.material.shape} and holds numbers that are no material's; give {count} "
                     f"numbers from 0 to {len(self.materials) - 1}"
@@ -90,12 +91,11 @@ class Solid:
             self.deformation = _array(unit if deformation is None else deformation, (count, 3, 3), "deformation")
             self.damage = _array(np.zeros(count) if damage is None else damage, (count,), "damage")
             self.driving = _array(np.zeros(count) if driving is None else driving, (count,), "driving")
-            self.j = determinants(self.deformation)
-            if not (self.j > 0).all():
-                first = int(np.argmin(self.j > 0))
+            if not ((j := self.j) > 0).all():
+                first = int(np.argmin(j > 0))
                 raise InputError(
-                    f"point {int(points.number[first])} at {points.position[first]} m has det F = {self.j[first]}; it "
-                    "must be positive"
+                    f"point {int(points.number[first])} at {points.position[first]} m has det F = {j[first]}; it must be "
+                    "positive"
                 )
         laws = [m.native() for m in self.materials]
         self.native = _native.MpmSolid(points.native, laws, self.material, self.deformation.reshape(-1), self.damage)
@@ -110,6 +110,11 @@ class Solid:
             damage=damage,
             driving=driving,
         )
+
+    @property
+    def j(self) -> np.ndarray:
+        """det F of the points as they are, (n,)."""
+        return determinants(self.deformation)
 
     @property
     def initial_volume(self) -> np.ndarray:
@@ -139,12 +144,27 @@ class Solid:
 
     def states(self, u: ArrayLike) -> States:
         """Return what points have at a displacement, where all det F must be positive. Collective."""
-        whole = (np.eye(3) + self.points.slopes(u)) @ self.deformation
-        stress, energy, driving = self.native.states(whole.reshape(-1))
-        return States(whole, determinants(whole), stress.reshape(-1, 3, 3), energy, driving)
+        whole, (energy, driving) = self.displaced(u), self.energies(u)
+        stress = self.native.stresses(whole.reshape(-1)).reshape(-1, 3, 3)
+        return States(whole, determinants(whole), stress, energy, driving)
+
+    def displaced(self, u: ArrayLike) -> np.ndarray:
+        """Return F of points at a displacement, (n, 3, 3). Collective. InputError on all ranks for another shape."""
+        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        return self.native.deformation(given).reshape(-1, 3, 3)
+
+    def energies(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return energies of points at a displacement and what drives damage, (n,) in J per initial m³. Collective.
+
+        All det F must be positive. InputError on all ranks for another shape.
+        """
+        given, _ = checked_vector(self.mesh, u, "the displacement", 3)
+        return self.native.energies(given)
 
     def dissipation(self, damage_at_nodes: ArrayLike) -> np.ndarray:
         """Return G/(2ℓ) (d² + ℓ² |∇d|²) of each point, (n,) in J per initial m³: what breaking took. Collective."""
+        if not any(m.damage for m in self.materials):
+            return np.zeros(len(self.points))
         d, slope = self.points.values(damage_at_nodes), self.points.slopes(damage_at_nodes)
         surface, length = self.surface_and_length()
         return np.asarray(surface / 2 * (d**2 + length**2 * (slope**2).sum(axis=1)))

@@ -8,7 +8,7 @@ from .carry import moved
 from .conditions import body_force, held_by
 from .damage import DamageReport, Settled, settle
 from .loads import Loads
-from .material_points import MaterialPoints, Placed, migrate, placed, require_inside
+from .material_points import Columns, Placed, migrate, placed, require_inside
 from .measure import at_rest, measure
 from .sample import mesh_of, sample
 from .state import Plan, State
@@ -18,8 +18,8 @@ def begin(plan: Plan) -> State:
     """Return the state before the first step. Collective."""
     mesh, scene = mesh_of(plan.comm, plan.scene), plan.scene
     with plan.clock("sample"):
-        points = sample(scene, mesh)
-    there, _ = put(points, plan, 0.0)
+        columns = sample(scene, mesh).columns()
+    there, _ = put(columns, plan, 0.0)
     return replace(State(0, scene.schedule.loads(), there), measured=at_rest(there, plan))
 
 
@@ -33,18 +33,24 @@ def advance(state: State, plan: Plan) -> State:
         loads, cuts = loads.cut(), cuts + 1
     settled, report = found
     measured, totals = measure(state, loads, settled, report, plan)
-    there, came = put(moved(settled.solid, settled.displacement, state.placed.body), plan, loads.end)
+    points = state.placed.points
+    columns = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume).columns()
+    there, came = put(columns, plan, loads.end)
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
     after = loads.taken(max(one.iterations for one in report.equilibria), report.growth)
     return State(state.step + 1, after, there, totals, measured)
 
 
-def put(points: MaterialPoints, plan: Plan, load: float) -> tuple[Placed, int]:
-    """Return points in the mesh at a part of the load, and how many of this rank came from others. Collective."""
+def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
+    """Return points in the mesh at a part of the load, and how many of this rank came from others. Collective.
+
+    Nothing is left in `columns`.
+    """
     scene = plan.scene
     with plan.clock("migrate"):
         mesh = mesh_of(plan.comm, scene, load)
-        there, came = migrate(require_inside(points, mesh, load), mesh)
+        require_inside(columns, mesh, load)
+        there, came = migrate(columns, mesh)
     with plan.clock("weigh"):
         return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness), came
 

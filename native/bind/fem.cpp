@@ -81,16 +81,17 @@ void bind_fem(nb::module_& m) {
       "Nodes of an element along an axis, from -1 to 1.");
   m.def(
       "fem_fit_moments",
-      [](bind::Starts first, bind::RealRows reference, bind::Reals volume, Real element_volume, int highest) {
+      [](bind::Starts first, bind::RealRows reference, bind::Reals volume, Flags rough, Real element_volume,
+         int highest) {
         fem::FittedWeights fitted;
         {
           nb::gil_scoped_release release;
           fitted = fem::fit_moments({first.data(), first.data() + first.size()}, reference.data(), volume.data(),
-                                    element_volume, highest);
+                                    rough.data(), element_volume, highest);
         }
         return nb::make_tuple(bind::to_array(std::move(fitted.weight)), bind::to_array(std::move(fitted.degree)));
       },
-      "first"_a, "reference"_a, "volume"_a, "element_volume"_a, "highest"_a,
+      "first"_a, "reference"_a, "volume"_a, "rough"_a, "element_volume"_a, "highest"_a,
       "Weights of points near their volumes, and to which degree they are exact in each element.");
 
   nb::class_<fem::Lattice>(m, "FemLattice",
@@ -127,6 +128,15 @@ void bind_fem(nb::module_& m) {
           },
           "lattice"_a, "element"_a, "reference"_a, "weight"_a, "gauss"_a)
       .def_prop_ro("bytes", &fem::Points::bytes)
+      .def(
+          "reference",
+          [](fem::Points const& p) {
+            return bind::to_array(p.unblocked(p.places(), 3), {std::size_t(p.count()), 3});
+          },
+          "Where points lie in their elements.")
+      .def(
+          "weight", [](fem::Points const& p) { return bind::to_array(p.unblocked(p.weights(), 1)); },
+          "Weights of points.")
       .def(
           "values",
           [](fem::Points const& p, int components, bind::Reals u) {

@@ -27,13 +27,10 @@ void bind_mpm(nb::module_& m) {
           "__init__",
           [](mpm::Solid* self, std::shared_ptr<fem::Points> const& points, std::vector<mpm::Law> laws, Numbers law,
              bind::Reals deformation, bind::Reals damage) {
-            new (self) mpm::Solid{points,
-                                  std::move(laws),
-                                  {law.data(), law.data() + law.size()},
-                                  values_of(deformation),
-                                  values_of(damage)};
+            new (self) mpm::Solid{points, std::move(laws), law.data(), deformation.data(), damage.data()};
           },
-          "points"_a, "laws"_a, "law"_a, "deformation"_a, "damage"_a)
+          "points"_a, "laws"_a, "law"_a.noconvert(), "deformation"_a.noconvert(), "damage"_a.noconvert(),
+          nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>())
       .def(
           "respond",
           [](mpm::Solid const& solid, bind::Reals u) {
@@ -53,13 +50,22 @@ void bind_mpm(nb::module_& m) {
           },
           "u"_a, "initial"_a)
       .def(
-          "states",
-          [](mpm::Solid const& solid, bind::Reals deformation) {
-            auto found = mpm::states(solid, deformation.data());
-            return nb::make_tuple(bind::to_array(std::move(found.stress)), bind::to_array(std::move(found.energy)),
-                                  bind::to_array(std::move(found.driving)));
+          "deformation",
+          [](mpm::Solid const& solid, bind::Reals u) { return bind::to_array(mpm::deformation(solid, u.data())); },
+          "u"_a, "F of each point, 9 numbers.")
+      .def(
+          "energies",
+          [](mpm::Solid const& solid, bind::Reals u) {
+            auto found = mpm::energies(solid, u.data());
+            return nb::make_tuple(bind::to_array(std::move(found.stored)), bind::to_array(std::move(found.driving)));
           },
-          "deformation"_a, "Kirchhoff's stress, energy and driving energy of each point.");
+          "u"_a, "Energy and driving energy of each point.")
+      .def(
+          "stresses",
+          [](mpm::Solid const& solid, bind::Reals deformation) {
+            return bind::to_array(mpm::stresses(solid, deformation.data()));
+          },
+          "deformation"_a, "Kirchhoff's stress of each point, 9 numbers.");
   m.def(
       "mpm_determinants",
       [](bind::Reals deformation) {

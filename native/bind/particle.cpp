@@ -7,6 +7,8 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
+#include <optional>
+
 #include "bind/bind.hpp"
 #include "bind/communicator.hpp"
 #include "bind/convert.hpp"
@@ -55,6 +57,21 @@ ParticleView view(Vectors const& position, Vectors const& momentum, OnePerPartic
 Clouds clouds_of(Shape shape, bool matched, bool by_kokkos) {
   return {shape, matched, by_kokkos ? &kokkos::tile_kernels() : nullptr};
 }
+
+/// A migration with the arrays that it reads until it is finished.
+struct BoundMigration : Migration {
+  struct Arrays {
+    ConstColumns position, momentum;
+    OnePerParticle weight;
+    Row<std::int64_t const> id;
+  };
+  BoundMigration(ParticleMesh& mesh, Servers servers, Arrays given, ParticleList const& gone, bool has_weights)
+      : Migration(mesh, std::move(servers), view(given.position, given.momentum, given.weight, given.id), gone,
+                  has_weights),
+        arrays(std::move(given)) {}
+
+  std::optional<Arrays> arrays;
+};
 
 Flights flights(ConstColumns const& start, ConstColumns const& end, Real3 const& start_offset,
                 Real3 const& end_offset) {
@@ -142,36 +159,41 @@ void bind_particle(nb::module_& m) {
   m.attr("PLACES_PER_BRICK") = nb::int_(BrickCurve::per_brick);
   m.attr("MOST_PARTICLES") = nb::int_(Migration::most);  // of a rank
 
-  nb::class_<Migration>(m, "Migration")
+  nb::class_<BoundMigration>(m, "Migration")
       .def(
           "__init__",
-          [](Migration* self, ParticleMesh& mesh, Row<std::int64_t const> servers, ConstColumns position,
+          [](BoundMigration* self, ParticleMesh& mesh, Row<std::int64_t const> servers, ConstColumns position,
              ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> gone,
              bool has_weights) {
             nb::gil_scoped_release release;
             ParticleList const without{gone.data(), gone.data() + gone.shape(0)};
             std::vector<std::int64_t> first(servers.data(), servers.data() + servers.shape(0));
             Hierarchy const& hierarchy = mesh.hierarchy();
-            new (self) Migration(mesh, Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
-                                 view(position, momentum, weight, id), without, has_weights);
+            new (self) BoundMigration(mesh, Servers(hierarchy.domain(), std::move(first), hierarchy.comm().rank()),
+                                      {position, momentum, weight, id}, without, has_weights);
           },
           "mesh"_a, "servers"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a, "gone"_a, "has_weights"_a,
-          nb::keep_alive<1, 2>(), nb::keep_alive<1, 4>(), nb::keep_alive<1, 5>(), nb::keep_alive<1, 6>(),
-          nb::keep_alive<1, 7>())
+          nb::keep_alive<1, 2>())
       .def_prop_ro(
-          "lost", [](Migration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
+          "lost", [](BoundMigration const& self) { return bind::to_array(self.lost()); }, nb::rv_policy::automatic)
       .def_prop_ro("arriving", &Migration::arriving)
+      .def_prop_ro("from_others", &Migration::from_others)
       .def_prop_ro("bricks", &Migration::bricks)
       .def(
           "finish",
-          [](Migration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
-            nb::gil_scoped_release release;
-            return self.finish(view(position, momentum, weight, id));
+          [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
+            bool finite;
+            {
+              nb::gil_scoped_release release;
+              finite = self.finish(view(position, momentum, weight, id));
+            }
+            self.arrays.reset();
+            return finite;
           },
           "position"_a, "momentum"_a, "weight"_a, "id"_a)
       .def(
           "carry",
-          [](Migration const& self, nb::ndarray<Real const, nb::ndim<2>, nb::c_contig, nb::device::cpu> from,
+          [](BoundMigration const& self, nb::ndarray<Real const, nb::ndim<2>, nb::c_contig, nb::device::cpu> from,
              nb::ndarray<Real, nb::ndim<2>, nb::c_contig, nb::device::cpu> to) {
             nb::gil_scoped_release release;
             std::vector<Real const*> old;
@@ -184,10 +206,10 @@ void bind_particle(nb::module_& m) {
           },
           "columns"_a, "out"_a, "After `finish`: further columns, (columns, n), of the same particles. Collective.")
       .def_prop_ro(
-          "starts", [](Migration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
+          "starts", [](BoundMigration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
       .def(
           "remote",
-          [](Migration const& self, std::shared_ptr<Hierarchy const> hierarchy) {
+          [](BoundMigration const& self, std::shared_ptr<Hierarchy const> hierarchy) {
             return std::make_unique<RemoteBricks>(std::move(hierarchy), self.remote(), self.first_servers());
           },
           "hierarchy"_a);

@@ -262,21 +262,22 @@ void Halving::transposed(int components, Real const* fine, Real* coarse) const {
 
 // ---- products ----
 
-BlockRows::BlockRows(Communicator const& comm, NodeBlocks const& blocks)
+BlockRows::BlockRows(Communicator const& comm, NodeBlocks blocks)
     : nodes_(blocks.nodes), components_(blocks.components), around_(around(comm, *nodes_)) {
-  std::size_t const width = blocks.width();
-  by_line_.resize(blocks.value.size());
-  std::size_t first = 0;
+  std::size_t const width = blocks.width(), c = std::size_t(components_);
+  by_line_ = std::move(blocks.value);
+  for (std::size_t node = 0; node < std::size_t(nodes_->local_cells()); ++node)
+    for (std::size_t r = 0; r < c; ++r) diagonal_.push_back(by_line_[node * width + (stencil / 2 * c + r) * c + r]);
+  std::vector<Real> line;  // as it comes, node after node
+  Real* entry = by_line_.data();
   for (int b = nodes_->first_local_box(); b < nodes_->last_local_box(); ++b) {
     std::size_t const length = std::size_t(nodes_->box(b).extent(0));
-    for (GlobalIndex line = 0; line < nodes_->box(b).cells(); line += GlobalIndex(length), first += length)
-      for (std::size_t i = 0; i < length; ++i)
-        for (std::size_t e = 0; e < width; ++e)
-          by_line_[first * width + e * length + i] = blocks.value[(first + i) * width + e];
+    for (GlobalIndex first = 0; first < nodes_->box(b).cells(); first += GlobalIndex(length)) {
+      line.assign(entry, entry + length * width);
+      for (std::size_t e = 0; e < width; ++e)
+        for (std::size_t i = 0; i < length; ++i) *entry++ = line[i * width + e];
+    }
   }
-  auto const c = std::size_t(components_);
-  for (std::size_t node = 0; node < std::size_t(nodes_->local_cells()); ++node)
-    for (std::size_t r = 0; r < c; ++r) diagonal_.push_back(blocks.value[node * width + (stencil / 2 * c + r) * c + r]);
 }
 
 void BlockRows::apply(Real const* u, Real* v) const {

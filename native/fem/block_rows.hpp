@@ -53,7 +53,7 @@ class Halving {
 /// Products with such rows.
 class BlockRows {
  public:
-  BlockRows(Communicator const& comm, NodeBlocks const& blocks);
+  BlockRows(Communicator const& comm, NodeBlocks blocks);
 
   /// v = A u. Collective.
   void apply(Real const* u, Real* v) const;

@@ -281,12 +281,14 @@ int fit(Real const* reference, std::vector<Real> const& volume, std::size_t coun
 }  // namespace
 
 FittedWeights fit_moments(std::vector<std::int64_t> const& first, Real const* reference, Real const* volume,
-                          Real element_volume, int highest) {
+                          bool const* rough, Real element_volume, int highest) {
   FittedWeights out{{volume, volume + first.back()}, {}};
   std::vector<Real> parts, before, weight;
   Real const* place_before = nullptr;
   int degree = not_fitted;
   for (std::size_t e = 0; e + 1 < first.size(); ++e) {
+    out.degree.push_back(not_fitted);
+    if (rough[e]) continue;
     std::size_t const count = std::size_t(first[e + 1] - first[e]);
     Real const* const place = reference + 3 * first[e];
     parts.clear();
@@ -296,7 +298,6 @@ FittedWeights fit_moments(std::vector<std::int64_t> const& first, Real const* re
       sum += parts.back();
     }
     parts.resize(padded(count), 0);
-    out.degree.push_back(not_fitted);
     if (std::abs(sum - 1) > full_within) continue;
     bool const same = place_before && parts == before && std::equal(place, place + 3 * count, place_before);
     if (!same) degree = fit(place, parts, count, highest, weight);

@@ -23,8 +23,9 @@ struct FittedWeights {
 /// V and exact to the highest degree, up to `highest`, for which there are such weights. Points that share a place
 /// count as the one that they make up.
 ///
-/// `first`: where each element's points start, elements + 1 values; `reference`: x, y, z of each from -1 to 1.
+/// `first`: where each element's points start, elements + 1 values; `reference`: x, y, z of each from -1 to 1; `rough`,
+/// of each element: it keeps volumes.
 FittedWeights fit_moments(std::vector<std::int64_t> const& first, Real const* reference, Real const* volume,
-                          Real element_volume, int highest);
+                          bool const* rough, Real element_volume, int highest);
 
 }  // namespace amrpic::fem

@@ -1,5 +1,6 @@
 #include "fem/points.hpp"
 
+#include <algorithm>
 #include <utility>
 
 #include "base/native_lanes.hpp"
@@ -29,10 +30,8 @@ Points::Filled filled_of(Points const& points, Lattice::Part const& part) {
 
 template <class F>
 void Points::for_each_point(int width, F&& f) const {
-  auto const& first = sorted_->first_point;
-  for (std::size_t e = 0; e + 1 < first.size(); ++e)
-    for (std::int64_t p = first[e], n = 0; p < first[e + 1]; ++p, ++n)
-      f(p, (sorted_->first_block[e] + n / width_of_block) * width * width_of_block + n % width_of_block);
+  for (std::int64_t b = 0; b < blocks(); ++b)
+    for (std::int64_t p = first_point(b), at = b * width * width_of_block; p < first_point(b + 1); ++p, ++at) f(p, at);
 }
 
 Points::Points(std::shared_ptr<Lattice const> lattice, std::vector<LocalIndex> const& element, Real const* reference,
@@ -41,17 +40,16 @@ Points::Points(std::shared_ptr<Lattice const> lattice, std::vector<LocalIndex> c
   auto const sorted = std::make_shared<Sorted>();
   auto& [first_point, first_block, places, weights] = *sorted;
   std::size_t const elements = std::size_t(lattice_->elements().local_cells());
-  first_point.assign(elements + 1, 0);
-  for (LocalIndex e : element) ++first_point[std::size_t(e) + 1];
-  first_block.push_back(0);
-  for (std::size_t e = 0; e < elements; ++e) {
-    first_block.push_back(first_block[e] + (first_point[e + 1] + width_of_block - 1) / width_of_block);
-    first_point[e + 1] += first_point[e];
+  std::vector<std::int64_t> counts(elements, 0);
+  for (LocalIndex e : element) ++counts[std::size_t(e)];
+  first_point.push_back(0), first_block.push_back(0);
+  for (std::int64_t rest : counts) {
+    for (; rest > 0; rest -= width_of_block)
+      first_point.push_back(first_point.back() + std::min<std::int64_t>(rest, width_of_block));
+    first_block.push_back(std::int64_t(first_point.size()) - 1);
   }
   sorted_ = sorted;
-  auto const of_places = blocked(reference, 3), of_weights = blocked(weight, 1);
-  places.assign(of_places.begin(), of_places.end());
-  weights.assign(of_weights.begin(), of_weights.end());
+  places = blocked(reference, 3), weights = blocked(weight, 1);
   for (auto const& part : lattice_->parts()) filled_.push_back(filled_of(*this, part));
 }
 
@@ -62,18 +60,18 @@ Points::Points(std::shared_ptr<Lattice const> lattice, Points const& same)
   for (auto const& part : lattice_->parts()) filled_.push_back(filled_of(*this, part));
 }
 
-std::vector<Real> Points::blocked(Real const* values, int width) const {
-  std::vector<Real> out(std::size_t(blocks() * width * width_of_block), 0);
+BlockValues Points::blocked(Real const* values, int width) const {
+  BlockValues out(std::size_t(blocks() * width * width_of_block), 0);
   for_each_point(width, [&](std::int64_t p, std::int64_t at) {
     for (int c = 0; c < width; ++c) out[std::size_t(at + c * width_of_block)] = values[p * width + c];
   });
   return out;
 }
 
-std::vector<Real> Points::unblocked(std::vector<Real> const& values, int width) const {
+std::vector<Real> Points::unblocked(Real const* values, int width) const {
   std::vector<Real> out(std::size_t(count() * width));
   for_each_point(width, [&](std::int64_t p, std::int64_t at) {
-    for (int c = 0; c < width; ++c) out[std::size_t(p * width + c)] = values[std::size_t(at + c * width_of_block)];
+    for (int c = 0; c < width; ++c) out[std::size_t(p * width + c)] = values[at + c * width_of_block];
   });
   return out;
 }

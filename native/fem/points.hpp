@@ -8,6 +8,30 @@
 
 namespace amrpic::fem {
 
+/// Allocates from a cache line on, so that no vector of the processor is read from two of them; what is freed goes back
+/// to the system, as numbers of points change from step to step.
+template <class T>
+struct BlockAllocator {
+  using value_type = T;
+  BlockAllocator() = default;
+  template <class U>
+  BlockAllocator(BlockAllocator<U> const&) {}
+
+  T* allocate(std::size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), std::align_val_t(cache_line))); }
+  void deallocate(T* block, std::size_t) { ::operator delete(block, std::align_val_t(cache_line)); }
+  template <class U>
+  bool operator==(BlockAllocator<U> const&) const {
+    return true;
+  }
+  template <class U>
+  bool operator!=(BlockAllocator<U> const&) const {
+    return false;
+  }
+};
+
+/// Values of blocks of points, as in `Points::blocked`.
+using BlockValues = std::vector<Real, BlockAllocator<Real>>;
+
 /// The integration points of this rank's elements, sorted by element.
 ///
 /// Kernels take as many points of an element at a time as a vector holds. So the points of an element fill whole blocks
@@ -26,6 +50,8 @@ class Points {
   std::shared_ptr<Lattice const> share_lattice() const { return lattice_; }
   bool gauss() const { return gauss_; }
   std::int64_t count() const { return sorted_->first_point.back(); }
+  /// Points of a block: [first_point(b), first_point(b + 1)).
+  std::int64_t first_point(std::int64_t block) const { return sorted_->first_point[std::size_t(block)]; }
 
   /// Blocks of an element: [first_block(e), first_block(e + 1)).
   std::int64_t first_block(LocalIndex element) const { return sorted_->first_block[std::size_t(element)]; }
@@ -41,15 +67,16 @@ class Points {
 
   /// Values of all points, `width` of each, as blocks: of each block the first value of all its lanes, and so on. Zeros
   /// in lanes without a point.
-  std::vector<Real> blocked(Real const* values, int width) const;
-  std::vector<Real> unblocked(std::vector<Real> const& values, int width) const;  ///< the opposite
+  BlockValues blocked(Real const* values, int width) const;
+  std::vector<Real> unblocked(Real const* values, int width) const;  ///< the opposite
 
   std::size_t bytes() const;  ///< on this rank
 
  private:
   struct Sorted {
-    std::vector<std::int64_t> first_point, first_block;  ///< elements + 1 values
-    LargeArray<Real> place, weight;
+    std::vector<std::int64_t> first_point;  ///< blocks + 1 values
+    std::vector<std::int64_t> first_block;  ///< elements + 1 values
+    BlockValues place, weight;
   };
   /// Call f(point, place of its first value among blocks of so many values).
   template <class F>

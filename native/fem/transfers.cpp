@@ -50,7 +50,7 @@ std::vector<Real> at_points(Points const& points, int components, int width, Rea
     AtPoints<nodes(), of_node(), std::decay_t<decltype(d)>> const kernel{points, d};
     sum_over_elements<nodes(), of_node()>(points, u, nullptr, kernel);
   });
-  return points.unblocked(blocks, width);
+  return points.unblocked(blocks.data(), width);
 }
 
 }  // namespace

@@ -39,12 +39,12 @@ inline void write_transposed_product(Matrix const& a, Matrix const& b, Out& out)
 
 /// Blocks of `width` values of points.
 struct Blocks {
-  std::shared_ptr<std::vector<Real> const> values;
+  std::shared_ptr<fem::BlockValues const> values;
   Real const* first;
   int width;
 
-  Blocks(std::vector<Real> of_points, int width)
-      : values(std::make_shared<std::vector<Real> const>(std::move(of_points))), first(values->data()), width(width) {}
+  Blocks(fem::BlockValues of_points, int width)
+      : values(std::make_shared<fem::BlockValues const>(std::move(of_points))), first(values->data()), width(width) {}
   V operator()(std::int64_t block, std::size_t number) const { return of_block(first, block, width, int(number)); }
   Matrix matrix(std::int64_t block, std::size_t number) const {
     Matrix out;

@@ -1,6 +1,7 @@
 #include "mpm/solid.hpp"
 
 #include <algorithm>
+#include <functional>
 #include <limits>
 #include <type_traits>
 #include <variant>
@@ -42,6 +43,61 @@ Tensor moduli_times(Law const& law, Tensor const& f, Real damage, Tensor const& 
   return ask(law, damage, [&](auto const& own, auto... d) { return own.moduli(f, d...)(e); });
 }
 
+/// A point among blocks of points.
+struct Place {
+  std::int64_t block;
+  int lane;
+  std::size_t point;
+
+  /// The first of its `width` values; the others follow, a block's lanes apart.
+  Real* of(Real* blocks, int width) const { return blocks + block * width * native_lane_count + lane; }
+};
+
+/// Call f(place) for the points of a block.
+template <class F>
+void for_each_place(fem::Points const& points, std::int64_t block, F&& f) {
+  std::int64_t const first = points.first_point(block);
+  int const count = int(points.first_point(block + 1) - first);
+  for (int lane = 0; lane < count; ++lane) f(Place{block, lane, std::size_t(first + lane)});
+}
+
+/// What becomes of slopes of a displacement in space: f(place, slopes), point after point. If it `tests`, it leaves the
+/// slopes' conjugates in their place: what the gradients of nodes' functions are multiplied with.
+template <bool tests>
+struct PointByPoint {
+  static constexpr bool reads = true, writes = tests, values = false, slopes = true;
+  fem::Points const& points;
+  Real3 scale;
+  std::function<void(Place const&, Tensor&)> const& f;
+
+  void operator()(std::int64_t block, AtPoint<3>& at) const {
+    Matrix out{};
+    for_each_place(points, block, [&](Place const& place) {
+      Tensor own;
+      for_each_entry(
+          [&](std::size_t i, std::size_t j) { own[i][j] = at.slope[i][j][std::size_t(place.lane)] * scale[j]; });
+      f(place, own);
+      for_each_entry([&](std::size_t i, std::size_t j) { out[i][j][std::size_t(place.lane)] = own[i][j] * scale[j]; });
+    });
+    if constexpr (tests)
+      for (std::size_t i = 0; i < 3; ++i) at.slope[i] = out[i];
+  }
+};
+
+/// Call f(place, slopes) for this rank's points under a displacement, and return the sums over points of what it leaves
+/// there times the gradients of nodes' functions, if it `tests`. Collective.
+template <bool tests, class F>
+std::vector<Real> sum_point_by_point(fem::Points const& points, Real const* u, F&& f) {
+  std::function<void(Place const&, Tensor&)> const call = std::ref(f);
+  std::vector<Real> out(tests ? std::size_t(points.lattice().own_nodes()) * 3 : 0);
+  PointByPoint<tests> const d{points, fem::slope_scale(points.lattice()), call};
+  fem::with_degree(points.lattice().degree(), [&](auto nodes) {
+    fem::AtPoints<nodes(), 3, PointByPoint<tests>> const kernel{points, d};
+    fem::sum_over_elements<nodes(), 3>(points, u, tests ? out.data() : nullptr, kernel);
+  });
+  return out;
+}
+
 /// One point under a displacement.
 struct Moved {
   Tensor before, relative, whole;  ///< F~, 1 + grad u, F
@@ -50,19 +106,16 @@ struct Moved {
   Real damage;
 };
 
-/// Call f(point, moved) for this rank's points. `slopes`: of u at points, (3, 3) each.
-template <class F>
-void for_each_point(Solid const& solid, std::vector<Real> const& slopes, std::vector<Real> const& weights, F&& f) {
-  for (std::size_t p = 0; p < solid.law.size(); ++p) {
-    Tensor const before = tensor_at(&solid.deformation[9 * p]);
-    Tensor const relative = material::sum(material::unit_tensor(), 1, tensor_at(&slopes[9 * p]));
-    f(p, Moved{before, relative, material::product(relative, before), weights[p] / material::determinant(before),
-               solid.laws[std::size_t(solid.law[p])], solid.damage[p]});
-  }
-}
-
-std::vector<Real> weights_of(fem::Points const& points) {
-  return points.unblocked({points.weights(), points.weights() + points.blocks() * native_lane_count}, 1);
+Moved moved(Solid const& solid, Place const& at, Tensor const& slopes) {
+  Tensor const before = tensor_at(solid.deformation + 9 * at.point);
+  Tensor const relative = material::sum(material::unit_tensor(), 1, slopes);
+  Real const weight = solid.points->weights()[at.block * native_lane_count + at.lane];
+  return {before,
+          relative,
+          material::product(relative, before),
+          weight / material::determinant(before),
+          solid.laws[std::size_t(solid.law[at.point])],
+          solid.damage[at.point]};
 }
 
 Real det(Tensor const& f) { return material::determinant(f); }
@@ -117,46 +170,29 @@ void write_state(InitialNeoHookean const*, Moved const& at, Real3 const& scale, 
   out[15] = at.volume * law.moduli(at.whole).b / 2, out[16] = at.volume * law.lambda;
 }
 
-template <class D, class Write>
-std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, std::size_t count, Write&& write) {
-  std::vector<Real> state(count * D::width);
-  write(state);
-  Blocks blocks(points->blocked(state.data(), D::width), D::width);
+/// The values of a point among blocks.
+void write(Real const* values, Place const& at, int width, Real* blocks) {
+  Real* const out = at.of(blocks, width);
+  for (int c = 0; c < width; ++c) out[c * native_lane_count] = values[c];
+}
+
+template <class D>
+std::unique_ptr<fem::Operator> made(std::shared_ptr<fem::Points const> points, fem::BlockValues state) {
   constexpr int components = D::values ? 1 : 3;
-  D d(std::move(blocks));
+  D d(Blocks(std::move(state), D::width));
   return std::make_unique<fem::OperatorOf<D, components>>(std::move(points), std::move(d));
 }
 
 template <class D>
 std::unique_ptr<fem::Operator> tangent_as(Solid const& solid, Real const* u) {
-  auto const slopes = fem::slopes_at(*solid.points, 3, u);
-  auto const weights = weights_of(*solid.points);
   Real3 const scale = fem::slope_scale(solid.points->lattice());
-  return made<D>(solid.points, solid.law.size(), [&](std::vector<Real>& state) {
-    for_each_point(solid, slopes, weights, [&](std::size_t p, Moved const& at) {
-      write_state(static_cast<D const*>(nullptr), at, scale, &state[p * D::width]);
-    });
+  fem::BlockValues state(std::size_t(solid.points->blocks() * D::width * native_lane_count), 0);
+  sum_point_by_point<false>(*solid.points, u, [&](Place const& at, Tensor const& slopes) {
+    Real own[D::width];
+    write_state(static_cast<D const*>(nullptr), moved(solid, at, slopes), scale, own);
+    write(own, at, D::width, state.data());
   });
-}
-
-/// Forces from fluxes at points, (3, 3) each, in coordinates of elements and with weights.
-struct Flux {
-  static constexpr bool reads = false, writes = true, values = false, slopes = true;
-  Blocks flux;
-
-  void operator()(std::int64_t block, AtPoint<3>& at) const {
-    for_each_entry([&](std::size_t i, std::size_t j) { at.slope[i][j] = flux(block, 3 * i + j); });
-  }
-};
-
-std::vector<Real> forces_of(fem::Points const& points, std::vector<Real> const& flux) {
-  Flux const d{Blocks(points.blocked(flux.data(), 9), 9)};
-  std::vector<Real> out(std::size_t(points.lattice().own_nodes()) * 3);
-  fem::with_degree(points.lattice().degree(), [&](auto nodes) {
-    fem::AtPoints<nodes(), 3, Flux> const kernel{points, d};
-    fem::sum_over_elements<nodes(), 3>(points, nullptr, out.data(), kernel);
-  });
-  return out;
+  return made<D>(solid.points, std::move(state));
 }
 
 template <class Kind>
@@ -168,24 +204,50 @@ bool any_of(Solid const& solid) {
 }  // namespace
 
 Response respond(Solid const& solid, Real const* u) {
-  fem::Points const& points = *solid.points;
-  auto const slopes = fem::slopes_at(points, 3, u);
-  Real3 const scale = fem::slope_scale(points.lattice());
-  std::vector<Real> flux(9 * solid.law.size(), 0);
   Response out{{}, 0, std::numeric_limits<Real>::max()};
-  for_each_point(solid, slopes, weights_of(points), [&](std::size_t p, Moved const& at) {
+  out.force = sum_point_by_point<true>(*solid.points, u, [&](Place const& place, Tensor& slopes) {
+    Moved const at = moved(solid, place, slopes);
     Real const j = det(at.whole);
     out.smallest_j = std::min(out.smallest_j, j);
+    slopes = {};
     if (!(j > 0)) return;
     out.energy += at.volume * energy_of(at.law, at.whole, at.damage);
     Tensor const stress = material::scaled(at.volume, stress_of(at.law, at.whole, at.damage));
-    Tensor const by = material::product(stress, material::transposed(material::inverse(at.relative)));
-    material::for_each_entry([&](std::size_t i, std::size_t k) { flux[9 * p + 3 * i + k] = by[i][k] * scale[k]; });
+    slopes = material::product(stress, material::transposed(material::inverse(at.relative)));
   });
-  out.force = forces_of(points, flux);
-  Communicator const& comm = points.lattice().comm();
+  Communicator const& comm = solid.points->lattice().comm();
   out.energy = comm.sum(out.energy);
   out.smallest_j = comm.smallest(out.smallest_j);
+  return out;
+}
+
+std::vector<Real> deformation(Solid const& solid, Real const* u) {
+  std::vector<Real> out(9 * solid.count());
+  sum_point_by_point<false>(*solid.points, u, [&](Place const& at, Tensor const& slopes) {
+    Tensor const whole = moved(solid, at, slopes).whole;
+    for (std::size_t i = 0; i < 3; ++i) std::copy(whole[i].begin(), whole[i].end(), &out[9 * at.point + 3 * i]);
+  });
+  return out;
+}
+
+Energies energies(Solid const& solid, Real const* u) {
+  Energies out{std::vector<Real>(solid.count()), std::vector<Real>(solid.count())};
+  sum_point_by_point<false>(*solid.points, u, [&](Place const& place, Tensor const& slopes) {
+    Moved const at = moved(solid, place, slopes);
+    out.stored[place.point] = energy_of(at.law, at.whole, at.damage);
+    auto const* damaged = std::get_if<material::DamagedNeoHookean>(&at.law);
+    out.driving[place.point] = damaged ? damaged->driving_energy(at.whole) : 0;
+  });
+  return out;
+}
+
+std::vector<Real> stresses(Solid const& solid, Real const* deformation) {
+  std::vector<Real> out(9 * solid.count());
+  for (std::size_t p = 0; p < solid.count(); ++p) {
+    Tensor const stress =
+        stress_of(solid.laws[std::size_t(solid.law[p])], tensor_at(deformation + 9 * p), solid.damage[p]);
+    for (std::size_t i = 0; i < 3; ++i) std::copy(stress[i].begin(), stress[i].end(), &out[9 * p + 3 * i]);
+  }
   return out;
 }
 
@@ -196,19 +258,6 @@ std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form f
   return tangent_as<CurrentIsotropic<false>>(solid, u);
 }
 
-States states(Solid const& solid, Real const* deformation) {
-  States out;
-  for (std::size_t p = 0; p < solid.law.size(); ++p) {
-    Law const& law = solid.laws[std::size_t(solid.law[p])];
-    Tensor const f = tensor_at(deformation + 9 * p), stress = stress_of(law, f, solid.damage[p]);
-    for (auto const& row : stress) out.stress.insert(out.stress.end(), row.begin(), row.end());
-    out.energy.push_back(energy_of(law, f, solid.damage[p]));
-    auto const* damaged = std::get_if<material::DamagedNeoHookean>(&law);
-    out.driving.push_back(damaged ? damaged->driving_energy(f) : 0);
-  }
-  return out;
-}
-
 std::vector<Real> determinants(Real const* deformation, std::size_t points) {
   std::vector<Real> out(points);
   for (std::size_t p = 0; p < points; ++p) out[p] = det(tensor_at(deformation + 9 * p));
@@ -217,14 +266,16 @@ std::vector<Real> determinants(Real const* deformation, std::size_t points) {
 
 std::unique_ptr<fem::Operator> damage_operator(DamageEquation const& e) {
   Real3 const scale = fem::slope_scale(e.points->lattice());
-  return made<Damage>(e.points, e.volume.size(), [&](std::vector<Real>& state) {
-    for (std::size_t p = 0; p < e.volume.size(); ++p) {
-      bool const has_part = e.surface[p] > 0;
-      state[4 * p] = has_part ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0;
+  fem::BlockValues state(std::size_t(e.points->blocks() * Damage::width * native_lane_count), 0);
+  for (std::int64_t block = 0; block < e.points->blocks(); ++block)
+    for_each_place(*e.points, block, [&](Place const& at) {
+      std::size_t const p = at.point;
+      Real own[Damage::width] = {e.surface[p] > 0 ? e.volume[p] * (e.driving[p] + e.surface[p]) : 0};
       for (std::size_t d = 0; d < 3; ++d)
-        state[4 * p + 1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
-    }
-  });
+        own[1 + d] = e.volume[p] * e.surface[p] * e.length[p] * e.length[p] * scale[d] * scale[d];
+      write(own, at, Damage::width, state.data());
+    });
+  return made<Damage>(e.points, std::move(state));
 }
 
 }  // namespace amrpic::mpm

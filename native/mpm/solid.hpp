@@ -19,9 +19,12 @@ using Law = std::variant<material::NeoHookean, material::Ogden, material::Damage
 struct Solid {
   std::shared_ptr<fem::Points const> points;
   std::vector<Law> laws;
-  std::vector<int> law;           ///< of each point
-  std::vector<Real> deformation;  ///< F~, 9 of each point, row after row
-  std::vector<Real> damage;       ///< of each point
+  // Arrays of whoever made this, which must last as long as it.
+  int const* law;           ///< of each point
+  Real const* deformation;  ///< F~, 9 of each point, row after row
+  Real const* damage;       ///< of each point
+
+  std::size_t count() const { return std::size_t(points->count()); }
 };
 
 /// What a displacement does. Integrals are over initial volumes: a point's is its weight over det F~.
@@ -41,12 +44,18 @@ enum class Form { initial, current };
 /// Collective.
 std::unique_ptr<fem::Operator> tangent(Solid const& solid, Real const* u, Form form);
 
-/// Of each point at F, given as 9 numbers: Kirchhoff's stress, 9; energy per initial volume; the energy that drives
-/// damage, zero without. Local.
-struct States {
-  std::vector<Real> stress, energy, driving;
+/// F of each point, 9 numbers, at a displacement. Collective.
+std::vector<Real> deformation(Solid const& solid, Real const* u);
+
+/// Of each point at a displacement, per initial volume: the energy, and that which drives damage, zero without.
+/// Collective.
+struct Energies {
+  std::vector<Real> stored, driving;
 };
-States states(Solid const& solid, Real const* deformation);
+Energies energies(Solid const& solid, Real const* u);
+
+/// Kirchhoff's stress, 9 numbers, of each point at F. Local.
+std::vector<Real> stresses(Solid const& solid, Real const* deformation);
 
 /// det F of each point. Local.
 std::vector<Real> determinants(Real const* deformation, std::size_t points);

@@ -26,7 +26,8 @@ class Migration {
 
   std::vector<std::int64_t> const& lost() const { return destinations_.lost; }  ///< places of those outside the domain
   std::int64_t arriving() const { return staying_ + arrivals_.count(); }        ///< how many live here afterwards
-  std::int64_t bricks() const;  ///< how many hold particles that were on this rank
+  std::int64_t from_others() const { return arrivals_.count(); }  ///< how many of these come from other ranks
+  std::int64_t bricks() const;                                    ///< how many hold particles that were on this rank
 
   /// Write the particles of this rank into `out`, which has room for `arriving()`, in the order of `Places`. False if a
   /// position or momentum of those that were on this rank is not finite; then `out` means nothing. Equal weights are

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int sweeps = 3;
 constexpr int lanczos_steps = 10;
-constexpr Real lower_end = 0.1, upper_end = 1.1;  ///< of what is damped, in parts of the estimate, which is from below
+constexpr Real lower_end = 0.06, upper_end = 1.1;  ///< of what is damped, in parts of the estimate, which is from below
 
 }  // namespace
 

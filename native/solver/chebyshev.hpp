@@ -8,7 +8,7 @@
 namespace amrpic {
 
 /// Chebyshev's iteration with the diagonal, for a symmetric positive definite operator: a smoother that is symmetric
-/// itself. It damps the upper part of the spectrum of D⁻¹A, from a tenth of the largest eigenvalue on.
+/// itself. It damps the upper part of the spectrum of D⁻¹A, from 0.06 of the largest eigenvalue on.
 class Chebyshev {
  public:
   using Apply = std::function<void(std::vector<Real> const&, std::vector<Real>&)>;

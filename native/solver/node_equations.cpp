@@ -30,16 +30,16 @@ std::vector<Real> inverse_diagonal(fem::Operator const& a, bool const* fixed) {
 NodeSolution solve_nodes(fem::Operator const& a, Real const* f, bool const* fixed, Real const* values,
                          NodePreconditioner preconditioner, Real tolerance, int most_iterations) {
   std::size_t const n = a.unknowns();
-  auto const inverse = inverse_diagonal(a, fixed);
+  auto inverse = inverse_diagonal(a, fixed);
   auto const free_part = [&](std::vector<Real>& v) {
     for (std::size_t i = 0; i < n; ++i)
       if (fixed[i]) v[i] = 0;
   };
   std::unique_ptr<NodeMultigrid> multigrid;
   if (preconditioner == NodePreconditioner::p_multigrid)
-    multigrid = std::make_unique<NodeMultigrid>(a, inverse, CornerCycle::halving);
+    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::halving);
   if (preconditioner == NodePreconditioner::p_multigrid_by_aggregates)
-    multigrid = std::make_unique<NodeMultigrid>(a, inverse, CornerCycle::aggregation);
+    multigrid = std::make_unique<NodeMultigrid>(a, std::move(inverse), CornerCycle::aggregation);
   NodeSolution out;
   out.u.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i)

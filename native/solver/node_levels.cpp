@@ -87,15 +87,24 @@ NodeLevels::NodeLevels(Communicator const& comm, fem::NodeBlocks blocks) {
   while (blocks.nodes->cells() > most_nodes_of_bottom) {
     auto halving = std::make_unique<fem::Halving>(comm, blocks.nodes);
     if (halving->coarse()->cells() == blocks.nodes->cells()) break;
-    fem::BlockRows rows(comm, blocks);
+    auto coarse = halving->galerkin(blocks);
+    auto const start = disordered(*blocks.nodes, blocks.components);
+    int const components = blocks.components;
+    auto const free = blocks.free;
     // The smoother keeps a pointer to the rows, so a level stays where it is made.
-    auto level = std::unique_ptr<Level>(new Level{
-        blocks.components, blocks.free, std::move(rows), Chebyshev(comm, {}, {}, {}), std::move(halving), {}, {}, {}});
+    auto level = std::unique_ptr<Level>(new Level{components,
+                                                  free,
+                                                  fem::BlockRows(comm, std::move(blocks)),
+                                                  Chebyshev(comm, {}, {}, {}),
+                                                  std::move(halving),
+                                                  {},
+                                                  {},
+                                                  {}});
     fem::BlockRows const& kept = level->rows;
     level->smoother = Chebyshev(
         comm, [&kept](std::vector<Real> const& u, std::vector<Real>& v) { kept.apply(u.data(), v.data()); },
-        inverse_of(kept.diagonal()), disordered(*blocks.nodes, blocks.components));
-    blocks = level->to_coarser->galerkin(blocks);
+        inverse_of(kept.diagonal()), start);
+    blocks = std::move(coarse);
     level->residual.resize(level->free.size());
     level->coarse_r.resize(blocks.free.size()), level->coarse_z.resize(blocks.free.size());
     levels_.push_back(std::move(level));

@@ -6,30 +6,30 @@ namespace amrpic {
 
 namespace {
 
-std::vector<Real> free_of(std::vector<Real> const& inverse) {
-  std::vector<Real> out;
-  for (Real value : inverse) out.push_back(value != 0);
-  return out;
+/// 1 where unknowns are free, 0 where they are fixed.
+std::vector<Real> free_of(std::vector<Real> inverse) {
+  for (Real& value : inverse) value = value != 0;
+  return inverse;
 }
 
 }  // namespace
 
-NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> const& inverse, CornerCycle kind)
-    : fine_(a), inverse_(inverse) {
+NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind) : fine_(a) {
+  for (Real value : inverse) fixed_.push_back(value == 0);
   auto const lattice = a.points().share_lattice();
   std::unique_ptr<fem::Operator> coarse;
   if (lattice->degree() == 1) {
-    corners_free_ = free_of(inverse);
+    corners_free_ = free_of(std::move(inverse));
   } else {
     auto const corners = std::make_shared<fem::Lattice const>(lattice->share_hierarchy(), 1);
     between_ = std::make_unique<fem::Interpolation>(lattice, corners);
     coarse = a.on(std::make_shared<fem::Points const>(corners, a.points()));
     coarse_r_.resize(coarse->unknowns()), coarse_z_.resize(coarse->unknowns()), residual_.resize(a.unknowns());
     // A corner is fixed if it is so as a node of the finer degree.
-    corners_free_ = free_of(between_->at_corners(a.components(), inverse_.data()));
+    corners_free_ = free_of(between_->at_corners(a.components(), inverse.data()));
     auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) { fine_.apply(x.data(), y.data()); };
-    smoother_ =
-        std::make_unique<Chebyshev>(lattice->comm(), apply, inverse_, disordered(lattice->nodes(), a.components()));
+    smoother_ = std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(inverse),
+                                            disordered(lattice->nodes(), a.components()));
   }
   auto blocks = fem::node_blocks(coarse ? *coarse : a, corners_free_);
   if (kind == CornerCycle::aggregation)
@@ -48,7 +48,7 @@ void NodeMultigrid::solve_corners(std::vector<Real> const& r, std::vector<Real>&
 void NodeMultigrid::apply(std::vector<Real> const& r, std::vector<Real>& z) {
   auto const keep_fixed = [&] {
     for (std::size_t i = 0; i < z.size(); ++i)
-      if (inverse_[i] == 0) z[i] = 0;
+      if (fixed_[i]) z[i] = 0;
   };
   if (!between_) {
     solve_corners(r, z);
@@ -57,7 +57,7 @@ void NodeMultigrid::apply(std::vector<Real> const& r, std::vector<Real>& z) {
   int const components = fine_.components();
   smoother_->smooth(r, z, true);
   fine_.apply(z.data(), residual_.data());
-  for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = inverse_[i] == 0 ? 0 : r[i] - residual_[i];
+  for (std::size_t i = 0; i < r.size(); ++i) residual_[i] = fixed_[i] ? 0 : r[i] - residual_[i];
   between_->transposed(components, residual_.data(), coarse_r_.data());
   for (std::size_t i = 0; i < coarse_r_.size(); ++i) coarse_r_[i] *= corners_free_[i];
   solve_corners(coarse_r_, coarse_z_);

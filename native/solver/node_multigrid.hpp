@@ -18,7 +18,7 @@ enum class CornerCycle { halving, aggregation };
 class NodeMultigrid {
  public:
   /// `inverse`: of the diagonal, zero where unknowns are fixed. Collective.
-  NodeMultigrid(fem::Operator const& a, std::vector<Real> const& inverse, CornerCycle kind);
+  NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, CornerCycle kind);
 
   /// z near the solution of A z = r, zero where unknowns are fixed, as r must be. Collective.
   void apply(std::vector<Real> const& r, std::vector<Real>& z);
@@ -27,7 +27,8 @@ class NodeMultigrid {
   void solve_corners(std::vector<Real> const& r, std::vector<Real>& z);
 
   fem::Operator const& fine_;
-  std::vector<Real> inverse_, corners_free_;
+  std::vector<bool> fixed_;  ///< of each unknown
+  std::vector<Real> corners_free_;
   std::unique_ptr<fem::Interpolation> between_;  ///< null for degree 1
   std::unique_ptr<Chebyshev> smoother_;
   std::unique_ptr<NodeLevels> levels_;  ///< one of both

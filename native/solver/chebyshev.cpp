@@ -11,7 +11,7 @@ namespace {
 
 constexpr int sweeps = 3;
 constexpr int lanczos_steps = 10;
-constexpr Real lower_end = 0.06, upper_end = 1.1;  ///< of what is damped, in parts of the estimate, which is from below
+constexpr Real upper_end = 1.1;  ///< of what is damped, in parts of the estimate, which is from below
 
 }  // namespace
 
@@ -34,8 +34,13 @@ Real largest_of_tridiagonal(std::vector<Real> const& diagonal, std::vector<Real>
   return high;
 }
 
-Chebyshev::Chebyshev(Communicator const& comm, Apply apply, std::vector<Real> inverse, std::vector<Real> start)
-    : apply_(std::move(apply)), inverse_(std::move(inverse)), product_(start.size()), change_(start.size()) {
+Chebyshev::Chebyshev(Communicator const& comm, Apply apply, std::vector<Real> inverse, std::vector<Real> start,
+                     Real lower_end)
+    : apply_(std::move(apply)),
+      inverse_(std::move(inverse)),
+      product_(start.size()),
+      change_(start.size()),
+      lower_end_(lower_end) {
   // Conjugate gradients from D⁻¹ make Lanczos' matrix on their way.
   std::size_t const n = start.size();
   std::vector<Real> r = std::move(start), p(n, 0), z(n), diagonal, beside;
@@ -64,7 +69,7 @@ Chebyshev::Chebyshev(Communicator const& comm, Apply apply, std::vector<Real> in
 }
 
 void Chebyshev::smooth(std::vector<Real> const& b, std::vector<Real>& x, bool from_zero) {
-  Real const middle = (upper_end + lower_end) / 2 * largest_, half = (upper_end - lower_end) / 2 * largest_;
+  Real const middle = (upper_end + lower_end_) / 2 * largest_, half = (upper_end - lower_end_) / 2 * largest_;
   Real const sigma = middle / half;
   Real rho = 1 / sigma;
   for (int sweep = 0; sweep < sweeps; ++sweep) {

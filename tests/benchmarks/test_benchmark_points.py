@@ -70,7 +70,7 @@ def test_solids_are_timed_in_turns_with_what_they_are_compared_with(monkeypatch)
     records = [*points.tangents(2), *points.load_step(1, 2), *points.solves(4), points.run_memory()]
     assert all("points/s" in points.printed(one) for one in records[:5])
     assert all("iterations" in points.printed(one) for one in records[5:7])
-    assert "B a point" in points.printed(records[7]) and records[7].facts["points"] == 12**3 * 64
+    assert "B a point" in points.printed(records[7]) and records[7].facts["points"] == 20**3 * 64
     found = {goal.what: goal for goal in goals.elements(goals.Found(records))}
     assert found["neo-Hookean tangent against BP4, points/s"].measured > 0
     assert found["locate, migrate, sort and weigh, degree 1, over a Newton iteration"].measured > 0

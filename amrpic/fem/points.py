@@ -51,17 +51,17 @@ class Points:
         if weight is None:
             weight = self.volume
             if weights == "moments" and not gauss:
-                weight = self._fit(places, np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
+                weight = self._fit(places, weight, np.zeros(len(mesh.elements), dtype=bool) if rough is None else rough)
         self.native = _native.FemPoints(
             mesh.native, self.element, places, np.ascontiguousarray(weight), gauss == mesh.degree + 1
         )
 
-    def _fit(self, places: np.ndarray, rough: np.ndarray) -> np.ndarray:
+    def _fit(self, places: np.ndarray, volume: np.ndarray, rough: np.ndarray) -> np.ndarray:
         """The weights of points: in elements that are not rough, those exact to the highest degree there is."""
         counts = np.bincount(self.element, minlength=len(rough))
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         weight, self.exact_to = _native.fem_fit_moments(
-            first, places, self.volume, rough, self.mesh.element_volume, 2 * self.mesh.degree - 1
+            first, places, volume, rough, self.mesh.element_volume, 2 * self.mesh.degree - 1
         )
         return weight
 

@@ -34,9 +34,8 @@ std::vector<Walls> walls_of(CompositeLaplacian const& laplacian, Values const& d
   Hierarchy const& hierarchy = laplacian.hierarchy();
   if (laplacian.is_of_means() && hierarchy.domain().has(Boundary::open))
     throw SolverError(
-        "behind open walls the Laplacian of order 4 reads two layers of potentials, which a PoissonSolver finds from "
-        "the "
-        "charge; close the walls, or take order 2");
+        "behind open walls the Laplacian of order 4 reads two layers of potentials, which a PoissonSolver finds "
+        "from the charge; close the walls, or take order 2");
   return walls_of(hierarchy, data);
 }
 

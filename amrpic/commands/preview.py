@@ -224,7 +224,7 @@ def _memory(fields: ParticleFields, particles: int, ranks: int) -> list[str]:
 
 def _time(comm: MPI.Comm, scene: Scene, hierarchy: Hierarchy, ranks: int, made: float, seconds: float) -> list[str]:
     """Return how long a run will take, whose particles were made in so many s. Collective."""
-    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
+    cells = hierarchy.cells()
     try:
         with progress("measuring how long a step takes"):
             found = forecast(comm, scene, cells, made, seconds)
@@ -255,7 +255,7 @@ def _last_mesh(fields: ParticleFields) -> tuple[Hierarchy, str]:
         particles = random_walk(particles, motion.amplitude, plan.scene.seed, step)
     particles, _ = migrate(particles, fields.hierarchy)
     last = follow(ParticleFields(particles, fields.hierarchy, plan), plan.scene.refinement.hysteresis).hierarchy
-    cells = sum(last.cells(level) for level in range(last.levels))
+    cells = last.cells()
     return last, f"on the mesh of step {regrids[-1]}, of {cells} cells"
 
 

@@ -148,8 +148,10 @@ class Hierarchy:
         equal = np.ptp(spacing) < 1e-9 * spacing[0]
         return " x ".join(quantity(float(h), "m") for h in (spacing[:1] if equal else spacing))
 
-    def cells(self, level: int) -> int:
-        """Number of cells of a level, over all ranks."""
+    def cells(self, level: int | None = None) -> int:
+        """Number of cells of a level, or of all without one, over all ranks."""
+        if level is None:
+            return sum(self.native.cells(l) for l in range(self.levels))
         return self.native.cells(self._checked(level))
 
     def local_boxes(self, level: int) -> range:

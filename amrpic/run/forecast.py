@@ -167,7 +167,7 @@ def _tried(comm: MPI.Comm, scene: Scene, end: float) -> tuple[Trial, int, int]:
         begun = time.perf_counter()
         simulation.checkpoint(folder / "checkpoint")
         dump = time.perf_counter() - begun
-        cells = sum(simulation.hierarchy.cells(level) for level in range(simulation.hierarchy.levels))
+        cells = simulation.hierarchy.cells()
     return Trial(beam, start, dump=dump, **_parts(taken)), cells, simulation.step
 
 

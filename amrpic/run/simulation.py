@@ -92,7 +92,7 @@ class Simulation:
 
     def __repr__(self) -> str:
         levels = self.hierarchy.levels
-        cells = sum(self.hierarchy.cells(level) for level in range(levels))
+        cells = self.hierarchy.cells()
         at = f"step {self.step}, time {quantity(self.time, 's')}"
         return f"Simulation({self.scene.name!r}: {at}, levels {levels}, cells {cells}, ranks {self.comm.size})"
 

@@ -77,7 +77,7 @@ def measure(
         kind,
         comm.size,
         name,
-        sum(mesh.cells(level) for level in range(mesh.levels)),
+        mesh.cells(),
         total,
         cell_imbalance(mesh),
         comm.allreduce(number, op=MPI.MAX) * comm.size / total if total else 1.0,

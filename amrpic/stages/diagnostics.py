@@ -83,7 +83,7 @@ def measure(
             "imbalance_particles": len(particles),
         },
     )
-    cells = sum(hierarchy.cells(level) for level in range(hierarchy.levels))
+    cells = hierarchy.cells()
     for name, total in (("imbalance_cells", cells), ("imbalance_particles", of_all["particles"])):
         of_all[name] *= hierarchy.comm.size / max(total, 1)
     return {

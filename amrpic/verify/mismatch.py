@@ -129,7 +129,7 @@ def run(comm: MPI.Comm, form: Form, of: Mapping[str, Any]) -> Course:
         spent += time.process_time() - start
         radii.append(_radii(comm, state, plan))
     seconds = comm.allreduce(spent, MPI.MAX) / len(radii)
-    cells = sum(state.hierarchy.cells(level) for level in range(state.hierarchy.levels))
+    cells = state.hierarchy.cells()
     return Course(np.array(radii), seconds, cells)
 
 

@@ -229,7 +229,7 @@ class Case:
     @property
     def cells(self) -> int:
         """All cells, covered ones too."""
-        return sum(self.hierarchy.cells(level) for level in range(self.hierarchy.levels))
+        return self.hierarchy.cells()
 
     @cached_property
     def rho(self) -> Field:

@@ -24,8 +24,8 @@ def add(commands: Commands) -> None:
         metavar="SCENE",
         action="append",
         default=[],
-        help="speed against error of a scene, over meshes, tolerances, box sizes and guesses; several if repeated, with TOPIC "
-        "only if named too",
+        help="speed against error of a scene, over meshes, tolerances, box sizes and guesses, in both orders if its own is 4; "
+        "several if repeated, with TOPIC only if named too",
     )
     verify.add_argument(
         "--quick",

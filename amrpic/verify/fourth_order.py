@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
@@ -16,9 +14,9 @@ from ..mesh.hierarchy import Hierarchy
 from ..stages.poisson import PoissonSolver
 from . import peers
 from .convergence import outward_slope, smooth
-from .draw import MARKERS, picture
 from .errors import errors, observed_order
 from .meshes import MESHES, Mesh
+from .pareto import orders_against_seconds
 from .sources import Gaussian, Product, Source, Wave, fill
 from .table import Cell, Goal, Table
 
@@ -31,7 +29,6 @@ TURN = 2 * np.pi
 WIDTHS = (2, 3, 4, 6, 8)  # σ/h
 CELLS = (32, 48, 64, 80, 96)  # of the base, for errors against seconds
 LARGEST_ON_STATIC = {64: 2e-5, 128: 2e-6}  # error of E, L2, by base cells
-AT_EQUAL_TIME = 1 / 40  # of the error of order 2
 
 
 def tables(comm: MPI.Comm) -> Iterator[Table]:
@@ -139,36 +136,15 @@ def _over_width(comm: MPI.Comm) -> Table:
 
 def _over_seconds(comm: MPI.Comm) -> Table:
     """Both orders on nested cubes, solved to 1e-10."""
-    rows: list[list[Cell]] = []
-    taken, wrong = {}, {}
     source = Gaussian((0.07,) * 3, (0.5, 0.5, 0.5))
-    for order in (2, 4):
-        found = [solve(MESHES["nested cubes"].hierarchy(comm, n, "open"), source, order) for n in CELLS]
-        taken[order] = [seconds for _, _, seconds in found]
-        wrong[order] = [row[2] for row, _, _ in found]
-    slope, start = np.polyfit(np.log(taken[2]), np.log(wrong[2]), 1)  # the error of order 2 falls by a power of time
-    for n, cells in enumerate(CELLS):
-        at_equal_time = wrong[4][n] / np.exp(start + slope * np.log(taken[4][n]))
-        asked: Cell = Goal(at_equal_time, AT_EQUAL_TIME) if cells >= 64 else at_equal_time
-        rows.append([cells, taken[2][n], wrong[2][n], taken[4][n], wrong[4][n], taken[4][n] / taken[2][n], asked])
-    return Table(
+    curves: dict[int, dict[str, tuple[float, float]]] = {2: {}, 4: {}}
+    for order, of_order in curves.items():
+        for cells in CELLS:
+            error, _, seconds = solve(MESHES["nested cubes"].hierarchy(comm, cells, "open"), source, order)
+            of_order[str(cells)] = seconds, error[2]
+    return orders_against_seconds(
         "Order 4 and order 2 against seconds",
-        "A round Gaussian on nested cubes in free space, solved to 1e-10 from zero, best of three; relative error of E (L2). "
-        "Last column: the error of order 4 over what order 2 makes in the same time, by the power of time that its errors fall "
-        "with.",
-        ("base cells", "order 2, s", "E", "order 4, s", "E", "time, of order 2's", "error at equal time"),
-        rows,
-        upwards="error of E against seconds",
-        picture=partial(_draw, taken, wrong),
+        "A round Gaussian on nested cubes in free space, solved to 1e-10 from zero, best of three; relative error of E (L2).",
+        curves,
+        CELLS.index(64),
     )
-
-
-def _draw(taken: dict[int, list[float]], wrong: dict[int, list[float]], path: Path) -> None:
-    with picture(
-        path, "Order 4 and order 2 against seconds", "seconds of a solve to 1e-10", "relative error of E, L2"
-    ) as axes:
-        for n, order in enumerate(taken):
-            axes.plot(
-                taken[order], wrong[order], f"C{n}{MARKERS[n]}-", markersize=4, linewidth=1, label=f"order {order}"
-            )
-        axes.set(xscale="log", yscale="log")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any, Literal, Self
 
 import numpy as np
 from mpi4py import MPI
@@ -35,11 +36,13 @@ from .table import Cell, Goal, Table, text
 SPARED = 1.1  # what the scene may lose to the best: of its error at no more cost, or of its cost at no more error
 LEFT = 0.1  # part of the mesh's error that a solve may leave; what leaves more does not count for the frontier
 LESS = 0.99  # an error that is smaller by less is the same
+AT_EQUAL_TIME = 1 / 40  # of the error of order 2, that order 4 may make on smooth densities
 LARGEST = 4, 2  # times the cells of the scene as it is: larger meshes are left out, also where few settings are tried
 FINER = 4  # times the base cells per axis of a reference, where no exact field is known
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, "discretization")
 COLUMNS = (
-    *("base cells", "levels", "boxes", "tolerance", "guess", "cells", "cycles", "visits, 1e6", "seconds", "work units"),
+    *("base cells", "levels", "boxes", "order", "tolerance", "guess", "cells", "cycles", "visits, 1e6", "seconds"),
+    "work units",
     *("set-up, s", "E error", "left by the solve", "frontier"),
 )
 
@@ -51,6 +54,7 @@ class Setting:
     cells: tuple[int, int, int]  # of the base
     levels: int  # refined ones
     box: int  # largest, cells per axis
+    order: Literal[2, 4]
     tolerance: float | str
     warm: bool  # starts from the potential of the charge half a finest cell away
 
@@ -78,7 +82,7 @@ class Measured:
 
 
 def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]:
-    """The work-precision table of a scene, with its picture. Collective.
+    """The work-precision table of a scene, with its picture; for a scene of order 4 also that of both orders. Collective.
 
     `quick` tries fewer settings. Raises InputError for a scene whose charge has no formula.
     """
@@ -104,17 +108,23 @@ def tables(comm: MPI.Comm, scene: Scene, quick: bool = False) -> Iterator[Table]
         upwards="error of E against seconds",
         picture=partial(draw, found, own, f"Speed against error: {scene.name}"),
     )
+    if default.order == 4:
+        yield _orders(found, scene.name, default)
 
 
 def default_of(scene: Scene) -> Setting:
     """The settings that the scene gives: its solves but the first start from the potential before."""
     warm = scene.schedule.last_step > 0 and not isinstance(scene.motion, NoMotion)
     refinement = scene.refinement
-    return Setting(scene.domain.cells, refinement.levels, refinement.max_grid_size, scene.solver.tolerance, warm)
+    solver = scene.solver
+    return Setting(
+        scene.domain.cells, refinement.levels, refinement.max_grid_size, solver.order, solver.tolerance, warm
+    )
 
 
 def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
-    """What is tried: base cells and levels with each tolerance, then boxes and guesses with the scene's mesh."""
+    """What is tried: base cells and levels with each tolerance, for a scene of order 4 also in order 2, then boxes and
+    guesses with the scene's mesh."""
     default, block = default_of(scene), scene.refinement.blocking_factor
     tolerances: Sequence[float | str] = (1e-4, 1e-10, "discretization") if quick else TOLERANCES
     tolerances = tuple(dict.fromkeys([*tolerances, default.tolerance]))
@@ -122,15 +132,19 @@ def settings(scene: Scene, exact: bool, quick: bool) -> list[Setting]:
     levels = range(max(default.levels - 1, 0), default.levels + (2 if exact else 1))
     if any(isinstance(rule, StaticRule) for _, rule in every_rule(scene.refinement.rule, "")):
         factors, levels = (1,), range(default.levels, default.levels + 1)  # its boxes belong to its mesh
+    orders: tuple[Literal[2, 4], ...] = (2, 4) if default.order == 4 else (2,)
     made = [
-        Setting(scaled_cells(default.cells, factor, block), level, default.box, tolerance, default.warm)
+        replace(
+            default, cells=scaled_cells(default.cells, factor, block), levels=level, order=order, tolerance=tolerance
+        )
         for factor in factors
         for level in levels
+        for order in orders
         for tolerance in tolerances
     ]
     boxes = [box for box in ((16,) if quick else (8, 16, 24, 32, 64)) if box % block == 0]
-    made += [Setting(default.cells, default.levels, box, default.tolerance, default.warm) for box in boxes]
-    made += [Setting(default.cells, default.levels, default.box, t, not default.warm) for t in tolerances]
+    made += [replace(default, box=box) for box in boxes]
+    made += [replace(default, tolerance=tolerance, warm=not default.warm) for tolerance in tolerances]
     return list(dict.fromkeys([*made, default]))
 
 
@@ -158,9 +172,10 @@ def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> 
     s = m.setting
     mark: Cell = "yes" if m in frontier(found) else ""
     return [
-        "×".join(map(str, s.cells)),
+        _by(s.cells),
         s.levels,
         s.box,
+        s.order,
         s.tolerance if isinstance(s.tolerance, str) else f"{s.tolerance:.0e}",
         "warm" if s.warm else "zero",
         str(m.cells),
@@ -176,8 +191,9 @@ def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> 
 
 
 def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
-    """Error against seconds: a colour per mesh, a shape per tolerance; the frontier and the scene's own are marked."""
-    meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in found))
+    """Error against seconds: a colour per mesh and order, a shape per tolerance; the frontier and the scene's own are
+    marked."""
+    meshes = list(dict.fromkeys((*m.setting.mesh[:2], m.setting.order) for m in found))
     tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in found))
     with picture(path, title, "seconds of a solve and its field", "relative error of E, L2") as axes:
         for m in found:
@@ -185,7 +201,7 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
                 m.seconds,
                 m.error,
                 MARKERS[tolerances.index(str(m.setting.tolerance))],
-                color=f"C{meshes.index(m.setting.mesh[:2]) % 10}",
+                color=f"C{meshes.index((*m.setting.mesh[:2], m.setting.order)) % 10}",
                 fillstyle="full" if m.setting.warm else "none",
                 markersize=5,
             )
@@ -199,14 +215,14 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
             label="frontier (by visits)",
         )
         axes.plot(own.seconds, own.error, "ko", markersize=13, fillstyle="none", label="the scene as it is")
-        for number, (cells, levels) in enumerate(meshes):
+        for number, (cells, levels, order) in enumerate(meshes):
             axes.plot(
                 [],
                 [],
                 "s",
                 color=f"C{number % 10}",
                 markersize=5,
-                label=f"{'×'.join(map(str, cells))}, {levels} refined",
+                label=f"{_by(cells)}, {levels} refined{', order 4' if order == 4 else ''}",
             )
         for number, tolerance in enumerate(tolerances):
             axes.plot([], [], MARKERS[number], color="grey", markersize=5, label=f"tolerance {tolerance}")
@@ -215,16 +231,92 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
         axes.set(xscale="log", yscale="log")
 
 
+# ---- both orders ----
+
+
+@dataclass(frozen=True)
+class Law:
+    """An error that falls by a power of the time that is spent."""
+
+    power: float
+    factor: float
+
+    @classmethod
+    def fitted(cls, seconds: Sequence[float], error: Sequence[float]) -> Self:
+        power, start = np.polyfit(np.log(seconds), np.log(error), 1)
+        return cls(float(power), float(np.exp(start)))
+
+    def __call__(self, seconds: Array | float) -> Any:
+        return self.factor * np.asarray(seconds) ** self.power
+
+
+def _orders(found: Sequence[Measured], name: str, default: Setting) -> Table:
+    """What was found of meshes that differ in their base cells alone, solved to the least tolerance."""
+    wanted = replace(default, tolerance=min(t for t in TOLERANCES if not isinstance(t, str)))
+    curves: dict[int, dict[str, tuple[float, float]]] = {}
+    for order in (2, 4):
+        of_order = (m for m in found if m.setting == replace(wanted, cells=m.setting.cells, order=order))
+        curves[order] = {_by(m.setting.cells): (m.seconds, m.error) for m in of_order}
+    return orders_against_seconds(
+        f"Order 4 and order 2: {name}",
+        f"The density of `{name}`'s bunches with {default.levels} refined levels, solved to {wanted.tolerance:.0e}; seconds "
+        "and errors as above.",
+        curves,
+        len(curves[4]) - 1,
+    )
+
+
+def orders_against_seconds(
+    title: str, about: str, curves: Mapping[int, Mapping[str, tuple[float, float]]], asked: int
+) -> Table:
+    """A table of both orders on the same meshes, by order and mesh (seconds, error); from mesh number `asked` on the error of
+    order 4 has its goal."""
+    laws = {order: Law.fitted(*zip(*of_order.values(), strict=True)) for order, of_order in curves.items()}
+    rows: list[list[Cell]] = []
+    for number, (mesh, second) in enumerate(curves[2].items()):
+        fourth = curves[4][mesh]
+        at_equal_time = fourth[1] / float(laws[2](fourth[0]))
+        goal: Cell = Goal(at_equal_time, AT_EQUAL_TIME) if number >= asked else at_equal_time
+        rows.append([mesh, *second, *fourth, fourth[0] / second[0], goal])
+    fitted = ", ".join(f"{law.factor:.2g} t^{law.power:.2f} in order {order}" for order, law in laws.items())
+    return Table(
+        title,
+        f"{about} Errors fitted by powers of seconds t: {fitted}. Last column: the error of order 4 over that which order 2 "
+        "makes in the same time by its law.",
+        ("base cells", "order 2, s", "E", "order 4, s", "E", "time, of order 2's", "error at equal time"),
+        rows,
+        upwards="error of E against seconds",
+        picture=partial(_draw_orders, title, curves, laws),
+    )
+
+
+def _draw_orders(
+    title: str, curves: Mapping[int, Mapping[str, tuple[float, float]]], laws: Mapping[int, Law], path: Path
+) -> None:
+    with picture(path, title, "seconds of a solve", "relative error of E, L2") as axes:
+        for n, (order, of_order) in enumerate(curves.items()):
+            seconds, error = map(np.array, zip(*of_order.values(), strict=True))
+            axes.plot(seconds, error, f"C{n}{MARKERS[n]}", markersize=5, label=f"order {order}")
+            label = f"{laws[order].factor:.2g} t^{laws[order].power:.2f}"
+            axes.plot(seconds, laws[order](seconds), f"C{n}--", linewidth=0.9, label=label)
+        axes.set(xscale="log", yscale="log")
+
+
+def _by(cells: Sequence[int]) -> str:
+    return "×".join(map(str, cells))
+
+
 # ---- measuring ----
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A mesh, and what is solved on it."""
+    """A mesh, and what is solved on it in an order."""
 
     scene: Scene
     hierarchy: Hierarchy
     density: Density
+    order: Literal[2, 4]
 
     @property
     def cells(self) -> int:
@@ -234,14 +326,14 @@ class Case:
     @cached_property
     def rho(self) -> Field:
         """C/m³."""
-        return fill(Field(self.hierarchy), self.density)
+        return self.filled(self.density)
 
     @cached_property
     def guess(self) -> Field:
         """The potential of the charge half a finest cell away along all axes."""
         shift = tuple(float(h) / 2 for h in self.hierarchy.spacing(self.hierarchy.levels - 1))
         moved = Moved(self.density, shift)  # type: ignore[arg-type]
-        return self.plan(1e-10).solve(fill(Field(self.hierarchy), moved), None)[0]
+        return self.plan(1e-10).solve(self.filled(moved), None)[0]
 
     @cached_property
     def converged(self) -> VectorField:
@@ -250,8 +342,16 @@ class Case:
         phi, _ = plan.solve(self.rho, self.guess)
         return plan.poisson(self.hierarchy).electric_field(phi)
 
+    def filled(self, density: Density) -> Field:
+        """Means over cells: in order 4 known as such."""
+        out = fill(Field(self.hierarchy), density)
+        if self.order == 4:
+            out.holds = "means"
+        return out
+
     def plan(self, tolerance: float | str) -> Plan:
-        solver = self.scene.solver.model_copy(update=with_backend({"tolerance": tolerance}))
+        chosen = with_backend({"tolerance": tolerance, "order": self.order})
+        solver = self.scene.solver.model_copy(update=chosen)
         return Plan(self.hierarchy.comm, self.scene.model_copy(update={"solver": solver}))
 
 
@@ -260,8 +360,8 @@ def _measured(
 ) -> Iterator[Measured]:
     most = largest * _case(comm, scene, default_of(scene), density).cells
     exact = exact or _reference(scene, density)
-    for mesh in dict.fromkeys(setting.mesh for setting in tried):
-        here = [setting for setting in tried if setting.mesh == mesh]
+    for mesh, order in dict.fromkeys((setting.mesh, setting.order) for setting in tried):
+        here = [setting for setting in tried if (setting.mesh, setting.order) == (mesh, order)]
         if np.prod(mesh[0]) > most:
             continue
         case = _case(comm, scene, here[0], density)
@@ -310,14 +410,14 @@ def _case(comm: MPI.Comm, scene: Scene, setting: Setting, density: Density) -> C
     bunches = make_bunches(comm, varied)
     plan.settle_clouds(bunches)
     particles, _ = migrate(concatenate(bunches), base)
-    return Case(varied, follow(ParticleFields(particles, base, plan)).hierarchy, density)
+    return Case(varied, follow(ParticleFields(particles, base, plan)).hierarchy, density, setting.order)
 
 
 def _reference(scene: Scene, density: Density) -> ExactField:
     """The field on a much finer mesh, which every rank solves by itself."""
     default = default_of(scene)
     block = scene.refinement.blocking_factor
-    fine = Setting(scaled_cells(default.cells, FINER, block), default.levels, default.box, 1e-10, False)
+    fine = replace(default, cells=scaled_cells(default.cells, FINER, block), tolerance=1e-10, warm=False)
     case = _case(MPI.COMM_SELF, scene, fine, density)
     plan = case.plan(1e-8)
     phi, _ = plan.solve(case.rho, None)

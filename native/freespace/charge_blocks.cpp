@@ -58,19 +58,23 @@ void for_each_part(ChargeBox const& box, F&& f) {
       }
 }
 
+/// Call f(first, last) for the cells that a part has in common with a range, if there are any.
+template <class F>
+void with_common(BlockPart const& part, ChargeBox::CellRange const& range, F&& f) {
+  Cell first, last;
+  bool is_empty = false;
+  for (int d = 0; d < 3; ++d) {
+    first[d] = std::max(part.first[d], range.lower[d]);
+    last[d] = std::min(part.last[d], range.upper[d]);
+    is_empty = is_empty || first[d] > last[d];
+  }
+  if (!is_empty) f(first, last);
+}
+
 /// Call f(first, last) for the covered cells of a part.
 template <class F>
 void for_each_covered(BlockPart const& part, F&& f) {
-  for (ChargeBox::CellRange const& covered : part.box->covered) {
-    Cell first, last;
-    bool is_empty = false;
-    for (int d = 0; d < 3; ++d) {
-      first[d] = std::max(part.first[d], covered.lower[d]);
-      last[d] = std::min(part.last[d], covered.upper[d]);
-      is_empty = is_empty || first[d] > last[d];
-    }
-    if (!is_empty) f(first, last);
-  }
+  for (ChargeBox::CellRange const& covered : part.box->covered) with_common(part, covered, f);
 }
 
 int cells_in(Cell const& first, Cell const& last) {
@@ -103,16 +107,6 @@ void prefetch(BlockPart const& part) {
   });
 }
 
-bool in_order_of_blocks(ChargeBox::Added const& a, ChargeBox::Added const& b) {
-  return block_of(0, a.cell) < block_of(0, b.cell);
-}
-
-bool contains(BlockPart const& part, Cell const& cell) {
-  bool out = true;
-  for (int d = 0; d < 3; ++d) out = out && cell[d] >= part.first[d] && cell[d] <= part.last[d];
-  return out;
-}
-
 /// Put the charges of a part into its block. Boxes do not overlap.
 void fill(BlockPart const& part, BlockCharges& block) {
   double const factor = part.box->factor;
@@ -121,10 +115,16 @@ void fill(BlockPart const& part, BlockCharges& block) {
     double* const to = block.data() + place;
     for (int i = 0; i < length; ++i) to[i] = factor * row[i];
   });
-  auto const [from, to] = std::equal_range(part.box->added.begin(), part.box->added.end(),
-                                           ChargeBox::Added{part.first, 0}, in_order_of_blocks);
-  for (auto added = from; added != to; ++added)
-    if (contains(part, added->cell)) block[place_in_block(added->cell)] += factor * added->value;
+  for (ChargeBox::Added const& added : part.box->added)
+    with_common(part, added.cells, [&](Cell const& first, Cell const& last) {
+      Cell const& lower = added.cells.lower;
+      std::ptrdiff_t const nx = added.cells.upper[0] - lower[0] + 1, ny = added.cells.upper[1] - lower[1] + 1;
+      for (int k = first[2]; k <= last[2]; ++k)
+        for (int j = first[1]; j <= last[1]; ++j) {
+          double const* const row = added.values.data() + nx * (j - lower[1] + ny * (k - lower[2])) - lower[0];
+          for (int i = first[0]; i <= last[0]; ++i) block[place_in_block({i, j, k})] += factor * row[i];
+        }
+    });
   for_each_covered(part, [&](Cell const& first, Cell const& last) {
     for (int k = first[2]; k <= last[2]; ++k)
       for (int j = first[1]; j <= last[1]; ++j)
@@ -171,27 +171,6 @@ Harmonics<double> moments_about_centre(BlockCharges const& charges, Leaf const& 
 }
 
 }  // namespace
-
-void sort_by_block(std::vector<ChargeBox::Added>& added) {
-  if (added.empty()) return;
-  Cell first = block_of(0, added.front().cell).place, last = first;
-  for (auto const& a : added)
-    for (int d = 0; d < 3; ++d) {
-      int const place = block_of(0, a.cell).place[d];
-      first[d] = std::min(first[d], place), last[d] = std::max(last[d], place);
-    }
-  auto const number = [&](Cell const& cell) {  // by z, then y, then x, as keys are compared
-    Cell const p = block_of(0, cell).place;
-    return std::size_t(p[0] - first[0] +
-                       (last[0] - first[0] + 1) * (p[1] - first[1] + (last[1] - first[1] + 1) * (p[2] - first[2])));
-  };
-  std::vector<std::size_t> next(number({last[0] * block_edge, last[1] * block_edge, last[2] * block_edge}) + 2, 0);
-  for (auto const& a : added) ++next[number(a.cell) + 1];
-  std::partial_sum(next.begin(), next.end(), next.begin());
-  std::vector<ChargeBox::Added> sorted(added.size());
-  for (auto const& a : added) sorted[next[number(a.cell)]++] = a;
-  added = std::move(sorted);
-}
 
 void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to) {
   BlockPart const part{block_of(box.level, first), &box, first, last};

@@ -27,15 +27,15 @@ struct BlockKey {
   bool operator<(BlockKey const& o) const;
 };
 
-/// Charges of a box of cells of one level, x fastest: `factor` times `values`, and times what is `added` in some cells,
-/// in the order of their blocks. Cells in `covered` do not count.
+/// Charges of a box of cells of one level, x fastest: `factor` times `values`, and times what is `added` in some cells.
+/// Cells in `covered` do not count.
 struct ChargeBox {
-  struct Added {
-    Cell cell;
-    double value;
-  };
   struct CellRange {
     Cell lower, upper;  ///< inclusive
+  };
+  struct Added {
+    CellRange cells;
+    std::vector<double> values;  ///< x fastest
   };
   int level;
   Cell lower, upper;  ///< inclusive
@@ -44,9 +44,6 @@ struct ChargeBox {
   std::vector<CellRange> covered{};
   std::vector<Added> added{};
 };
-
-/// Put what is added to cells into the order of blocks.
-void sort_by_block(std::vector<ChargeBox::Added>& added);
 
 /// Write the charges of the cells `first` .. `last` of a box, which lie in one block, x fastest.
 void copy_charges(ChargeBox const& box, Cell const& first, Cell const& last, double* to);

@@ -30,15 +30,14 @@ class CompositeGhosts {
   void for_each_refined(int l, int b, int k, Real const* phi, F&& f) const {
     Box const& own = mesh_.box(l, b);
     Index3 const pitch = pitches(own);
-    fluxes_.for_each_refined(
-        l, b, k, false, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t at, Real flux) {
-          auto const [u, v] = tangential_axes(r.axis);
-          int const layer = r.cells.lower[r.axis];
-          bool const inside = r.side == 0 ? layer > 0 : layer + 1 < own.extent(r.axis);
-          Real const covered = inside ? phi[at + (r.side == 0 ? -pitch[r.axis] : pitch[r.axis])]
-                                      : ghosts(r.axis, r.side)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
-          f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
-        });
+    fluxes_.for_each_refined(l, b, k, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t at, Real flux) {
+      auto const [u, v] = tangential_axes(r.axis);
+      int const layer = r.cells.lower[r.axis];
+      bool const inside = r.side == 0 ? layer > 0 : layer + 1 < own.extent(r.axis);
+      Real const covered = inside ? phi[at + (r.side == 0 ? -pitch[r.axis] : pitch[r.axis])]
+                                  : ghosts(r.axis, r.side)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
+      f(at, r.axis, r.side, fine_face_weight * flux - (covered - phi[at]));
+    });
   }
 
   std::size_t bytes() const;

@@ -3,12 +3,14 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace amrpic {
 
 namespace {
 
 using Ends = FourthOrderGhosts::Ends;
+using Rows = std::array<Real const*, 2 * FourthOrderGhosts::layers + 1>;  ///< of cells in line, the middle ones at [2]
 
 Real central_difference(Real below, Real own, Real above) { return (below - own) + (above - own); }
 
@@ -33,12 +35,15 @@ Real second_difference(At&& at, bool four_points) {
 
 }  // namespace
 
-/// Call f(cell, counted from the first one of the box; place among the own cells of the level).
+/// Call f(place among the own cells of the level, count, rows in line along an axis) for the rows of a box under way.
 template <class F>
-void FourthOrderField::for_each_cell_of(int l, int b, F&& f) const {
+void FourthOrderField::for_each_row_in_line(int l, int b, int axis, Field const& field, F&& f) {
   Box const& own = mesh_.box(l, b);
-  std::size_t place = std::size_t(mesh_.offset(l, b));
-  for_each_cell(own.shift_back(own.lower), [&](Index3 const& cell) { f(cell, place++); });
+  std::ptrdiff_t place = mesh_.offset(l, b);
+  Real const* const cells = field.level(l).data() + place;
+  for (int k = 0; k < own.extent(2); ++k)
+    for (int j = 0; j < own.extent(1); ++j, place += own.extent(0))
+      f(place, own.extent(0), ghosts_.rows_in_line(own, cells, axis, j, k));
 }
 
 /// The sums of second differences along all axes in a box under way.
@@ -87,16 +92,19 @@ void FourthOrderField::second_differences(Box const& own, Real const* cells, boo
 /// field += factor * its second differences along all axes, level by level: only ghosts of the level's own cells are
 /// read, and those of other ranks are at hand before the first level.
 void FourthOrderField::add_second_differences(Field& field, Real factor, bool four_points) {
-  std::vector<Real> differences;
+  std::size_t most = 0;
+  for (int l = 0; l < mesh_.levels(); ++l) most = std::max(most, field.level(l).size());
+  std::vector<Real> differences(most);
   int level = -1;
   auto const add = [&] {
-    for (std::size_t i = 0; i < differences.size(); ++i) field.level(level)[i] += factor * differences[i];
+    if (level < 0) return;
+    Real* const values = field.level(level).data();
+    for (std::size_t i = 0; i < field.level(level).size(); ++i) values[i] += factor * differences[i];
   };
   ghosts_.visit(field, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
     if (l != level) {
       add();
       level = l;
-      differences.assign(field.level(l).size(), 0.0);
     }
     second_differences(mesh_.box(l, b), field.level(l).data() + mesh_.offset(l, b), four_points,
                        differences.data() + mesh_.offset(l, b));
@@ -134,18 +142,25 @@ std::vector<std::vector<std::vector<FourthOrderField::AddedDensity>>> FourthOrde
   for (int l = 0; l < mesh_.levels(); ++l)
     out.emplace_back(std::size_t(mesh_.level(l).last_local_box() - mesh_.level(l).first_local_box()));
   ghosts_.visit(density, nullptr, Ends::faces, FullyCovered::visit, [&](int l, int b) {
-    Index3 const lower = mesh_.box(l, b).lower;
+    Box const& own = mesh_.box(l, b);
     auto& added = out[std::size_t(l)][std::size_t(b)];
-    auto const add = [&](Index3 cell, Real value) {
-      for (int d = 0; d < 3; ++d) cell[d] += lower[d];
-      if (value != 0) added.push_back({cell, value});
-    };
-    ghosts_.for_each_coarse_face(l, b, [&](Index3 cell, Index3 const& inwards, Real on_face) {
-      add(cell, of_first * on_face);
-      for (int d = 0; d < 3; ++d) cell[d] += inwards[d];
-      add(cell, of_second * on_face);
+    ghosts_.for_each_coarse_face(l, b, [&](int axis, int side, Box const& first) {
+      auto const [u, v] = tangential_axes(axis);
+      Real const* const on_face = ghosts_.ghosts(axis, side, 0);
+      Box const both = first.hull(first.layer(axis, side, -1));
+      auto& density = added.emplace_back(AddedDensity{both.shift(own.lower), {}}).density;
+      density.reserve(std::size_t(both.cells()));
+      for_each_cell(both, [&, u = u, v = v](Index3 const& cell) {
+        density.push_back((first.contains(cell) ? of_first : of_second) *
+                          on_face[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)]);
+      });
     });
-    ghosts_.for_each_refined_face(l, b, [&](Index3 const& cell, Real on_face) { add(cell, of_coarse * on_face); });
+    RefinedSide const* last = nullptr;
+    ghosts_.for_each_refined_face(
+        l, b, [&](RefinedSide const& side, Index3 const&, int count, Real const* sums, std::ptrdiff_t step) {
+          if (std::exchange(last, &side) != &side) added.push_back({side.cells.shift(own.lower), {}});
+          for (int x = 0; x < count; ++x) added.back().density.push_back(of_coarse * (sums[x * step] / 4));
+        });
   });
   return out;
 }
@@ -155,18 +170,12 @@ ElectricField FourthOrderField::electric_field(Field const& phi, std::vector<Wal
   std::array<std::shared_ptr<Field>, 3> e;
   for (auto& component : e) component = std::make_shared<Field>(phi.share_hierarchy(), false);
   ghosts_.visit(phi, &walls, Ends::of_field, FullyCovered::visit, [&](int l, int b) {
-    Box const& own = mesh_.box(l, b);
-    Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
     for (int d = 0; d < 3; ++d) {
       Real const factor = 2 * mesh_.factor_of_field(l, d);
-      std::ptrdiff_t const step = pitches(own)[d];
-      for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-        auto const at = ghosts_.in_line(own, cells, d, cell);
-        Real const* const c = phi.level(l).data() + place;
-        bool const inside = cell[d] >= 2 && cell[d] + 2 < own.extent(d);
-        e[std::size_t(d)]->level(l)[place] =
-            factor * (inside ? fourth_order::mean_field(c[-2 * step], c[-step], c[step], c[2 * step])
-                             : fourth_order::mean_field(at(-2), at(-1), at(1), at(2)));
+      for_each_row_in_line(l, b, d, phi, [&](std::ptrdiff_t place, int count, Rows const& at) {
+        Real* __restrict const out = e[std::size_t(d)]->level(l).data() + place;
+        for (int x = 0; x < count; ++x)
+          out[x] = factor * fourth_order::mean_field(at[0][x], at[1][x], at[3][x], at[4][x]);
       });
     }
   });
@@ -189,21 +198,19 @@ Real FourthOrderField::truncation(Field const& phi, std::vector<Walls> const& wa
   Field sum(phi.share_hierarchy()), fourth(phi.share_hierarchy(), false);
   for (int d = 0; d < 3; ++d) {
     ghosts_.visit(phi, &walls, Ends::ghosts, FullyCovered::visit, [&](int l, int b) {
-      Box const& own = mesh_.box(l, b);
-      Real const* const cells = phi.level(l).data() + mesh_.offset(l, b);
-      for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-        auto const at = ghosts_.in_line(own, cells, d, cell);
-        fourth.level(l)[place] = (at(-2) + at(2)) - 4 * (at(-1) + at(1)) + 6 * at(0);
+      for_each_row_in_line(l, b, d, phi, [&](std::ptrdiff_t place, int count, Rows const& at) {
+        Real* __restrict const out = fourth.level(l).data() + place;
+        for (int x = 0; x < count; ++x) out[x] = (at[0][x] + at[4][x]) - 4 * (at[1][x] + at[3][x]) + 6 * at[2][x];
       });
     });
     ghosts_.visit(fourth, nullptr, Ends::nothing, FullyCovered::visit, [&](int l, int b) {
-      Box const& own = mesh_.box(l, b);
-      Real const* const cells = fourth.level(l).data() + mesh_.offset(l, b);
       Real const weight = mesh_.equation(l).weight[d];
-      for_each_cell_of(l, b, [&](Index3 const& cell, std::size_t place) {
-        auto const at = ghosts_.in_line(own, cells, d, cell);
-        Real const sixth = (at(-1) - at(0)) + (at(1) - at(0));
-        if (!std::isnan(sixth)) sum.level(l)[place] += fourth_order::truncation_error(weight, sixth);
+      for_each_row_in_line(l, b, d, fourth, [&](std::ptrdiff_t place, int count, Rows const& at) {
+        Real* __restrict const out = sum.level(l).data() + place;
+        for (int x = 0; x < count; ++x) {
+          Real const sixth = central_difference(at[1][x], at[2][x], at[3][x]);
+          out[x] += sixth == sixth ? fourth_order::truncation_error(weight, sixth) : 0;  // not a number beyond ends
+        }
       });
     });
   }

@@ -33,10 +33,10 @@ class FourthOrderField {
   /// cells where a level ends or a finer one begins: in a density that counts as one of fourth order. Collective.
   void to_means(Field const& points, Field& means);
 
-  /// Charge of a cell, counted from the lowest one of the domain, that wall potentials take beside its own.
+  /// Charge of cells, counted from the lowest one of the domain, that wall potentials take beside their own.
   struct AddedDensity {
-    Index3 cell;
-    Real density;
+    Box cells;
+    std::vector<Real> density;  ///< x fastest
   };
   /// What makes point charges in the cells' centres act from afar as the density does, by [level][box of this rank].
   ///
@@ -57,7 +57,7 @@ class FourthOrderField {
   void second_differences(Box const& own, Real const* cells, bool four_points, Real* out) const;
   void add_second_differences(Field& field, Real factor, bool four_points);
   template <class F>
-  void for_each_cell_of(int l, int b, F&& f) const;
+  void for_each_row_in_line(int l, int b, int axis, Field const& field, F&& f);
 
   CompositeMesh& mesh_;
   FourthOrderGhosts& ghosts_;

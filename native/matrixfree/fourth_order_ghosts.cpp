@@ -9,6 +9,26 @@ namespace amrpic {
 
 using fourth_order::MeansBlock;
 
+namespace {
+
+/// Of a row of fine cells in front of coarser ones: the ghosts of both layers, and the differences between the first
+/// ghost and the cell, from coarse means over their faces, of the second layer zero unless it serves, and fine means.
+void run_in_front(fourth_order::InterfaceGhosts const& ghosts, int count, std::array<Real const*, 2> const& coarse,
+                  std::array<Real const*, 3> const& fine, Real* __restrict near, Real* __restrict far,
+                  Real* __restrict difference) {
+  Real const *const c0 = coarse[0], *const c1 = coarse[1], *const f0 = fine[0], *const f1 = fine[1],
+                    *const f2 = fine[2];
+  auto const [w, of_far] = ghosts.layer;
+  for (int x = 0; x < count; ++x) {
+    near[x] = w.coarse[0] * c0[x] + w.coarse[1] * c1[x] + w.fine[0] * f0[x] + w.fine[1] * f1[x] + w.fine[2] * f2[x];
+    far[x] = of_far.coarse[0] * c0[x] + of_far.coarse[1] * c1[x] + of_far.fine[0] * f0[x] + of_far.fine[1] * f1[x] +
+             of_far.fine[2] * f2[x];
+    difference[x] = fourth_order::difference(far[x], near[x], f0[x], f1[x]);
+  }
+}
+
+}  // namespace
+
 FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(mesh), fluxes_(mesh) {
   for (int l = 0; l < mesh_.levels(); ++l) {
     wall_ghosts_.emplace_back();
@@ -34,6 +54,7 @@ FourthOrderGhosts::FourthOrderGhosts(CompositeMesh& mesh) : mesh_(mesh), plan_(m
   columns_.resize(coarse_row);
   differences_.resize(row);
   for (auto& line : lines_) line.resize(row);
+  line_.resize(row + 2 * layers);
 }
 
 void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls, Ends ends, FullyCovered fully_covered,
@@ -58,7 +79,7 @@ void FourthOrderGhosts::visit(Field const& phi, std::vector<Walls> const* walls,
 
 void FourthOrderGhosts::fill(int l, int b, Field const& phi, Walls const* walls, Ends ends) {
   constexpr Real nothing = std::numeric_limits<Real>::quiet_NaN();
-  for (int f = 0; f < 6; ++f) {  // of the level first: others may take them
+  for (int f = 0; f < 6 && ends != Ends::faces; ++f) {  // of the level first: others may take them
     int const pitch = mesh_.box(l, b).extent(tangential_axes(f / 2)[0]);
     auto const& face = plan_.face(l, b, f);
     for (int n = 0; n < layers; ++n) {
@@ -86,14 +107,41 @@ void FourthOrderGhosts::visit_zero(int l, int b, Walls const& walls) {
     int const wall = mesh_.plan(l, b).faces[std::size_t(f)].wall, axis = f / 2, side = f % 2;
     if (wall < 0 || fill_open_wall(l, b, axis, side, walls, wall)) continue;
     auto const [u, v] = tangential_axes(axis);
+    Box const& own = mesh_.box(l, b);
     Real const* datum = walls.datum.data() + wall;
+    bool const all_inside = own.extent(axis) >= fourth_order::wall_cells;
+    auto const* ghosts = &wall_ghosts(l, axis, side, fourth_order::wall_cells);
     std::size_t out = 0;
-    for (int y = 0; y < mesh_.box(l, b).extent(v); ++y)
-      for (int x = 0; x < mesh_.box(l, b).extent(u); ++x, ++out) {
-        auto const& ghosts = wall_ghosts(l, axis, side, cells_inside(l, b, axis, side, x, y));
-        for (std::size_t n = 0; n < layers; ++n) ghosts_[std::size_t(f)][n][out] = ghosts.layer[n].datum * datum[out];
+    for (int y = 0; y < own.extent(v); ++y)
+      for (int x = 0; x < own.extent(u); ++x, ++out) {
+        if (!all_inside) ghosts = &wall_ghosts(l, axis, side, cells_inside(l, b, axis, side, x, y));
+        for (std::size_t n = 0; n < layers; ++n) ghosts_[std::size_t(f)][n][out] = ghosts->layer[n].datum * datum[out];
       }
   }
+}
+
+std::array<Real const*, 2 * FourthOrderGhosts::layers + 1> FourthOrderGhosts::rows_in_line(Box const& own,
+                                                                                           Real const* phi, int axis,
+                                                                                           int j, int k) {
+  std::ptrdiff_t const nx = own.extent(0), ny = own.extent(1);
+  Real const* row = phi + nx * (j + ny * k);
+  std::array<Real const*, 2 * layers + 1> out;
+  if (axis == 0) {
+    std::copy_n(row, nx, line_.data() + layers);
+    row = line_.data() + layers;
+    for (int n = 0; n < layers; ++n) {
+      line_[std::size_t(layers - 1 - n)] = ghosts(0, 0, n)[j + ny * k];
+      line_[std::size_t(layers + nx + n)] = ghosts(0, 1, n)[j + ny * k];
+    }
+  }
+  for (int n = -layers; n <= layers; ++n) {
+    int const at = (axis == 1 ? j : k) + n, end = own.extent(axis);
+    bool const inside = axis == 0 || (at >= 0 && at < end);
+    out[std::size_t(layers + n)] =
+        inside ? row + n * own.stride(axis)
+               : ghosts(axis, at < 0 ? 0 : 1, at < 0 ? -at - 1 : at - end) + nx * (axis == 1 ? k : j);
+  }
+  return out;
 }
 
 int FourthOrderGhosts::cells_inside(int l, int b, int axis, int side, int u, int v) const {
@@ -264,16 +312,20 @@ void FourthOrderGhosts::fill_faces(int l, int b, int axis, int side, Field const
   read_coarse(l, b, int(f), values);
   for (int row = 0; row < i.nv; ++row) std::fill_n(fluxes_.row(l, i, row), i.nu, 0.0);
   Box const& own = mesh_.box(l, b);
-  auto const [u, v] = tangential_axes(axis);
+  int const u = tangential_axes(axis)[0];
   Real const* const cells = values.level(l).data() + mesh_.offset(l, b);
   std::ptrdiff_t const pitch = plan_.face(l, b, int(f)).nu + 2 * margin;
-  for_each_cell_behind(l, b, axis, side, [&](Index3 const& cell) {
-    int const x = cell[u] / 2, y = cell[v] / 2;
-    Real const coarse = coarse_[0][std::size_t(margin + x + (margin + y) * pitch)];
-    Real const on_face = (2 * value(own, cells, axis, cell) + coarse) / 3;
-    ghosts_[f][0][std::size_t(cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u))] = on_face;
-    fluxes_.row(l, i, y - i.v)[x - i.u] += on_face;
-  });
+  for (int y = 0; y < 2 * i.nv; ++y) {
+    FitNumber const* const fits = mesh_.plan(l).fits.data() + i.fits + std::ptrdiff_t(y / 2) * i.nu;
+    Real const* const coarse = coarse_[0].data() + margin + i.u + (margin + i.v + y / 2) * pitch;
+    Real* const flux = fluxes_.row(l, i, y / 2);
+    Real const* const fine = cells_at(own, cells, axis, side, 2 * i.u, 2 * i.v + y, 2 * i.nu)[0];
+    Real* const on_face = ghosts_[f][0].data() + 2 * i.u + std::ptrdiff_t(2 * i.v + y) * own.extent(u);
+    for (int x = 0; x < 2 * i.nu; ++x) {
+      on_face[x] = fits[x / 2] == no_fit ? 0 : (2 * fine[x] + coarse[x / 2]) / 3;
+      flux[x / 2] += on_face[x];
+    }
+  }
 }
 
 /// Ghosts in front of coarser cells, and what the four ghosts of each coarse face leave for the coarser cell behind it:
@@ -324,23 +376,16 @@ void FourthOrderGhosts::fill_in_front(int l, int b, int axis, int side, Interfac
   for (int half = 0; half < 2; ++half) {
     int const first_u = 2 * (i.u + begin), row_v = 2 * (i.v + row) + half, count = 2 * (end - begin);
     std::ptrdiff_t const at = first_u + std::ptrdiff_t(row_v) * own.extent(u);
-    Real* __restrict const near = ghosts[0].data() + at, * __restrict const far = ghosts[1].data() + at;
-    Real* __restrict const left = differences_.data();
+    Real *const near = ghosts[0].data() + at, *const far = ghosts[1].data() + at, *const left = differences_.data();
     std::size_t const of_half = std::size_t(half) * 2 * std::size_t(i.nu) + 2 * std::size_t(begin);
     Real const *const star = star_[0].data() + of_half, *const second = star_[deep ? 1 : 0].data() + of_half;
-    auto const set = [=](fourth_order::InterfaceGhosts const& weights, int x, Real f0, Real f1, Real f2) {
-      auto const ghost = [&](fourth_order::InterfaceGhosts::Layer const& w) {
-        Real const coarse = w.coarse[0] * star[x] + w.coarse[1] * second[x];  // the latter zero unless `deep`
-        return coarse + w.fine[0] * f0 + w.fine[1] * f1 + w.fine[2] * f2;
-      };
-      near[x] = ghost(weights.layer[0]), far[x] = ghost(weights.layer[1]);
-      left[x] = fourth_order::difference(far[x], near[x], f0, f1);
+    auto const set = [=](int cells_inside, int x, int n, Real const* f0, Real const* f1, Real const* f2) {
+      run_in_front(interface_ghosts_[deep ? 2 : 1][std::size_t(cells_inside)], n, {star + x, second + x}, {f0, f1, f2},
+                   near + x, far + x, left + x);
     };
     if (all_inside) {
-      auto const weights = interface_ghosts_[deep ? 2 : 1][fourth_order::fine_cells];
       auto const line = cells_at(own, cells, axis, side, first_u, row_v, count);
-      Real const *const f0 = line[0], *const f1 = line[1], *const f2 = line[2];
-      for (int x = 0; x < count; ++x) set(weights, x, f0[x], f1[x], f2[x]);
+      set(fourth_order::fine_cells, 0, count, line[0], line[1], line[2]);
     }
     for (int x = 0; !all_inside && x < count; ++x) {
       Index3 cell{0, 0, 0};
@@ -351,7 +396,7 @@ void FourthOrderGhosts::fill_in_front(int l, int b, int axis, int side, Interfac
         cell[axis] = side == 0 ? n : own.extent(axis) - 1 - n;
         fine[std::size_t(n)] = value(own, cells, axis, cell);
       }
-      set(interface_ghosts_[deep ? 2 : 1][std::size_t(inside)], x, fine[0], fine[1], fine[2]);
+      set(inside, x, 1, &fine[0], &fine[1], &fine[2]);
     }
     for (int m = begin; m < end; ++m) flux[m] += left[2 * (m - begin)] + left[2 * (m - begin) + 1];
   }
@@ -364,7 +409,8 @@ Traffic FourthOrderGhosts::of_visit() const {
 }
 
 std::size_t FourthOrderGhosts::bytes() const {
-  std::size_t values = columns_.capacity() + differences_.capacity() + lines_.size() * lines_[0].capacity();
+  std::size_t values =
+      columns_.capacity() + differences_.capacity() + line_.capacity() + lines_.size() * lines_[0].capacity();
   for (int n = 0; n < layers; ++n) {
     values += coarse_[std::size_t(n)].capacity() + star_[std::size_t(n)].capacity();
     for (auto const& face : ghosts_) values += face[std::size_t(n)].capacity();

@@ -56,47 +56,52 @@ class FourthOrderGhosts {
     };
   }
 
-  /// Call f(place in the box, axis, excess) for each uncovered cell of a plane and each of its faces with a refined
-  /// cell beyond: the difference of phi across the face, outwards, by the finer fluxes, less that by the level's cells,
-  /// which are value(axis, cell), up to two cells away.
-  template <class Value, class F>
-  void for_each_refined(int l, int b, int k, Value&& value, F&& f) const {
-    fluxes_.for_each_refined(
-        l, b, k, zero_, [&](RefinedSide const& r, Index3 const& cell, std::ptrdiff_t place, Real flux) {
-          auto const at = [&](int n) {
+  /// Row (j, k) of the box under way at [2], and the rows n cells further along an axis at [2 + n], n from -2 to 2.
+  /// Along x these are parts of a line with its ghosts, as long as no other is asked for.
+  std::array<Real const*, 2 * layers + 1> rows_in_line(Box const& own, Real const* phi, int axis, int j, int k);
+
+  /// Call f(axis, first cell, count, excess) for the rows of uncovered cells of a plane with refined cells beyond their
+  /// faces; excess(x) is the difference of phi across the face of a cell of the row, outwards, by the finer fluxes,
+  /// less that by the level's cells, which are row(axis, cell)[0], [1], ..., up to two cells away from the row.
+  template <class Row, class F>
+  void for_each_refined(int l, int b, int k, Row&& row, F&& f) const {
+    fluxes_.for_each_refined_row(
+        l, b, k, k, [&](RefinedSide const& r, Index3 const& cell, int count, Real const* flux, std::ptrdiff_t step) {
+          auto const at = [&](int n) -> Real const* {
             Index3 there = cell;
-            there[std::size_t(r.axis)] += n;
-            return value(r.axis, there);
+            there[r.axis] += r.side == 0 ? -n : n;
+            return row(r.axis, there);
           };
-          int const outward = r.side == 0 ? -1 : 1;
-          f(place, r.axis,
-            fine_face_weight * flux - fourth_order::difference(at(-outward), at(0), at(outward), at(2 * outward)));
+          Real const *const inside = at(-1), *const own = at(0), *const near = at(1), *const far = at(2);
+          static constexpr Real none = 0;
+          Real const* const finer = zero_ ? &none : flux;
+          std::ptrdiff_t const apart = zero_ ? 0 : step;
+          f(r.axis, cell, count, [=](int x) {
+            return fine_face_weight * finer[x * apart] - fourth_order::difference(inside[x], own[x], near[x], far[x]);
+          });
         });
   }
 
-  /// Call f(cell, inwards, value on the face) for each cell of a box in front of a coarser one, after Ends::faces;
-  /// `inwards` leads away from the face. And f(cell, mean value on the face) for each uncovered cell of a box and each
-  /// of its faces with a refined cell beyond.
+  /// After Ends::faces, call f(axis, side, cells) for the cells of a box at a face with coarser ones beyond; the values
+  /// on the face are their ghosts of the first layer, zero where nothing coarser is in front of a cell. And f(side,
+  /// first cell, count, sums, how far apart these are) for the rows of uncovered cells with refined ones beyond their
+  /// faces, of the four values on each of these.
   template <class F>
   void for_each_coarse_face(int l, int b, F&& f) const {
     for (int face = 0; face < 6; ++face) {
-      if (mesh_.plan(l, b).faces[std::size_t(face)].interface < 0) continue;
+      if (plan_.face(l, b, face).blocks < 0) continue;
       int const axis = face / 2, side = face % 2;
-      Box const& own = mesh_.box(l, b);
-      for_each_cell_behind(l, b, axis, side, [&](Index3 cell) {
-        auto const [u, v] = tangential_axes(axis);
-        Real const value = ghosts(axis, side, 0)[cell[u] + std::ptrdiff_t(cell[v]) * own.extent(u)];
-        Index3 inwards{0, 0, 0};
-        inwards[axis] = side == 0 ? 1 : -1;
-        f(cell, inwards, value);
-      });
+      auto const [u, v] = tangential_axes(axis);
+      Interface const& i = mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(face)].interface)];
+      Box cells = mesh_.box(l, b).shift_back(mesh_.box(l, b).lower).layer(axis, side, 0);
+      cells.lower[u] = 2 * i.u, cells.upper[u] = 2 * (i.u + i.nu) - 1;
+      cells.lower[v] = 2 * i.v, cells.upper[v] = 2 * (i.v + i.nv) - 1;
+      f(axis, side, cells);
     }
   }
   template <class F>
   void for_each_refined_face(int l, int b, F&& f) const {
-    for (int k = 0; k < mesh_.box(l, b).extent(2); ++k)
-      fluxes_.for_each_refined(
-          l, b, k, false, [&](RefinedSide const&, Index3 const& cell, std::ptrdiff_t, Real sum) { f(cell, sum / 4); });
+    fluxes_.for_each_refined_row(l, b, 0, mesh_.box(l, b).extent(2) - 1, f);
   }
 
   /// The ghosts behind a wall of a level, of as many cells as lie between it and the next end of the level, up to those
@@ -123,21 +128,6 @@ class FourthOrderGhosts {
   void fill_interface(int l, int b, int axis, int side, Field const& phi);
   void fill_faces(int l, int b, int axis, int side, Field const& values);
   void read_coarse(int l, int b, int f, Field const& values);
-  /// Call f(cell) for the cells of a box in front of coarser ones beyond a face.
-  template <class F>
-  void for_each_cell_behind(int l, int b, int axis, int side, F&& f) const {
-    Interface const& i =
-        mesh_.plan(l).interfaces[std::size_t(mesh_.plan(l, b).faces[std::size_t(2 * axis + side)].interface)];
-    auto const [u, v] = tangential_axes(axis);
-    for (int y = 0; y < 2 * i.nv; ++y)
-      for (int x = 0; x < 2 * i.nu; ++x) {
-        if (mesh_.plan(l).fits[std::size_t(i.fits + x / 2 + y / 2 * i.nu)] == no_fit) continue;
-        Index3 cell{0, 0, 0};
-        cell[u] = 2 * i.u + x, cell[v] = 2 * i.v + y;
-        cell[axis] = side == 0 ? 0 : mesh_.box(l, b).extent(axis) - 1;
-        f(cell);
-      }
-  }
   void fit_row(int layer, FourthOrderPlan::OfCell const* blocks, FitNumber const* fits, int count, Real const* coarse,
                std::ptrdiff_t pitch);
   void fit_central(int layer, int begin, int end, int count, Real const* coarse, std::ptrdiff_t pitch);
@@ -164,6 +154,7 @@ class FourthOrderGhosts {
   std::vector<Real> columns_;                            ///< of a row of blocks: sums across it
   std::array<std::vector<Real>, fourth_order::wall_cells> lines_;  ///< of a row of cells at a face across x
   std::vector<Real> differences_;                                  ///< across the faces of a row of fine cells
+  std::vector<Real> line_;                                         ///< a row with its ghosts before and behind
 };
 
 }  // namespace amrpic

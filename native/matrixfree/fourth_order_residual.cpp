@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "base/fetch.hpp"
+#include "base/lanes.hpp"
 #include "matrixfree/composite_kernels.hpp"
 
 namespace amrpic {
@@ -71,7 +72,9 @@ FourthOrderResidual::RowsOfPlane FourthOrderResidual::rows_of(Box const& own, in
 Real const* FourthOrderResidual::fill_line(Box const& own, int j, int k, Real const* row) {
   int const nx = own.extent(0), end = j + k * own.extent(1);
   Real* const line = lines_[std::size_t(j) % lines_.size()].data() + layers;
-  std::copy_n(row, nx, line);
+  int i = 0;
+  for (; i + lane_count <= nx; i += lane_count) store(line + i, load<Lanes>(row + i));
+  for (; i < nx; ++i) line[i] = row[i];
   for (int layer = 0; layer < layers; ++layer) {
     line[-1 - layer] = ghosts_.ghosts(0, 0, layer)[end];
     line[nx + layer] = ghosts_.ghosts(0, 1, layer)[end];
@@ -104,11 +107,15 @@ void FourthOrderResidual::plane_of(int l, int b, int k, Source const& source, Re
         plane_.data() + std::ptrdiff_t(j) * nx);
     line = next;
   }
-  auto const value = [&](int axis, Index3 const& cell) {
-    return cells || !own.shift_back(own.lower).contains(cell) ? ghosts_.value(own, cells, axis, cell) : 0;
+  auto const from = [&](int axis, Index3 const& cell) {
+    if (axis == 2) return rows_of(own, cell[2], cells).row(cell[1]) + cell[0];
+    if (axis == 1 || (cell[0] >= 0 && cell[0] < nx)) return row(cell[1]) + cell[0];
+    return ghosts_.ghosts(0, cell[0] < 0 ? 0 : 1, cell[0] < 0 ? -cell[0] - 1 : cell[0] - nx) + cell[1] + k * ny;
   };
-  ghosts_.for_each_refined(l, b, k, value, [&](std::ptrdiff_t at, int axis, Real excess) {
-    plane_[std::size_t(at - k * plane)] -= formula.equation.weight[axis] * excess;
+  ghosts_.for_each_refined(l, b, k, from, [&](int axis, Index3 const& cell, int count, auto const& excess) {
+    Real const weight = formula.equation.weight[axis];
+    Real* __restrict const out = plane_.data() + cell[0] + std::ptrdiff_t(cell[1]) * nx;
+    for (int x = 0; x < count; ++x) out[x] -= weight * excess(x);
   });
   mesh_.clear_covered(l, b, k, plane_.data());
 }

@@ -4,7 +4,6 @@
 
 #include "base/lanes.hpp"
 #include "stencil/field_difference.hpp"
-#include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
@@ -17,20 +16,12 @@ typedef Real Cell __attribute__((vector_size(8 * Compensator::per_cell)));
 /// or null where that level has none; there the parent's value serves.
 template <class At>
 Real interpolated(Index3 const& cell, Level const& coarser, At const& at) {
-  Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
-  Real const of_parent = *at(coarser.fold_at_walls(near));
+  Real const of_parent = *at(coarser.fold_at_walls(cell_parent(cell)));
   Real out = 0;
-  for (int corner = 0; corner < 8; ++corner) {
-    Real weight = 1;
-    Index3 from;
-    for (int d = 0; d < 3; ++d) {
-      bool const is_far = (corner >> d) & 1;
-      weight *= is_far ? prolongation::far : prolongation::near;
-      from[d] = is_far ? far[d] : near[d];
-    }
+  for_each_coarse_around(cell, [&](Index3 const& from, Real weight) {
     Real const* const value = at(coarser.fold_at_walls(from));
     out += weight * (value ? *value : of_parent);
-  }
+  });
   return out;
 }
 

@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "mesh/level.hpp"
+#include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
@@ -51,6 +52,22 @@ inline Index3 nearest_other_parent(Index3 const& cell) {
   Index3 out = cell_parent(cell);
   for (int d = 0; d < 3; ++d) out[d] += 2 * out[d] == cell[d] ? -1 : 1;
   return out;
+}
+
+/// Call f(coarse cell, weight) for the eight cells of the next coarser level between whose centres that of `cell` lies.
+template <class F>
+void for_each_coarse_around(Index3 const& cell, F&& f) {
+  Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
+  for (int corner = 0; corner < 8; ++corner) {
+    Real weight = 1;
+    Index3 from;
+    for (int d = 0; d < 3; ++d) {
+      bool const is_far = (corner >> d) & 1;
+      weight *= is_far ? prolongation::far : prolongation::near;
+      from[d] = is_far ? far[d] : near[d];
+    }
+    f(from, weight);
+  }
 }
 
 }  // namespace amrpic

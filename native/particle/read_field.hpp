@@ -17,7 +17,6 @@
 #include "particle/tile_batch.hpp"
 #include "particle/view.hpp"
 #include "stencil/field_difference.hpp"
-#include "stencil/intergrid.hpp"
 
 namespace amrpic {
 
@@ -89,19 +88,11 @@ inline void interleave_row(std::array<Real const*, 3> const& from, int count, Re
 /// domain.
 template <class At>
 void interpolate(Index3 const& cell, Level const& coarser, At const& at, Real* out) {
-  Index3 const near = cell_parent(cell), far = nearest_other_parent(cell);
   for (int c = 0; c < 3; ++c) out[c] = 0;
-  for (int corner = 0; corner < 8; ++corner) {
-    Real weight = 1;
-    Index3 from;
-    for (int d = 0; d < 3; ++d) {
-      bool const is_far = (corner >> d) & 1;
-      weight *= is_far ? prolongation::far : prolongation::near;
-      from[d] = is_far ? far[d] : near[d];
-    }
+  for_each_coarse_around(cell, [&](Index3 const& from, Real weight) {
     Real const* const value = at(coarser.fold_at_walls(from));
     for (int c = 0; c < 3; ++c) out[c] += weight * value[c];
-  }
+  });
 }
 
 /// Brings the field of one box and its ghost cells into tiles of its slabs, plane by plane.

@@ -67,10 +67,10 @@ void PoissonSolver::plan_open_walls() {
 void PoissonSolver::set_open_walls(Field const& rho) {
   auto charges = freespace::charges_of(rho, *hierarchy_, 1 / vacuum_permittivity);
   auto box = charges.begin();
-  for (auto const& level : backend_->beside_coarse_faces(rho))
-    for (auto const& of_box : level) {
-      for (auto const& [cell, density] : of_box) box->added.push_back({cell, density});
-      freespace::sort_by_block((box++)->added);
+  for (auto& level : backend_->beside_coarse_faces(rho))
+    for (auto& of_box : level) {
+      for (auto& [cells, density] : of_box) box->added.push_back({{cells.lower, cells.upper}, std::move(density)});
+      ++box;
     }
   auto const values = reusable_.free_space->walls(*wall_plan_, charges);
   for (auto const& [level, face, places] : open_faces_) {

@@ -21,6 +21,7 @@ from amrpic.verify.errors import errors, observed_order
 from amrpic.verify.meshes import MESHES, Mesh
 from amrpic.verify.sources import Gaussian, Product, Source, Wave, fill
 from fourth_order_oracle import Oracle
+from fuzz import CYCLE_LIMITS
 from hierarchies import Case, all_cases
 from rank_subsets import hierarchy_of
 
@@ -276,6 +277,33 @@ def test_cycles_and_potentials_are_the_same_on_any_boxes_and_ranks(comm):
         assert max(cycles) - min(cycles) <= 1, (name, boundary)
         for other in sampled[1:]:
             assert other == pytest.approx(sampled[0], abs=1e-8 * np.abs(sampled[0]).max()), (name, boundary)
+
+
+def _long_cases() -> list[tuple[str, tuple[float, ...], str]]:
+    """Meshes, lengths of the domain of as many cells along each axis, and walls: cells from 1:1 to 1:20."""
+    random = np.random.default_rng(24)
+    cases = []
+    for name, boundary in product(("uniform", "nested cubes", "L-shape"), ("dirichlet", "neumann", "periodic", "open")):
+        longest = float(random.choice([2, 5, 10, 20]))
+        size = random.permutation([1.0, longest, float(random.choice([1, longest ** random.uniform(), longest]))])
+        cases.append((name, tuple(size.tolist()), boundary))
+    return [*cases, ("nested cubes", (1.0, 20.0, 20.0), "neumann"), ("L-shape", (1.0, 1.0, 20.0), "dirichlet")]
+
+
+@pytest.mark.parametrize(("name", "size", "boundary"), _long_cases())
+def test_on_long_cells_solves_take_at_most_twice_what_the_fuzz_allows(name, size, boundary):
+    """Whatever the charge."""
+    hierarchy = replace(MESHES[name], size=size).hierarchy(MPI.COMM_SELF, 16, boundary)
+    singular = hierarchy.domain.singular
+    aspect = max(size) / min(size)
+    most = 2 * next(cycles for up_to, cycles in CYCLE_LIMITS if aspect <= up_to)
+    smooth_one = fill(Field(hierarchy), Gaussian(tuple(0.1 * np.array(size)), tuple(0.5 * np.array(size))))
+    for rho in (smooth_one, drawn(hierarchy, 4)):
+        rho.holds = "means"
+        solver = PoissonSolver(hierarchy, order=4, background="neutralizing" if singular else None)
+        _, report = solver.solve(rho)
+        assert report.converged, report.reason
+        assert report.cycles <= most
 
 
 def test_to_the_discretization_error_takes_fewer_cycles_and_costs_little_accuracy():

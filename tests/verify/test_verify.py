@@ -296,7 +296,7 @@ def test_no_exact_field_is_claimed_between_metal_walls():
 
 
 def measured(cells, cycles, error, left=0.0):
-    setting = pareto.Setting((8, 8, 8), 0, 32, "discretization", False)
+    setting = pareto.Setting((8, 8, 8), 0, 32, 2, "discretization", False)
     return pareto.Measured(setting, cells, cycles, 0.0, 0.0, error, left)
 
 
@@ -328,3 +328,24 @@ def test_speed_against_error_of_a_scene(comm, tmp_path):
         path = write([("pareto", table)], tmp_path)
         assert "(pictures/verify_speed_against_error_drift.png)" in path.read_text()
         assert (tmp_path / "pictures" / "verify_speed_against_error_drift.png").stat().st_size > 1000
+
+
+@pytest.mark.mpi(ranks=2, more=(1,), timeout=120)
+def test_a_scene_of_order_4_is_measured_in_both_orders(comm, tmp_path):
+    scene = Scene.from_dict(
+        {
+            "name": "smooth",
+            "domain": {"lower": -1, "upper": 1, "cells": 32, "boundary": "open"},
+            "bunches": [{"distribution": "gaussian", "sigma": 0.15, "charge": "1 nC", "particles": 2000}],
+            "refinement": {"levels": 0},
+            "solver": {"order": 4},
+        }
+    )
+    by_setting, both = pareto.tables(comm, scene, quick=True)
+    assert set(dict(zip(by_setting.columns, zip(*by_setting.rows, strict=True), strict=True))["order"]) == {2, 4}
+    assert [row[0] for row in both.rows] == ["16×16×16", "32×32×32"]
+    second, fourth = (np.array([value(row[column]) for row in both.rows]) for column in (2, 4))
+    assert second[0] / second[1] < 5 < fourth[0] / fourth[1]
+    if comm.rank == 0:
+        write([("pareto", both)], tmp_path)
+        assert (tmp_path / "pictures" / "verify_order_4_and_order_2_smooth.png").stat().st_size > 1000

@@ -20,7 +20,7 @@ class FourthOrderGhosts {
   /// What stands behind walls and coarse-fine faces.
   enum class Ends {
     ghosts,    ///< what walls and coarser cells make of it
-    of_field,  ///< the same, with as many cells behind Dirichlet walls as behind others: for E, not for the operator
+    of_field,  ///< the same, but behind Dirichlet walls what the cells before them make of it: for E
     faces,     ///< beyond coarse-fine faces, in the first layer, the value on the face; nothing is done at walls
     nothing    ///< not a number
   };
@@ -110,8 +110,8 @@ class FourthOrderGhosts {
     Boundary const kind = mesh_.hierarchy().domain().boundary[std::size_t(axis)][std::size_t(side)];
     return polynomial_at_wall(l, axis, side, std::min(cells, fourth_order::cells_at_wall(kind)));
   }
-  /// How many cells in line from a face of the box under way inwards the level has, as far as ghosts matter.
-  int cells_inside(int l, int b, int axis, int side, int u, int v) const;
+  /// How many cells in line from a face of the box under way inwards the level has, and are at hand, up to `most`.
+  int cells_inside(int l, int b, int axis, int side, int u, int v, int most = fourth_order::wall_cells) const;
 
   Traffic of_visit() const;
   std::size_t bytes() const;
@@ -122,6 +122,7 @@ class FourthOrderGhosts {
                                                              int v, int count);
   void fill_wall(int l, int b, int axis, int side, Ends ends, Real const* phi, Walls const& walls, int first);
   bool fill_open_wall(int l, int b, int axis, int side, Walls const& walls, int first);
+  void extrapolate(int l, int b, int axis, int side, Real const* phi);
   fourth_order::WallGhosts const& polynomial_at_wall(int l, int axis, int side, int cells) const {
     return wall_ghosts_[std::size_t(l)][std::size_t(2 * axis + side)][std::size_t(cells)];
   }
@@ -146,6 +147,7 @@ class FourthOrderGhosts {
       std::array<std::array<std::array<Real, fourth_order::MeansBlock::most>, 2>, fourth_order::MeansBlock::most>,
       fourth_order::MeansBlock::most + 1>
       half_weights_{};
+  fourth_order::Extrapolation extrapolation_ = fourth_order::make_extrapolation();
   bool zero_ = false;  ///< whether the box under way is of `visit_zero`
   CoarseFluxes fluxes_;
   std::array<std::array<std::vector<Real>, layers>, 6> ghosts_;  ///< of the box under way

@@ -140,6 +140,20 @@ inline WallGhosts make_wall_ghosts(Boundary kind, Real spacing, int cells) {
   return out;
 }
 
+/// Of cells beyond an end of a line, the means by those of so many cells before it.
+constexpr int extrapolation_cells = 5;
+using Extrapolation = std::array<std::array<Real, extrapolation_cells>, ghost_layers>;
+inline Extrapolation make_extrapolation() {
+  Extrapolation out;
+  std::vector<Functional> known;
+  for (int n = 0; n < extrapolation_cells; ++n) known.push_back(mean_over(n, n + 1));
+  for (int n = 0; n < ghost_layers; ++n) {
+    auto const weights = weights_of(known, mean_over(-n - 1, -n));
+    for (std::size_t c = 0; c < extrapolation_cells; ++c) out[std::size_t(n)][c] = weights[c];
+  }
+  return out;
+}
+
 // ---- coarse-fine faces ----
 
 /// Along the normal, in fine cell widths: coarse means over [-2, 0] and [-4, -2], already over the fine cells' faces,

@@ -29,6 +29,8 @@ def picture(path: Path, title: str, across: str, upwards: str) -> Iterator[Axes]
     axes.set(xlabel=across, ylabel=upwards, title=title)
     axes.grid(which="major", alpha=0.3)
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    lines = len(axes.get_legend_handles_labels()[1])
+    figure.set_size_inches(8, max(4.5, 0.23 * lines))  # room for all lines of the legend
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
 

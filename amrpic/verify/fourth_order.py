@@ -16,7 +16,7 @@ from . import peers
 from .convergence import outward_slope, smooth
 from .errors import errors, observed_order
 from .meshes import MESHES, Mesh
-from .pareto import orders_against_seconds
+from .pareto import ASKED_FROM, orders_against_seconds
 from .sources import Gaussian, Product, Source, Wave, fill
 from .table import Cell, Goal, Table
 
@@ -85,8 +85,8 @@ def _on_static(comm: MPI.Comm) -> Table:
             rows.append([f"static {cells}", walls, second[2], *fourth[:2], Goal(fourth[2], largest), fourth[3], most])
     return Table(
         "Order 4 on static 64 and 128",
-        "One Gaussian in two nested cubes, as beside AMReX, given as means in order 4, as points in order 2; relative errors of "
-        "values at the centres.",
+        "One Gaussian in two nested cubes, as beside AMReX, given as means in order 4, as points in order 2; relative errors "
+        "of values at the centres.",
         ("case", "walls", "E, L2, order 2", "φ, L2", "φ, max", "E, L2", "E, max", "cycles"),
         rows,
     )
@@ -149,5 +149,5 @@ def _over_seconds(comm: MPI.Comm) -> Table:
         "A round Gaussian on nested cubes in free space, given as means in order 4, as points in order 2, solved to 1e-10 from "
         "zero, best of three; relative error of E (L2).",
         curves,
-        CELLS.index(64),
+        CELLS.index(ASKED_FROM),
     )

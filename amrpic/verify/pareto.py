@@ -36,7 +36,7 @@ from .table import Cell, Goal, Table, text
 SPARED = 1.1  # what the scene may lose to the best: of its error at no more cost, or of its cost at no more error
 LEFT = 0.1  # part of the mesh's error that a solve may leave; what leaves more does not count for the frontier
 LESS = 0.99  # an error that is smaller by less is the same
-AT_EQUAL_TIME = 1 / 40  # of the error of order 2, that order 4 may make on smooth densities
+AT_EQUAL_TIME, ASKED_FROM = 1 / 40, 64  # of the error of order 2, that order 4 may make; base cells along an axis
 LARGEST = 4, 2  # times the cells of the scene as it is: larger meshes are left out, also where few settings are tried
 FINER = 4  # times the base cells per axis of a reference, where no exact field is known
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, "discretization")
@@ -191,9 +191,8 @@ def _row(m: Measured, unit: float, own: Measured, found: Sequence[Measured]) -> 
 
 
 def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> None:
-    """Error against seconds: a colour per mesh and order, a shape per tolerance; the frontier and the scene's own are
-    marked."""
-    meshes = list(dict.fromkeys((*m.setting.mesh[:2], m.setting.order) for m in found))
+    """Error against seconds: a colour per mesh, a shape per tolerance; the frontier and the scene's own are marked."""
+    meshes = list(dict.fromkeys(m.setting.mesh[:2] for m in found))
     tolerances = list(dict.fromkeys(str(m.setting.tolerance) for m in found))
     with picture(path, title, "seconds of a solve and its field", "relative error of E, L2") as axes:
         for m in found:
@@ -201,9 +200,9 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
                 m.seconds,
                 m.error,
                 MARKERS[tolerances.index(str(m.setting.tolerance))],
-                color=f"C{meshes.index((*m.setting.mesh[:2], m.setting.order)) % 10}",
+                color=f"C{meshes.index(m.setting.mesh[:2]) % 10}",
                 fillstyle="full" if m.setting.warm else "none",
-                markersize=5,
+                markersize=5 if m.setting.order == own.setting.order else 3,
             )
         best = frontier(found)
         axes.plot(
@@ -215,17 +214,19 @@ def draw(found: Sequence[Measured], own: Measured, title: str, path: Path) -> No
             label="frontier (by visits)",
         )
         axes.plot(own.seconds, own.error, "ko", markersize=13, fillstyle="none", label="the scene as it is")
-        for number, (cells, levels, order) in enumerate(meshes):
+        for number, (cells, levels) in enumerate(meshes):
             axes.plot(
                 [],
                 [],
                 "s",
                 color=f"C{number % 10}",
                 markersize=5,
-                label=f"{_by(cells)}, {levels} refined{', order 4' if order == 4 else ''}",
+                label=f"{_by(cells)}, {levels} refined",
             )
         for number, tolerance in enumerate(tolerances):
             axes.plot([], [], MARKERS[number], color="grey", markersize=5, label=f"tolerance {tolerance}")
+        if own.setting.order == 4:
+            axes.plot([], [], "o", color="grey", fillstyle="none", markersize=3, label="order 2")
         for style, label in (("full", "from a warm guess"), ("none", "from zero")):
             axes.plot([], [], "o", color="grey", fillstyle=style, markersize=5, label=label)
         axes.set(xscale="log", yscale="log")
@@ -262,7 +263,7 @@ def _orders(found: Sequence[Measured], name: str, default: Setting) -> Table:
         f"The density of `{name}`'s bunches with {default.levels} refined levels, solved to {wanted.tolerance:.0e}; seconds "
         "and errors as above.",
         curves,
-        len(curves[4]) - 1,
+        sum(max(m.setting.cells) < ASKED_FROM for m in found if m.setting == replace(wanted, cells=m.setting.cells)),
     )
 
 

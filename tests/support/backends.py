@@ -21,9 +21,9 @@ def use_default() -> None:
 
     of_package = SolverOptions.native_values
 
-    def native_values(options: SolverOptions) -> dict[str, Any]:
-        named = options.order != 2 or "backend" in options.model_fields_set
-        return of_package(options) | ({} if named else {"backend": DEFAULT})
+    def native_values(self: SolverOptions) -> dict[str, Any]:
+        named = self.order != 2 or "backend" in self.model_fields_set
+        return of_package(self) | ({} if named else {"backend": DEFAULT})
 
     SolverOptions.native_values = native_values  # type: ignore[method-assign]
     Clouds.native = property(lambda clouds: (SHAPES[clouds.shape], clouds.matched, DEFAULT == "kokkos"))  # type: ignore[assignment]

@@ -7,6 +7,8 @@ long form.
 
 A test with an argument `long` has two forms, short for False; the long ones carry the marker `long`, as do tests that have
 no short form. `pytest` leaves them out unless it is given `-m`.
+
+A build without Trilinos skips what needs it; AMRPIC_TEST_BACKEND chooses the default backend (`backends`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import Any
 
 import pytest
 
+import backends
 import mpi_batch
 import mpi_rank
 
@@ -36,6 +39,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "long: takes minutes; `pytest -m long` runs these alone, `pytest -m ''` all")
     plugin = mpi_rank.Rank(config) if mpi_rank.is_rank() else mpi_batch.Launcher(config)
     config.pluginmanager.register(plugin, "amrpic-mpi")
+    backends.use_default()
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -51,6 +55,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whole runs first: a file of few, long tests that began last would end long after all others."""
     items.sort(key=lambda item: item.path.parent.name not in WHOLE_RUNS)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_makereport(call: pytest.CallInfo[None]) -> None:
+    if call.excinfo is not None and (lack := backends.lack(call.excinfo.value)):
+        try:
+            pytest.skip(lack)
+        except pytest.skip.Exception:
+            call.excinfo = pytest.ExceptionInfo.from_current()
 
 
 @pytest.fixture

@@ -18,6 +18,12 @@
 namespace amrpic {
 namespace {
 
+#ifdef AMRPIC_WITHOUT_TRILINOS
+using Space = Kokkos::DefaultExecutionSpace;
+#else
+using Space = Tpetra::Map<>::node_type::execution_space;
+#endif
+
 bool initialized = false;
 
 // Never destroyed: an AtFinalize may outlive the static objects of this file.
@@ -34,7 +40,14 @@ void initialize() {
   MPI_Initialized(&mpi_is_up);
   if (!mpi_is_up) throw std::runtime_error("MPI is not initialised: import mpi4py.MPI before amrpic._native");
 #ifdef AMRPIC_WITHOUT_TRILINOS
-  Kokkos::initialize();
+  try {
+    Kokkos::initialize();
+  } catch (std::runtime_error const& error) {
+    std::string const reason = error.what();
+    throw std::runtime_error("Kokkos finds no device for its " + std::string(Space::name()) +
+                             " kernels: " + reason.substr(0, reason.find('\n')) +
+                             "; run where one is, or build amrpic with a Kokkos for processors");
+  }
 #else
   // Tpetra reads argv even when there is nothing in it for Kokkos, so it gets a real one.
   static char name[] = "amrpic";
@@ -69,10 +82,8 @@ AtFinalize::~AtFinalize() { releases().erase(place_); }
 
 #ifdef AMRPIC_WITHOUT_TRILINOS
 std::string trilinos_version() { return ""; }
-using Space = Kokkos::DefaultExecutionSpace;
 #else
 std::string trilinos_version() { return TRILINOS_VERSION_STRING; }
-using Space = Tpetra::Map<>::node_type::execution_space;
 #endif
 
 std::string kokkos_backend() {

@@ -206,17 +206,10 @@ KOKKOS_INLINE_FUNCTION matrixfree::CoarseRows rows_of_parents(Parents const& par
 
 }  // namespace
 
-void Coarsening::prolong(matrixfree::Coarsening::Into into) {
-  parents_.update(coarse_.correction().array(), values_.array());
-  auto const values = values_.array();
-  auto const ghosts = ghosts_;
-  for_each(
-      "ghosts of coarse corrections", ghosts,
-      KOKKOS_LAMBDA(std::int32_t n) { values(ghosts(n).to) = ghosts(n).factor * values(ghosts(n).from); });
-  if (plan_.refines_) interface_.subtract_coarse(values, fine_.right_hand_side().array());
-
-  bool const set = into == matrixfree::Coarsening::Into::place;
-  auto const e = fine_.correction().array(), r = fine_.right_hand_side().array();
+/// The coarser correction, as it has come, into that of own rows: in its place, or added to it.
+template <bool set>
+void Coarsening::prolong_rows() {
+  auto const values = values_.array(), e = fine_.correction().array(), r = fine_.right_hand_side().array();
   auto const own = fine_.own_rows();
   auto const rows = fine_.tables().rows;
   auto const sources = sources_;
@@ -228,20 +221,30 @@ void Coarsening::prolong(matrixfree::Coarsening::Into into) {
         Row const& row = rows(n);
         float* const to = &e(row.place);
         float const* const right = &r(row.place);
-        bool const sets = set;  // CUDA wants what branches read to be captured before them
         int const ratio = parents.ratio[0];
         if constexpr (on_host)
           if (parents.odd[0] == 0 && parents.seam[0] == 0)
             return matrixfree::with_kind(row.lanes, true, [&](auto lanes, auto) {
-              matrixfree::prolong_row<lanes()>(from, ratio, row.pitch / row.lanes, sets, right, to);
+              matrixfree::prolong_row<lanes()>(from, ratio, row.pitch / row.lanes, set, right, to);
             });
         worker.for_each(row.cells, [&](int i) {
           int const p = parents.parent(0, i);
           float const here = mean(from, p);
-          to[i] = (sets ? 0 : to[i]) +
+          to[i] = (set ? 0 : to[i]) +
                   (ratio == 1 ? here : prolonged(parents.far(0, i), here, mean(from, p + parents.toward(0, i))));
         });
       });
+}
+
+void Coarsening::prolong(matrixfree::Coarsening::Into into) {
+  parents_.update(coarse_.correction().array(), values_.array());
+  auto const values = values_.array();
+  auto const ghosts = ghosts_;
+  for_each(
+      "ghosts of coarse corrections", ghosts,
+      KOKKOS_LAMBDA(std::int32_t n) { values(ghosts(n).to) = ghosts(n).factor * values(ghosts(n).from); });
+  if (plan_.refines_) interface_.subtract_coarse(values, fine_.right_hand_side().array());
+  into == matrixfree::Coarsening::Into::place ? prolong_rows<true>() : prolong_rows<false>();
   fine_.corrections_are_new();
   if (has_gaps()) update_gaps();
   fine_.exchange_corrections(plan_.refines_);

@@ -27,9 +27,11 @@ class Coarsening {
 
   std::size_t bytes() const;
 
-  // Part of the restrictions, and what kernels read, public because CUDA wants it to be.
+  // Parts of the acts, and what kernels read, public because CUDA wants it to be.
   template <bool of_residual>
   void restrict_rows();
+  template <bool set>
+  void prolong_rows();
   struct ParentRow {
     std::int32_t block, y, z;
   };

@@ -358,15 +358,27 @@ struct Sizes {
     for (Real sum : sums) out += sum;
     return out;
   }
-  /// Of the values that value(i) finds in a row.
-  template <class Value>
-  KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, Value const& value) const {
+  /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them.
+  template <class T, class Value>
+  KOKKOS_INLINE_FUNCTION Real over(Worker const& worker, int n, T const* here, T left, T right,
+                                   Value const& value) const {
     Real out = 0;
-    auto const add = [&](int i, Real& sum) { join(sum, of(value(i))); };
-    if (norm == Norm::max)
-      Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
-    else
-      Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
+    if constexpr (on_host) {
+      Real values[chunk];
+      for (int first = 0; first < n; first += chunk) {
+        int const last = n < first + chunk ? n : first + chunk;
+        along(first, last, n, here, left, right, [&](int i, T x, T y) { values[i - first] = value(i, x, y); });
+        join(out, of_all(values, last - first));
+      }
+    } else {
+      auto const add = [&](int i, Real& sum) {
+        join(sum, of(value(i, i > 0 ? here[i - 1] : left, i + 1 < n ? here[i + 1] : right)));
+      };
+      if (norm == Norm::max)
+        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, Kokkos::Max<Real>(out));
+      else
+        Kokkos::parallel_reduce(Kokkos::TeamVectorRange(*worker.team, n), add, out);
+    }
     return out;
   }
 };
@@ -487,46 +499,31 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
         Real const *const zm = k > 0 ? c - nx * ny : ghost(4, j * nx), *const zp =
                                                                            k + 1 < nz ? c + nx * ny : ghost(5, j * nx);
         Real const xm = *ghost(0, j + k * ny), xp = *ghost(1, j + k * ny);
+        auto const put = [=](int i, Real value) {
+          out[i] = float(scale * value);
+          return value;
+        };
         auto const plain = [=](int i, Real before, Real after) {
           return formula(charge[i], c[i], before, after, ym[i], yp[i], zm[i], zp[i]);
         };
-        auto const before = [=](int i) { return i > 0 ? c[i - 1] : xm; };
-        auto const after = [=](int i) { return i + 1 < nx ? c[i + 1] : xp; };
+        if (row.special == all_plain)
+          return sizes.over(worker, nx, c, xm, xp,
+                            [=](int i, Real before, Real after) { return put(i, plain(i, before, after)); });
         // With the fluxes of the finer level through the faces of refined cells, in place of the differences across.
-        auto const special = [&](int i, Real value) {
+        return sizes.over(worker, nx, c, xm, xp, [&](int i, Real before, Real after) {
           std::int32_t const cell = row.special + i;
-          if (covered(cell)) return Real(0);
+          if (covered(cell)) return put(i, 0);
+          Real value = plain(i, before, after);
           for (std::int32_t f = first_refined(cell); f < first_refined(cell + 1); ++f) {
             RefinedFace const& face = refined(f);
             Real const flux = face.flux >= 0 ? fluxes(face.flux) : received(~face.flux);
-            Real const beyond = face.axis == 0   ? (face.side == 0 ? before(i) : after(i))
+            Real const beyond = face.axis == 0   ? (face.side == 0 ? before : after)
                                 : face.axis == 1 ? (face.side == 0 ? ym[i] : yp[i])
                                                  : (face.side == 0 ? zm[i] : zp[i]);
             value -= formula.equation.weight[std::size_t(face.axis)] * (fine_face_weight * flux - (beyond - c[i]));
           }
-          return value;
-        };
-        auto const put = [=](int i, Real value) { out[i] = float(scale * value); };
-        Sizes const measure = sizes;  // CUDA wants what branches read to be captured before them
-        if constexpr (on_host) {
-          Real size = 0, values[chunk];
-          for (int first = 0; first < nx; first += chunk) {
-            int const last = nx < first + chunk ? nx : first + chunk;
-            along(first, last, nx, c, xm, xp, [&](int i, Real x, Real y) { values[i - first] = plain(i, x, y); });
-            if (row.special != all_plain)
-              for (int i = first; i < last; ++i) values[i - first] = special(i, values[i - first]);
-            worker.for_each(last - first, [&](int i) { put(first + i, values[i]); });
-            measure.join(size, measure.of_all(values, last - first));
-          }
-          return size;
-        } else {
-          return measure.over(worker, nx, [&](int i) {
-            Real const found = plain(i, before(i), after(i)),
-                       left = row.special == all_plain ? found : special(i, found);
-            put(i, left);
-            return left;
-          });
-        }
+          return put(i, value);
+        });
       });
 }
 
@@ -548,23 +545,15 @@ Real Composite::add(Real scale) {
                        float const* const from = e.data() + box.origin + row.j * box.pitch_y + row.k * box.pitch_z;
                        Real* const to = phi.data() + box.first + box.extent[0] * (row.j + box.extent[1] * row.k);
                        int const nx = box.extent[0];
-                       auto const add = [=](int i) {
-                         if (row.special == all_plain || (row.special >= 0 && !covered(row.special + i)))
-                           to[i] = fused(scale, Real(from[i]), to[i]);
+                       auto const add = [=](int i, float, float) {
+                         to[i] = fused(scale, Real(from[i]), to[i]);
                          return Real(from[i]);
                        };
-                       Sizes const measure = sizes;  // as above
-                       if constexpr (on_host) {
-                         if (row.special == all_plain)
-                           worker.for_each(nx, [=](int i) { to[i] = fused(scale, Real(from[i]), to[i]); });
-                         else
-                           worker.for_each(nx, add);
-                         Largest<float> of_row;
-                         of_row.add(from, nx);
-                         return measure.of(of_row.value());
-                       } else {
-                         return measure.over(worker, nx, add);
-                       }
+                       if (row.special == all_plain) return sizes.over(worker, nx, from, 0.0f, 0.0f, add);
+                       return sizes.over(worker, nx, from, 0.0f, 0.0f, [&](int i, float before, float after) {
+                         bool const counts = row.special >= 0 && !covered(row.special + i);
+                         return counts ? add(i, before, after) : Real(from[i]);
+                       });
                      }));
   }
   for (int l = mesh_.levels() - 1; l > 0; --l) {

@@ -55,10 +55,12 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
     }
     of_direction_[std::size_t(direction)].last = std::int32_t(faces.size());
   }
-  sides_ = on_device(sides), faces_ = on_device(faces);
-  fits_ = NumberedFits<float>::made();
-  coarse_terms_ = GapTerms<float>(coarse_terms), fine_terms_ = GapTerms<float>(fine_terms);
-  taken_ = Array<Four<float>>("taken", gaps);
+  lists_ = {on_device(sides),
+            on_device(faces),
+            NumberedFits<float>::made(),
+            GapTerms<float>(coarse_terms),
+            GapTerms<float>(fine_terms),
+            Array<Four<float>>("taken", gaps)};
 }
 
 namespace {
@@ -74,54 +76,46 @@ KOKKOS_INLINE_FUNCTION void subtract_stars(Side const& side, float* cell, Four<f
 }  // namespace
 
 void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const {
-  auto const sides = sides_;
-  auto const faces = faces_;
-  auto const fits = fits_;
-  auto const gaps = coarse_terms_;
+  Lists const on = lists_;
   for_each_face(
       "take ghosts", KOKKOS_LAMBDA(std::int32_t n) {
-        Face const& face = faces(n);
-        Side const& side = sides(face.side);
+        Face const& face = on.faces(n);
+        Side const& side = on.sides(face.side);
         Four<float> stars{};
         if (face.fit >= 0)
-          stars = fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
+          stars = on.fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
         else
-          gaps.add(~face.fit, stars, [&](std::int32_t place) { return coarse_values(place); });
+          on.coarse_terms.add(~face.fit, stars, [&](std::int32_t place) { return coarse_values(place); });
         subtract_stars(side, &r(face.cell), stars);
       });
 }
 
 void InterfaceCells::subtract_in_gaps(Array<float> const& e, Array<float> const& r) const {
-  auto const sides = sides_;
-  auto const faces = faces_;
-  auto const gaps = fine_terms_;
-  auto const taken = taken_;
+  Lists const on = lists_;
   for_each_face(
       "take ghosts in gaps", KOKKOS_LAMBDA(std::int32_t n) {
-        Face const& face = faces(n);
+        Face const& face = on.faces(n);
         if (face.fit >= 0) return;
         Four<float> stars{}, change;
-        gaps.add(~face.fit, stars, [&](std::int32_t place) { return e(place); });
+        on.fine_terms.add(~face.fit, stars, [&](std::int32_t place) { return e(place); });
         for (std::size_t b = 0; b < 2; ++b)
-          for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - taken(~face.fit)[b][a];
-        subtract_stars(sides(face.side), &r(face.cell), change);
-        taken(~face.fit) = stars;
+          for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - on.taken(~face.fit)[b][a];
+        subtract_stars(on.sides(face.side), &r(face.cell), change);
+        on.taken(~face.fit) = stars;
       });
 }
 
 void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& coarse_values) const {
-  auto const sides = sides_;
-  auto const faces = faces_;
-  auto const taken = taken_;
+  Lists const on = lists_;
   for_each_face(
       "take fluxes", KOKKOS_LAMBDA(std::int32_t n) {
-        Face const& face = faces(n);
-        Side const& side = sides(face.side);
+        Face const& face = on.faces(n);
+        Side const& side = on.sides(face.side);
         float const* const cell = &e(face.cell);
         auto const through = [&](std::int32_t at) { return difference_at_interface(cell[at], cell[at + side.inward]); };
         float sum = through(0) + through(side.cell_u) + through(side.cell_v) + through(side.cell_u + side.cell_v);
         if (face.fit < 0) {
-          auto const& ghosts = taken(~face.fit);
+          auto const& ghosts = on.taken(~face.fit);
           sum -= float(interface_ghost::coarse) * (ghosts[0][0] + ghosts[0][1] + ghosts[1][0] + ghosts[1][1]);
         }
         coarse_values(face.parent) -= side.flux_weight * sum;
@@ -129,8 +123,8 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
 }
 
 std::size_t InterfaceCells::bytes() const {
-  return faces_.extent(0) * sizeof(Face) + sides_.extent(0) * sizeof(Side) + coarse_terms_.bytes() +
-         fine_terms_.bytes() + taken_.extent(0) * sizeof(Four<float>);
+  return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(Side) + lists_.coarse_terms.bytes() +
+         lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(Four<float>);
 }
 
 }  // namespace amrpic::kokkos

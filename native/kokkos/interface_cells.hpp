@@ -13,7 +13,7 @@ class InterfaceCells {
   InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout);
 
   /// See matrixfree::InterfaceCells.
-  void start() { Kokkos::deep_copy(taken_, Four<float>{}); }
+  void start() { Kokkos::deep_copy(lists_.taken, Four<float>{}); }
   void subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const;
   void subtract_in_gaps(Array<float> const& e, Array<float> const& r) const;
   void subtract_flux(Array<float> const& e, Array<float> const& coarse_values) const;
@@ -29,6 +29,13 @@ class InterfaceCells {
     std::int32_t side, cell, parent;
     std::int32_t fit;  ///< its number, or ~(that of the gap)
   };
+  struct Lists {
+    Array<Side> sides;
+    Array<Face> faces;
+    NumberedFits<float> fits;
+    GapTerms<float> coarse_terms, fine_terms;
+    Array<Four<float>> taken;  ///< of each gap
+  };
 
  private:
   template <class F>
@@ -36,12 +43,8 @@ class InterfaceCells {
     for (Part const& part : of_direction_) for_each(name, part, f);
   }
 
-  Array<Side> sides_;
-  Array<Face> faces_;
+  Lists lists_;
   std::array<Part, 6> of_direction_;
-  NumberedFits<float> fits_;
-  GapTerms<float> coarse_terms_, fine_terms_;
-  Array<Four<float>> taken_;
 };
 
 }  // namespace amrpic::kokkos

@@ -65,23 +65,6 @@ SweptLevel::SweptLevel(Communicator const& comm, matrixfree::SweptLevel& plan)
   }
 }
 
-void SweptLevel::relax(int sweeps, bool from_zero, int further) {
-  if (from_zero && sweeps == 0) {
-    Kokkos::deep_copy(e_.array(), 0.0f);
-    stale_ = 0;
-  }
-  int reach = further + 2 * sweeps - 1;
-  for (int half = 0; half < 2 * sweeps; ++half, --reach) {
-    matrixfree::HalfSweep const h(half, from_zero);
-    bring(h.reads);
-    for (Together const& part : together_) {
-      if (!h.is_fresh) compose(part.composition);
-      half_sweep(part.rows, h.colour, h.is_fresh, reach);
-    }
-    stale_ |= h.changes;
-  }
-}
-
 /// Set composed rows.
 void SweptLevel::compose(Part const& runs) {
   LevelTables const level = tables_;
@@ -96,39 +79,32 @@ void SweptLevel::compose(Part const& runs) {
 }
 
 /// One colour of some rows, at most `reach` steps from own cells.
-void SweptLevel::half_sweep(Part const& rows, int colour, bool from_zero, int reach) {
+template <bool from_zero>
+void SweptLevel::half_sweep(Part const& rows, int colour, int reach) {
   LevelTables const level = tables_;
   auto const r = r_.array(), e = e_.array();
-  if (from_zero) {
-    for_each_row(
-        "relax from zero", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
-          Row const& row = level.rows(n);
-          if (row.steps > reach) return;
-          float* const here = &e(row.place);
-          float const *const right = &r(row.place), *const step = &level.coefficients(
-                                                        row.coefficients +
-                                                        (1 + ((row.parity + colour) & 1)) * row.pitch);
-          worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
-        });
-    return;
-  }
   for_each_row(
       "relax", rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         Row const& row = level.rows(n);
         if (row.steps > reach) return;
         int const parity = (row.parity + colour) & 1;
-        matrixfree::CorrectionRow const at = level.correction(row, e.data());
         float const *const right = &r(row.place), *const step =
                                                       &level.coefficients(row.coefficients + (1 + parity) * row.pitch);
-        if constexpr (on_host)
-          matrixfree::with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
-            matrixfree::relax<lanes(), isotropic()>(at, level.weight, right, step, level.keep, parity);
-          });
-        else
-          worker.for_each((row.cells - parity + 1) / 2, [&](int half) {
-            int const i = 2 * half + parity;
-            at.here[i] = relaxed(level.keep, at.here[i], step[i], level.sum(row, at, i), right[i]);
-          });
+        float* const here = &e(row.place);
+        if constexpr (from_zero) {
+          worker.for_each(row.pitch, [=](int i) { here[i] = relaxed_from_zero(step[i], right[i]); });
+        } else {
+          matrixfree::CorrectionRow const at = level.correction(row, e.data());
+          if constexpr (on_host)
+            matrixfree::with_kind(row.lanes, level.isotropic, [&](auto lanes, auto isotropic) {
+              matrixfree::relax<lanes(), isotropic()>(at, level.weight, right, step, level.keep, parity);
+            });
+          else
+            worker.for_each((row.cells - parity + 1) / 2, [&](int half) {
+              int const i = 2 * half + parity;
+              here[i] = relaxed(level.keep, here[i], step[i], level.sum(row, at, i), right[i]);
+            });
+        }
       });
 }
 
@@ -139,6 +115,23 @@ void SweptLevel::bring(int colours) {
     if (colours & stale_ & matrixfree::colour_bit(colour))
       halo_of_colour_[std::size_t(colour)].update(e_.array(), e_.array());
   stale_ &= ~colours;
+}
+
+void SweptLevel::relax(int sweeps, bool from_zero, int further) {
+  if (from_zero && sweeps == 0) {
+    Kokkos::deep_copy(e_.array(), 0.0f);
+    stale_ = 0;
+  }
+  int reach = further + 2 * sweeps - 1;
+  for (int half = 0; half < 2 * sweeps; ++half, --reach) {
+    matrixfree::HalfSweep const h(half, from_zero);
+    bring(h.reads);
+    for (Together const& part : together_) {
+      if (!h.is_fresh) compose(part.composition);
+      h.is_fresh ? half_sweep<true>(part.rows, h.colour, reach) : half_sweep<false>(part.rows, h.colour, reach);
+    }
+    stale_ |= h.changes;
+  }
 }
 
 void SweptLevel::prepare_residual() {

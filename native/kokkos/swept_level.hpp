@@ -83,7 +83,8 @@ class SweptLevel {
 
   // Parts of `relax`, public because CUDA wants members with kernels to be.
   void compose(Part const& runs);
-  void half_sweep(Part const& rows, int colour, bool from_zero, int reach);
+  template <bool from_zero>
+  void half_sweep(Part const& rows, int colour, int reach);
 
  private:
   void bring(int colours);

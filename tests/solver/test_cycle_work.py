@@ -25,7 +25,8 @@ def hierarchy_of(case: Case, comm: Any) -> amrpic.Hierarchy:
 
 def sent(mesh: amrpic.Hierarchy, cycles: int) -> Traffic:
     """What this rank sends in so many cycles, and in what surrounds them."""
-    solver = amrpic.PoissonSolver(mesh, tolerance=1e-30, max_cycles=cycles, background="neutralizing")
+    given: dict[str, Any] = {"backend": "matrix-free", "background": "neutralizing"}
+    solver = amrpic.PoissonSolver(mesh, tolerance=1e-30, max_cycles=cycles, **given)
     rho = amrpic.Field(mesh, "C/m^3").fill(lambda x, y, z: np.sin(5 * x) * np.cos(3 * y) + z)
     before = traffic()
     solver.solve(rho)

@@ -10,6 +10,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+import backends
 from amrpic import _native
 from amrpic.errors import SceneError, SolverError
 from amrpic.mesh.domain import BoundarySpec
@@ -202,6 +203,7 @@ def test_scenes_refuse_them_in_the_same_words(solver, complaint):
         amrpic.Scene.from_dict({"domain": domain, "solver": solver})
 
 
+@pytest.mark.skipif(backends.DEFAULT != "matrix-free", reason="the default backend is one that was chosen for tests")
 def test_defaults_are_the_same_in_scenes_in_python_and_in_the_native_struct():
     scene = Scene.from_dict({"domain": {"lower": 0, "upper": 1, "cells": 16}})
     assert dict(scene.solver) == {**dict(SolverOptions()), "reuse": True}

@@ -221,7 +221,7 @@ class Fuzzer:
     def run(self, number: int, case: Case) -> Result:
         """Solve a case and its reference at the same time and compare."""
         if self.plain is None:
-            self.plain = Pool(1)
+            self.plain = Pool(1, {"AMRPIC_TEST_BACKEND": "matrix-free"})
             warm_up(self.plain)
         pools = {"": self.pool(case.isa), "reference: ": self.plain}
         for name, pool in pools.items():

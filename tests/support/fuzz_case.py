@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+import backends
+
 Box = tuple[tuple[int, int, int], tuple[int, int, int]]
 Faces = tuple[tuple[str, str], tuple[str, str], tuple[str, str]]
 
@@ -169,7 +171,7 @@ def solve(comm: Any, case: Case, wants_phi: bool = True) -> Outcome:
             warnings.simplefilter("error")
             names: dict[str, Any] = {}
             exec(compile(case.program(), "<case>", "exec"), names)
-            solver, phi, report = names["solve"](comm, case.max_grid_size, case.backend)
+            solver, phi, report = names["solve"](comm, case.max_grid_size, backends.executed(case.backend))
     except Exception as raised:
         out.error = f"{type(raised).__name__}: {raised}"
     errors = [error for error in comm.allgather(out.error) if error]

@@ -26,8 +26,9 @@ GRACE = 3.0  # seconds for the other ranks to end a test that failed on one, and
 
 # Taken before anything imports mpi4py, which marks the environment of this process as that of an MPI process.
 ENVIRONMENT = {
-    **os.environ,
     "OMP_NUM_THREADS": "1",
+    **os.environ,
+    "KOKKOS_DISABLE_WARNINGS": "1",  # of threads and cores; what tests print is looked at
     "AMRPIC_PROGRESS": "0",  # what a busy machine makes slow is not worth a line
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",

@@ -1,0 +1,45 @@
+"""Which backends tests have: another default than the package's may be tried, and what a build lacks is skipped.
+
+With AMRPIC_TEST_BACKEND=kokkos solvers and scenes that name no backend have this one, in order 2, and so have all clouds.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+DEFAULT = os.environ.get("AMRPIC_TEST_BACKEND", "matrix-free")
+LACKS_TRILINOS = "needs Trilinos, and amrpic was built without it"
+
+
+def use_default() -> None:
+    """Let this process execute by `DEFAULT` what names no backend."""
+    if DEFAULT == "matrix-free":
+        return
+    from amrpic.particles.clouds import SHAPES, Clouds
+    from amrpic.scene.solver_options import SolverOptions
+
+    of_package = SolverOptions.native_values
+
+    def native_values(self: SolverOptions) -> dict[str, Any]:
+        named = self.order != 2 or "backend" in self.model_fields_set
+        return of_package(self) | ({} if named else {"backend": DEFAULT})
+
+    SolverOptions.native_values = native_values  # type: ignore[method-assign]
+    Clouds.native = property(lambda clouds: (SHAPES[clouds.shape], clouds.matched, DEFAULT == "kokkos"))  # type: ignore[assignment]
+
+
+def has_trilinos() -> bool:
+    from amrpic import _native
+
+    return bool(_native.trilinos_version())
+
+
+def executed(backend: str) -> str:
+    """The backend in whose place this one is wanted: the default for matrix-free, and for what the build lacks."""
+    return backend if backend != "matrix-free" and (backend != "crs" or has_trilinos()) else DEFAULT
+
+
+def lack(error: BaseException) -> str:
+    """What the build lacks, if that is why a test failed; else empty."""
+    return f"this build has no Trilinos: {error}"[:200] if LACKS_TRILINOS in str(error) and not has_trilinos() else ""

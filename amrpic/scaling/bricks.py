@@ -70,6 +70,7 @@ class Served:
 
     bricks: Bricks
     servers: Array  # as in `particles.Sorting`
+    places: Array  # of the bricks, on the curve
     particles: Array  # (ranks,)
     pairs: Array  # int64 (m, 2): brick, and a rank that serves some of its particles
     exchange: Exchange
@@ -138,7 +139,7 @@ def served(bricks: Bricks, mesh: Hierarchy, matched: bool) -> Served:
     each = bricks.particles[brick] * ((stop - begin) / _native.PLACES_PER_BRICK)
     pairs = np.column_stack([brick, rank])
     between = exchange(mesh, bricks.rows, pairs, parts, first)
-    return Served(bricks, servers, np.bincount(rank, each, ranks), pairs, between)
+    return Served(bricks, servers, places, np.bincount(rank, each, ranks), pairs, between)
 
 
 def exchange(mesh: Hierarchy, rows: Array, pairs: Array, parts: Array, first: Array) -> Exchange:

@@ -24,15 +24,16 @@ from ..scene.scene import Scene
 from .bricks import Bricks, Exchange, Served, bricks_of, served
 from .densities import charged_regions, clouds_of, planned_mesh
 from .measure import cells_of_ranks, faces_of_ranks
+from .moves import Leaving, leaving, moves
 from .neighbours import neighbours_of_ranks
 from .sent import Sent
 from .virtual_ranks import (
     chosen_ranks,
     counts,
     cycle_plans,
+    displacements,
     distributed,
     moved_on,
-    moved_part,
     particles_of,
     sample,
     without_open_walls,
@@ -78,15 +79,14 @@ class Plan:
     memory: Array  # (ranks,) bytes at the fullest
     start_memory: Array  # (ranks,) bytes while particles are made and placed
     checkpoint: list[Load]  # of each writer
-    looked_at: list[
-        int
-    ]  # ranks of which messages are counted: the heaviest, others at even distances, and two busy nodes
+    looked_at: list[int]  # ranks of which messages are counted: the heaviest, others at even distances, and busy nodes
     sent: list[dict[str, Sent]]  # of these, by call
     nodes: list[range]  # ranks of these nodes
     relaxed: float  # Σ_l max over ranks of cells relaxed in a cycle, as a part of those of all on one rank
     walls: list[Walls]  # of ranks that were gone through, all or `WALLS` of them
     without: Choices
     exchange: Exchange  # between servers of particles and owners of cells
+    between: Leaving  # particles that come to other servers in a step
     estimates: float  # cycles per solve that find the error of the mesh, besides those that improve the potential
     met: Array  # (ranks,) other ranks that one meets, of all levels together
     seconds: float  # of the processor, in which the plan was made
@@ -136,13 +136,17 @@ class Plan:
 
     def leaving(self, call: str, ranks_per_node: int) -> float:
         """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
-        what servers of particles and owners of cells send each other, of all nodes."""
+        all nodes for "migrate", and for what servers of particles and owners of cells send each other."""
+        if call == "migrate":
+            bytes_ = sum(of[call].traffic.bytes for of in self.sent)
+            each = bytes_ / max(float(self.between.sent[self.looked_at].sum()), 1.0)  # of a particle
+            return each * float(self.between.of_nodes(ranks_per_node).max())
         shared = {"deposit": self.exchange.deposit, "gather": self.exchange.gather}.get(call)
-        each = {
+        left = {
             rank: (of[call] - shared(rank) if shared else of[call]).leaving(rank, ranks_per_node)
             for rank, of in zip(self.looked_at, self.sent, strict=True)
         }
-        busiest = max(sum(each[rank] for rank in node) / len(node) for node in self.nodes)
+        busiest = max(sum(left[rank] for rank in node) / len(node) for node in self.nodes)
         return ranks_per_node * busiest + (self.exchange.leaving(call, ranks_per_node) if shared else 0.0)
 
 
@@ -241,6 +245,8 @@ class Planner:
         held = served(self._on(mesh), mesh, scene.particles.interface == "matched")
         neighbours = neighbours_of_ranks(mesh)
         met = neighbours.sum(axis=0)
+        moved = moves(held.bricks, mesh, displacements(scene, self._sample))
+        between = leaving(moved, held, ranks)
         self._say(f"{ranks} ranks: cycles")
         cycle_of = cycle_plans(scene, closed)
         cycles = Cycles.of(cycle_of, ranks)
@@ -253,7 +259,10 @@ class Planner:
             _values_of(ranks, {rank: of.traffic.messages for rank, of in walls.items()}),
         ]
         chosen = chosen_ranks(
-            np.vstack([*busy, met, neighbours, cells, held.particles, held.exchange.messages]), looked_at
+            np.vstack(
+                [*busy, met, neighbours, cells, held.particles, held.exchange.messages, between.messages, between.sent]
+            ),
+            looked_at,
         )
         other = moved_on(closed)
         looks: dict[int, dict[str, Sent]] = {}
@@ -267,10 +276,10 @@ class Planner:
             return looks[rank]
 
         nodes = []
-        for call in ("cycle", "migrate") if ranks > NODE else ():
-            busiest = max(chosen, key=lambda rank: look(rank)[call].leaving(rank, NODE))
-            first = busiest // NODE * NODE
-            nodes.append(range(first, min(first + NODE, ranks)))
+        if ranks > NODE:  # of the rank with the most bytes that leave its node in a cycle, and that with the most bytes
+            far = max(chosen, key=lambda rank: look(rank)["cycle"].leaving(rank, NODE)) // NODE
+            most = int(np.bincount(np.arange(ranks) // NODE, cycles.bytes).argmax())
+            nodes = [range(node * NODE, min(node * NODE + NODE, ranks)) for node in sorted({far, most})]
         for rank in sorted({*chosen, *itertools.chain.from_iterable(nodes)}):
             look(rank)
         return Plan(
@@ -280,7 +289,7 @@ class Planner:
             faces_of_ranks(mesh),
             held.particles,
             np.bincount(held.pairs[:, 1], minlength=ranks),
-            moved_part(scene, held.bricks, mesh, self._sample),
+            moved.moved,
             isinstance(scene.motion, RandomWalk),
             *self._memory(mesh, cells, held),
             self._checkpoint(cells, held),
@@ -291,6 +300,7 @@ class Planner:
             list(walls.values()),
             self._without(mesh, held),
             held.exchange,
+            between,
             estimates_per_solve(scene),
             met,
             time.process_time() - since,

@@ -148,10 +148,11 @@ def _looked_at(plans: Sequence[Plan]) -> str:
         numbers = (plan.ranks, len(plan.walls), len(plan.looked_at))
         rows.append([*(f"{number:,}" for number in numbers), *bounds])
     return (
-        "Cells, particles and memory are those of all ranks, and cycles are gone through for all. Open walls are gone through "
-        "for all ranks or for many at even distances; all calls for the busiest ranks, for those with most of what they hold, "
-        "for some at even distances and for two busy nodes. How many that is, and what other ranks send at most if none sends "
-        "more for each rank that it meets than the worst of those:\n\n" + as_markdown(rows)
+        "Cells, particles and memory are those of all ranks, and cycles are gone through for all; of particles that move, "
+        "those that leave each node are counted. Open walls are gone through for all ranks or for many at even distances; "
+        "all calls for the busiest ranks, for those with most of what they hold, for some at even distances and for busy "
+        "nodes. How many that is, and what other ranks send at most if none sends more for each rank that it meets than the "
+        "worst of those:\n\n" + as_markdown(rows)
     )
 
 

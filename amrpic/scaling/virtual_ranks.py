@@ -70,48 +70,36 @@ def sample(scene: Scene, number: int) -> Particles:
     return make_particles(MPI.COMM_SELF, scene.model_copy(update={"bunches": bunches}))
 
 
-def moved_part(scene: Scene, bricks: Bricks, mesh: Hierarchy, like: Particles, number: int = 50_000) -> float:
-    """Return the part of particles that a step takes into another brick, from about so many; momenta are those of `like`."""
-    part = min(1.0, number / max(bricks.total, 1.0))
-    made, which = _spread_over(bricks, np.arange(len(bricks.rows)), part, mesh, like, np.random.default_rng(0))
+def displacements(scene: Scene, particles: Particles) -> np.ndarray:
+    """Return by how much a step without forces displaces particles, (n, 3) m."""
     match scene.motion:
         case RandomWalk(amplitude=amplitude):
-            there = random_walk(made, amplitude, scene.seed, 1).position
+            return random_walk(particles, amplitude, scene.seed, 1).position - particles.position
         case Leapfrog(dt=float(dt)):
-            momentum, mass = made.momentum, made.mass
+            momentum, mass = particles.momentum, particles.mass
             gamma = np.sqrt(1 + (momentum**2).sum(axis=1) / (mass * SPEED_OF_LIGHT) ** 2)
-            there = made.position + dt * momentum / (mass * gamma)[:, None]
-        case _:
-            return 0.0
-    spacing = _spacings(mesh)[bricks.rows[which, 0]]
-    cell = (there - np.array(mesh.domain.lower)) / spacing
-    inside = (cell >= bricks.cells[which, :3]) & (cell < bricks.cells[which, 3:] + 1)
-    return float(1 - inside.all(axis=1).mean()) if len(which) else 0.0
-
-
-def _spacings(mesh: Hierarchy) -> np.ndarray:
-    """Return the cell sizes of the levels, (levels, 3) m."""
-    return np.array([mesh.spacing(level) for level in range(mesh.levels)])
+            return dt * momentum / (mass * gamma)[:, None]
+    return np.zeros_like(particles.position)
 
 
 def _spread_over(
     bricks: Bricks, chosen: np.ndarray, part: float, mesh: Hierarchy, like: Particles, rng: np.random.Generator
-) -> tuple[Particles, np.ndarray]:
-    """Return about this part of the particles of some bricks, and the brick of each. They are spread evenly over it, with any
-    ids; momenta are those of `like`."""
+) -> Particles:
+    """Return about this part of the particles of some bricks. They are spread evenly over each, with any ids; momenta are those
+    of `like`."""
     which = np.repeat(chosen, rng.poisson(bricks.particles[chosen] * part))
     corners = bricks.cells[which]
     cell = corners[:, :3] + rng.random((len(which), 3)) * (corners[:, 3:] - corners[:, :3] + 1)
+    spacings = np.array([mesh.spacing(level) for level in range(mesh.levels)])
     taken = rng.integers(0, max(len(like), 1), len(which))
     equal = like.equal_weights and len(like) > 0
-    made = Particles(
-        np.array(mesh.domain.lower) + cell * _spacings(mesh)[bricks.rows[which, 0]],
+    return Particles(
+        np.array(mesh.domain.lower) + cell * spacings[bricks.rows[which, 0]],
         like.momentum[taken],
         np.broadcast_to(like.weight[0], len(which)) if equal else like.weight[taken],
         rng.integers(0, max(round(bricks.total), 1), len(which)),
         like.species,
     )
-    return made, which
 
 
 def particles_of(rank: int, held: Served, mesh: Hierarchy, like: Particles, most: int) -> tuple[Particles, float]:
@@ -121,7 +109,7 @@ def particles_of(rank: int, held: Served, mesh: Hierarchy, like: Particles, most
     """
     bricks = held.pairs[held.pairs[:, 1] == rank, 0]
     part = min(1.0, most / max(held.bricks.particles[bricks].sum(), 1.0))
-    made, _ = _spread_over(held.bricks, bricks, part, mesh, like, np.random.default_rng(rank))
+    made = _spread_over(held.bricks, bricks, part, mesh, like, np.random.default_rng(rank))
     mine, _ = migrate(made, mesh, held.servers)  # where the others go does not matter
     return mine, float(held.particles[rank]) / max(len(mine), 1)
 

@@ -17,7 +17,7 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
       // Such boxes make up the same larger blocks on both levels, unless they end at seams, which these have at places
       // of their own.
       in_place_(pair.parents_in_place && !fine.layout().has_seam() && !coarse.layout().has_seam()) {
-  lay_out_coarse_patches(comm, ghosts);
+  lay_out_coarse_patches(comm, ghosts, pair.known);
   if (coarse.level().ranks() == 1 && fine.level().ranks() > 1) plan_gathering();
   if (refines_)
     interface_ = InterfaceCells(fine.level(), coarse.level(), pair.finer, fine.layout(), fine.faces(), coarse_patches_,
@@ -25,7 +25,7 @@ Coarsening::Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& c
 }
 
 /// Lay out the parents of own blocks with their ghost cells, and plan how their values come.
-void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts) {
+void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, KnownReads* known) {
   Layout const& layout = fine_.layout();
   Level const& coarser = coarse_.level();
   std::vector<Copied> local, local_targets;
@@ -81,14 +81,21 @@ void Coarsening::lay_out_coarse_patches(Communicator const& comm, CoarseGhosts c
   auto const exchange = [&](std::vector<Copied> const& copied, int around, bool has_relays) {
     auto const near = [&](Box const& o) { return o.grow(around).refine(ratio_); };
     auto const regions = [&](int b, auto&& read) { read(level.box(b).coarsen(ratio_).grow(around)); };
-    AskedOf asked_of;
-    if (has_relays) asked_of = [&](int owner) { return copies_asked_of(owner, level, coarser, near, regions); };
+    RoutesOf routes_of;
+    if (has_relays)
+      routes_of = [&](int owner) {
+        std::shared_ptr<RoutedReads const> found;
+        auto& of_owner = known ? (*known)[owner] : found;
+        if (!of_owner)
+          of_owner = std::make_shared<RoutedReads const>(copies_asked_of(owner, level, coarser, near, regions));
+        return of_owner;
+      };
     return RectangleExchange(
         comm, coarse_.layout(), copied, copies_across_ranks(level, coarser, near, regions),
         [this](Box const& box, Part const& f) {
           for_each_part(coarse_patches_.begin(), coarse_patches_.end(), box, f);
         },
-        Colours::all, asked_of);
+        Colours::all, routes_of);
   };
   // Where parents are in place each rank meets its neighbours alone, else all that share the children of one.
   parents_ = exchange(local, reach, !in_place_);

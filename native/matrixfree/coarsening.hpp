@@ -29,6 +29,7 @@ class Coarsening {
     bool parents_in_place = false;  ///< see MultigridLevels
     bool has_gaps = false;          ///< somewhere, on any rank, see `GapFit`
     Level const* finer = nullptr;   ///< the level after the finer one
+    KnownReads* known = nullptr;    ///< what is known of those that read parents, and is added to; else none
   };
   /// Collective.
   Coarsening(Communicator const& comm, SweptLevel& fine, SweptLevel& coarse, Index3 const& ratio, Pair const& pair,
@@ -69,7 +70,7 @@ class Coarsening {
     std::int32_t from, to;
     float factor;
   };
-  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts);
+  void lay_out_coarse_patches(Communicator const& comm, CoarseGhosts const& ghosts, KnownReads* known);
   Vector& clear_target();
   void update_gaps();
   /// The parents that take the residuals of an own block.

@@ -34,8 +34,12 @@ class Cycle {
   /// `shift`: of the Equation. `order`: of the residual that corrections are for. Collective.
   Cycle(Communicator const& comm, Hierarchy const& hierarchy, Real shift, Relaxation const& relaxation, int order = 2)
       : Cycle(comm, levels_of(hierarchy, shift, order), hierarchy.max_grid_size(), relaxation) {}
-  /// On levels of `levels_of`. Collective.
-  Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation);
+  /// What all ranks know of who reads whose corrections, by levels.
+  using Known = std::vector<KnownReads>;
+  /// On levels of `levels_of`. `known`, if given, is what the cycles of other virtual ranks found, and is added to.
+  /// Collective.
+  Cycle(Communicator const& comm, MultigridLevels multigrid, int max_grid_size, Relaxation const& relaxation,
+        Known* known = nullptr);
 
   /// The levels of a hierarchy and those below the base. Local.
   static MultigridLevels levels_of(Hierarchy const& hierarchy, Real shift, int order = 2);
@@ -83,18 +87,22 @@ class CyclePlans {
  public:
   /// `hierarchy`: of a virtual rank. `shift`: of the Equation. Local.
   CyclePlans(std::shared_ptr<Hierarchy const> hierarchy, Real shift, Relaxation const& relaxation)
-      : hierarchy_(std::move(hierarchy)), multigrid_(Cycle::levels_of(*hierarchy_, shift)), relaxation_(relaxation) {}
+      : hierarchy_(std::move(hierarchy)),
+        multigrid_(Cycle::levels_of(*hierarchy_, shift)),
+        relaxation_(relaxation),
+        known_(multigrid_.levels.size()) {}
 
   /// The work of a rank; see Cycle::work. Local.
-  std::vector<LevelWork> work(int rank) const {
+  std::vector<LevelWork> work(int rank) {
     auto const there = hierarchy_->seen_by(rank);
-    return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_).work();
+    return Cycle(there->comm(), seen_by(multigrid_, *there), there->max_grid_size(), relaxation_, &known_).work();
   }
 
  private:
   std::shared_ptr<Hierarchy const> hierarchy_;
   MultigridLevels multigrid_;
   Relaxation relaxation_;
+  Cycle::Known known_;
 };
 
 }  // namespace amrpic::matrixfree

@@ -7,7 +7,7 @@ namespace amrpic::matrixfree {
 
 namespace {
 
-std::map<int, int> routes(std::vector<CopiedRectangle> const& asked) {
+std::map<int, int> relays_to(std::vector<CopiedRectangle> const& asked) {
   std::map<int, std::int64_t> values;
   for (CopiedRectangle const& r : asked) values[r.rank] += r.cells.cells();
   return relays_of(values);
@@ -40,9 +40,16 @@ std::map<int, int> relays_of(std::map<int, std::int64_t> const& values) {
   return out;
 }
 
-RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, AskedOf const& asked_of) {
+RoutedReads::RoutedReads(std::vector<CopiedRectangle> of_all) : asked(std::move(of_all)), relays(relays_to(asked)) {
+  for (std::size_t n = 0; n < asked.size(); ++n) {
+    of_reader[asked[n].rank].push_back(int(n));
+    sent_first[relays.at(asked[n].rank)].push_back(int(n));
+  }
+}
+
+RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, RoutesOf const& routes_of) {
   RelayPlan out;
-  auto const from_me = routes(across.asked);
+  auto const from_me = relays_to(across.asked);
   for (std::size_t n = 0; n < across.asked.size(); ++n)
     out.sent_first.push_back({from_me.at(across.asked[n].rank), int(n), -1});
   sort_by_rank(out.sent_first);
@@ -50,18 +57,19 @@ RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, AskedOf const& as
     int const owner = across.wanted[first].rank;
     int number = int(first);
     while (first < across.wanted.size() && across.wanted[first].rank == owner) ++first;
-    auto const asked = asked_of(owner);
-    auto const from_owner = routes(asked);
-    int const relay = from_owner.at(me);
-    for (CopiedRectangle const& r : asked) {
-      if (r.rank == me) {
-        (relay == me ? out.received_first : out.received_second).push_back({relay == me ? owner : relay, number++, -1});
-      } else if (from_owner.at(r.rank) == me) {
-        int const place = int(out.passed_on.size());
-        out.passed_on.push_back(r.cells);
-        out.received_first.push_back({owner, -1, place});
-        out.sent_second.push_back({r.rank, -1, place});
-      }
+    auto const of_owner = routes_of(owner);
+    if (int const relay = of_owner->relays.at(me); relay != me) {
+      for (std::size_t n = 0; n < of_owner->of_reader.at(me).size(); ++n)
+        out.received_second.push_back({relay, number++, -1});
+      continue;
+    }
+    for (int n : of_owner->sent_first.at(me)) {
+      CopiedRectangle const& r = of_owner->asked[std::size_t(n)];
+      int const place = int(out.passed_on.size());
+      out.received_first.push_back({owner, r.rank == me ? number++ : -1, r.rank == me ? -1 : place});
+      if (r.rank == me) continue;
+      out.passed_on.push_back(r.cells);
+      out.sent_second.push_back({r.rank, -1, place});
     }
   }
   for (auto* steps : {&out.received_first, &out.sent_second, &out.received_second}) sort_by_rank(*steps);

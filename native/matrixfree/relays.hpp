@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <vector>
 
 #include "matrixfree/copies_across_ranks.hpp"
@@ -32,10 +33,22 @@ struct RelayPlan {
   std::vector<Box> passed_on;                                                  ///< cells of what this rank passes on
 };
 
-/// What all ranks read of a rank, as that one has it.
-using AskedOf = std::function<std::vector<CopiedRectangle>(int owner)>;
+/// What all others read of a rank, as that one has it, and by which rank each rectangle passes.
+struct RoutedReads {
+  explicit RoutedReads(std::vector<CopiedRectangle> of_all);
+
+  std::vector<CopiedRectangle> asked;
+  std::map<int, int> relays;                   ///< of each reader, see `relays_of`
+  std::map<int, std::vector<int>> of_reader;   ///< numbers of what it reads, ascending
+  std::map<int, std::vector<int>> sent_first;  ///< of what readers and relays get from the rank itself
+};
+
+using RoutesOf = std::function<std::shared_ptr<RoutedReads const>(int owner)>;
+
+/// Those found so far, by rank: for the plans of many ranks in turn, which read of the same ones.
+using KnownReads = std::map<int, std::shared_ptr<RoutedReads const>>;
 
 /// The plan of rank `me`. Local.
-RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, AskedOf const& asked_of);
+RelayPlan plan_relays(int me, CopiesAcrossRanks const& across, RoutesOf const& routes_of);
 
 }  // namespace amrpic::matrixfree

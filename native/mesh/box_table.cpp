@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "base/search.hpp"
 #include "mesh/array_on_box.hpp"
 
 namespace amrpic {
@@ -38,10 +39,12 @@ template <class F>
 void BoxTable::visit(Box const& region, F&& f) const {
   if (region.empty()) return;
   Box const bins = region.coarsen(bin_);
+  Entry const first{key(bins.lower[0], bins.lower[1], bins.lower[2]), 0};
+  auto at = std::lower_bound(entries_.begin(), entries_.end(), first);
   for (int k = bins.lower[2]; k <= bins.upper[2]; ++k)
     for (int j = bins.lower[1]; j <= bins.upper[1]; ++j) {
       std::int64_t const last = key(bins.upper[0], j, k);
-      auto at = std::lower_bound(entries_.begin(), entries_.end(), Entry{key(bins.lower[0], j, k), 0});
+      at = lower_bound_from(entries_.begin(), entries_.end(), at, Entry{key(bins.lower[0], j, k), 0});
       for (; at != entries_.end() && at->bin <= last; ++at) {
         Box const part = box(at->box).intersect(region);
         if (part.empty()) continue;

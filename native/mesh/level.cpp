@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "base/search.hpp"
+
 namespace amrpic {
 
 Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::vector<Box> boxes,
@@ -22,10 +24,12 @@ Level::Level(Box domain, std::array<bool, 3> periodic, Real3 spacing, std::share
 
 int Level::owner(int b) const {
   auto const& first = owners_->first_box;
-  return int(std::upper_bound(first.begin() + 1, first.end(), b) - first.begin()) - 1;
+  auto const guess = first.begin() + std::ptrdiff_t(std::int64_t(b) * ranks() / box_count());  // runs of equal length
+  return int(lower_bound_from(first.begin() + 1, first.end(), guess + 1, b + 1) - first.begin()) - 1;
 }
 
 std::vector<Index3> Level::images(Box const& region) const {
+  if (!periodic_[0] && !periodic_[1] && !periodic_[2]) return {{0, 0, 0}};
   std::array<std::vector<int>, 3> shifts;
   for (int d = 0; d < 3; ++d) {
     int const n = domain_.extent(d);

@@ -20,9 +20,10 @@ from amrpic.run.initial_particles import make_particles
 from amrpic.run.particle_fields import ParticleFields
 from amrpic.run.plan import Plan as RunPlan
 from amrpic.scaling.bricks import Exchange, bricks_of, exchange, served
-from amrpic.scaling.densities import clouds_of, planned_mesh
+from amrpic.scaling.densities import Cloud, Edges, clouds_of, planned_mesh
 from amrpic.scaling.machine import FOLDER, Machine, Network, Work
 from amrpic.scaling.model import fitted, step_time, total
+from amrpic.scaling.moves import Leaving, leaving, moves
 from amrpic.scaling.neighbours import neighbours_of_ranks
 from amrpic.scaling.plan import Choices, Cycles, Plan, Planner, Walls, spread_out
 from amrpic.scaling.sent import Sent
@@ -32,6 +33,7 @@ from amrpic.scaling.virtual_ranks import (
     counts,
     cycle_plans,
     cycle_work,
+    displacements,
     distributed,
     moved_on,
     without_open_walls,
@@ -167,6 +169,7 @@ def invented() -> Plan:
         walls,
         without,
         between,
+        Leaving(8, *([np.array(values) for values in ([0, 0, 3], [1, 5, 6], [10, 30, 20])])),
         0,
         np.ones(8, dtype=int),
         1.0,
@@ -188,6 +191,7 @@ def test_the_model_is_its_formula():
     )
     assert plan.exchange.leaving("deposit", 4) == 8 + 8 + 800 and plan.exchange.leaving("gather", 4) == 2400
     assert plan.exchange.leaving("deposit", 8) == 0
+    assert plan.leaving("migrate", 4) == 4000 / 40 * 50 and plan.leaving("migrate", 8) == 0
     assert total(step_time(plan, machine().scaled("latency", 2), 2)) > total(times)
 
 
@@ -333,3 +337,33 @@ def test_a_random_walk_spreads_the_particles_of_a_plan():
             spread.append((along * (middle - mean) ** 2).sum() / along.sum())
         assert spread[1] - spread[0] == pytest.approx(4 * 0.003**2 / 3, rel=0.1)
     assert Planner(made).plan(1).moved > 0.5 > Planner(scene()).plan(1).moved > 0
+
+
+@pytest.mark.parametrize("step", ["300 ps", "2 ns"])
+def test_particles_that_leave_ranks_and_nodes_are_those_of_a_migration(step: str):
+    made, ranks = Scene.from_dict({**SCENE, "motion": {"kind": "leapfrog", "dt": step}}), 12
+    mesh = Hierarchy(VirtualRank(0, ranks), made.domain.value, [[((16, 16, 16), (79, 79, 79))]], 16, 8)
+    lower, upper = np.array(mesh.domain.lower), np.array(mesh.domain.upper)
+
+    def share(edges: Edges) -> np.ndarray:
+        x, y, z = (np.diff(along) / (upper - lower)[d] for d, along in enumerate(edges))
+        return x[:, None, None] * y[:, None] * z
+
+    bricks = bricks_of([Cloud(300_000, 1.0, lower, upper, share)], mesh)
+    held = served(bricks, mesh, matched=False)
+    everyone = make_particles(MPI.COMM_SELF, made)
+    everyone = everyone.replace(position=np.random.default_rng(2).uniform(lower, upper, everyone.position.shape))
+    found = leaving(moves(bricks, mesh, displacements(made, everyone)), held, ranks)
+    left, far = np.zeros(ranks), np.zeros(ranks // 4)
+    for rank in range(ranks):
+        there = mesh.seen_by(rank)
+        mine, _ = migrate(everyone, there, held.servers)
+        _native.take_destinations()
+        stayed, lost = migrate(mine.replace(position=mine.position + displacements(made, mine)), there, held.servers)
+        left[rank] = len(mine) - len(stayed) - len(lost)
+        to = _native.take_destinations()
+        far[rank // 4] += left[rank] * sum(n for other, n in to.items() if other // 4 != rank // 4) / sum(to.values())
+    assert np.all(np.abs(found.sent - left) < 5 * np.sqrt(left)) and found.sent.sum() == pytest.approx(
+        left.sum(), rel=0.03
+    )
+    assert np.all(np.abs(found.of_nodes(4) - far) < 5 * np.sqrt(far)) and found.of_nodes(ranks).tolist() == [0]

@@ -48,3 +48,11 @@ def body_force(there: Placed, densities: Sequence[float], gravity: Sequence[floa
     mass_per_weight = density * points.initial_volume / whole.weight[there.body]
     force[there.body] = mass_per_weight[:, None] * np.array(gravity) * load
     return whole.integrate(force)
+
+
+def even_motion(scene: Scene, mesh: Mesh, begin: float, end: float) -> np.ndarray:
+    """Return the displacement in m, (nodes, 3), of a mesh that follows its faces evenly; where held, it is theirs. Local."""
+    (lower, upper), (to_lower, to_upper) = scene.extent(begin), scene.extent(end)
+    part = (mesh.nodes - lower) / (upper - lower)
+    fixed, values = held_by(scene, mesh, begin, end)
+    return np.where(fixed, values, (1 - part) * (to_lower - lower) + part * (to_upper - upper))

@@ -18,6 +18,7 @@ from .solid import Form, Response, Solid
 FIRST_FORCING, LARGEST_FORCING, GAMMA = 1e-2, 0.1, 0.9  # Eisenstat and Walker, choice 2
 ENOUGH = 1e-4  # part of the expected fall that a step must reach
 MOST_CUTS = 20
+ROUNDING = 1e-10  # of potentials
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,7 @@ def equilibrium(
     values: ArrayLike | float = 0.0,
     load: ArrayLike | None = None,
     start: ArrayLike | None = None,
+    even: ArrayLike | None = None,
     tolerance: float = 1e-9,
     linear_tolerance: float | None = None,
     most_iterations: int = 30,
@@ -56,7 +58,9 @@ def equilibrium(
 
     Unknowns that are `fixed`, a mask (nodes,) or (nodes, 3), go to their `values` in m. The residual of the others falls to
     `tolerance` times the size of all forces. Linear solves end by Eisenstat and Walker's rule, or at `linear_tolerance`, or
-    where the tangent is not positive; steps are halved until all det F are positive and the residual or the potential falls.
+    beyond a direction along which the tangent is not positive; steps are halved until all det F are positive and the potential
+    falls, or the residual does and the potential does not rise. The first step takes the walls along; it is halved towards
+    `even`, a displacement (nodes, 3) in m that has their values, if that is given and leaves det F positive.
     What was reached is returned, converged or not. Collective; InputError on all ranks for arrays of other shapes.
     """
     held, target, force = _conditions(solid, fixed, values, load)
@@ -82,12 +86,17 @@ def equilibrium(
         step, linear = solve(
             tangent, residual, fixed=held, values=jump, tolerance=eta, preconditioner=preconditioner, coarse=coarse
         )
-        if linear.iterations == 0 and not linear.converged:  # no positive direction was found: down the slope
-            step = np.where(held, jump, residual / np.maximum(np.abs(tangent.diagonal()), 1e-300))
         del tangent  # what it holds, 17 numbers a point, is not to be there beside the next one
         before = linear.residuals[0]
-        found = _searched(solid, u, step, residual, energy, force, held, moving)
         gradients.append(linear.iterations)
+        found = None
+        if moving and even is not None:
+            there = _vector(solid, even, "the even displacement")
+            state = solid.respond(there)
+            if state.smallest_j > 0:
+                step, u = u + step - there, there
+                residual, energy, moving, found = force - state.force, state.energy, False, (there, state, 0.0)
+        found = _searched(solid, u, step, residual, energy, force, held, moving, size) or found
         if found is None:
             reason = "no part of a step leaves det F positive and lowers the residual or the potential"
             break
@@ -116,21 +125,27 @@ def _searched(
     force: np.ndarray,
     held: np.ndarray,
     moving: bool,
+    size: float,
 ) -> tuple[np.ndarray, Response, float] | None:
     """Where a step or a part of it leads that is good enough; None if there is none. Collective.
 
-    While walls move, potentials and residuals of both ends are not comparable, and det F alone decides.
+    While walls move, potentials and residuals of both ends are not comparable, and det F alone decides. Elsewhere the potential
+    must not rise: the residual also falls towards states that are not stable. It is known but to the rounding of what it is the
+    sum of, about forces of this `size` times the width of an element.
     """
     norm, slope = _norm(solid, np.where(held, 0.0, residual)), _dot(solid, residual, step)
-    potential = energy - _dot(solid, force, u)
+    work = _dot(solid, force, u)
+    potential, uncertain = energy - work, ROUNDING * (abs(energy) + abs(work) + size * float(solid.mesh.spacing.max()))
     length = 1.0
     for _ in range(MOST_CUTS):
         there = u + length * step
         response = solid.respond(there)
         if response.smallest_j > 0:
-            if moving or _norm(solid, np.where(held, 0.0, force - response.force)) <= (1 - ENOUGH * length) * norm:
+            if moving:
                 return there, response, length
-            if slope > 0 and response.energy - _dot(solid, force, there) <= potential - ENOUGH * length * slope:
+            change = response.energy - _dot(solid, force, there) - potential
+            left = _norm(solid, np.where(held, 0.0, force - response.force))
+            if change <= -ENOUGH * length * slope < 0 or (change <= uncertain and left <= (1 - ENOUGH * length) * norm):
                 return there, response, length
         length /= 2
     return None

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ..errors import ParticleError
 from .carry import moved
-from .conditions import body_force, held_by
+from .conditions import body_force, even_motion, held_by
 from .damage import DamageReport, Settled, settle
 from .loads import Loads
 from .material_points import Columns, Placed, migrate, placed, require_inside
@@ -24,18 +25,14 @@ def begin(plan: Plan) -> State:
 
 
 def advance(state: State, plan: Plan) -> State:
-    """Return the state one load step later; a step without equilibrium is halved. Collective.
+    """Return the state one load step later; a step without equilibrium, or after which points leave the mesh, is halved.
 
-    Raises on all ranks SolverError if even the smallest step has none, ParticleError for points that left the mesh.
+    Collective; SolverError on all ranks if even the smallest step fails.
     """
     loads, cuts = state.loads, 0
-    while (found := _equilibrium(state, loads, plan)) is None:
+    while (found := _taken(state, loads, plan)) is None:
         loads, cuts = loads.cut(), cuts + 1
-    settled, report = found
-    measured, totals = measure(state, loads, settled, report, plan)
-    points = state.placed.points
-    columns = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume).columns()
-    there, came = put(columns, plan, loads.end)
+    report, measured, totals, there, came = found
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
     after = loads.taken(max(one.iterations for one in report.equilibria), report.growth)
     return State(state.step + 1, after, there, totals, measured)
@@ -55,6 +52,26 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
         return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness), came
 
 
+def _taken(
+    state: State, loads: Loads, plan: Plan
+) -> tuple[DamageReport, dict[str, float], dict[str, float], Placed, int] | None:
+    """Return how a step goes, what is measured, and where points are then; None if it fails. Collective.
+
+    A step may be so large that the mesh folds between points, and puts some of them outside.
+    """
+    found = _equilibrium(state, loads, plan)
+    if found is None:
+        return None
+    settled, report = found
+    measured, totals = measure(state, loads, settled, report, plan)
+    points = state.placed.points
+    columns = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume).columns()
+    try:
+        return report, measured, totals, *put(columns, plan, loads.end)
+    except ParticleError:
+        return None
+
+
 def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport] | None:
     """Return where forces balance at the end of a step, None if that was not found. Collective."""
     scene, there = plan.scene, state.placed
@@ -64,6 +81,7 @@ def _equilibrium(state: State, loads: Loads, plan: Plan) -> tuple[Settled, Damag
             there.solid,
             fixed=fixed,
             values=values,
+            even=even_motion(scene, there.mesh, loads.begin, loads.end),
             load=body_force(there, plan.densities, scene.gravity, loads.end),
             tolerance=scene.solver.tolerance,
             damage_tolerance=scene.solver.damage_tolerance,

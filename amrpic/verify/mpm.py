@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from .. import mpm
-from ..mpm.state import State
-from ..parallel import from_rank_0
+from .. import fem, mpm
+from ..fem.solve import Preconditioner
+from ..mpm.conditions import held_by
+from ..mpm.state import Plan, State
+from ..mpm.step import begin
+from ..parallel import from_rank_0, global_sum
 from .chosen import in_brief
 from .draw import picture
 from .press import exact_stress
@@ -49,6 +52,9 @@ def tables(comm: MPI.Comm) -> Iterator[Table]:
     yield _column(comm)
     yield _press_without_damage(comm)
     yield _press(comm)
+    if not in_brief():
+        yield _presses(comm)
+        yield _first_step(comm)
     yield Table(
         "Material points: restart",
         "A press with damage, written to a checkpoint half-way and read back: columns of points and of the series that differ "
@@ -340,6 +346,95 @@ def _press(comm: MPI.Comm) -> Table:
         ],
         picture=partial(_draw_energies, run),
     )
+
+
+SEEDS = (1, 2, 3)
+
+
+def _presses(comm: MPI.Comm) -> Table:
+    rows: list[list[Cell]] = []
+    for degree in (1, 2):
+        for seed in SEEDS:
+            changes = press(20, breaks=True, size=replace(SMALL, length=SMALL.length * 2 / degree))
+            domain, structure = {**changes["domain"], "degree": degree}, {**changes["structure"], "seed": seed}
+            run = Pressed.of(comm, {**changes, "domain": domain, "structure": structure})
+            balance = (run["stored"] + run["dissipated"]) / run["work"]
+            rows.append(
+                [
+                    degree,
+                    seed,
+                    Goal(float(run["load"][-1]), 1.0, least=True),
+                    len(run.rows),
+                    float(run["cuts"].sum()),
+                    Goal(float(balance.max()), 1.02),
+                    Goal(_apart(run), 1e-6),
+                    Goal(float(run["newton_most"].max()), MOST_NEWTON),
+                    float(run["j_min"].min()),
+                ]
+            )
+    return Table(
+        "Material points: presses of other structures",
+        f"The same in {SMALL} elements, with grains and voids in other places: each goes to three tenths of the height.",
+        ("degree", "seed", "load", "steps", "cuts", "energy", "forces apart", "Newton, most", "least J"),
+        rows,
+    )
+
+
+# elements, points along each axis of one
+FIRST_STEPS = (((24, 20, 30), 3), ((48, 40, 60), 4))
+MOST_JACOBI = 1000
+
+
+def _first_step(comm: MPI.Comm) -> Table:
+    rows: list[list[Cell]] = []
+    taken = [first_solve(comm, cells, per_axis) for cells, per_axis in FIRST_STEPS]
+    for (cells, per_axis), (count, multigrid, jacobi) in zip(FIRST_STEPS, taken, strict=True):
+        rows.append(
+            [
+                " × ".join(map(str, cells)),
+                f"{per_axis}³",
+                count,
+                Goal(multigrid.iterations, 45),
+                Goal(multigrid.iterations / taken[0][1].iterations, 1.3),
+                multigrid.seconds,
+                jacobi.iterations,
+                float(jacobi.residuals[-1] / jacobi.residuals[0]),
+                jacobi.seconds,
+            ]
+        )
+    return Table(
+        "Material points: first step of a large press",
+        "The same, before anything breaks: iterations of CG to 1e-8 for the first tangent, and seconds; beside them those of "
+        f"the diagonal, {MOST_JACOBI} at most, and what they leave of the residual.",
+        ("elements", "points", "points in all", "iterations", "over the first", "s", "Jacobi", "residual", "s"),
+        rows,
+    )
+
+
+def first_solve(
+    comm: MPI.Comm, cells: tuple[int, int, int], per_axis: int
+) -> tuple[int, fem.SolveReport, fem.SolveReport]:
+    """Points of a press, and how its first linear system is solved by p-multigrid and by the diagonal. Collective."""
+    large = scene({**press(20, breaks=True, size=Size(cells, 60, 0.25e-3)), "points": {"per_axis": per_axis}})
+    there = begin(Plan(comm, large)).placed
+    loads = large.schedule.loads()
+    fixed, values = held_by(large, there.mesh, loads.begin, loads.end)
+    zero = np.zeros_like(values)
+    tangent = there.solid.tangent(zero)
+
+    def solved(preconditioner: Preconditioner, most: int) -> fem.SolveReport:
+        return fem.solve(
+            tangent,
+            zero,
+            fixed=fixed,
+            values=values,
+            preconditioner=preconditioner,
+            tolerance=1e-8,
+            most_iterations=most,
+        )[1]
+
+    count = int(global_sum(comm, len(there.points)))
+    return count, solved("p-multigrid", MOST_JACOBI), solved("jacobi", MOST_JACOBI)
 
 
 def _draw_energies(run: Pressed, path: Path) -> None:

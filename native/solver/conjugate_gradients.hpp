@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <vector>
@@ -11,7 +12,9 @@ namespace amrpic {
 /// How a solve by conjugate gradients went.
 struct GradientsReport {
   std::vector<Real> residuals;  ///< L2 norms, the first one before any iteration
-  bool curved_down = false;     ///< a direction was met along which the operator is not positive: x stays before it
+  /// A direction was met along which the operator is not positive: x has gone along it, downhill, by as much as if the
+  /// curvature had the other sign, though by no longer step than those before.
+  bool curved_down = false;
 };
 
 /// Reduce the residual r = f - A x of a symmetric positive definite A to `tolerance` times what it is, adding to x.
@@ -29,7 +32,7 @@ GradientsReport conjugate_gradients(Communicator const& comm, Apply&& apply, Pre
   };
   GradientsReport out;
   std::vector<Real> z(n), p(n, 0), q(n);
-  Real before = 0;
+  Real before = 0, longest = 0;
   for (int iteration = 0;; ++iteration) {
     precondition(r, z);
     auto const [rz, rr] = dots(z);
@@ -41,11 +44,15 @@ GradientsReport conjugate_gradients(Communicator const& comm, Apply&& apply, Pre
     Real curvature = 0;
     for (std::size_t i = 0; i < n; ++i) curvature += p[i] * q[i];
     curvature = comm.sum(curvature);
+    Real const step = rz / std::abs(curvature);
     if (!(curvature > 0)) {
       out.curved_down = true;
+      Real const down = iteration == 0 ? step : std::min(step, longest);
+      if (curvature < 0)
+        for (std::size_t i = 0; i < n; ++i) x[i] += down * p[i];
       return out;
     }
-    Real const step = rz / curvature;
+    longest = std::max(longest, step);
     for (std::size_t i = 0; i < n; ++i) x[i] += step * p[i], r[i] -= step * q[i];
     before = rz;
   }

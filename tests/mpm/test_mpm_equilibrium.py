@@ -111,6 +111,19 @@ def test_steps_that_turn_points_inside_out_are_cut():
     assert report.converged and np.abs(u).max() < 1e-10, report
 
 
+@pytest.mark.parametrize("share", [0.3, 0.7])
+def test_a_first_step_is_cut_towards_an_even_motion(share):
+    mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 4, degree=2)
+    solid = mpm.Solid(fem.jittered(mesh, 5), PLAIN)
+    even = -share * mesh.nodes * [0, 0, 1]
+    start = 0.01 * np.sin(20 * mesh.nodes) * ~mesh.boundary[:, None]
+    u, report = mpm.equilibrium(solid, fixed=mesh.boundary, values=even, even=even, start=start, tolerance=1e-11)
+    assert report.converged and np.abs(u - even).max() < 1e-9, report
+    assert report.iterations <= 8, report
+    with pytest.raises(InputError, match="the even displacement"):
+        mpm.equilibrium(solid, fixed=mesh.boundary, values=even, even=even[:5])
+
+
 def test_walls_that_meet_have_no_equilibrium():
     mesh = fem.Mesh(MPI.COMM_SELF, 0, 1, 2, degree=1)
     solid = mpm.Solid(fem.gauss(mesh), PLAIN)

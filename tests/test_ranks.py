@@ -11,11 +11,12 @@ from pathlib import Path
 import mpi_batch
 
 HERE = Path(__file__).parent
+INNER = ("batch", "processes", "rank", "server")  # what the plugin consists of
 
 
 def outcomes(tmp_path: Path, text: str) -> tuple[dict[str, str], str]:
     """Outcome by test name, and all that was printed, of a file with these tests."""
-    for name in ("conftest.py", *(f"support/mpi_{part}.py" for part in ("batch", "processes", "rank", "server"))):
+    for name in ("conftest.py", "support/backends.py", *(f"support/mpi_{part}.py" for part in INNER)):
         shutil.copy(HERE / name, tmp_path)
     (tmp_path / "test_inner.py").write_text("import os, sys, time, pytest\n" + text)
     command = [sys.executable, "-m", "pytest", "-rA", "-v", "--color=no", "-p", "no:cacheprovider", "test_inner.py"]

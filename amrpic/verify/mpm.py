@@ -382,7 +382,7 @@ def _presses(comm: MPI.Comm) -> Table:
 
 # elements, points along each axis of one
 FIRST_STEPS = (((24, 20, 30), 3), ((48, 40, 60), 4))
-MOST_JACOBI = 1000
+MOST_JACOBI = 200
 
 
 def _first_step(comm: MPI.Comm) -> Table:

@@ -32,7 +32,8 @@ def advance(state: State, plan: Plan) -> State:
     loads, cuts = state.loads, 0
     while (found := _taken(state, loads, plan)) is None:
         loads, cuts = loads.cut(), cuts + 1
-    report, measured, totals, there, came = found
+    settled, report, there, came = found
+    measured, totals = measure(state, loads, settled, report, plan)
     measured |= {"cuts": cuts, "changed_rank": plan.comm.allreduce(came)} | at_rest(there, plan)
     after = loads.taken(max(one.iterations for one in report.equilibria), report.growth)
     return State(state.step + 1, after, there, totals, measured)
@@ -52,10 +53,8 @@ def put(columns: Columns, plan: Plan, load: float) -> tuple[Placed, int]:
         return placed(there, mesh, plan.materials, scene.points.weights, scene.floor_stiffness), came
 
 
-def _taken(
-    state: State, loads: Loads, plan: Plan
-) -> tuple[DamageReport, dict[str, float], dict[str, float], Placed, int] | None:
-    """Return how a step goes, what is measured, and where points are then; None if it fails. Collective.
+def _taken(state: State, loads: Loads, plan: Plan) -> tuple[Settled, DamageReport, Placed, int] | None:
+    """Return the equilibrium at the end of a step, and where points are then, as `put` has it; None if it fails. Collective.
 
     A step may be so large that the mesh folds between points, and puts some of them outside.
     """
@@ -63,11 +62,10 @@ def _taken(
     if found is None:
         return None
     settled, report = found
-    measured, totals = measure(state, loads, settled, report, plan)
     points = state.placed.points
     columns = moved(settled.solid, settled.displacement, state.placed.body, points.initial_volume).columns()
     try:
-        return report, measured, totals, *put(columns, plan, loads.end)
+        return settled, report, *put(columns, plan, loads.end)
     except ParticleError:
         return None
 

@@ -241,8 +241,9 @@ void FourthOrderGhosts::fill_wall(int l, int b, int axis, int side, Ends ends, R
 
 /// Replace the ghosts behind a wall by what the cells before it make of them, where the level has enough of these.
 ///
-/// The flux through a Dirichlet wall is of third order, so that the potentials before it are off by h^4 all alike, and
-/// their difference to that of the wall, over h, by h^3: differences among themselves are better.
+/// The flux through a Dirichlet wall is of third order. So the potential in the cells next to it has an error of h^4
+/// that hardly changes from cell to cell: their difference to the wall's potential, over h, has one of h^3, those
+/// between the cells a smaller one.
 void FourthOrderGhosts::extrapolate(int l, int b, int axis, int side, Real const* phi) {
   constexpr int count = fourth_order::extrapolation_cells;
   Box const& own = mesh_.box(l, b);

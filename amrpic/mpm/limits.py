@@ -18,6 +18,7 @@ TANGENT_COLUMNS = {"neo-hookean": 18, "ogden": 36}  # while a system is solved
 OUTPUT_COLUMNS = 36  # while stresses are written
 NODE_COLUMNS = 3 * 16  # vectors of Newton, conjugate gradients and the cycle, three components each
 ROWS_OF_BLOCKS = 27 * 9 * 1.2  # of degree 1 and the levels below it
+UNEVEN = 0.15  # part of the elements that the smoother of a higher degree solves for, where there are several materials
 
 
 def memory(scene: Scene) -> dict[str, float]:
@@ -27,10 +28,12 @@ def memory(scene: Scene) -> dict[str, float]:
     if scene.output.write:
         most = max(most, OUTPUT_COLUMNS)
     nodes, corners = (math.prod(n * p + 1 for n in cells) for p in (degree, 1))
+    uneven = UNEVEN * math.prod(cells) if degree > 1 and len(scene.materials) > 1 else 0.0
+    motions = 3 * (degree + 1) ** 3
     return {
         "points": 8.0 * scene.point_count() * (POINT_COLUMNS + PLACE_COLUMNS + most),
         "vectors of nodes": 8.0 * nodes * NODE_COLUMNS,
-        "multigrid": 8.0 * corners * ROWS_OF_BLOCKS,
+        "multigrid": 8.0 * corners * ROWS_OF_BLOCKS + 4.0 * uneven * motions * (motions + 1) / 2,
     }
 
 

@@ -91,14 +91,14 @@ inline void transform(Matrix<P> const& m, V* values) {
   }
 }
 
-/// Sum over elements with points of what `kernel` makes of a vector; of components C per node, own nodes. Where the
-/// kernel reads nothing `u` is null, where it writes nothing `v` is. Collective.
+/// Sum over some elements of each part of what `kernel` makes of a vector; of components C per node, own nodes. Where
+/// the kernel reads nothing `u` is null, where it writes nothing `v` is. Collective.
 ///
 /// kernel(element numbers, how many, values) works on a group in place: it turns values of nodes into what the elements
 /// add to nodes.
 template <int P, int C, class Kernel>
-void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel const& kernel) {
-  Lattice const& lattice = points.lattice();
+void sum_over_elements(Lattice const& lattice, std::vector<Points::Filled> const& elements, Real const* u, Real* v,
+                       Kernel const& kernel) {
   NodeRegions const& regions = lattice.regions();
   std::size_t const halo = regions.halo_size() * C;
   std::vector<Real> halo_u(Kernel::reads ? halo : 0), halo_v(Kernel::writes ? halo : 0), dense_u, dense_v;
@@ -106,7 +106,7 @@ void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel cons
   if (Kernel::writes) std::fill_n(v, std::size_t(lattice.own_nodes()) * C, Real(0));
   for (std::size_t p = 0; p < lattice.parts().size(); ++p) {
     auto const& part = lattice.parts()[p];
-    auto const& filled = points.filled()[p];
+    auto const& filled = elements[p];
     if (filled.element.empty()) continue;
     std::size_t const size = std::size_t(part.nodes.cells()) * C;
     if (Kernel::reads) dense_u.resize(size), regions.read(p, C, u, halo_u.data(), dense_u.data());
@@ -122,6 +122,12 @@ void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel cons
     if (Kernel::writes) regions.add(p, C, dense_v.data(), v, halo_v.data());
   }
   if (Kernel::writes) regions.fold(C, v, halo_v.data());
+}
+
+/// Over all elements with points.
+template <int P, int C, class Kernel>
+void sum_over_elements(Points const& points, Real const* u, Real* v, Kernel const& kernel) {
+  sum_over_elements<P, C>(points.lattice(), points.filled(), u, v, kernel);
 }
 
 }  // namespace amrpic::fem

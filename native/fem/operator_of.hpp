@@ -4,6 +4,7 @@
 #include "fem/at_gauss.hpp"
 #include "fem/at_points.hpp"
 #include "fem/degrees.hpp"
+#include "fem/element_matrix.hpp"
 #include "fem/operators.hpp"
 
 namespace amrpic::fem {
@@ -67,16 +68,37 @@ class OperatorOf : public Operator {
 
   bool has_rigid_modes() const override { return D::rigid_modes; }
 
-  void for_each_element_matrix(TakeMatrix const& f) const override {
-    with_kernel([&](auto nodes, auto const& kernel) {
-      std::vector<Real> matrix;
-      for (std::size_t p = 0; p < points().filled().size(); ++p) {
-        auto const& filled = points().filled()[p];
-        for (std::size_t e = 0; e < filled.element.size(); ++e) {
-          fill_matrix<nodes()>(kernel, filled.element[e], matrix);
-          f(p, filled.corner[e], matrix);
-        }
+  std::vector<Real> stiffness_of_points() const override {
+    BlockValues blocks(std::size_t(points().blocks() * native_lane_count), 0);
+    if constexpr (D::slopes)
+      for (std::int64_t block = 0; block < points().blocks(); ++block) {
+        SquaresAtPoint<C> at{};
+        OnDiagonal<D, C>{d_}(block, at);
+        V sum{};
+        for (auto const& slopes : at.slope)
+          for (std::size_t e = 0; e < 3; ++e) sum += slopes[e][e];
+        store(&blocks[std::size_t(block * native_lane_count)], sum);
       }
+    return points().unblocked(blocks.data(), 1);
+  }
+
+  void for_each_matrix_of(std::vector<Points::Filled> const& elements, TakeMatrix const& f) const override {
+    std::vector<Real> matrix;
+    auto const each = [&](auto&& fill) {
+      for (std::size_t p = 0; p < elements.size(); ++p)
+        for (std::size_t e = 0; e < elements[p].element.size(); ++e) {
+          fill(elements[p].element[e]);
+          f(p, elements[p].corner[e], matrix);
+        }
+    };
+    if constexpr (D::slopes && !D::values)
+      if (!points().gauss())
+        return with_degree(points().lattice().degree(), [&](auto nodes) {
+          ElementMatrix<nodes(), C, D> made(points(), d_);
+          each([&](LocalIndex element) { made.fill(element, matrix); });
+        });
+    with_kernel([&](auto nodes, auto const& kernel) {
+      each([&](LocalIndex element) { fill_matrix<nodes()>(kernel, element, matrix); });
     });
   }
 

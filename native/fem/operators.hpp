@@ -35,10 +35,14 @@ class Operator {
   /// Whether rotations cost nothing, nearly, as in a solid without stress.
   virtual bool has_rigid_modes() const { return false; }
 
-  /// Call f(part of the lattice, first node among the part's, matrix) for each of this rank's elements with points.
-  /// Rows and columns of an element are its nodes, x fastest, component after component. Local.
+  /// How stiff each of this rank's points is: the trace of what makes fluxes of slopes there, with its weight. Local.
+  virtual std::vector<Real> stiffness_of_points() const = 0;
+
+  /// Call f(part of the lattice, first node among the part's, matrix) for each of this rank's elements with points, or
+  /// for some of these. Rows and columns of an element are its nodes, x fastest, component after component. Local.
   using TakeMatrix = std::function<void(std::size_t part, LocalIndex corner, std::vector<Real> const& matrix)>;
-  virtual void for_each_element_matrix(TakeMatrix const& f) const = 0;
+  virtual void for_each_matrix_of(std::vector<Points::Filled> const& elements, TakeMatrix const& f) const = 0;
+  void for_each_element_matrix(TakeMatrix const& f) const { for_each_matrix_of(points_->filled(), f); }
 
   /// What this rank's elements add to the matrix. An unknown's number is that of its node times the components, plus
   /// its own. Local.

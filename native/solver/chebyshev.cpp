@@ -34,35 +34,41 @@ Real largest_of_tridiagonal(std::vector<Real> const& diagonal, std::vector<Real>
   return high;
 }
 
-Chebyshev::Chebyshev(Communicator const& comm, Apply apply, std::vector<Real> inverse, std::vector<Real> start,
-                     Real lower_end)
+Chebyshev::Apply by_diagonal(std::vector<Real> inverse) {
+  return [inverse = std::move(inverse)](std::vector<Real> const& r, std::vector<Real>& z) {
+    for (std::size_t i = 0; i < r.size(); ++i) z[i] = inverse[i] * r[i];
+  };
+}
+
+Chebyshev::Chebyshev(Communicator const& comm, Apply apply, Apply precondition, std::vector<Real> start, Real lower_end)
     : apply_(std::move(apply)),
-      inverse_(std::move(inverse)),
-      product_(start.size()),
+      precondition_(std::move(precondition)),
+      residual_(start.size()),
+      correction_(start.size()),
       change_(start.size()),
       lower_end_(lower_end) {
-  // Conjugate gradients from D⁻¹ make Lanczos' matrix on their way.
+  // Conjugate gradients with S make Lanczos' matrix on their way.
   std::size_t const n = start.size();
-  std::vector<Real> r = std::move(start), p(n, 0), z(n), diagonal, beside;
-  for (std::size_t i = 0; i < n; ++i)
-    if (inverse_[i] == 0) r[i] = 0;
+  std::vector<Real> r = std::move(start), p(n, 0), diagonal, beside;
+  std::vector<Real>&z = correction_, &product = residual_;
   Real before = 0, step_before = 1;
   for (int step = 0; step < lanczos_steps; ++step) {
     std::array<Real, 1> rz{};
-    for (std::size_t i = 0; i < n; ++i) z[i] = inverse_[i] * r[i], rz[0] += r[i] * z[i];
+    precondition_(r, z);
+    for (std::size_t i = 0; i < n; ++i) rz[0] += r[i] * z[i];
     comm.sum_each(rz);
     if (!(rz[0] > 0)) break;
     Real const kept = step == 0 ? 0 : rz[0] / before;
     for (std::size_t i = 0; i < n; ++i) p[i] = z[i] + kept * p[i];
-    apply_(p, product_);
+    apply_(p, product);
     Real curvature = 0;
-    for (std::size_t i = 0; i < n; ++i) curvature += p[i] * product_[i];
+    for (std::size_t i = 0; i < n; ++i) curvature += p[i] * product[i];
     curvature = comm.sum(curvature);
     if (!(curvature > 0)) break;
     Real const length = rz[0] / curvature;
     if (step > 0) beside.push_back(std::sqrt(kept) / step_before);
     diagonal.push_back(1 / length + (step > 0 ? kept / step_before : 0));
-    for (std::size_t i = 0; i < n; ++i) r[i] -= length * product_[i];
+    for (std::size_t i = 0; i < n; ++i) r[i] -= length * product[i];
     before = rz[0], step_before = length;
   }
   largest_ = diagonal.empty() ? 1 : largest_of_tridiagonal(diagonal, beside);
@@ -73,14 +79,17 @@ void Chebyshev::smooth(std::vector<Real> const& b, std::vector<Real>& x, bool fr
   Real const sigma = middle / half;
   Real rho = 1 / sigma;
   for (int sweep = 0; sweep < sweeps; ++sweep) {
-    bool const first = sweep == 0;
-    if (!(first && from_zero)) apply_(x, product_);
+    bool const first = sweep == 0, zero = first && from_zero;
+    if (!zero) {
+      apply_(x, residual_);
+      for (std::size_t i = 0; i < x.size(); ++i) residual_[i] = b[i] - residual_[i];
+    }
+    precondition_(zero ? b : residual_, correction_);
     Real const next = first ? rho : 1 / (2 * sigma - rho);
     Real const keep = first ? 0 : next * rho, take = first ? 1 / middle : 2 * next / half;
     for (std::size_t i = 0; i < x.size(); ++i) {
-      Real const residual = first && from_zero ? b[i] : b[i] - product_[i];
-      change_[i] = (first ? 0 : keep * change_[i]) + take * inverse_[i] * residual;
-      x[i] = (first && from_zero ? 0 : x[i]) + change_[i];
+      change_[i] = (first ? 0 : keep * change_[i]) + take * correction_[i];
+      x[i] = (zero ? 0 : x[i]) + change_[i];
     }
     rho = next;
   }

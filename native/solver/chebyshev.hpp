@@ -7,17 +7,17 @@
 
 namespace amrpic {
 
-/// Chebyshev's iteration with the diagonal, for a symmetric positive definite operator: a smoother that is symmetric
-/// itself. It damps the upper part of the spectrum of D⁻¹A.
+/// Chebyshev's iteration for a symmetric positive definite operator A with one that is easy to apply, S, such as the
+/// inverse of its diagonal: a smoother that is symmetric itself. It damps the upper part of the spectrum of S A.
 class Chebyshev {
  public:
   using Apply = std::function<void(std::vector<Real> const&, std::vector<Real>&)>;
 
-  /// `inverse`: of the diagonal, zero where unknowns are fixed, which then stay as they are. `start`: a vector with
-  /// parts of all wave lengths, from which the largest eigenvalue is estimated by ten steps of Lanczos. `lower_end`:
-  /// where the damped part begins, of that estimate. Collective.
-  Chebyshev(Communicator const& comm, Apply apply, std::vector<Real> inverse, std::vector<Real> start,
-            Real lower_end = 0.1);
+  /// `apply(x, y)`: y = A x. `precondition(r, z)`: z = S r, symmetric and positive definite, zero where unknowns are
+  /// fixed, which then stay as they are. `start`: a vector with parts of all wave lengths, from which the largest
+  /// eigenvalue is estimated by ten steps of Lanczos. `lower_end`: where the damped part begins, of that estimate.
+  /// Collective.
+  Chebyshev(Communicator const& comm, Apply apply, Apply precondition, std::vector<Real> start, Real lower_end = 0.1);
 
   /// Bring x nearer to the solution of A x = b; `from_zero`: x is zero, whatever it holds. Collective.
   void smooth(std::vector<Real> const& b, std::vector<Real>& x, bool from_zero);
@@ -25,10 +25,13 @@ class Chebyshev {
   Real largest_eigenvalue() const { return largest_; }
 
  private:
-  Apply apply_;
-  std::vector<Real> inverse_, product_, change_;
+  Apply apply_, precondition_;
+  std::vector<Real> residual_, correction_, change_;
   Real lower_end_, largest_ = 0;
 };
+
+/// z = r / D, by the inverse of a diagonal.
+Chebyshev::Apply by_diagonal(std::vector<Real> inverse);
 
 /// The largest eigenvalue of a symmetric matrix with three diagonals.
 Real largest_of_tridiagonal(std::vector<Real> const& diagonal, std::vector<Real> const& beside);

@@ -92,18 +92,12 @@ NodeLevels::NodeLevels(Communicator const& comm, fem::NodeBlocks blocks) {
     int const components = blocks.components;
     auto const free = blocks.free;
     // The smoother keeps a pointer to the rows, so a level stays where it is made.
-    auto level = std::unique_ptr<Level>(new Level{components,
-                                                  free,
-                                                  fem::BlockRows(comm, std::move(blocks)),
-                                                  Chebyshev(comm, {}, {}, {}),
-                                                  std::move(halving),
-                                                  {},
-                                                  {},
-                                                  {}});
+    auto level = std::unique_ptr<Level>(
+        new Level{components, free, fem::BlockRows(comm, std::move(blocks)), {}, std::move(halving), {}, {}, {}});
     fem::BlockRows const& kept = level->rows;
-    level->smoother = Chebyshev(
+    level->smoother = std::make_unique<Chebyshev>(
         comm, [&kept](std::vector<Real> const& u, std::vector<Real>& v) { kept.apply(u.data(), v.data()); },
-        inverse_of(kept.diagonal()), start);
+        by_diagonal(inverse_of(kept.diagonal())), start);
     blocks = std::move(coarse);
     level->residual.resize(level->free.size());
     level->coarse_r.resize(blocks.free.size()), level->coarse_z.resize(blocks.free.size());
@@ -115,14 +109,14 @@ NodeLevels::NodeLevels(Communicator const& comm, fem::NodeBlocks blocks) {
 void NodeLevels::cycle(std::size_t number, std::vector<Real> const& r, std::vector<Real>& z) {
   if (number == levels_.size()) return bottom_->solve(r, z);
   Level& level = *levels_[number];
-  level.smoother.smooth(r, z, true);
+  level.smoother->smooth(r, z, true);
   level.rows.apply(z.data(), level.residual.data());
   for (std::size_t i = 0; i < r.size(); ++i) level.residual[i] = level.free[i] * (r[i] - level.residual[i]);
   level.to_coarser->transposed(level.components, level.residual.data(), level.coarse_r.data());
   cycle(number + 1, level.coarse_r, level.coarse_z);
   level.to_coarser->add(level.components, level.coarse_z.data(), z.data());
   keep_free(level.free, z);
-  level.smoother.smooth(r, z, false);
+  level.smoother->smooth(r, z, false);
 }
 
 }  // namespace amrpic

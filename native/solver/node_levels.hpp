@@ -45,7 +45,7 @@ class NodeLevels {
     int components;
     std::vector<Real> free;
     fem::BlockRows rows;
-    Chebyshev smoother;
+    std::unique_ptr<Chebyshev> smoother;
     std::unique_ptr<fem::Halving> to_coarser;
     std::vector<Real> residual, coarse_r, coarse_z;
   };

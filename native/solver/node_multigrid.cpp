@@ -31,7 +31,13 @@ NodeMultigrid::NodeMultigrid(fem::Operator const& a, std::vector<Real> inverse, 
     // A corner is fixed if it is so as a node of the finer degree.
     corners_free_ = free_of(between_->at_corners(a.components(), inverse.data()));
     auto const apply = [this](std::vector<Real> const& x, std::vector<Real>& y) { fine_.apply(x.data(), y.data()); };
-    smoother_ = std::make_unique<Chebyshev>(lattice->comm(), apply, std::move(inverse),
+    elements_ = std::make_unique<ElementSolves>(a, inverse);
+    if (elements_->elements() == 0) elements_.reset();
+    Chebyshev::Apply precondition = [this](std::vector<Real> const& r, std::vector<Real>& z) {
+      elements_->apply(r, z);
+    };
+    if (!elements_) precondition = by_diagonal(std::move(inverse));
+    smoother_ = std::make_unique<Chebyshev>(lattice->comm(), apply, precondition,
                                             disordered(lattice->nodes(), a.components()), lower_end(lattice->degree()));
   }
   auto blocks = fem::node_blocks(coarse ? *coarse : a, corners_free_);

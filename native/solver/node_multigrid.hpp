@@ -5,6 +5,7 @@
 
 #include "fem/interpolation.hpp"
 #include "fem/operators.hpp"
+#include "solver/element_solves.hpp"
 #include "solver/node_aggregates.hpp"
 #include "solver/node_levels.hpp"
 
@@ -14,7 +15,7 @@ enum class CornerCycle { halving, aggregation };
 
 /// A symmetric preconditioner for an operator at points: a V-cycle from its degree to degree 1 at the same points,
 /// which is the Galerkin product, and from there on by half the elements or by MueLu's smoothed aggregates. Chebyshev's
-/// iteration smooths.
+/// iteration smooths, with the diagonal and, at nodes of uneven elements, solves of these.
 class NodeMultigrid {
  public:
   /// `inverse`: of the diagonal, zero where unknowns are fixed. Collective.
@@ -30,6 +31,7 @@ class NodeMultigrid {
   std::vector<bool> fixed_;  ///< of each unknown
   std::vector<Real> corners_free_;
   std::unique_ptr<fem::Interpolation> between_;  ///< null for degree 1
+  std::unique_ptr<ElementSolves> elements_;      ///< null for degree 1, and where no element is uneven
   std::unique_ptr<Chebyshev> smoother_;
   std::unique_ptr<NodeLevels> levels_;  ///< one of both
   std::unique_ptr<NodeAggregates> aggregates_;

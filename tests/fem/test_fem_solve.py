@@ -206,6 +206,41 @@ def test_half_the_elements_serve_as_well_as_aggregates(degree, cells):
     assert taken[0] <= taken[1] + 1 and taken[0] <= 10, taken
 
 
+def with_a_stiff_ball(comm, degree, components, cells, boxes=8):
+    """Points of which those in a ball weigh a thousand times as much, and a right-hand side."""
+    mesh = fem.Mesh(comm, 0, (1, 1.5, 1), (cells, cells - 1, cells), degree=degree, max_grid_size=boxes)
+    drawn = fem.jittered(mesh, degree + 1, seed=2, weights="volume")
+    stiff = np.linalg.norm(drawn.position - 0.45, axis=1) < 0.33
+    volume = drawn.volume * np.where(stiff, 1.0, 1e-3)
+    points = fem.Points(mesh, drawn.element, drawn.reference, volume, drawn.number, weights="volume")
+    return fem.Poisson(points, components=components), points.integrate(
+        np.cos(9 * points.position[:, :components].squeeze())
+    )
+
+
+@pytest.mark.parametrize("coarse", ["geometric", "aggregation"])
+@pytest.mark.parametrize("degree, components, cells, most", [(2, 1, 6, 20), (2, 3, 6, 20), (3, 1, 4, 34)])
+def test_elements_with_few_stiff_points_cost_few_iterations(degree, components, cells, most, coarse):
+    """32 and 88 where the diagonal alone smooths."""
+    poisson, f = with_a_stiff_ball(MPI.COMM_SELF, degree, components, cells)
+    fixed = poisson.mesh.boundary
+    u, report = fem.solve(poisson, f, fixed=fixed, tolerance=1e-8, coarse=coarse)
+    assert report.converged and report.iterations <= most, report
+    plain, _ = fem.solve(poisson, f, fixed=fixed, tolerance=1e-11, preconditioner="jacobi")
+    assert np.abs(u - plain).max() < 1e-5 * np.abs(plain).max()
+
+
+@pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
+def test_elements_with_few_stiff_points_are_the_same_on_ranks(comm):
+    found = []
+    for who, boxes in ((MPI.COMM_SELF, 8), (comm, 2)):
+        poisson, f = with_a_stiff_ball(who, 2, 3, 6, boxes)
+        u, report = fem.solve(poisson, f, fixed=poisson.mesh.boundary, tolerance=1e-10)
+        found.append((on_all_nodes(poisson.mesh, u), report.iterations))
+    assert abs(found[0][1] - found[1][1]) <= 1
+    assert np.abs(found[0][0] - found[1][0]).max() < 1e-8 * np.abs(found[0][0]).max()
+
+
 @pytest.mark.mpi(ranks=(1, 2, 3), more=(4,))
 @pytest.mark.parametrize("preconditioner", ["p-multigrid", "jacobi"])
 def test_ranks_find_the_same_solution_in_as_many_iterations(comm, preconditioner):

@@ -251,7 +251,13 @@ def assert_same(folder: Path, reference: Path, last: int = LAST) -> None:
 
 @pytest.fixture(
     scope="module",
-    params=["leapfrog", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("random-walk", "leapfrog by Kokkos", "material points"))],
+    params=[
+        "leapfrog",
+        *(
+            pytest.param(kind, marks=pytest.mark.long)
+            for kind in ("random-walk", "leapfrog by Kokkos", "material points")
+        ),
+    ],
 )
 def undisturbed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run on two ranks that nobody disturbed."""

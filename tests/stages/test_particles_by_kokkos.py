@@ -129,8 +129,12 @@ def test_a_particle_moves_the_same_bit_by_bit_whoever_stands_beside_it(kernels):
         moved = []
         for particles in (some, everyone):
             between = np.empty((3, len(particles))).T
-            now = push(efield, particles, 1e-11, 2e-11, 3e-11, replace(clouds, kernels=kernels), beta=beta, between=between)
-            moved.append([now.momentum, now.position, between, gather(efield, particles, replace(clouds, kernels=kernels))])
+            now = push(
+                efield, particles, 1e-11, 2e-11, 3e-11, replace(clouds, kernels=kernels), beta=beta, between=between
+            )
+            moved.append(
+                [now.momentum, now.position, between, gather(efield, particles, replace(clouds, kernels=kernels))]
+            )
         for found, expected in zip(*moved, strict=True):
             assert np.array_equal(found, expected[order[among]]), (clouds, beta)
 

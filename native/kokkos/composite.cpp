@@ -72,7 +72,7 @@ std::vector<std::int32_t> numbers(std::size_t count, bool received) {
 
 Composite::Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels)
     : mesh_(mesh), swept_(std::move(levels)), levels_(std::size_t(mesh.levels())), cells_(mesh.plan().cells) {
-  fits_ = NumberedFits<Real>::made();
+  fits_ = NumberedFits::made();
   for (int l = 0; l < mesh_.levels(); ++l) {
     OnLevel& level = levels_[std::size_t(l)];
     std::vector<CompositeBox> boxes;
@@ -111,7 +111,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   std::vector<WallRun> walls;
   std::vector<FineSide> sides;
   std::vector<CoarseFace> faces;
-  GapTerms<Real>::Lists gaps_coarse, gaps_fine;
+  GapTerms::Lists gaps_coarse, gaps_fine;
   std::vector<std::int32_t> own, own_coarse, received;
   if (!plan.gaps.empty()) {
     own = numbers(std::size_t(mesh_.level(l).local_cells()), false);
@@ -153,7 +153,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         coarse_window = places_around(plan, gaps.coarse, gaps.coarse_parts, own_coarse, received);
         window = places_around(plan, gaps.coarse.refine(refinement_ratio), gaps.parts, own, received);
       }
-      auto const add_face = [&](int m, int row, std::int32_t fit) {
+      auto const add_face = [&, u = u, v = v](int m, int row, std::int32_t fit) {
         int const x = 2 * (i.u + m), y = 2 * (i.v + row);
         faces.push_back({std::int32_t(sides.size()), first + x * pitch[u] + y * pitch[v], first_ghost + x + y * nu,
                          middle + m + row * plane_v, i.fluxes + m + row * i.nu, fit});
@@ -168,8 +168,8 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         cell[u] += i.u + m, cell[v] += i.v + row;
         for (auto const& term : fit.terms)
           (term.fine ? gaps_fine : gaps_coarse)
-              .terms.push_back({term.fine ? window(first_child_of(cell), term) : coarse_window(cell, term),
-                                rounded<Real>(term.weight)});
+              .terms.push_back(
+                  {term.fine ? window(first_child_of(cell), term) : coarse_window(cell, term), term.weight});
         gaps_fine.end_gap(), gaps_coarse.end_gap();
         add_face(m, row, ~gap_count++);
       });
@@ -178,7 +178,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   }
   level.neighbours = listed(neighbours), level.coarse = listed(coarse), level.walls = listed(walls);
   level.sides = listed(sides), level.faces = listed(faces);
-  level.gaps_coarse = GapTerms<Real>(gaps_coarse), level.gaps_fine = GapTerms<Real>(gaps_fine);
+  level.gaps_coarse = GapTerms(gaps_coarse), level.gaps_fine = GapTerms(gaps_fine);
   level.ghosts = Array<Real>("ghosts", std::size_t(ghosts)), level.planes = Array<Real>("planes", std::size_t(planes));
   level.fluxes = Array<Real>("fluxes", std::size_t(plan.fluxes));
   bytes_ += (std::size_t(ghosts) + std::size_t(planes) + std::size_t(plan.fluxes)) * sizeof(Real);
@@ -412,7 +412,7 @@ void Composite::fill_ghosts(int l) {
       "ghosts at coarser cells", level.faces, KOKKOS_LAMBDA(std::int32_t n) {
         CoarseFace const& face = level.faces(n);
         FineSide const& side = level.sides(face.side);
-        Four<Real> stars{};
+        FourStars<Real> stars{};
         if (face.fit >= 0) {
           stars = fits.stars(face.fit, level.planes.data() + face.plane, 1, side.plane_v);
         } else {

@@ -100,7 +100,7 @@ class Composite {
     Array<WallRun> walls;
     Array<FineSide> sides;
     Array<CoarseFace> faces;
-    GapTerms<Real> gaps_coarse, gaps_fine;
+    GapTerms gaps_coarse, gaps_fine;
     Array<CopiedRun> sent_cells, sent_fluxes, received_means;
     Array<ParentRun> families, sent_means;  ///< of the coarser level
     Array<Real> ghosts, planes, fluxes;
@@ -122,7 +122,7 @@ class Composite {
   std::vector<SweptLevel*> swept_;
   std::vector<OnLevel> levels_;
   ImportBuffers cells_;
-  NumberedFits<Real> fits_;
+  NumberedFits fits_;
   std::size_t bytes_ = 0;
 };
 

@@ -347,13 +347,7 @@ struct Sizes {
       largest.add(values, n);
       return of(largest.value());
     }
-    Real sums[8] = {}, out = 0;
-    int i = 0;
-    for (; i + 8 <= n; i += 8)
-      for (int q = 0; q < 8; ++q) sums[q] += of(values[i + q]);
-    for (; i < n; ++i) out += of(values[i]);
-    for (Real sum : sums) out += sum;
-    return out;
+    return Magnitude::sum_of(norm, values, n, factor);
   }
   /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them.
   template <class T, class Value>

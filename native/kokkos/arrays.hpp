@@ -29,7 +29,7 @@ class Mirrored {
       array_ = Array<T>(Kokkos::view_alloc(Kokkos::WithoutInitializing, "values"), n);
     to_device();
   }
-  Array<T> const& array() const { return array_; }
+  KOKKOS_INLINE_FUNCTION Array<T> const& array() const { return array_; }
   void to_device() const {
     if constexpr (!on_host) Kokkos::deep_copy(array_, host_);
   }

@@ -18,7 +18,6 @@ class Gather {
 
   void set(Array<float> const& from, Array<float> const& to) const { run(from, to, false); }
   void add(Array<float> const& from, Array<float> const& to) const { run(from, to, true); }
-  bool empty() const { return to_.extent(0) == 0; }
   std::size_t bytes() const { return (to_.extent(0) + first_.extent(0) + from_.extent(0)) * sizeof(std::int32_t); }
 
   /// The act of both, public because CUDA wants members with kernels to be.

@@ -10,12 +10,7 @@ namespace amrpic::kokkos {
 using matrixfree::Parents;
 
 Coarsening::Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, SweptLevel& fine, SweptLevel& coarse)
-    : plan_(plan),
-      fine_(fine),
-      coarse_(coarse),
-      values_(plan.values_.data(), plan.values_.size()),
-      sources_(on_device(plan.sources_)),
-      taking_(on_device(plan.in_place_ ? plan.targets_ : plan.sources_)) {
+    : plan_(plan), fine_(fine), coarse_(coarse), values_(plan.values_.data(), plan.values_.size()) {
   matrixfree::Layout const& layout = fine.plan().layout();
   std::vector<ParentRow> rows;
   std::vector<Block> blocks;
@@ -26,7 +21,6 @@ Coarsening::Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, S
     for (int z = 0; z < extent[2]; ++z)
       for (int y = 0; y < extent[1]; ++y) rows.push_back({std::int32_t(b), y, z});
   }
-  parent_rows_ = on_device(rows), blocks_ = on_device(blocks);
   // A ghost may be a multiple of another one, which was filled before it.
   std::vector<Ghost> ghosts;
   std::unordered_map<std::int32_t, std::size_t> known;
@@ -40,7 +34,8 @@ Coarsening::Coarsening(Communicator const& comm, matrixfree::Coarsening& plan, S
     known[copy.to] = ghosts.size();
     ghosts.push_back(ghost);
   }
-  ghosts_ = on_device(ghosts);
+  lists_ = {on_device(plan.sources_), on_device(plan.in_place_ ? plan.targets_ : plan.sources_), on_device(rows),
+            on_device(blocks), on_device(ghosts)};
   parents_ = CellCopies(comm, plan.parents_, CellCopies::Use::update);
   if (!plan.in_place_) targets_of_residuals_ = CellCopies(comm, plan.targets_of_residuals_, CellCopies::Use::add);
   if (plan.refines_) interface_ = InterfaceCells(plan.interface_, layout);
@@ -103,16 +98,14 @@ template <bool of_residual>
 void Coarsening::restrict_rows() {
   if (!plan_.in_place_) Kokkos::deep_copy(values_.array(), 0.0f);
   LevelTables const level = fine_.tables();
-  auto const parent_rows = parent_rows_;
-  auto const blocks = blocks_;
-  auto const taking = taking_;
+  Lists const on = lists_;
   auto const e = fine_.correction().array(), r = fine_.right_hand_side().array(), out = target();
   float const weight = plan_.weight();
   for_each_row(
-      "restrict", parent_rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
-        ParentRow const& of = parent_rows(n);
-        Parents const& parents = taking(of.block);
-        Block const& block = blocks(of.block);
+      "restrict", on.parent_rows, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        ParentRow const& of = on.parent_rows(n);
+        Parents const& parents = on.taking(of.block);
+        Block const& block = on.blocks(of.block);
         float* const to = &out(std::int32_t(parents.cells.place(0, of.y, of.z)));
         int const ratio = parents.ratio[0], odd = parents.odd[0], count = parents.extent[0];
         auto const for_each_child_row = [&](auto const& f) {
@@ -212,11 +205,11 @@ void Coarsening::prolong_rows() {
   auto const values = values_.array(), e = fine_.correction().array(), r = fine_.right_hand_side().array();
   auto const own = fine_.own_rows();
   auto const rows = fine_.tables().rows;
-  auto const sources = sources_;
+  Lists const on = lists_;
   for_each_row(
       "prolong", own, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
         RowPlace const& of = own(n);
-        Parents const& parents = sources(of.block);
+        Parents const& parents = on.sources(of.block);
         matrixfree::CoarseRows const from = rows_of_parents(parents, of, values.data());
         Row const& row = rows(n);
         float* const to = &e(row.place);
@@ -239,7 +232,7 @@ void Coarsening::prolong_rows() {
 void Coarsening::prolong(matrixfree::Coarsening::Into into) {
   parents_.update(coarse_.correction().array(), values_.array());
   auto const values = values_.array();
-  auto const ghosts = ghosts_;
+  auto const ghosts = lists_.ghosts;
   for_each(
       "ghosts of coarse corrections", ghosts,
       KOKKOS_LAMBDA(std::int32_t n) { values(ghosts(n).to) = ghosts(n).factor * values(ghosts(n).from); });
@@ -251,8 +244,8 @@ void Coarsening::prolong(matrixfree::Coarsening::Into into) {
 }
 
 std::size_t Coarsening::bytes() const {
-  return parents_.bytes() + targets_of_residuals_.bytes() + interface_.bytes() + ghosts_.extent(0) * sizeof(Ghost) +
-         parent_rows_.extent(0) * sizeof(ParentRow);
+  return parents_.bytes() + targets_of_residuals_.bytes() + interface_.bytes() +
+         lists_.ghosts.extent(0) * sizeof(Ghost) + lists_.parent_rows.extent(0) * sizeof(ParentRow);
 }
 
 }  // namespace amrpic::kokkos

@@ -42,6 +42,12 @@ class Coarsening {
     std::int32_t from, to;
     float factor;
   };
+  struct Lists {
+    Array<matrixfree::Parents> sources, taking;
+    Array<ParentRow> parent_rows;
+    Array<Block> blocks;
+    Array<Ghost> ghosts;
+  };
 
  private:
   void update_gaps();
@@ -52,10 +58,7 @@ class Coarsening {
   SweptLevel& fine_;
   SweptLevel& coarse_;
   Mirrored<float> values_;
-  Array<matrixfree::Parents> sources_, taking_;
-  Array<ParentRow> parent_rows_;
-  Array<Block> blocks_;
-  Array<Ghost> ghosts_;
+  Lists lists_;
   CellCopies parents_, targets_of_residuals_;
   InterfaceCells interface_;
 };

@@ -72,7 +72,7 @@ std::vector<std::int32_t> numbers(std::size_t count, bool received) {
 
 Composite::Composite(CompositeMesh& mesh, std::vector<SweptLevel*> levels)
     : mesh_(mesh), swept_(std::move(levels)), levels_(std::size_t(mesh.levels())), cells_(mesh.plan().cells) {
-  fits_ = NumberedFits<Real>::made();
+  fits_ = NumberedFits::made();
   for (int l = 0; l < mesh_.levels(); ++l) {
     OnLevel& level = levels_[std::size_t(l)];
     std::vector<CompositeBox> boxes;
@@ -111,7 +111,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   std::vector<WallRun> walls;
   std::vector<FineSide> sides;
   std::vector<CoarseFace> faces;
-  GapTerms<Real>::Lists gaps_coarse, gaps_fine;
+  GapTerms::Lists gaps_coarse, gaps_fine;
   std::vector<std::int32_t> own, own_coarse, received;
   if (!plan.gaps.empty()) {
     own = numbers(std::size_t(mesh_.level(l).local_cells()), false);
@@ -153,7 +153,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         coarse_window = places_around(plan, gaps.coarse, gaps.coarse_parts, own_coarse, received);
         window = places_around(plan, gaps.coarse.refine(refinement_ratio), gaps.parts, own, received);
       }
-      auto const add_face = [&](int m, int row, std::int32_t fit) {
+      auto const add_face = [&, u = u, v = v](int m, int row, std::int32_t fit) {
         int const x = 2 * (i.u + m), y = 2 * (i.v + row);
         faces.push_back({std::int32_t(sides.size()), first + x * pitch[u] + y * pitch[v], first_ghost + x + y * nu,
                          middle + m + row * plane_v, i.fluxes + m + row * i.nu, fit});
@@ -168,8 +168,8 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
         cell[u] += i.u + m, cell[v] += i.v + row;
         for (auto const& term : fit.terms)
           (term.fine ? gaps_fine : gaps_coarse)
-              .terms.push_back({term.fine ? window(first_child_of(cell), term) : coarse_window(cell, term),
-                                rounded<Real>(term.weight)});
+              .terms.push_back(
+                  {term.fine ? window(first_child_of(cell), term) : coarse_window(cell, term), term.weight});
         gaps_fine.end_gap(), gaps_coarse.end_gap();
         add_face(m, row, ~gap_count++);
       });
@@ -178,7 +178,7 @@ void Composite::plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& box
   }
   level.neighbours = listed(neighbours), level.coarse = listed(coarse), level.walls = listed(walls);
   level.sides = listed(sides), level.faces = listed(faces);
-  level.gaps_coarse = GapTerms<Real>(gaps_coarse), level.gaps_fine = GapTerms<Real>(gaps_fine);
+  level.gaps_coarse = GapTerms(gaps_coarse), level.gaps_fine = GapTerms(gaps_fine);
   level.ghosts = Array<Real>("ghosts", std::size_t(ghosts)), level.planes = Array<Real>("planes", std::size_t(planes));
   level.fluxes = Array<Real>("fluxes", std::size_t(plan.fluxes));
   bytes_ += (std::size_t(ghosts) + std::size_t(planes) + std::size_t(plan.fluxes)) * sizeof(Real);
@@ -301,9 +301,6 @@ void Composite::start(Source const& source, Field& phi) {
 void Composite::potential_to_host() const {
   for (OnLevel const& level : levels_) level.phi.to_host();
 }
-void Composite::potential_to_device() const {
-  for (OnLevel const& level : levels_) level.phi.to_device();
-}
 
 namespace {
 
@@ -350,13 +347,7 @@ struct Sizes {
       largest.add(values, n);
       return of(largest.value());
     }
-    Real sums[8] = {}, out = 0;
-    int i = 0;
-    for (; i + 8 <= n; i += 8)
-      for (int q = 0; q < 8; ++q) sums[q] += of(values[i + q]);
-    for (; i < n; ++i) out += of(values[i]);
-    for (Real sum : sums) out += sum;
-    return out;
+    return Magnitude::sum_of(norm, values, n, factor);
   }
   /// Of what value(i, before, after) gives for the cells of a row of n, whose ends have values beyond them.
   template <class T, class Value>
@@ -387,22 +378,20 @@ struct Sizes {
 
 /// Around the boxes of a level, and the differences before coarser cells. Copies have come.
 void Composite::fill_ghosts(int l) {
-  OnLevel& level = levels_[std::size_t(l)];
-  auto const phi = level.phi.array(), ghosts = level.ghosts;
-  copy(level.neighbours, phi, cells_.received(), ghosts);
+  OnLevel const level = levels_[std::size_t(l)];
+  auto const phi = level.phi.array(), received = cells_.received();
+  copy(level.neighbours, phi, received, level.ghosts);
 
   std::array<WallGhost, 6> of_face;
   for (int f = 0; f < 6; ++f)
     of_face[std::size_t(f)] = wall_ghost(mesh_.hierarchy().domain().boundary[std::size_t(f / 2)][std::size_t(f % 2)],
                                          mesh_.level(l).spacing()[std::size_t(f / 2)]);
-  auto const walls = level.walls;
-  auto const datum = level.datum.array();
   for_each_row(
-      "ghosts at walls", walls, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
-        WallRun const& run = walls(n);
+      "ghosts at walls", level.walls, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n) {
+        WallRun const& run = level.walls(n);
         WallGhost const rule = of_face[std::size_t(run.face)];
-        Real const *const cell = phi.data() + run.cell, *const given = datum.data() + run.datum;
-        Real* const out = ghosts.data() + run.ghost;
+        Real const *const cell = phi.data() + run.cell, *const given = level.datum.array().data() + run.datum;
+        Real* const out = level.ghosts.data() + run.ghost;
         worker.for_each(run.count, [=](int i) {
           Real const* const first = cell + i * run.stride;
           out[i] = rule(first[0], first[run.inward], given[i]);
@@ -410,35 +399,31 @@ void Composite::fill_ghosts(int l) {
       });
 
   if (l == 0) return;
-  auto const coarser = levels_[std::size_t(l) - 1].phi.array(), received = cells_.received(), planes = level.planes,
-             fluxes = level.fluxes;
-  copy(level.coarse, coarser, received, planes);
-  auto const sides = level.sides;
-  auto const faces = level.faces;
+  auto const coarser = levels_[std::size_t(l) - 1].phi.array();
+  copy(level.coarse, coarser, received, level.planes);
   auto const fits = fits_;
-  auto const gaps_coarse = level.gaps_coarse, gaps_fine = level.gaps_fine;
   for_each(
-      "ghosts at coarser cells", faces, KOKKOS_LAMBDA(std::int32_t n) {
-        CoarseFace const& face = faces(n);
-        FineSide const& side = sides(face.side);
-        Four<Real> stars{};
+      "ghosts at coarser cells", level.faces, KOKKOS_LAMBDA(std::int32_t n) {
+        CoarseFace const& face = level.faces(n);
+        FineSide const& side = level.sides(face.side);
+        FourStars<Real> stars{};
         if (face.fit >= 0) {
-          stars = fits.stars(face.fit, planes.data() + face.plane, 1, side.plane_v);
+          stars = fits.stars(face.fit, level.planes.data() + face.plane, 1, side.plane_v);
         } else {
           auto const value = [&](Array<Real> const& own, std::int32_t at) { return at >= 0 ? own(at) : received(~at); };
-          gaps_coarse.add(~face.fit, stars, [&](std::int32_t at) { return value(coarser, at); });
-          gaps_fine.add(~face.fit, stars, [&](std::int32_t at) { return value(phi, at); });
+          level.gaps_coarse.add(~face.fit, stars, [&](std::int32_t at) { return value(coarser, at); });
+          level.gaps_fine.add(~face.fit, stars, [&](std::int32_t at) { return value(phi, at); });
         }
         Real flux = 0;
         for (int b = 0; b < 2; ++b) {
           Real const *const p = phi.data() + face.cell + b * side.cell_v, *const q = p + side.cell_u;
           Real const lower = ghost_at_interface(stars[std::size_t(b)][0], p[0], p[side.inward]);
           Real const upper = ghost_at_interface(stars[std::size_t(b)][1], q[0], q[side.inward]);
-          Real* const ghost = ghosts.data() + face.ghost + b * side.ghost_v;
+          Real* const ghost = level.ghosts.data() + face.ghost + b * side.ghost_v;
           ghost[0] = lower, ghost[1] = upper;
           flux += (p[0] - lower) + (q[0] - upper);
         }
-        fluxes(face.flux) = flux;
+        level.fluxes(face.flux) = flux;
       });
 }
 
@@ -467,23 +452,17 @@ Real Composite::residual(Background const& background, Norm norm, std::vector<Re
 /// The residual of a level into the cycle's right-hand side, zero in covered cells; returns what a norm of `factor`
 /// times it is made of.
 Real Composite::residual_of_level(int l, Background const& background, Norm norm, Real factor, Real scale) {
-  OnLevel const& level = levels_[std::size_t(l)];
+  OnLevel const level = levels_[std::size_t(l)];
   kernels::Residual const formula{mesh_.equation(l), background};
   Sizes const sizes{norm, factor};
-  auto const rows = level.rows;
-  auto const boxes = level.boxes;
-  auto const phi = level.phi.array(), rho = level.rho.array(), ghosts = level.ghosts;
   auto const r = swept_[std::size_t(l)]->right_hand_side().array();
-  auto const first_refined = level.first_refined;
-  auto const covered = level.covered;
-  auto const refined = level.refined;
   bool const has_finer = l + 1 < mesh_.levels();
   auto const fluxes = has_finer ? levels_[std::size_t(l) + 1].fluxes : Array<Real>(),
              received = level.finer_fluxes.received();
   return reduced(
-      "residual", rows, norm == Norm::max, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n)->double {
-        CompositeRow const& row = rows(n);
-        CompositeBox const& box = boxes(row.box);
+      "residual", level.rows, norm == Norm::max, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n)->double {
+        CompositeRow const& row = level.rows(n);
+        CompositeBox const& box = level.boxes(row.box);
         int const nx = box.extent[0], ny = box.extent[1], nz = box.extent[2], j = row.j, k = row.k;
         float* const out = r.data() + box.origin + j * box.pitch_y + k * box.pitch_z;
         if (row.special == all_covered) {
@@ -491,9 +470,9 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
           return 0;
         }
         std::int32_t const at = box.first + nx * (j + ny * k);
-        Real const *const c = phi.data() + at, *const charge = rho.data() + at;
+        Real const *const c = level.phi.array().data() + at, *const charge = level.rho.array().data() + at;
         auto const ghost = [&](int face, std::int32_t place) {
-          return ghosts.data() + box.ghosts[std::size_t(face)] + place;
+          return level.ghosts.data() + box.ghosts[std::size_t(face)] + place;
         };
         Real const *const ym = j > 0 ? c - nx : ghost(2, k * nx), *const yp = j + 1 < ny ? c + nx : ghost(3, k * nx);
         Real const *const zm = k > 0 ? c - nx * ny : ghost(4, j * nx), *const zp =
@@ -512,10 +491,10 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
         // With the fluxes of the finer level through the faces of refined cells, in place of the differences across.
         return sizes.over(worker, nx, c, xm, xp, [&](int i, Real before, Real after) {
           std::int32_t const cell = row.special + i;
-          if (covered(cell)) return put(i, 0);
+          if (level.covered(cell)) return put(i, 0);
           Real value = plain(i, before, after);
-          for (std::int32_t f = first_refined(cell); f < first_refined(cell + 1); ++f) {
-            RefinedFace const& face = refined(f);
+          for (std::int32_t f = level.first_refined(cell); f < level.first_refined(cell + 1); ++f) {
+            RefinedFace const& face = level.refined(f);
             Real const flux = face.flux >= 0 ? fluxes(face.flux) : received(~face.flux);
             Real const beyond = face.axis == 0   ? (face.side == 0 ? before : after)
                                 : face.axis == 1 ? (face.side == 0 ? ym[i] : yp[i])
@@ -530,20 +509,17 @@ Real Composite::residual_of_level(int l, Background const& background, Norm norm
 Real Composite::add(Real scale) {
   Real largest = 0;
   for (int l = mesh_.levels() - 1; l >= 0; --l) {
-    OnLevel const& level = levels_[std::size_t(l)];
-    auto const rows = level.rows;
-    auto const boxes = level.boxes;
-    auto const covered = level.covered;
-    auto const phi = level.phi.array();
+    OnLevel const level = levels_[std::size_t(l)];
     auto const e = swept_[std::size_t(l)]->correction().array();
     Sizes const sizes{Norm::max, 1};
     largest = std::max(
         largest, reduced(
-                     "add correction", rows, true, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n)->double {
-                       CompositeRow const& row = rows(n);
-                       CompositeBox const& box = boxes(row.box);
+                     "add correction", level.rows, true, KOKKOS_LAMBDA(Worker const& worker, std::int32_t n)->double {
+                       CompositeRow const& row = level.rows(n);
+                       CompositeBox const& box = level.boxes(row.box);
                        float const* const from = e.data() + box.origin + row.j * box.pitch_y + row.k * box.pitch_z;
-                       Real* const to = phi.data() + box.first + box.extent[0] * (row.j + box.extent[1] * row.k);
+                       Real* const to =
+                           level.phi.array().data() + box.first + box.extent[0] * (row.j + box.extent[1] * row.k);
                        int const nx = box.extent[0];
                        auto const add = [=](int i, float, float) {
                          to[i] = fused(scale, Real(from[i]), to[i]);
@@ -551,7 +527,7 @@ Real Composite::add(Real scale) {
                        };
                        if (row.special == all_plain) return sizes.over(worker, nx, from, 0.0f, 0.0f, add);
                        return sizes.over(worker, nx, from, 0.0f, 0.0f, [&](int i, float before, float after) {
-                         bool const counts = row.special >= 0 && !covered(row.special + i);
+                         bool const counts = row.special >= 0 && !level.covered(row.special + i);
                          return counts ? add(i, before, after) : Real(from[i]);
                        });
                      }));

@@ -77,9 +77,8 @@ class Composite {
 
   /// Take a charge density, the data of walls, and a potential averaged down, from the host.
   void start(Source const& source, Field& phi);
-  /// Between the host's potential and that of the kernels.
+  /// Bring the potential of the kernels to the host.
   void potential_to_host() const;
-  void potential_to_device() const;
 
   /// See CompositeLaplacian. Collective.
   Real residual(Background const& background, Norm norm, std::vector<Real> const& scale);
@@ -87,11 +86,9 @@ class Composite {
 
   std::size_t bytes() const { return bytes_; }
 
-  // Parts of `residual`, public because CUDA wants members with kernels to be.
+  // Parts of `residual`, and what kernels read, public because CUDA wants it to be.
   void fill_ghosts(int l);
   Real residual_of_level(int l, Background const& background, Norm norm, Real factor, Real scale);
-
- private:
   /// The lists of a level.
   struct OnLevel {
     Array<CompositeBox> boxes;
@@ -103,13 +100,15 @@ class Composite {
     Array<WallRun> walls;
     Array<FineSide> sides;
     Array<CoarseFace> faces;
-    GapTerms<Real> gaps_coarse, gaps_fine;
+    GapTerms gaps_coarse, gaps_fine;
     Array<CopiedRun> sent_cells, sent_fluxes, received_means;
     Array<ParentRun> families, sent_means;  ///< of the coarser level
     Array<Real> ghosts, planes, fluxes;
     ImportBuffers finer_fluxes, finer_means;
     Mirrored<Real> phi, rho, datum;
   };
+
+ private:
   void plan_faces(int l, OnLevel& level, std::vector<CompositeBox>& boxes);
   void plan_rows(int l, OnLevel& level, std::vector<CompositeBox> const& boxes);
   void plan_exchanges(int l, OnLevel& level);
@@ -123,7 +122,7 @@ class Composite {
   std::vector<SweptLevel*> swept_;
   std::vector<OnLevel> levels_;
   ImportBuffers cells_;
-  NumberedFits<Real> fits_;
+  NumberedFits fits_;
   std::size_t bytes_ = 0;
 };
 

@@ -9,7 +9,7 @@ namespace amrpic::kokkos {
 InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout) {
   std::vector<Side> sides;
   std::vector<Face> faces;
-  GapTerms<float>::Lists coarse_terms, fine_terms;
+  GapTerms::Lists coarse_terms, fine_terms;
   std::vector<std::int32_t> places;  // of all cells, for windows
   if (!plan.gaps_.empty()) {
     places.resize(layout.size());
@@ -43,7 +43,7 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
                                            : std::int32_t(face.parent + o[std::size_t(axis_u)] * side.parent_u +
                                                           o[std::size_t(axis_v)] * side.parent_v +
                                                           o[std::size_t(side.axis)] * side.parent_normal);
-              (term.fine ? fine_terms : coarse_terms).terms.push_back({place, rounded<float>(term.weight)});
+              (term.fine ? fine_terms : coarse_terms).terms.push_back({place, term.weight});
             }
             coarse_terms.end_gap(), fine_terms.end_gap();
             ++gap;
@@ -55,19 +55,15 @@ InterfaceCells::InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfre
     }
     of_direction_[std::size_t(direction)].last = std::int32_t(faces.size());
   }
-  lists_ = {on_device(sides),
-            on_device(faces),
-            NumberedFits<float>::made(),
-            GapTerms<float>(coarse_terms),
-            GapTerms<float>(fine_terms),
-            Array<Four<float>>("taken", gaps)};
+  lists_ = {on_device(sides),       on_device(faces),     NumberedFits::made(),
+            GapTerms(coarse_terms), GapTerms(fine_terms), Array<FourStars<float>>("taken", gaps)};
 }
 
 namespace {
 
 /// Take what the four ghosts before a coarse face have from the cells beside them.
 template <class Side>
-KOKKOS_INLINE_FUNCTION void subtract_stars(Side const& side, float* cell, Four<float> const& stars) {
+KOKKOS_INLINE_FUNCTION void subtract_stars(Side const& side, float* cell, FourStars<float> const& stars) {
   for (int b = 0; b < 2; ++b)
     for (int a = 0; a < 2; ++a)
       cell[a * side.cell_u + b * side.cell_v] -= side.weight * stars[std::size_t(b)][std::size_t(a)];
@@ -81,7 +77,7 @@ void InterfaceCells::subtract_coarse(Array<float> const& coarse_values, Array<fl
       "take ghosts", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
         Side const& side = on.sides(face.side);
-        Four<float> stars{};
+        FourStars<float> stars{};
         if (face.fit >= 0)
           stars = on.fits.stars(face.fit, &coarse_values(face.parent), side.parent_u, side.parent_v);
         else
@@ -96,7 +92,7 @@ void InterfaceCells::subtract_in_gaps(Array<float> const& e, Array<float> const&
       "take ghosts in gaps", KOKKOS_LAMBDA(std::int32_t n) {
         Face const& face = on.faces(n);
         if (face.fit >= 0) return;
-        Four<float> stars{}, change;
+        FourStars<float> stars{}, change;
         on.fine_terms.add(~face.fit, stars, [&](std::int32_t place) { return e(place); });
         for (std::size_t b = 0; b < 2; ++b)
           for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - on.taken(~face.fit)[b][a];
@@ -124,7 +120,7 @@ void InterfaceCells::subtract_flux(Array<float> const& e, Array<float> const& co
 
 std::size_t InterfaceCells::bytes() const {
   return lists_.faces.extent(0) * sizeof(Face) + lists_.sides.extent(0) * sizeof(Side) + lists_.coarse_terms.bytes() +
-         lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(Four<float>);
+         lists_.fine_terms.bytes() + lists_.taken.extent(0) * sizeof(FourStars<float>);
 }
 
 }  // namespace amrpic::kokkos

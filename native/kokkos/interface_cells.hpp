@@ -13,7 +13,7 @@ class InterfaceCells {
   InterfaceCells(matrixfree::InterfaceCells const& plan, matrixfree::Layout const& layout);
 
   /// See matrixfree::InterfaceCells.
-  void start() { Kokkos::deep_copy(lists_.taken, Four<float>{}); }
+  void start() { Kokkos::deep_copy(lists_.taken, FourStars<float>{}); }
   void subtract_coarse(Array<float> const& coarse_values, Array<float> const& r) const;
   void subtract_in_gaps(Array<float> const& e, Array<float> const& r) const;
   void subtract_flux(Array<float> const& e, Array<float> const& coarse_values) const;
@@ -32,9 +32,9 @@ class InterfaceCells {
   struct Lists {
     Array<Side> sides;
     Array<Face> faces;
-    NumberedFits<float> fits;
-    GapTerms<float> coarse_terms, fine_terms;
-    Array<Four<float>> taken;  ///< of each gap
+    NumberedFits fits;
+    GapTerms coarse_terms, fine_terms;
+    Array<FourStars<float>> taken;  ///< of each gap
   };
 
  private:

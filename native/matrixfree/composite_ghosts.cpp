@@ -100,7 +100,8 @@ void CompositeGhosts::fill_interface(int l, int b, int axis, int side, Field con
       middle[u] += m, middle[v] += row;
       FourStars<Real> stars{};
       for (auto const& term : (*in_gap)->terms)
-        add_to_stars(stars, term, term.fine ? window_(first_child_of(middle), term) : coarse_window_(middle, term));
+        add_to_stars(stars, term.weight,
+                     term.fine ? window_(first_child_of(middle), term) : coarse_window_(middle, term));
       for (int a = 0; a < 2; ++a)
         star[2 * m + a] = stars[0][std::size_t(a)], star[2 * (i.nu + m) + a] = stars[1][std::size_t(a)];
       ++in_gap;

@@ -11,12 +11,11 @@
 namespace amrpic {
 
 /// The terms of a fit in one of the blocks: cells of the coarse plane, as offsets from the one behind the ghosts along
-/// the lower and the higher tangential axis, and the weights of each for the four ghosts, [upper half along v][upper
-/// half along u].
+/// the lower and the higher tangential axis, and the weights of each for the four ghosts.
 struct NumberedFit {
   struct Term {
     int i, j;
-    std::array<std::array<Real, 2>, 2> weight;
+    FourStars<Real> weight;
   };
   std::array<Term, 9> terms;
   int reach;  ///< largest offset, 1 or 2
@@ -70,13 +69,9 @@ void fit_row(FitNumber const* fits, int count, T const* coarse, std::ptrdiff_t p
     if (number == central_fit) return central_fits(n, coarse + u, pitch, lower_row + 2 * u, upper_row + 2 * u);
     NumberedFit const& fit = numbered_fit(number);
     for (int m = u; m < u + n; ++m) {
-      T sum[2][2] = {{0, 0}, {0, 0}};
-      for (auto const& term : fit.terms) {
-        T const value = coarse[m + term.i + pitch * term.j];
-        for (int b = 0; b < 2; ++b)
-          for (int a = 0; a < 2; ++a) sum[b][a] += T(term.weight[b][a]) * value;
-      }
-      for (int a = 0; a < 2; ++a) lower_row[2 * m + a] = sum[0][a], upper_row[2 * m + a] = sum[1][a];
+      FourStars<T> stars{};
+      for (auto const& term : fit.terms) add_to_stars(stars, term.weight, coarse[m + term.i + pitch * term.j]);
+      std::copy_n(stars[0].data(), 2, lower_row + 2 * m), std::copy_n(stars[1].data(), 2, upper_row + 2 * m);
     }
   });
 }

@@ -34,14 +34,4 @@ class GapWindow {
   std::vector<T> values_;
 };
 
-/// phi* behind the four fine faces, or the part of it that is taken from one level.
-template <class T>
-using FourStars = std::array<std::array<T, 2>, 2>;
-
-template <class T>
-void add_to_stars(FourStars<T>& stars, GapFit::Term const& term, T value) {
-  for (std::size_t b = 0; b < 2; ++b)
-    for (std::size_t a = 0; a < 2; ++a) stars[b][a] += T(term.weight[b][a]) * value;
-}
-
 }  // namespace amrpic

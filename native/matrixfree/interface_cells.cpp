@@ -109,7 +109,7 @@ void InterfaceCells::subtract_in_gaps(Vector const& e, Vector& r) {
       child[axis_u] += 2 * u, child[axis_v] += 2 * v;
       FourStars<float> stars{}, change;
       for (auto const& term : gaps_[gap]->terms)
-        if (term.fine) add_to_stars(stars, term, window_(child, term));
+        if (term.fine) add_to_stars(stars, term.weight, window_(child, term));
       for (std::size_t b = 0; b < 2; ++b)
         for (std::size_t a = 0; a < 2; ++a) change[b][a] = stars[b][a] - taken_[gap][b][a];
       subtract_from_cells(face, u, v, change, r);
@@ -130,7 +130,7 @@ void InterfaceCells::subtract_coarse(Vector const& coarse_values, Vector& r) con
       float const* const middle = coarse + u * face.parent_u + v * face.parent_v;
       for (auto const& term : gaps_[gap]->terms)
         if (!term.fine)
-          add_to_stars(stars, term,
+          add_to_stars(stars, term.weight,
                        middle[term.offset[0] * step[0] + term.offset[1] * step[1] + term.offset[2] * step[2]]);
       subtract_from_cells(face, u, v, stars, r);
     });

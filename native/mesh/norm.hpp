@@ -65,7 +65,7 @@ class Magnitude {
       return of_all.value();
     };
     add_by(
-        largest, [&](Real factor) { return sum_of(values, n, factor); }, volume);
+        largest, [&](Real factor) { return sum_of(norm_, values, n, factor); }, volume);
   }
 
   /// The same for values that lie elsewhere: `largest()` is their largest magnitude, as `Largest` has it, and
@@ -86,6 +86,19 @@ class Magnitude {
     sums_[range] += volume * sum_of_scaled(scale[range]);
   }
   bool sums_squares() const { return norm_ == Norm::l2; }
+
+  /// Such a sum, of values side by side.
+  static Real sum_of(Norm norm, Real const* values, std::ptrdiff_t n, Real factor) {
+    Real lane[8] = {};
+    std::ptrdiff_t i = 0;
+    auto const size = [=](Real v) { return norm == Norm::l1 ? std::abs(factor * v) : (factor * v) * (factor * v); };
+    for (; i + 8 <= n; i += 8)
+      for (int q = 0; q < 8; ++q) lane[q] += size(values[i + q]);
+    for (; i < n; ++i) lane[0] += size(values[i]);
+    Real out = 0;
+    for (Real part : lane) out += part;
+    return out;
+  }
 
   /// The norm over all ranks; nan if a value is not finite. Collective.
   Real over(Communicator const& comm) const {
@@ -113,19 +126,6 @@ class Magnitude {
   static constexpr Real least = 0x1p-400, greatest = 0x1p400;          ///< largest numbers of the ordinary range
   static constexpr Real least_sum = 0x1p-800, greatest_sum = 0x1p800;  ///< what squares of those add up to
 
-  Real sum_of(Real const* values, std::ptrdiff_t n, Real factor) const {
-    Real lane[8] = {};
-    std::ptrdiff_t i = 0;
-    auto const size = [this, factor](Real v) {
-      return norm_ == Norm::l1 ? std::abs(factor * v) : (factor * v) * (factor * v);
-    };
-    for (; i + 8 <= n; i += 8)
-      for (int q = 0; q < 8; ++q) lane[q] += size(values[i + q]);
-    for (; i < n; ++i) lane[0] += size(values[i]);
-    Real out = 0;
-    for (Real part : lane) out += part;
-    return out;
-  }
   Real root(Real sum) const { return norm_ == Norm::l2 ? std::sqrt(sum) : sum; }
 
   Norm norm_;

@@ -5,7 +5,7 @@
 #include <unordered_map>
 #include <vector>
 
-#include "base/types.hpp"
+#include "stencil/interface.hpp"
 
 namespace amrpic {
 
@@ -40,9 +40,9 @@ GapSites gap_sites(Index3 const& middle, IsCoarse&& is_coarse, IsFine&& is_fine)
 /// phi* behind the four fine faces of a coarse face, as sums over cells of both levels.
 struct GapFit {
   struct Term {
-    bool fine;                                  ///< a cell of the finer level
-    std::array<std::int8_t, 3> offset;          ///< from the middle cell, or from its first child
-    std::array<std::array<Real, 2>, 2> weight;  ///< [upper half along v][upper half along u] of the tangential axes
+    bool fine;                          ///< a cell of the finer level
+    std::array<std::int8_t, 3> offset;  ///< from the middle cell, or from its first child
+    FourStars<Real> weight;
   };
   std::vector<Term> terms;  ///< coarse cells first
 };

@@ -40,6 +40,17 @@ inline Value ghost_at_fine_faces(Value const& inner, Value const& differences) {
   return inner + fine_face_weight * differences;
 }
 
+/// phi* behind the four fine faces of a coarse one, or weights for it: [upper half along v][upper half along u] of the
+/// tangential axes.
+template <class T>
+using FourStars = std::array<std::array<T, 2>, 2>;
+
+template <class T>
+KOKKOS_INLINE_FUNCTION void add_to_stars(FourStars<T>& stars, FourStars<Real> const& weight, T value) {
+  for (std::size_t b = 0; b < 2; ++b)
+    for (std::size_t a = 0; a < 2; ++a) stars[b][a] += T(weight[b][a]) * value;
+}
+
 /// phi* as a sum over coarse cells of the interface plane: offsets from the cell behind the ghost, and weights.
 struct PlaneFit {
   struct Term {

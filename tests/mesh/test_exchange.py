@@ -7,6 +7,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+import backends
 from amrpic import _native
 from amrpic.parallel import Communicator, own, traffic
 from hierarchies import all_cases
@@ -44,7 +45,7 @@ def test_parcels_arrive_in_order(comm):
 
 
 @pytest.mark.mpi(ranks=(2, 3, 4))
-@pytest.mark.parametrize("backend", ["matrix-free", "crs"])
+@pytest.mark.parametrize("backend", [backends.DEFAULT, "crs"])
 def test_plans_are_made_without_messages(comm, backend, long):
     """All ranks know all boxes, so that each finds what others read of it; of all hierarchies in the long form."""
     for case in list(all_cases().values())[:: 1 if long else 4]:

@@ -1,7 +1,7 @@
 """Runs that are killed or stopped go on from the newest checkpoint that is whole, and end as if nothing had happened.
 
 An ordinary run of the tests kills leapfrog three times and stops two ranks by signals alone; the long form (`pytest -m long`)
-kills both motions ten times, and stops in all ways.
+kills runs of all kinds ten times, and stops in all ways.
 """
 
 from __future__ import annotations
@@ -114,6 +114,7 @@ writers = 0
 MOTIONS = {
     "leapfrog": 'kind = "leapfrog"\ndt = "0.2 ns"',
     "random-walk": 'kind = "random-walk"\namplitude = "1 mm"',
+    "leapfrog by Kokkos": 'kind = "leapfrog"\ndt = "0.2 ns"\n\n[solver]\nbackend = "kokkos"',
 }
 
 
@@ -250,7 +251,13 @@ def assert_same(folder: Path, reference: Path, last: int = LAST) -> None:
 
 @pytest.fixture(
     scope="module",
-    params=["leapfrog", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("random-walk", "material points"))],
+    params=[
+        "leapfrog",
+        *(
+            pytest.param(kind, marks=pytest.mark.long)
+            for kind in ("random-walk", "leapfrog by Kokkos", "material points")
+        ),
+    ],
 )
 def undisturbed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run on two ranks that nobody disturbed."""

@@ -92,10 +92,10 @@ def test_same_run_on_one_rank_and_on_two(comm):
 
 
 @pytest.mark.mpi(ranks=(1, 2))
-@pytest.mark.parametrize("tolerance", [1e-10, "discretization"])
+@pytest.mark.parametrize("solver", [{"tolerance": 1e-10}, {"tolerance": "discretization"}, {"backend": "kokkos"}])
 @pytest.mark.parametrize("motion", [{"kind": "leapfrog", "dt": 2e-9}, {"kind": "random-walk", "amplitude": 3e-3}])
-def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion, tolerance):
-    given = scene(motion=motion, schedule={"steps": 5}, solver={"tolerance": tolerance})
+def test_restart_goes_on_bit_by_bit(comm, tmp_path, motion, solver):
+    given = scene(motion=motion, schedule={"steps": 5}, solver=solver)
     simulation = Simulation(comm, given)
     simulation.on_step(lambda now: now.checkpoint(tmp_path / "half") if now.step == 3 else None)
     simulation.run()

@@ -10,11 +10,12 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+import backends
 from amrpic.errors import SolverError
 from amrpic.stages.poisson import PoissonSolver
 from static_case import EPS0
 
-BACKENDS = ("matrix-free", "crs")
+BACKENDS = (backends.DEFAULT, "crs")
 
 
 def cube(comm, cells=16, boundary="periodic", levels=()):

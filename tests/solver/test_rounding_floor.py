@@ -12,6 +12,7 @@ import pytest
 from mpi4py import MPI
 
 import amrpic
+import backends
 from amrpic.stages.poisson import PoissonSolver
 from static_case import EPS0
 
@@ -47,11 +48,11 @@ def solver_and_charge(mesh, backend, tolerance, finer):
     return solver, amrpic.Field(hierarchy).fill(source)
 
 
-FEW = [(number, "matrix-free", False) for number in range(0, 50, 6)]
+FEW = [(number, backends.DEFAULT, False) for number in range(0, 50, 6)]
 ALL = [
     pytest.param(number, backend, True, marks=pytest.mark.long)
     for number in range(50)
-    for backend in ("matrix-free", "crs")
+    for backend in (backends.DEFAULT, "crs")
 ]
 
 

@@ -8,10 +8,11 @@ from mpi4py import MPI
 from scipy.constants import epsilon_0
 
 import amrpic
+import backends
 from amrpic.errors import SceneError, SolverError
 
 WAVE = 2 * np.pi
-BACKENDS = ("matrix-free", "crs")
+BACKENDS = (backends.DEFAULT, "crs")
 SCREENINGS = (0.01, 0.1, 1.0, 10.0)  # κ times the width of a base cell
 BASE = 32
 

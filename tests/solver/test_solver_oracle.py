@@ -12,6 +12,7 @@ import pytest
 from scipy.constants import epsilon_0
 
 import amrpic
+import backends
 from hierarchies import Case, all_cases, random_case
 from oracle import IN_GAPS, LINES, BoundaryData, CompositeSystem, Oracle, cells_of, composite_system
 from rank_subsets import first_ranks, hierarchy_of, wait_quietly
@@ -110,7 +111,7 @@ def values_of(field: amrpic.Field, oracle: Oracle) -> list[Array]:
 
 
 def solved(
-    case: Case, excess: float, oracle: Oracle, comm: Any, backend: str = "matrix-free"
+    case: Case, excess: float, oracle: Oracle, comm: Any, backend: str = backends.DEFAULT
 ) -> tuple[list[Array], list[Array], int]:
     """Return phi and E per level on rank 0, nothing elsewhere, and the number of cycles. Collective."""
     hierarchy = hierarchy_of(case, comm)
@@ -156,7 +157,7 @@ def test_random_hierarchies_with_narrow_gaps_are_solved_as_by_the_oracle_s_own_f
     excess = comm.bcast(expected.excess if expected else None)
     oracle = expected.system.oracle if expected else Oracle(case, case.all_boxes())
     assert any(name in (*IN_GAPS, *LINES) if any_shape else name in IN_GAPS for name in oracle.coverage())
-    for backend in ("matrix-free", "crs"):
+    for backend in (backends.DEFAULT, "crs"):
         phi, efield, _ = solved(case, excess, oracle, comm, backend)
         errors = expected.errors(phi, efield) if expected else {}
         assert {what: e for what, e in errors.items() if not e <= 1e-8} == {}, backend

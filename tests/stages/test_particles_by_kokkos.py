@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,29 @@ def test_particles_move_alike_in_all_fields_with_compensation(comm, shape, match
             both.append([moved.momentum.copy(), moved.position.copy(), between.copy()])
         for found, expected in zip(*both, strict=True):
             assert apart(found, expected) < 1e-12, options
+
+
+@pytest.mark.parametrize("kernels", ["kokkos", "vectors"])
+def test_a_particle_moves_the_same_bit_by_bit_whoever_stands_beside_it(kernels):
+    """Lanes, blocks and their remainders round alike."""
+    domain = amrpic.Domain(0, 1, 16, "periodic")
+    hierarchy = amrpic.Hierarchy(MPI.COMM_SELF, domain, [[((8, 8, 8), (23, 23, 23))]], max_grid_size=16)
+    everyone, rng = two_kinds(hierarchy, 4000), np.random.default_rng(7)
+    some = migrate(everyone.select(rng.random(len(everyone)) < 0.8), hierarchy)[0]
+    among = np.searchsorted(everyone.id, some.id, sorter=(order := np.argsort(everyone.id)))
+    efield = amrpic.VectorField(*[random_field(hierarchy)] * 3)
+    for clouds, beta in product(ALL, ((0, 0, 0), (0.1, 0, 0.9))):
+        moved = []
+        for particles in (some, everyone):
+            between = np.empty((3, len(particles))).T
+            now = push(
+                efield, particles, 1e-11, 2e-11, 3e-11, replace(clouds, kernels=kernels), beta=beta, between=between
+            )
+            moved.append(
+                [now.momentum, now.position, between, gather(efield, particles, replace(clouds, kernels=kernels))]
+            )
+        for found, expected in zip(*moved, strict=True):
+            assert np.array_equal(found, expected[order[among]]), (clouds, beta)
 
 
 @pytest.mark.mpi(ranks=(1, 2))

@@ -17,15 +17,24 @@ def use_default() -> None:
     if DEFAULT == "matrix-free":
         return
     from amrpic.particles.clouds import SHAPES, Clouds
+    from amrpic.scene.scene import Scene
     from amrpic.scene.solver_options import SolverOptions
 
-    of_package = SolverOptions.native_values
+    native_values, to_dict = SolverOptions.native_values, Scene.to_dict
 
-    def native_values(self: SolverOptions) -> dict[str, Any]:
+    def with_default(self: SolverOptions) -> dict[str, Any]:
         named = self.order != 2 or "backend" in self.model_fields_set
-        return of_package(self) | ({} if named else {"backend": DEFAULT})
+        return native_values(self) | ({} if named else {"backend": DEFAULT})
 
-    SolverOptions.native_values = native_values  # type: ignore[method-assign]
+    def without_what_is_not_named(self: Scene) -> dict[str, Any]:
+        """Else a restart would take the package's default in a checkpoint for one that was named."""
+        values = to_dict(self)
+        if "backend" not in self.solver.model_fields_set:
+            del values["solver"]["backend"]
+        return values
+
+    SolverOptions.native_values = with_default  # type: ignore[method-assign]
+    Scene.to_dict = without_what_is_not_named  # type: ignore[method-assign]
     Clouds.native = property(lambda clouds: (SHAPES[clouds.shape], clouds.matched, DEFAULT == "kokkos"))  # type: ignore[assignment]
 
 

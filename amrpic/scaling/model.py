@@ -8,8 +8,10 @@ with all cells relaxes besides); one cycle more for each solve that estimates th
         + max b byte + m latency + b ranks per node / bandwidth + k log₂(ranks) collective
 
 with its m messages of b bytes, of which those count for the bandwidth that leave its node, or on one node the rank, and k
-collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. No message overlaps
-with work, and stages begin together: what ranks wait for each other between them stands apart.
+collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. Stages begin
+together: what ranks wait for each other between them stands apart. Between nodes the bytes of particles that migrate pass
+while those that stay are deposited, and take what time is left of max(bytes / bandwidth − min stayed particle, 0); no other
+message overlaps with work.
 """
 
 from __future__ import annotations
@@ -70,6 +72,7 @@ class Amounts:
     swept_spilled: float
     swept_faces: float
     particles: float
+    stayed: float  # particles that a rank has before others come to it from other ranks, at least
     moved: float
     bricks: float
     patches: float
@@ -96,6 +99,7 @@ class Amounts:
             spilled * swept * cycles,
             grown * faces * cycles,
             particles,
+            max(float((plan.particles - plan.between.sent).min()), 0.0),
             particles * plan.moved,
             grown * float(plan.bricks.max()),
             *plan.wall_work,
@@ -155,11 +159,23 @@ def stage_time(stage: str, plan: Plan, machine: Machine, amounts: Amounts) -> Ti
     seconds = work.call + sum(
         value * getattr(work, OF_WORK[what]) for what, value in row_of(stage, plan, amounts).items()
     )
-    return Time(seconds, *network_time(stage, plan, machine.network, amounts))
+    messages, collectives = network_time(stage, plan, machine.network, amounts)
+    if stage == "migrate":
+        messages -= hidden_time(plan, machine, amounts)
+    return Time(seconds, messages, collectives)
+
+
+def hidden_time(plan: Plan, machine: Machine, amounts: Amounts) -> float:
+    """Return the seconds in which particles pass between nodes while those that stay on their ranks are deposited."""
+    here = machine.network.ranks_per_node
+    if plan.ranks <= here:
+        return 0.0  # within a node the processors themselves copy
+    deposit = machine.work(plan.ranks).get("deposit", Work())
+    return min(plan.leaving("migrate", here) / machine.network.bandwidth, amounts.stayed * deposit.particle)
 
 
 def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> tuple[float, float]:
-    """Return the seconds of a stage's messages and collectives."""
+    """Return the seconds of a stage's messages and collectives, if none overlaps with work."""
     if plan.ranks == 1:
         return 0.0, 0.0
     here = min(network.ranks_per_node, plan.ranks)

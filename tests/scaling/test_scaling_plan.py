@@ -195,6 +195,20 @@ def test_the_model_is_its_formula():
     assert total(step_time(plan, machine().scaled("latency", 2), 2)) > total(times)
 
 
+def test_particles_pass_between_nodes_while_those_that_stay_are_deposited():
+    def messages(particles: float, **network: float) -> float:
+        plan = replace(invented(), particles=np.array([particles + 40, *[particles + 100] * 7]))
+        return step_time(plan, machine(**network), cycles=2)["migrate"].messages
+
+    latency, passing = 3 * 1e-6, 5000 / 1e9  # of 50 particles of 100 bytes, on one of the two nodes
+    assert messages(0) == pytest.approx(latency + passing)  # all 40 of the first rank leave
+    assert messages(300) == pytest.approx(latency + passing - 300 * 1e-8)
+    assert messages(1000) == pytest.approx(latency)  # deposit takes longer
+    assert messages(1000, ranks_per_node=8) == pytest.approx(
+        latency + 8 * 4000 / 1e9
+    )  # one node, whose processors copy
+
+
 def test_constants_are_found_again_from_times():
     rng = np.random.default_rng(3)
     rows = np.column_stack([np.ones(9), rng.uniform(1e5, 1e7, 9), rng.uniform(1e4, 1e6, 9)])

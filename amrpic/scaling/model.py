@@ -10,8 +10,8 @@ with all cells relaxes besides); one cycle more for each solve that estimates th
 with its m messages of b bytes, of which those count for the bandwidth that leave its node, or on one node the rank, and k
 collectives. Maxima are over ranks; all ranks of a node send at the same time; levels are visited in turn. Stages begin
 together: what ranks wait for each other between them stands apart. Between nodes the bytes of particles that migrate pass
-while those that stay are deposited, and take what time is left of max(bytes / bandwidth − min stayed particle, 0); no other
-message overlaps with work.
+while each rank deposits those that stay on it, so that both together take max over ranks of p particle + max(b ranks per node /
+bandwidth − stayed particle, 0); no other message overlaps with work.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from typing import Self
 
 import numpy as np
 
+from ..mesh.boxes import Array
 from .machine import Machine, Network, Work
 from .measured import NEW_MESH
 from .plan import Plan
@@ -72,7 +73,7 @@ class Amounts:
     swept_spilled: float
     swept_faces: float
     particles: float
-    stayed: float  # particles that a rank has before others come to it from other ranks, at least
+    stayed: Array  # (ranks,) particles that do not come from other ranks
     moved: float
     bricks: float
     patches: float
@@ -99,7 +100,7 @@ class Amounts:
             spilled * swept * cycles,
             grown * faces * cycles,
             particles,
-            max(float((plan.particles - plan.between.sent).min()), 0.0),
+            np.maximum(plan.particles - plan.between.sent, 0),
             particles * plan.moved,
             grown * float(plan.bricks.max()),
             *plan.wall_work,
@@ -170,8 +171,10 @@ def hidden_time(plan: Plan, machine: Machine, amounts: Amounts) -> float:
     here = machine.network.ranks_per_node
     if plan.ranks <= here:
         return 0.0  # within a node the processors themselves copy
-    deposit = machine.work(plan.ranks).get("deposit", Work())
-    return min(plan.leaving("migrate", here) / machine.network.bandwidth, amounts.stayed * deposit.particle)
+    particle = machine.work(plan.ranks).get("deposit", Work()).particle
+    passing = plan.leaving("migrate", here) / machine.network.bandwidth
+    together = plan.particles * particle + np.maximum(passing - amounts.stayed * particle, 0)
+    return float(passing + plan.particles.max() * particle - together.max())
 
 
 def network_time(stage: str, plan: Plan, network: Network, amounts: Amounts) -> tuple[float, float]:

@@ -241,7 +241,7 @@ def _choices(plans: Sequence[Plan], machine: Machine, cycles: float) -> Rows:
                 interactions=now.interactions * plan.ranks,
                 near=now.near * plan.ranks,
             ),
-            replace(now, stayed=0.0),
+            replace(now, stayed=np.zeros(plan.ranks)),
         )
         rows.append(
             [f"{plan.ranks:,}", *(f"{1e3 * total(step_time(plan, machine, cycles, one)):.3g}" for one in without)]

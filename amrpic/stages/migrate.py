@@ -6,6 +6,7 @@ particles are shared. Who serves a particle follows from its brick, its id and w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -46,11 +47,14 @@ def migrate_without(
     gone: np.ndarray,
     servers: np.ndarray | None = None,
     evenly: bool = False,
+    meanwhile: Callable[[Particles, _native.Migration], None] = lambda here, migration: None,
 ) -> tuple[Particles, np.ndarray, int]:
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices,
     and how many of all ranks are lost or left out.
 
-    `evenly`: servers of unequal work are replaced. Collective.
+    `evenly`: servers of unequal work are replaced. `meanwhile` is called while messages pass, with the particles of this rank of
+    which those that stay are in their places, and the migration that says of which others the values are not there yet.
+    Collective.
     """
     comm = hierarchy.comm
     if servers is None:
@@ -66,12 +70,15 @@ def migrate_without(
         most, _ = _most_and_uneven(comm, plan)
     _require_few(most)
     here = Particles.allocate(plan.arriving, particles.species, weight)
-    finite = plan.finish(*here.arrays)
+    finite = plan.start(*here.arrays)
+    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
+    here = Particles(*here.arrays, here.species, sorting)
+    meanwhile(here, plan)
+    plan.receive(*here.arrays)
     bad, missing = comm.allreduce(np.array([not finite, len(plan.lost) + len(gone)], dtype=np.int64)).tolist()
     if bad:
         _refuse_not_finite(particles, comm)
-    sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
-    return Particles(*here.arrays, here.species, sorting), plan.lost, missing
+    return here, plan.lost, missing
 
 
 def arranged(parts: list[Particles], hierarchy: Hierarchy, servers: np.ndarray) -> Particles:

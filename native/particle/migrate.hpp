@@ -11,6 +11,11 @@
 
 namespace amrpic {
 
+/// Places [first, last) of particles.
+struct PlaceRange {
+  std::int64_t first, last;
+};
+
 /// Particles on their way to the ranks that serve them, and to their places there: they are classified by where
 /// they go, those that leave are exchanged, all are sorted, and each is copied once.
 class Migration {
@@ -34,7 +39,15 @@ class Migration {
   /// not written; if those of `out` are not equal, those of more than one particle here must not be. Collective.
   bool finish(ParticleView const& out);
 
-  // after that:
+  /// The same in two steps: after `start` those that stay are in their places, and until `receive` of those that are
+  /// `under_way` the positions alone are set, to the middles of their bricks. Whoever computes in between calls `poll`
+  /// at times. What the particles are taken from may change after `start`.
+  bool start(ParticleView const& out);
+  std::vector<PlaceRange> under_way() const;
+  void poll() { arrivals_.poll(); }
+  void receive(ParticleView const& out);
+
+  // after `start`, and `carry` after `receive`:
   /// Write further columns of eight bytes of this rank's particles into `to`, in the same order. Collective; once for
   /// each set of columns, of which all ranks have as many.
   void carry(std::vector<Real const*> const& from, std::vector<Real*> const& to) const;
@@ -44,13 +57,15 @@ class Migration {
   std::vector<int> first_servers() const;                                    ///< of these
 
  private:
+  void put_into_middles(ParticleView const& out) const;
+
   ParticleMesh& mesh_;
   Servers servers_;
   ParticleView particles_;
   Destinations destinations_;
   std::int64_t staying_ = 0;
   LeavingParticles leaving_;
-  PackedParticles arrivals_;
+  Arrivals arrivals_;
   Places places_;
 };
 

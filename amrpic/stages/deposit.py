@@ -51,6 +51,11 @@ class Deposition:
         """
         self._native.begin(migration)
 
+    @property
+    def left(self) -> int:
+        """How many particles of this rank `density` has still to deposit."""
+        return self._native.left
+
     def density(self) -> Field:
         """Return the density of all particles, once they are there; see `deposit`. Collective, once."""
         try:

@@ -15,7 +15,7 @@ from mpi4py import MPI
 from .. import _native
 from ..errors import ParticleError
 from ..mesh.hierarchy import Hierarchy
-from ..parallel import raise_together
+from ..parallel import raise_together, together
 from ..particles.arrays import empty_columns, recycled
 from ..particles.particles import Particles, Sorting, emptied, joined, one_weight_and_most
 
@@ -53,8 +53,8 @@ def migrate_without(
     and how many of all ranks are lost or left out.
 
     `evenly`: servers of unequal work are replaced. `meanwhile` is called while messages pass, with the particles of this rank of
-    which those that stay are in their places, and the migration that says of which others the values are not there yet.
-    Collective.
+    which those that stay are in their places, and the migration that says of which others the values are not there yet. It may
+    not communicate; an exception in it on some ranks is raised on all, once the messages are there. Collective.
     """
     comm = hierarchy.comm
     if servers is None:
@@ -73,11 +73,21 @@ def migrate_without(
     finite = plan.start(*here.arrays)
     sorting = Sorting(hierarchy, plan.starts, plan.remote(hierarchy.native), servers)
     here = Particles(*here.arrays, here.species, sorting)
-    meanwhile(here, plan)
-    plan.receive(*here.arrays)
-    bad, missing = comm.allreduce(np.array([not finite, len(plan.lost) + len(gone)], dtype=np.int64)).tolist()
+    failure: Exception | None = None
+    try:
+        meanwhile(here, plan)
+    except Exception as caught:
+        failure = caught
+    finally:
+        plan.receive(*here.arrays)
+    found = np.array([not finite, failure is not None, len(plan.lost) + len(gone)], dtype=np.int64)
+    bad, failed, missing = comm.allreduce(found).tolist()
     if bad:
         _refuse_not_finite(particles, comm)
+    if failed:
+        with together(comm, ParticleError):
+            if failure is not None:
+                raise failure
     return here, plan.lost, missing
 
 

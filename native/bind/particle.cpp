@@ -237,7 +237,7 @@ void bind_particle(nb::module_& m) {
             }
             self.carry(old, fresh);
           },
-          "columns"_a, "out"_a, "After `finish`: further columns, (columns, n), of the same particles. Collective.")
+          "columns"_a, "out"_a, "After `finish` or `receive`: further columns, (columns, n), of the same particles. Collective.")
       .def_prop_ro(
           "starts", [](BoundMigration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
       .def(
@@ -316,17 +316,6 @@ void bind_particle(nb::module_& m) {
       .value("cloud_in_cell", Shape::cloud_in_cell)
       .value("triangular", Shape::triangular);
 
-  m.def(
-      "deposit",
-      [](ParticleMesh& mesh, RemoteBricks const& remote, Shape shape, bool matched, bool kokkos, ConstColumns position,
-         ConstColumns momentum, OnePerParticle weight, Row<std::int64_t const> id, Row<std::int64_t const> starts,
-         Real charge, Field& density) {
-        nb::gil_scoped_release release;
-        deposit(mesh, remote, clouds_of(shape, matched, kokkos), view(position, momentum, weight, id), starts.data(),
-                charge, density);
-      },
-      "mesh"_a, "remote"_a, "shape"_a, "matched"_a, "kokkos"_a, "position"_a, "momentum"_a, "weight"_a, "id"_a,
-      "starts"_a, "charge"_a, "density"_a);
   nb::class_<BoundDeposition>(m, "Deposition")
       .def(
           "__init__",
@@ -346,7 +335,8 @@ void bind_particle(nb::module_& m) {
             self.begin(migration.under_way(), [&] { migration.poll(); });
           },
           "migration"_a, "Those that are in their places while others are under way.")
-      .def("finish", &BoundDeposition::finish, nb::call_guard<nb::gil_scoped_release>(), "Collective.");
+      .def("finish", &BoundDeposition::finish, nb::call_guard<nb::gil_scoped_release>(), "Collective.")
+      .def_prop_ro("left", &BoundDeposition::left, "How many particles of this rank `finish` is to deposit.");
 
   m.def(
       "gather",

@@ -319,18 +319,27 @@ class Deposition::Sums {
   void begin(std::vector<PlaceRange> const& under_way, std::function<void()> const& poll) {
     if (batch_) return;
     poll_ = poll;
-    std::vector<std::int64_t> const arriving = mark(under_way);
+    mark(under_way);
     try {
       for (std::size_t slot = 0; slot < slots_; ++slot) {
-        std::int64_t const here = starts_[slot + 1] - starts_[slot] - arriving[slot];
+        std::int64_t const arriving = arriving_in_[slot], here = in_slot(slot) - arriving;
         bool const pays = here >= per_cell_to_begin * cells_of_slot(slot).cells();
-        if (here > 0 && arriving[slot] == 0) add(slot, Part::all, Part::none);
-        if (arriving[slot] > 0 && pays) add(slot, Part::here, Part::arriving);
+        if (here > 0 && arriving == 0) add(slot, Part::all, Part::none);
+        if (arriving > 0 && pays) add(slot, Part::here, Part::arriving);
       }
     } catch (Stray const& stray) {
       stray_ = stray;
     }
     poll_ = nullptr;
+  }
+
+  std::int64_t left() const {
+    std::int64_t out = 0;
+    for (std::size_t slot = 0; slot < slots_; ++slot) {
+      if (waiting_[slot] == Part::all) out += in_slot(slot);
+      if (waiting_[slot] == Part::arriving) out += arriving_in_[slot];
+    }
+    return out;
   }
 
   void finish() {
@@ -360,7 +369,8 @@ class Deposition::Sums {
   /// Particles of a slot.
   enum class Part : char { none, here, arriving, all };
 
-  bool is_occupied(std::size_t slot) const { return starts_[slot] < starts_[slot + 1]; }
+  std::int64_t in_slot(std::size_t slot) const { return starts_[slot + 1] - starts_[slot]; }
+  bool is_occupied(std::size_t slot) const { return in_slot(slot) > 0; }
   bool is_box(std::size_t slot) const { return slot < boxes_; }
   int level_of(std::size_t slot) const {
     return is_box(slot) ? mesh_.boxes()[slot].level : brick(slot).home.level;
@@ -374,16 +384,15 @@ class Deposition::Sums {
     return brick(slot).buffer.coarse.empty() ? nullptr : &brick(slot).buffer;
   }
 
-  /// Set the bits of those under way, and return how many there are in each slot.
-  std::vector<std::int64_t> mark(std::vector<PlaceRange> const& under_way) {
-    std::vector<std::int64_t> out(slots_, 0);
+  /// Note which are under way.
+  void mark(std::vector<PlaceRange> const& under_way) {
+    arriving_in_.assign(slots_, 0);
     arriving_.assign(std::size_t(particles_.count / block_size + 1), 0);
     for (auto const& [first, last] : under_way) {
-      out[std::size_t(std::upper_bound(starts_, starts_ + slots_, first) - starts_) - 1] += last - first;
+      arriving_in_[std::size_t(std::upper_bound(starts_, starts_ + slots_, first) - starts_) - 1] += last - first;
       for (std::int64_t n = first; n < last; ++n)
         arriving_[std::size_t(n / block_size)] |= std::uint64_t(1) << (n % block_size);
     }
-    return out;
   }
 
   /// Deposit a part of a slot's particles, after which another one waits.
@@ -465,9 +474,10 @@ class Deposition::Sums {
   Field& density_;
   RemotePlan& remote_plan_;
   std::size_t boxes_, slots_;
-  std::vector<Part> waiting_;            ///< particles of each slot
-  std::vector<std::uint64_t> arriving_;  ///< bits
-  ParticleBits bits_;                    ///< of those that are added
+  std::vector<Part> waiting_;              ///< particles of each slot
+  std::vector<std::uint64_t> arriving_;    ///< bits
+  std::vector<std::int64_t> arriving_in_;  ///< each slot
+  ParticleBits bits_;                      ///< of those that are added
   std::function<void()> poll_;
   std::optional<Stray> stray_;
   std::vector<ChargeAcrossRanks> own_, coarse_;
@@ -489,5 +499,7 @@ void Deposition::begin(std::vector<PlaceRange> const& under_way, std::function<v
 }
 
 void Deposition::finish() { sums_->finish(); }
+
+std::int64_t Deposition::left() const { return sums_->left(); }
 
 }  // namespace amrpic

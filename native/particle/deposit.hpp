@@ -31,16 +31,11 @@ class Deposition {
   /// Deposit all others. Throws std::out_of_range, on all ranks, if a particle lies outside the box it is sorted into.
   /// Collective.
   void finish();
+  std::int64_t left() const;  ///< how many particles of this rank these are
 
  private:
   class Sums;
   std::unique_ptr<Sums> sums_;
 };
-
-/// The same at once. Collective.
-inline void deposit(ParticleMesh& mesh, RemoteBricks const& remote, Clouds const& clouds, ParticleView const& particles,
-                    std::int64_t const* starts, Real charge, Field& density) {
-  Deposition(mesh, remote, clouds, particles, starts, charge, density).finish();
-}
 
 }  // namespace amrpic

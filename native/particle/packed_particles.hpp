@@ -48,6 +48,9 @@ struct LeavingParticles : Passing {
 class Arrivals : public Passing {
  public:
   Arrivals() = default;
+  Arrivals(Arrivals&&) = default;
+  Arrivals& operator=(Arrivals&&) = default;  ///< nothing of the one before may be under way
+  ~Arrivals() { messages_.wait_for_all(); }   // they read and write memory that is freed now
   /// `announced`: by some of so many ranks, in their order. `has_weights`: the same on all ranks.
   Arrivals(std::size_t ranks, std::vector<std::pair<int, std::vector<std::int64_t>>> const& announced,
            bool has_weights);
@@ -55,8 +58,8 @@ class Arrivals : public Passing {
   /// In the order of ranks.
   std::vector<Portion> const& portions() const { return portions_; }
 
-  /// Send those that leave, and ask for these. One message per pair of ranks that has any. `leaving` must live until
-  /// they are received. Local.
+  /// Send those that leave, and ask for these. One message per pair of ranks that has any. `leaving` must live
+  /// until they are received, or this is destroyed, which waits for other ranks that have started. Local.
   void start(Communicator const& comm, LeavingParticles const& leaving);
   /// Let messages move. Whoever computes meanwhile calls this at times.
   void poll() { messages_.poll(); }

@@ -931,13 +931,6 @@ class Migration:
     def from_others(self) -> int: ...
     @property
     def bricks(self) -> int: ...
-    def finish(
-        self,
-        position: NDArray[numpy.float64],
-        momentum: NDArray[numpy.float64],
-        weight: NDArray[numpy.float64],
-        id: NDArray[numpy.int64],
-    ) -> bool: ...
     def start(
         self,
         position: NDArray[numpy.float64],
@@ -954,7 +947,7 @@ class Migration:
     ) -> None: ...
     def carry(self, columns: NDArray[numpy.float64], out: NDArray[numpy.float64]) -> None:
         """
-        After `finish` or `receive`: further columns, (columns, n), of the same particles. Collective.
+        After `receive`: further columns, (columns, n), of the same particles. Collective.
         """
 
     @property

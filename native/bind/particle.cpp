@@ -194,18 +194,6 @@ void bind_particle(nb::module_& m) {
       .def_prop_ro("from_others", &Migration::from_others)
       .def_prop_ro("bricks", &Migration::bricks)
       .def(
-          "finish",
-          [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
-            bool finite;
-            {
-              nb::gil_scoped_release release;
-              finite = self.finish(view(position, momentum, weight, id));
-            }
-            self.arrays.reset();
-            return finite;
-          },
-          "position"_a, "momentum"_a, "weight"_a, "id"_a)
-      .def(
           "start",
           [](BoundMigration& self, Columns position, Columns momentum, OnePerParticle weight, Row<std::int64_t> id) {
             bool finite;
@@ -237,7 +225,7 @@ void bind_particle(nb::module_& m) {
             }
             self.carry(old, fresh);
           },
-          "columns"_a, "out"_a, "After `finish` or `receive`: further columns, (columns, n), of the same particles. Collective.")
+          "columns"_a, "out"_a, "After `receive`: further columns, (columns, n), of the same particles. Collective.")
       .def_prop_ro(
           "starts", [](BoundMigration const& self) { return bind::to_array(self.starts()); }, nb::rv_policy::automatic)
       .def(

@@ -24,12 +24,6 @@ std::int64_t Migration::bricks() const {
   return std::count_if(staying.begin(), staying.end(), [](std::int64_t count) { return count > 0; });
 }
 
-bool Migration::finish(ParticleView const& out) {
-  bool const finite = start(out);
-  receive(out);
-  return finite;
-}
-
 bool Migration::start(ParticleView const& out) {
   arrivals_.start(mesh_.hierarchy().comm(), leaving_);
   places_ = sort(mesh_, destinations_, arrivals_.portions());

@@ -73,8 +73,8 @@ def fly(
     """Return the particles of a state where they have `moved`, and its records of losses and screens with those of the flight.
 
     Collective. Each flight is a straight line in the laboratory; those that touch an aperture end there. `window`: where the
-    mesh is then. With `begins_deposit`, which all ranks give, the charge of particles that stay on their rank is deposited while
-    others are under way, and the deposit that has begun is returned too.
+    mesh is then. With `begins_deposit`, the same on all ranks, those that stay on their rank are deposited while others are
+    under way, and the deposit that has begun is returned too.
     """
     scene, hierarchy = plan.scene, state.hierarchy
     flights = Flights(state.particles.position, moved.position, hierarchy.domain, state.window, window)

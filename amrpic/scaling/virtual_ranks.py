@@ -126,7 +126,8 @@ def counts(
 
     "cycle" is one cycle of the solver with the residual after it, "solve" all else that a solve sends, without what finds the
     potential at open walls; "regrid" carries the potential over to the `other` mesh; "migrate" what follows a step without
-    forces, of `particles` of this rank, and "announce" what says ahead of it how many come to which bricks. In "deposit" and "gather" is not what passes because of others' bricks: see `bricks`.
+    forces, of `particles` of this rank, and "announce" what says ahead of it how many come to which bricks. In "deposit" and
+    "gather" is not what passes because of others' bricks: see `bricks`.
     `work` is that of a cycle of this rank.
     """
     count, clouds = Counter(), scene.particles.clouds

@@ -52,9 +52,9 @@ def migrate_without(
     """Return the same as `migrate` without the particles at some indices, int64 (m,) ascending; of the lost ones the indices,
     and how many of all ranks are lost or left out.
 
-    `evenly`: servers of unequal work are replaced. `meanwhile` is called while messages pass, with the particles of this rank of
-    which those that stay are in their places, and the migration that says of which others the values are not there yet. It may
-    not communicate; an exception in it on some ranks is raised on all, once the messages are there. Collective.
+    `evenly`: servers of unequal work are replaced. `meanwhile` is called while messages pass, with this rank's particles, of
+    which those that stay are in their places, and the migration, which says of which others the values are not there yet. It
+    may not communicate; an exception in it on some ranks is raised on all, once the messages are there. Collective.
     """
     comm = hierarchy.comm
     if servers is None:

@@ -113,8 +113,8 @@ void add_clouds(TileFrame const& frame, ParticleView const& particles, Chosen co
   frame.require_inside(all_in, particles, chosen);
 }
 
-/// Moves the tiles of one box's slabs into the density. First it sets the box's cells, then it adds to them; ghost cells
-/// it collects, and adds them to the density when all boxes are set.
+/// Moves the tiles of one box's slabs into the density. It sets the box's cells, or adds to them if they are set; ghost
+/// cells it collects, and adds them to the density when all boxes are set.
 class BoxSums {
  public:
   /// `ghosts` has room for the sums of the ghost cells.
@@ -129,9 +129,14 @@ class BoxSums {
         own_(cells.own + level.local_offset(at.box)),
         ghost_sums_(ghosts) {}
 
-  /// Take planes [first, last] out of the tile; each plane once, or once more where `more` is added to.
-  void take(int first, int last, ChargeTile& tile, bool more) const {
-    more ? take<true>(first, last, tile) : take<false>(first, last, tile);
+  /// Take planes [first, last] out of the tile; each plane once for all of them. `adds`: to what is set.
+  void take(int first, int last, ChargeTile& tile, bool adds) const {
+    adds ? take<true>(first, last, tile) : take<false>(first, last, tile);
+  }
+  /// Set all to zero.
+  void clear() const {
+    std::fill_n(own_, box_.cells(), Real(0));
+    std::fill_n(ghost_sums_, at_.ghosts.cells(), Real(0));
   }
 
   /// Add the ghost cells to the cells that they stand for.
@@ -146,32 +151,32 @@ class BoxSums {
   }
 
  private:
-  template <bool more>
+  template <bool adds>
   void take(int first, int last, ChargeTile& tile) const {
     for (int k = first; k <= last; ++k) {
-      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior<more>(k, tile);
+      if (k >= box_.lower[2] && k <= box_.upper[2]) take_interior<adds>(k, tile);
       Real* out = ghost_sums_ + ghost_cells_below(box_, k);
       for_each_ghost_row(box_, k, [&](int from, int to, int j) {
-        tile.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { put<more>(sums, out + n); });
+        tile.take(from, j, k, to - from + 1, [&](int n, auto const& sums) { put<adds>(sums, out + n); });
         out += to - from + 1;
       });
     }
   }
 
-  template <bool more>
+  template <bool adds>
   void take_interior(int k, ChargeTile& tile) const {
     for (int j = box_.lower[1]; j <= box_.upper[1]; ++j) {
       Real* const out = own_ + box_.offset({box_.lower[0], j, k});
       tile.take(box_.lower[0], j, k, box_.extent(0), [&](int n, auto const& sums) {
         fetch<Use::write>(out + n + page<Real>, 1);
-        put<more>(per_cell_ * sums, out + n);
+        put<adds>(per_cell_ * sums, out + n);
       });
     }
   }
 
-  template <bool more, class T>
+  template <bool adds, class T>
   static void put(T const& values, Real* out) {
-    store(out, more ? load<T>(out) + values : values);
+    store(out, adds ? load<T>(out) + values : values);
   }
 
   void add(GhostRun const& run, Real const* sums, Real* out) const {
@@ -296,6 +301,7 @@ class Deposition::Sums {
         boxes_(mesh.boxes().size()),
         slots_(boxes_ + remote.bricks().size()),
         waiting_(slots_, Part::all),
+        is_set_(boxes_, false),
         ghost_sums_(clear_empty_boxes(mesh, starts, density)),
         tiles_(std::size_t(hierarchy_.level_count())),
         remote_charge_(hierarchy_, remote_plan_, charge) {
@@ -326,6 +332,7 @@ class Deposition::Sums {
         bool const pays = here >= per_cell_to_begin * cells_of_slot(slot).cells();
         if (here > 0 && arriving == 0) add(slot, Part::all, Part::none);
         if (arriving > 0 && pays) add(slot, Part::here, Part::arriving);
+        if (arriving > 0 && !pays && zone_) clear(slot);
       }
     } catch (Stray const& stray) {
       stray_ = stray;
@@ -372,9 +379,7 @@ class Deposition::Sums {
   std::int64_t in_slot(std::size_t slot) const { return starts_[slot + 1] - starts_[slot]; }
   bool is_occupied(std::size_t slot) const { return in_slot(slot) > 0; }
   bool is_box(std::size_t slot) const { return slot < boxes_; }
-  int level_of(std::size_t slot) const {
-    return is_box(slot) ? mesh_.boxes()[slot].level : brick(slot).home.level;
-  }
+  int level_of(std::size_t slot) const { return is_box(slot) ? mesh_.boxes()[slot].level : brick(slot).home.level; }
   BrickWindows const& brick(std::size_t slot) const { return remote_plan_.bricks()[slot - boxes_]; }
   Box cells_of_slot(std::size_t slot) const {
     return is_box(slot) ? hierarchy_.level(level_of(slot)).box(mesh_.boxes()[slot].box) : brick(slot).cells;
@@ -395,6 +400,13 @@ class Deposition::Sums {
     }
   }
 
+  /// Let finer boxes add the coarse clouds of their particles to a box that waits.
+  void clear(std::size_t slot) {
+    if (!is_box(slot)) return;
+    box_sums_[slot].clear();
+    is_set_[slot] = true;
+  }
+
   /// Deposit a part of a slot's particles, after which another one waits.
   void add(std::size_t slot, Part part, Part then) {
     waiting_[slot] = then;
@@ -403,13 +415,14 @@ class Deposition::Sums {
     std::size_t const depths = buffer ? buffer->coarse.size() : 0;
     std::vector<ChargeTile>& tiles = batch_ ? batch_->next() : tiles_;
     for (std::size_t r = 1; r <= depths; ++r) tiles[r].reset(buffer->coarse[r - 1].box);
-    is_box(slot) ? add_box(slot, buffer, tiles, part == Part::arriving) : add_remote(slot, buffer, tiles);
+    is_box(slot) ? add_box(slot, buffer, tiles) : add_remote(slot, buffer, tiles);
   }
 
-  void add_box(std::size_t slot, BoxBuffer const* buffer, std::vector<ChargeTile>& tiles, bool more) {
+  void add_box(std::size_t slot, BoxBuffer const* buffer, std::vector<ChargeTile>& tiles) {
     int const level = level_of(slot);
     Box const box = cells_of_slot(slot);
     BoxSums const& sums = box_sums_[slot];
+    bool const adds = std::exchange(is_set_[slot], true);
     auto const take_coarse = [=, &tiles] {
       for (std::size_t r = 1; buffer && r <= buffer->coarse.size(); ++r) {
         CoarseCells const& c = buffer->coarse[r - 1];
@@ -420,18 +433,18 @@ class Deposition::Sums {
     if (batch_) {
       tiles[0].reset(box);
       return batch_->add(level, box, buffer, starts_[slot], starts_[slot + 1], [=, &sums, &tiles] {
-        sums.take(box.lower[2] - tile_reach, box.upper[2] + tile_reach, tiles[0], more);
+        sums.take(box.lower[2] - tile_reach, box.upper[2] + tile_reach, tiles[0], adds);
         take_coarse();
       });
     }
-    for_each_slab(mesh_, level, box, planes_per_slab(box, 1), particles_, starts_[slot], starts_[slot + 1],
-                  [&](Box const& slab, auto from, auto to) {
-                    slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
-                    add_slab(level, slab, buffer, from, to);
-                    bool const follows = slab.upper[2] < box.upper[2];  // then the last planes are those of the next too
-                    sums.take(slab.lower[2] - tile_reach, slab.upper[2] + (follows ? -tile_reach : tile_reach), tiles[0],
-                              more);
-                  });
+    for_each_slab(
+        mesh_, level, box, planes_per_slab(box, 1), particles_, starts_[slot], starts_[slot + 1],
+        [&](Box const& slab, auto from, auto to) {
+          slab.lower[2] == box.lower[2] ? tiles[0].reset(slab) : tiles[0].follow(slab);
+          add_slab(level, slab, buffer, from, to);
+          bool const follows = slab.upper[2] < box.upper[2];  // then the last planes are those of the next too
+          sums.take(slab.lower[2] - tile_reach, slab.upper[2] + (follows ? -tile_reach : tile_reach), tiles[0], adds);
+        });
     take_coarse();
   }
 
@@ -450,13 +463,12 @@ class Deposition::Sums {
   void add_slab(int level, Box const& slab, BoxBuffer const* buffer, std::int64_t first, std::int64_t last) {
     for (std::int64_t from = first; from < last;) {
       std::int64_t const to = poll_ ? std::min(last, (from / between_polls + 1) * between_polls) : last;
-      for_each_coarsening_depth(mesh_, level, slab, buffer, particles_, from, to,
-                                [&](int depth, TileFrame const& frame, Chosen chosen) {
-                                  chosen.bits = bits_;
-                                  with_shape(clouds_.shape, [&](auto s) {
-                                    add_clouds<decltype(s)>(frame, particles_, chosen, tiles_[std::size_t(depth)]);
-                                  });
-                                });
+      for_each_coarsening_depth(
+          mesh_, level, slab, buffer, particles_, from, to, [&](int depth, TileFrame const& frame, Chosen chosen) {
+            chosen.bits = bits_;
+            with_shape(clouds_.shape,
+                       [&](auto s) { add_clouds<decltype(s)>(frame, particles_, chosen, tiles_[std::size_t(depth)]); });
+          });
       if (poll_) poll_();
       from = to;
     }
@@ -475,6 +487,7 @@ class Deposition::Sums {
   RemotePlan& remote_plan_;
   std::size_t boxes_, slots_;
   std::vector<Part> waiting_;              ///< particles of each slot
+  std::vector<char> is_set_;               ///< whether the cells of each box hold charge, or zero
   std::vector<std::uint64_t> arriving_;    ///< bits
   std::vector<std::int64_t> arriving_in_;  ///< each slot
   ParticleBits bits_;                      ///< of those that are added

@@ -37,8 +37,8 @@ class Migration {
   /// Send those that leave, and write the others into `out`, which has room for `arriving()`, in the order of `Places`.
   /// Of those that are `under_way` to this rank the positions alone are set, to the middles of their bricks, until they
   /// are received. Whoever computes in between calls `poll` at times. False if a position or momentum of those that
-  /// were on this rank is not finite; then `out` means nothing. Equal weights are not written; if those of `out` are not
-  /// equal, those of more than one particle here must not be. Local.
+  /// were on this rank is not finite; then `out` means nothing. Equal weights are not written; if those of `out` are
+  /// not equal, those of more than one particle here must not be. Local.
   bool start(ParticleView const& out);
   std::vector<PlaceRange> under_way() const;
   void poll() { arrivals_.poll(); }

@@ -75,7 +75,7 @@ def test_density_is_that_of_a_deposit_at_once_and_the_same_again(comm, shape, ma
             waiting = np.diff(starts)[came > 0].sum()  # if all of a box did that some come to
             assert came.sum() <= left <= waiting, (case.name, of)
             if case is CROWDED and of == "of all ranks" and comm.size > 1:
-                assert 1000 < came.sum() and left < waiting
+                assert came.sum() > 1000 and left < waiting
 
 
 @pytest.mark.mpi(ranks=(2, 3))
@@ -88,9 +88,7 @@ def test_particles_that_come_and_those_that_stay_are_in_their_places_at_once(com
         found.append(here.replace(here.position.copy()))
 
     servers = particles.sorted_on(hierarchy).servers
-    here, _, _ = migrate_without(
-        moved(hierarchy, particles, "of all ranks"), hierarchy, NONE, servers, meanwhile=look
-    )
+    here, _, _ = migrate_without(moved(hierarchy, particles, "of all ranks"), hierarchy, NONE, servers, meanwhile=look)
     brick = 8 * hierarchy.spacing(1)
     lower = np.array(hierarchy.domain.lower)
     where, before = ((one.position - lower) // brick for one in (here, found[0]))

@@ -469,12 +469,18 @@ class Deposition::Sums {
             with_shape(clouds_.shape,
                        [&](auto s) { add_clouds<decltype(s)>(frame, particles_, chosen, tiles_[std::size_t(depth)]); });
           });
-      if (poll_) poll_();
+      count_work(to - from);
       from = to;
     }
   }
 
+  void count_work(std::int64_t particles) {
+    since_poll_ += particles;
+    if (poll_ && since_poll_ >= between_polls) poll_(), since_poll_ = 0;
+  }
+
   static constexpr std::int64_t between_polls = 1 << 14;  ///< particles; about 0.1 ms
+  static constexpr std::int64_t cells_as_particle = 8;    ///< that are moved into the density in the same time
 
   ParticleMesh& mesh_;
   Hierarchy const& hierarchy_;
@@ -492,6 +498,7 @@ class Deposition::Sums {
   std::vector<std::int64_t> arriving_in_;  ///< each slot
   ParticleBits bits_;                      ///< of those that are added
   std::function<void()> poll_;
+  std::int64_t since_poll_ = 0;  ///< particles, or what takes as long
   std::optional<Stray> stray_;
   std::vector<ChargeAcrossRanks> own_, coarse_;
   Scratch<Real> ghost_sums_;

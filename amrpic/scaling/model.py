@@ -31,14 +31,16 @@ from .plan import Plan
 # Calls of a stage that are counted on virtual ranks, and whether they are made once per cycle.
 STAGES: Mapping[str, Sequence[tuple[str, bool]]] = {
     "push": (),
-    "migrate": (("migrate", False),),
+    "migrate": (("announce", False), ("migrate", False)),
     "deposit": (("deposit", False),),
     "solve": (("solve", False), ("cycle", True)),
     "open walls": (("open walls", False),),
     "gather": (("gather", False),),
     "output": (("output", False),),
 }
-OF_NEW_MESH: Sequence[tuple[str, bool]] = (("set-up", False), ("regrid", False), ("migrate", False), ("deposit", False))
+OF_NEW_MESH: Sequence[tuple[str, bool]] = tuple(
+    (call, False) for call in ("set-up", "regrid", "announce", "migrate", "deposit")
+)
 NETWORK = ("latency", "bandwidth", "collective")
 OF_CELLS = "cells", "swept", "spilled", "swept_spilled", "swept_faces"  # what grows with a rank's cells
 OF_WALLS = "patches", "interactions", "near"

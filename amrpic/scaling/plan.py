@@ -140,7 +140,9 @@ class Plan:
 
     def leaving(self, call: str, ranks_per_node: int) -> float:
         """Return the most bytes that leave a node by a call, of the nodes that were looked at, as if they had so many ranks; of
-        all nodes for "migrate", and for what servers of particles and owners of cells send each other."""
+        all nodes for "announce", "migrate", and for what servers of particles and owners of cells send each other."""
+        if call == "announce":
+            return float(self.between.of_nodes(ranks_per_node, self.between.announced).max())
         if call == "migrate":
             bytes_ = sum(of[call].traffic.bytes for of in self.sent)
             each = bytes_ / max(float(self.between.sent[self.looked_at].sum()), 1.0)  # of a particle
